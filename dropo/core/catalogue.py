@@ -1,0 +1,93 @@
+"""Names of plug-ins. A plug-in is imported when it is asked for, so that `dropo list` imports none.
+
+Packages outside announce theirs as entry points of the group `dropo.<kind>` (for example `dropo.optimizers`);
+a script or a notebook calls `register`.
+"""
+
+import importlib
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+from dropo.core.checks import known
+
+BUILT_IN: dict[str, dict[str, str]] = {
+    "methods": {
+        "dropo": "dropo.estimators.dropo:DROPO",
+        "droid": "dropo.estimators.droid:DROID",
+        "least-squares": "dropo.estimators.least_squares:LeastSquares",
+        "uniform-randomization": "dropo.estimators.uniform_randomization:UniformRandomization",
+        "posterior": "dropo.estimators.posterior:Posterior",
+    },
+    "likelihoods": {
+        "monte-carlo": "dropo.likelihoods.gaussian:Gaussian",
+        "ghurye-olkin": "dropo.likelihoods.ghurye_olkin:GhuryeOlkin",
+    },
+    "families": {
+        "truncated_gaussian": "dropo.distributions.truncated_gaussian:TruncatedGaussian",
+        "full": "dropo.distributions.full_gaussian:FullGaussian",
+        "uniform": "dropo.distributions.uniform:Uniform",
+        "log_normal": "dropo.distributions.log_normal:LogNormal",
+    },
+    "optimizers": {
+        "cma-es": "dropo.optimizers.cma_es:CMAES",
+        "nlopt-bobyqa": "dropo.optimizers.nlopt:Bobyqa",
+        "nlopt-sbplx": "dropo.optimizers.nlopt:Sbplx",
+        "nlopt-crs2": "dropo.optimizers.nlopt:Crs2",
+        "nlopt-direct-l": "dropo.optimizers.nlopt:DirectL",
+        "nlopt-lbfgs": "dropo.optimizers.nlopt:Lbfgs",
+        "nlopt-slsqp": "dropo.optimizers.nlopt:Slsqp",
+        "scipy-nelder-mead": "dropo.optimizers.scipy:NelderMead",
+        "scipy-l-bfgs-b": "dropo.optimizers.scipy:LbfgsB",
+        "scipy-differential-evolution": "dropo.optimizers.scipy:DifferentialEvolution",
+    },
+    "samplers": {
+        "emcee": "dropo.optimizers.emcee:Emcee",
+    },
+    "problems": {
+        "hopper": "dropo.problems.hopper:hopper",
+        "hopper-noisy": "dropo.problems.hopper:hopper_noisy",
+        "hopper-published": "dropo.problems.hopper_published:hopper_published",
+        "hopper-published-noisy": "dropo.problems.hopper_published:hopper_published_noisy",
+        "cube-toss": "dropo.problems.cube_toss:cube_toss",
+        "slide": "dropo.problems.slide:slide",
+    },
+}
+_registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}
+
+
+def register(kind: str, name: str, plugin: Callable[..., Any]) -> None:
+    """Makes a plug-in of this process available by its name; the kind is one of `kinds()`."""
+    _registered[known("kind of plug-in", kind, BUILT_IN)][name] = plugin
+
+
+def kinds() -> list[str]:
+    """What can be named: methods, likelihoods, families, ..."""
+    return sorted(BUILT_IN)
+
+
+def names(kind: str) -> list[str]:
+    """The names of one kind, sorted."""
+    known("kind of plug-in", kind, BUILT_IN)
+    return sorted({*BUILT_IN[kind], *_outside(kind), *_registered[kind]})
+
+
+def find(kind: str, name: str) -> Any:
+    """The plug-in of that kind and name; UnknownName, with the nearest valid name, where there is none."""
+    known(_singular(kind), name, names(kind))
+    if name in _registered[kind]:
+        return _registered[kind][name]
+    if name in BUILT_IN[kind]:
+        module, attribute = BUILT_IN[kind][name].split(":")
+        return getattr(importlib.import_module(module), attribute)
+    return _outside(kind)[name].load()
+
+
+@cache
+def _outside(kind: str) -> dict[str, Any]:
+    return {point.name: point for point in entry_points(group=f"dropo.{kind}")}
+
+
+def _singular(kind: str) -> str:
+    return "family" if kind == "families" else kind.removesuffix("s")

@@ -1,0 +1,34 @@
+"""One family of errors. `Refused` means that the input cannot be used: nothing was run and nothing was written."""
+
+
+class DropoError(Exception):
+    """Every error that dropo raises on purpose."""
+
+
+class Refused(DropoError, ValueError):
+    """The input cannot be used. The command line answers with exit status 2."""
+
+
+class BadArgument(Refused):
+    """An argument, a setting or an array breaks a rule that the message names."""
+
+
+class BadFile(Refused):
+    """A file cannot be used: the message names the file, the key, what was expected and what came."""
+
+    def __init__(self, path: object, key: str, expected: str, got: object):
+        where = f"{path}: {key}" if key else f"{path}"
+        super().__init__(f"{where}: expected {expected}, got {got}.")
+        self.path, self.key = path, key
+
+
+class UnknownName(Refused, LookupError):
+    """A name that nothing answers to; the message gives the nearest valid one."""
+
+
+class Incompatible(Refused):
+    """Two parts that cannot work together; the message gives the reason and the way out."""
+
+
+class SimulationFailed(DropoError, RuntimeError):
+    """The simulator diverged where it must not; the message says on which segments."""

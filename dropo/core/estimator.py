@@ -1,0 +1,68 @@
+"""The contract of estimators: a problem in, a Fit out."""
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dropo.core.checks import Array
+from dropo.core.fit import Fit
+from dropo.core.journal import Journal
+from dropo.core.problem import Problem
+
+Progress = Callable[[float, str], None]
+
+
+def silent(share: float, text: str) -> None:
+    """No progress."""
+
+
+@dataclass
+class Run:
+    """One run of an estimator: its randomness, what was evaluated, where progress goes, and what it cost so far."""
+
+    problem: Problem
+    rng: np.random.Generator
+    journal: Journal = field(default_factory=Journal)
+    progress: Progress = silent
+    steps: int = 0
+    failures: int = 0
+    evaluations: int = 0
+
+    def evaluate(self, points: Array, function: Callable[[Array], Array]) -> Array:
+        """function(points), or its recorded answer; simulator steps and failures are counted either way."""
+
+        def counted(points: Array) -> tuple[Array, dict[str, int]]:
+            simulator = self.problem.simulator
+            before = simulator.steps, simulator.failures
+            answers = function(points)
+            return answers, {"steps": simulator.steps - before[0], "failures": simulator.failures - before[1]}
+
+        answers, counts = self.journal.evaluate(points, counted)
+        self.steps += counts["steps"]
+        self.failures += counts["failures"]
+        self.evaluations += len(points)
+        return answers
+
+
+class Estimator(ABC):
+    """A recipe with frozen settings. A plug-in writes `_fit`; name is what `--method` takes."""
+
+    name: str
+
+    def fit(self, problem: Problem, *, rng: np.random.Generator | int | None = 0, journal: Journal | None = None, progress: Progress = silent) -> Fit:
+        """Fits the distribution of the problem's parameters. rng: anything that numpy.random.default_rng takes."""
+        begun = time.perf_counter()
+        run = Run(problem, np.random.default_rng(rng), journal or Journal(), progress)
+        fit = self._fit(problem, run)
+        seed = int(rng) if isinstance(rng, int | np.integer) else None
+        return replace(
+            fit, wall_time_s=time.perf_counter() - begun, seed=seed, simulator_steps=run.steps,
+            failed_simulations=run.failures, objective_evaluations=run.evaluations,
+        )  # fmt: skip
+
+    @abstractmethod
+    def _fit(self, problem: Problem, run: Run) -> Fit:
+        """Every simulation goes through `run.evaluate`, so that it is counted, recorded and never lost."""

@@ -1,0 +1,91 @@
+"""The contract of distributions over parameters: drawn by mapping fixed base points, so that objectives are deterministic."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import qmc
+
+from dropo.core.checks import Array, float_array, require
+from dropo.core.parameters import Parameter, ParameterSpace
+
+
+class Family(ABC):
+    """A family of distributions over the parameters of `space`; phi (m,) names a member.
+
+    A plug-in sets `unknowns` (the box of phi) and writes `_draw`, `mean` and `sd`. The unknowns called "mean.<parameter>"
+    and "scale.<parameter>" are what a fit prints as the family's own mean and scale.
+    """
+
+    unknowns: ParameterSpace
+    redraws = 20  # thesis, section 5.3: an infeasible draw is made again so many times, then put on the bound
+
+    def __init__(self, space: ParameterSpace):
+        self.space = space
+
+    def base(self, draws: int, rng: np.random.Generator) -> Array:
+        """Base points (1 + redraws, K, d) in (0, 1): a scrambled Sobol set, and the further attempts behind it."""
+        require(draws >= 2, "K", "at least 2 draws", draws, type(self).__name__)
+        sobol, again = rng.spawn(2)
+        first = qmc.Sobol(len(self.space), rng=sobol).random_base2(int(np.ceil(np.log2(draws))))[:draws]
+        more = again.random((self.redraws, draws, len(self.space)))
+        tiny = np.finfo(float).eps
+        return np.clip(np.concatenate([first[None], more]), tiny, 1 - tiny)
+
+    def draw(self, phi: ArrayLike, base: Array) -> Array:
+        """K parameter vectors (K, d) of member phi (m,), from base points (1 + redraws, K, d); all physically possible."""
+        phi = float_array("phi", phi, (len(self.unknowns),), type(self).__name__)
+        values = self._draw(phi, base[0])
+        for attempt in base[1:]:
+            bad = self._infeasible(values)
+            if not bad.any():
+                return values
+            values = np.where(bad, self._draw(phi, attempt), values)
+        return self.space.feasible(values)
+
+    def sample(self, phi: ArrayLike, draws: int, rng: np.random.Generator) -> Array:
+        """Independent draws (K, d), for training under the member."""
+        return self.draw(phi, rng.random((1 + self.redraws, draws, len(self.space))))
+
+    def _infeasible(self, values: Array) -> np.ndarray:
+        """(K, d) bool, which entries are made again; families with correlations make whole rows again."""
+        return (values < self.space.lower) | (values > self.space.upper)
+
+    @abstractmethod
+    def _draw(self, phi: Array, base: Array) -> Array:
+        """Maps base points (K, d) in (0, 1), uniform under the law, to draws (K, d) of member phi."""
+
+    @abstractmethod
+    def mean(self, phi: Array) -> Array:
+        """(d,) the member's mean, before infeasible draws are made again."""
+
+    @abstractmethod
+    def sd(self, phi: Array) -> Array:
+        """(d,) the member's standard deviation, likewise; under truncation it is below the scale."""
+
+    def scale(self, phi: Array) -> Array:
+        """(d,) the family's own scale parameter (the sigma of a truncated Gaussian)."""
+        return np.array([phi[self.unknowns.names.index(f"scale.{name}")] for name in self.space.names])
+
+    def correlation(self, phi: Array) -> Array:
+        """(d, d) the member's correlation matrix."""
+        return np.eye(len(self.space))
+
+    def phi(self, mean: ArrayLike, scale: ArrayLike) -> Array:
+        """The member of that mean and scale (d,) each, moved into the bounds of phi; other unknowns in their middle."""
+        phi = self.unknowns.from_unit(np.full(len(self.unknowns), 0.5))
+        for name, m, s in zip(self.space.names, np.asarray(mean), np.asarray(scale), strict=True):
+            phi[self.unknowns.names.index(f"mean.{name}")] = m
+            phi[self.unknowns.names.index(f"scale.{name}")] = s
+        return np.clip(phi, self.unknowns.low, self.unknowns.high)
+
+
+def means_and_scales(space: ParameterSpace, scale_low: float = 1e-5, scale_high: float = 0.5) -> ParameterSpace:
+    """The thesis' box of phi: means in the search interval, scales in logarithms (section 6.2.1).
+
+    scale_low: the least scale, in the parameter's unit, or that share of an interval narrower than 1;
+    scale_high: the largest, as a share of the interval.
+    """
+    means = [Parameter(f"mean.{p.name}", p.low, p.high, p.unit) for p in space]
+    scales = [Parameter(f"scale.{p.name}", scale_low * min(1.0, p.width), scale_high * p.width, p.unit, scale="log") for p in space]
+    return ParameterSpace((*means, *scales))

@@ -1,0 +1,139 @@
+"""What every estimator returns: printed, saved as JSON and NPZ, and drawn from."""
+
+import json
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dropo.core.catalogue import find
+from dropo.core.checks import Array
+from dropo.core.errors import BadFile
+from dropo.core.parameters import Parameter, ParameterSpace
+
+
+class Status(str, Enum):
+    """How a fit ended."""
+
+    CONVERGED = "converged"
+    OUT_OF_BUDGET = "out_of_budget"
+    INTERRUPTED = "interrupted"
+    DONE = "done"  # nothing was searched (uniform randomization)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A distribution over the parameters, and what it cost to find.
+
+    space: the d parameters; family: the name of the law, phi: (m,) its member; mean, scale, sd: (d,) in the parameters'
+    units, scale the family's own and sd the distribution's; mean_se, scale_se: (d,) standard errors, NaN where there is
+    none; epsilon: (p,) noise variances. mse: the mean square of (mean prediction - measured) over rows and signals.
+    arrays: whatever else an estimator found, by name; details: further entries of fit.json.
+    """
+
+    method: str
+    problem: str
+    space: ParameterSpace
+    family: str
+    phi: Array
+    mean: Array
+    scale: Array
+    sd: Array
+    mean_se: Array
+    scale_se: Array
+    correlation: Array
+    epsilon: Array
+    log_likelihood: float
+    mse: float
+    transitions: int
+    simulator_steps: int
+    failed_simulations: int
+    objective_evaluations: int
+    status: Status
+    message: str
+    warnings: tuple[str, ...] = ()
+    wall_time_s: float = 0.0
+    seed: int | None = None
+    arrays: dict[str, Array] = field(default_factory=dict)
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def sample(self, draws: int, rng: np.random.Generator | int | None = None) -> Array:
+        """Parameter vectors (K, d) from the fitted distribution."""
+        family = find("families", self.family)(self.space)
+        return family.sample(self.phi, draws, np.random.default_rng(rng))
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of fit.json; numbers that do not exist are null."""
+        from dropo import __version__
+
+        columns = {"mean": self.mean, "scale": self.scale, "sd": self.sd, "mean_se": self.mean_se, "scale_se": self.scale_se}
+        parameters = {
+            p.name: {**{key: _number(values[i]) for key, values in columns.items()}, "unit": p.unit, "low": p.low, "high": p.high,
+                     "lower": _number(p.lower), "upper": _number(p.upper)}
+            for i, p in enumerate(self.space)
+        }  # fmt: skip
+        return {
+            "method": self.method, "problem": self.problem, "seed": self.seed, "version": __version__, "parameters": parameters,
+            "correlation": self.correlation.tolist(), "family": self.family, "phi": self.phi.tolist(), "epsilon": self.epsilon.tolist(),
+            "log_likelihood": _number(self.log_likelihood), "log_likelihood_per_transition": _number(self.log_likelihood / self.transitions),
+            "mse": _number(self.mse), "transitions": self.transitions, "simulator_steps": self.simulator_steps,
+            "failed_simulations": self.failed_simulations, "objective_evaluations": self.objective_evaluations,
+            "wall_time_s": round(self.wall_time_s, 3), "status": self.status.value, "message": self.message, "warnings": list(self.warnings),
+            **self.details,
+        }  # fmt: skip
+
+    def save(self, folder: str | Path) -> None:
+        """Writes fit.json and fit.npz; each appears whole or not at all."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        whole = folder / ".fit.npz"
+        with whole.open("wb") as file:
+            np.savez(file, **{"phi": self.phi, "correlation": self.correlation, "epsilon": self.epsilon, **self.arrays})  # type: ignore[arg-type]
+        whole.replace(folder / "fit.npz")
+        text = folder / ".fit.json"
+        text.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
+        text.replace(folder / "fit.json")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> "Fit":
+        """The fit that `save` wrote into a folder."""
+        path = Path(folder) / "fit.json"
+        if not path.is_file():
+            raise BadFile(path, "", "a fit written by `dropo fit --out`", "no such file")
+        try:
+            content = json.loads(path.read_text())
+            return _from_json(cls, content, dict(np.load(Path(folder) / "fit.npz", allow_pickle=False)))
+        except (json.JSONDecodeError, KeyError, OSError) as error:
+            raise BadFile(path, "", "a fit written by `dropo fit --out`", f"{type(error).__name__}: {error}") from None
+
+    def __str__(self) -> str:
+        from dropo.core.table import fit_table
+
+        return fit_table(self)
+
+
+_SAVED = ("method", "problem", "family", "mse", "transitions", "simulator_steps", "failed_simulations",
+          "objective_evaluations", "message", "wall_time_s", "seed")  # fmt: skip
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _from_json(cls: type[Fit], content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
+    rows = content["parameters"]
+    nan = lambda value, other=np.nan: other if value is None else value  # noqa: E731
+    column = lambda key: np.array([nan(row[key]) for row in rows.values()], dtype=float)  # noqa: E731
+    space = ParameterSpace(tuple(
+        Parameter(name, row["low"], row["high"], row["unit"], nan(row["lower"], -np.inf), nan(row["upper"], np.inf)) for name, row in rows.items()
+    ))  # fmt: skip
+    own = {key: arrays.pop(key) for key in ("phi", "correlation", "epsilon")}
+    known = {"version", "parameters", "log_likelihood", "log_likelihood_per_transition", "status", "warnings", *own, *_SAVED}
+    return cls(
+        space=space, mean=column("mean"), scale=column("scale"), sd=column("sd"), mean_se=column("mean_se"), scale_se=column("scale_se"),
+        log_likelihood=nan(content["log_likelihood"]), status=Status(content["status"]), warnings=tuple(content["warnings"]),
+        arrays=arrays, details={key: value for key, value in content.items() if key not in known}, **own,
+        **{key: nan(content[key]) if key == "mse" else content[key] for key in _SAVED},
+    )  # fmt: skip

@@ -1,0 +1,64 @@
+"""A problem: simulator, measured trajectories, how they are cut into segments, and what is known beforehand."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dropo.core.checks import Array, check_shape, known, require
+from dropo.core.data import Reset, Segments, Trajectories
+from dropo.core.parameters import ParameterSpace
+from dropo.core.simulator import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Checked once, when it is made.
+
+    length: the thesis' lambda, in control steps; reset, set_columns, every_step: as in `Trajectories.segments`;
+    epsilon: the noise variance, one or (p,), where it is known; truth: the parameters' true values, where the data
+    are simulated; held_out: trajectories that no fit sees; warnings: what looked odd in the data;
+    settings: what a fit of this problem takes where its caller says nothing (for example {"draws": 20}).
+    """
+
+    name: str
+    simulator: Simulator
+    trajectories: Trajectories
+    length: int = 1
+    reset: Reset = "transition"
+    set_columns: NDArray[np.bool_] | None = None
+    every_step: bool = False
+    epsilon: float | Array | None = None
+    truth: Mapping[str, float] | None = None
+    held_out: Trajectories | None = None
+    warnings: tuple[str, ...] = ()
+    settings: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require(len(self.space) >= 1, "parameters", "at least one", 0, f"Problem {self.name!r}")
+        for name in self.truth or ():
+            known("parameter", name, self.space.names)
+        _ = self.segments  # refuses a lambda that does not fit the trajectories
+        check_shape("targets", self.simulator.targets(self.segments), (len(self.segments.rows[0]), len(self.simulator.signals)), self.name)
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The d parameters."""
+        return self.simulator.space
+
+    @cached_property
+    def segments(self) -> Segments:
+        """The segments that a fit sees."""
+        return self.cut(self.trajectories)
+
+    def cut(self, trajectories: Trajectories, *, every_step: bool | None = None) -> Segments:
+        """Other trajectories (held-out ones, say) as segments of the same kind."""
+        every = self.every_step if every_step is None else every_step
+        return trajectories.segments(self.length, reset=self.reset, set_columns=self.set_columns, every_step=every)
+
+    def using(self, *, transitions: int | None = None, length: int | None = None) -> "Problem":
+        """The same problem with the first so many transitions, or another lambda."""
+        data = self.trajectories if transitions is None else self.trajectories.first(transitions)
+        return replace(self, trajectories=data, length=self.length if length is None else length)
