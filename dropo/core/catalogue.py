@@ -22,12 +22,14 @@ BUILT_IN: dict[str, dict[str, str]] = {
     },
     "likelihoods": {
         "monte-carlo": "dropo.likelihoods.gaussian:Gaussian",
+        "emulated": "dropo.likelihoods.emulated:Emulated",
         "ghurye-olkin": "dropo.likelihoods.ghurye_olkin:GhuryeOlkin",
     },
     "families": {
         "truncated_gaussian": "dropo.distributions.truncated_gaussian:TruncatedGaussian",
         "full": "dropo.distributions.full_gaussian:FullGaussian",
         "uniform": "dropo.distributions.uniform:Uniform",
+        "point": "dropo.distributions.point:Point",
         "log_normal": "dropo.distributions.log_normal:LogNormal",
     },
     "optimizers": {

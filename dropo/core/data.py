@@ -83,6 +83,7 @@ class Trajectories:
 
     def rows(self, rows: Ints) -> "Trajectories":
         """Some rows, in order; a trajectory ends where the next row is missing or belongs to another one."""
+        require(len(rows) > 0, "rows", "at least one", len(rows), "Trajectories")
         end = self.terminals[rows].copy()
         end[:-1] |= np.diff(rows) != 1
         end[-1] = True
@@ -165,6 +166,14 @@ class Segments:
             segment, step = np.nonzero(self.steps >= 0)
             return segment.astype(np.int64), step.astype(np.int64)
         return np.arange(len(self), dtype=np.int64), self.lengths - 1
+
+    @cached_property
+    def levels(self) -> list[Ints]:
+        """The segments by how many come before them in their chain; one level without `partial` resets."""
+        depth = np.zeros(len(self), dtype=np.int64)
+        for i in np.flatnonzero(self.previous >= 0):  # a segment comes behind the one it goes on from
+            depth[i] = depth[self.previous[i]] + 1
+        return [np.flatnonzero(depth == level) for level in range(int(depth.max()) + 1)]
 
     @property
     def starts(self) -> Array:

@@ -2,12 +2,14 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from dropo.core.checks import Array
+from dropo.core.checks import Array, require
 from dropo.core.fit import Fit
 from dropo.core.journal import Journal
 from dropo.core.problem import Problem
@@ -46,6 +48,16 @@ class Run:
         self.evaluations += len(points)
         return answers
 
+    @contextmanager
+    def counting(self, evaluations: int = 0) -> Iterator[None]:
+        """Counts the simulations of a block that is too short to be recorded: a resumed run makes them again."""
+        simulator = self.problem.simulator
+        before = simulator.steps, simulator.failures
+        yield
+        self.steps += simulator.steps - before[0]
+        self.failures += simulator.failures - before[1]
+        self.evaluations += evaluations
+
 
 class Estimator(ABC):
     """A recipe with frozen settings. A plug-in writes `_fit`; name is what `--method` takes."""
@@ -54,9 +66,11 @@ class Estimator(ABC):
 
     def fit(self, problem: Problem, *, rng: np.random.Generator | int | None = 0, journal: Journal | None = None, progress: Progress = silent) -> Fit:
         """Fits the distribution of the problem's parameters. rng: anything that numpy.random.default_rng takes."""
+        require(len(problem.space) >= 1, "parameters", "at least one", 0, f"Problem {problem.name!r}")
         begun = time.perf_counter()
         run = Run(problem, np.random.default_rng(rng), journal or Journal(), progress)
-        fit = self._fit(problem, run)
+        with threadpool_limits(1, user_api="blas"):  # the simulator's threads use the cores; small products gain nothing
+            fit = self._fit(problem, run)
         seed = int(rng) if isinstance(rng, int | np.integer) else None
         return replace(
             fit, wall_time_s=time.perf_counter() - begun, seed=seed, simulator_steps=run.steps,
@@ -65,4 +79,4 @@ class Estimator(ABC):
 
     @abstractmethod
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        """Every simulation goes through `run.evaluate`, so that it is counted, recorded and never lost."""
+        """Simulations go through `run.evaluate`, so that they are counted and recorded, or through `run.counting`."""

@@ -8,6 +8,7 @@ from scipy.stats import qmc
 
 from dropo.core.checks import Array, float_array, require
 from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.standard_law import StandardLaw
 
 
 class Family(ABC):
@@ -18,19 +19,21 @@ class Family(ABC):
     """
 
     unknowns: ParameterSpace
+    standard: StandardLaw | None = None  # where a draw is an affine map of independent components of one law: that law
+    logarithmic = False  # whether it is the draw's logarithm that is such a map
     redraws = 20  # thesis, section 5.3: an infeasible draw is made again so many times, then put on the bound
 
     def __init__(self, space: ParameterSpace):
         self.space = space
 
-    def base(self, draws: int, rng: np.random.Generator) -> Array:
-        """Base points (1 + redraws, K, d) in (0, 1): a scrambled Sobol set, and the further attempts behind it."""
+    def base(self, draws: int, rng: np.random.Generator, *, independent: bool = False) -> Array:
+        """Base points (1 + redraws, K, d) in (0, 1): a scrambled Sobol set, or independent ones, and the further attempts behind."""
         require(draws >= 2, "K", "at least 2 draws", draws, type(self).__name__)
         sobol, again = rng.spawn(2)
-        first = qmc.Sobol(len(self.space), rng=sobol).random_base2(int(np.ceil(np.log2(draws))))[:draws]
-        more = again.random((self.redraws, draws, len(self.space)))
-        tiny = np.finfo(float).eps
-        return np.clip(np.concatenate([first[None], more]), tiny, 1 - tiny)
+        points = again.random((1 + self.redraws, draws, len(self.space)))
+        if not independent:
+            points[0] = qmc.Sobol(len(self.space), rng=sobol).random_base2(int(np.ceil(np.log2(draws))))[:draws]
+        return _inside(points)
 
     def draw(self, phi: ArrayLike, base: Array) -> Array:
         """K parameter vectors (K, d) of member phi (m,), from base points (1 + redraws, K, d); all physically possible."""
@@ -43,9 +46,13 @@ class Family(ABC):
             values = np.where(bad, self._draw(phi, attempt), values)
         return self.space.feasible(values)
 
+    def map(self, phi: Array, base: Array) -> Array:
+        """Draws (K, d) of member phi at base points (K, d), infeasible ones as they come."""
+        return self._draw(phi, base)
+
     def sample(self, phi: ArrayLike, draws: int, rng: np.random.Generator) -> Array:
         """Independent draws (K, d), for training under the member."""
-        return self.draw(phi, rng.random((1 + self.redraws, draws, len(self.space))))
+        return self.draw(phi, _inside(rng.random((1 + self.redraws, draws, len(self.space)))))
 
     def _infeasible(self, values: Array) -> np.ndarray:
         """(K, d) bool, which entries are made again; families with correlations make whole rows again."""
@@ -80,12 +87,18 @@ class Family(ABC):
         return np.clip(phi, self.unknowns.low, self.unknowns.high)
 
 
+def _inside(points: Array) -> Array:
+    """Points of [0, 1] moved off its ends, where quantiles are infinite."""
+    tiny = np.finfo(float).eps
+    return np.clip(points, tiny, 1 - tiny)
+
+
 def means_and_scales(space: ParameterSpace, scale_low: float = 1e-5, scale_high: float = 0.5) -> ParameterSpace:
-    """The thesis' box of phi: means in the search interval, scales in logarithms (section 6.2.1).
+    """The thesis' box of phi: means in the search interval (each parameter's own way), scales in logarithms (section 6.2.1).
 
     scale_low: the least scale, in the parameter's unit, or that share of an interval narrower than 1;
     scale_high: the largest, as a share of the interval.
     """
-    means = [Parameter(f"mean.{p.name}", p.low, p.high, p.unit) for p in space]
+    means = [Parameter(f"mean.{p.name}", p.low, p.high, p.unit, scale=p.scale) for p in space]
     scales = [Parameter(f"scale.{p.name}", scale_low * min(1.0, p.width), scale_high * p.width, p.unit, scale="log") for p in space]
     return ParameterSpace((*means, *scales))

@@ -21,7 +21,8 @@ Answer = tuple[Array, dict[str, int]]
 class Journal:
     """Evaluations by the order in which they were asked for; with `path`, kept in a file.
 
-    header: what the run is (problem, settings, seed, hashes); a file of another run is refused.
+    header: what the run is (problem, settings, seed, hashes); a file of another run is refused. The file begins with
+    the first batch, so that a run that is refused before it leaves none.
     """
 
     def __init__(self, path: Path | None = None, header: dict[str, Any] | None = None):
@@ -29,12 +30,9 @@ class Journal:
         self._known: list[dict[str, Any]] = []
         if path is None:
             return
-        line = {"header": header or {}}
+        self._header = {"header": header or {}}
         if path.exists():
-            self._known = _read(path, line)
-        if not self._known:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(line) + "\n")
+            self._known = _read(path, self._header)
 
     @property
     def replayed(self) -> int:
@@ -56,8 +54,10 @@ class Journal:
 
     def _append(self, entry: dict[str, Any]) -> None:
         assert self.path is not None
+        new = not self.path.exists() or self.path.stat().st_size == 0
+        self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("a") as file:
-            file.write(json.dumps(entry) + "\n")
+            file.write((json.dumps(self._header) + "\n" if new else "") + json.dumps(entry) + "\n")
             file.flush()
             os.fsync(file.fileno())
 

@@ -90,7 +90,7 @@ class CallbackOptimizer(Optimizer):
         try:
             self._questions.put(self._minimise(self._cost))
         except _Closed:
-            pass
+            self._questions.put("The optimizer was closed.")
         except BaseException as error:  # handed to the caller of ask or stop
             self._questions.put(error)
 
@@ -98,6 +98,7 @@ class CallbackOptimizer(Optimizer):
         self._questions.put(np.clip(np.array(point, dtype=float), 0.0, 1.0))
         answer = self._answers.get()
         if answer is None:
+            self._answers.put(None)  # for a minimiser that catches the exception and asks again
             raise _Closed
         return answer
 
@@ -126,3 +127,6 @@ class CallbackOptimizer(Optimizer):
 
     def close(self) -> None:
         self._answers.put(None)
+        if self._thread is not None:
+            self._thread.join()
+            self._pending = self._pending if isinstance(self._pending, str) else None

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.checks import Array, check_shape, known, require
+from dropo.core.checks import Array, check_shape, known
 from dropo.core.data import Reset, Segments, Trajectories
 from dropo.core.parameters import ParameterSpace
 from dropo.core.simulator import Simulator
@@ -15,7 +15,7 @@ from dropo.core.simulator import Simulator
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Checked once, when it is made.
+    """Checked once, when it is made. It may have no parameters; an estimator needs at least one.
 
     length: the thesis' lambda, in control steps; reset, set_columns, every_step: as in `Trajectories.segments`;
     epsilon: the noise variance, one or (p,), where it is known; truth: the parameters' true values, where the data
@@ -37,7 +37,6 @@ class Problem:
     settings: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require(len(self.space) >= 1, "parameters", "at least one", 0, f"Problem {self.name!r}")
         for name in self.truth or ():
             known("parameter", name, self.space.names)
         _ = self.segments  # refuses a lambda that does not fit the trajectories

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
+from dropo.core.checks import Array, require
 from dropo.core.errors import Incompatible
 from dropo.core.estimator import Run
+from dropo.core.fit import Status
 from dropo.core.likelihood import LogLikelihood
 from dropo.core.optimizer import Optimizer
 from dropo.core.parameters import ParameterSpace
@@ -17,13 +19,13 @@ Objective = Callable[[Array], float]
 
 @dataclass(frozen=True)
 class SearchResult:
-    """point: (m,) in the space's own units; value: the objective there; reason: why it stopped, a sentence."""
+    """point: (m,) in the space's own units; value: the objective there, -inf where every point failed; reason: why it stopped."""
 
     point: Array
     value: float
     evaluations: int
     reason: str
-    converged: bool
+    status: Status
 
 
 class _Costs:
@@ -39,32 +41,42 @@ class _Costs:
         return 1e12 if self.most < self.least else self.most + 1.0 + (self.most - self.least)
 
 
-def maximise(objective: LogLikelihood | Objective, space: ParameterSpace, optimizer: Optimizer, run: Run) -> SearchResult:
-    """The point of the space's box with the highest objective, by the optimizer, in at most `optimizer.budget` evaluations."""
+def maximise(
+    objective: LogLikelihood | Objective, space: ParameterSpace, optimizer: Optimizer, run: Run, *, batched: bool = False
+) -> SearchResult:
+    """The point of the space's box with the highest objective, by the optimizer, in at most `optimizer.budget` evaluations.
+
+    batched: the objective takes points of the unit box, (P, m) -> (P,), at once.
+    """
     gradients = optimizer.needs_gradients
     if gradients and not getattr(objective, "has_gradients", False):
         raise Incompatible(
             f"{type(optimizer).__name__} needs gradients and {type(objective).__name__} gives none."
             " Use an optimizer without gradients, such as 'cma-es' or 'nlopt-sbplx', or a likelihood with them."
         )
-    evaluate = _with_gradients(objective, space) if gradients else _values(objective, space)  # type: ignore[arg-type]
-    costs, done, best = _Costs(), 0, -np.inf
+    evaluate: Any = objective if batched else _with_gradients(objective, space) if gradients else _values(objective, space)  # type: ignore[arg-type]
+    costs, done, best, reason, status = _Costs(), 0, -np.inf, None, Status.CONVERGED
     try:
         while (reason := optimizer.stop()) is None and done < optimizer.budget:
             points = optimizer.ask()
+            if done + len(points) > optimizer.budget:
+                require(done > 0, "budget", f"at least {len(points)}, the first batch", optimizer.budget, type(optimizer).__name__)
+                break
             answers = run.evaluate(points, evaluate)  # (P,) or (P, 1 + m)
             answers = answers.reshape(len(points), -1)
             told = np.array([costs.finite(-value) for value in answers[:, 0]])
-            optimizer.tell(points, told, -answers[:, 1:] if gradients else None)
+            slopes = np.nan_to_num(-answers[:, 1:], nan=0.0, posinf=0.0, neginf=0.0) if gradients else None  # failed points have none
+            optimizer.tell(points, told, slopes)
             done += len(points)
-            best = max(best, float(np.nanmax(np.append(answers[:, 0], -np.inf))))
+            best = max([best, *answers[np.isfinite(answers[:, 0]), 0].tolist()])
             run.progress(done / optimizer.budget, f"{done} evaluations, best {best:.6g}")
+        if reason is None:
+            status, reason = Status.OUT_OF_BUDGET, f"The budget of {optimizer.budget} evaluations ran out first: raise it, or go on from this fit."
+    except KeyboardInterrupt:
+        status, reason = Status.INTERRUPTED, f"Interrupted after {done} evaluations: this is the best so far."
     finally:
         optimizer.close()
-    point, cost = optimizer.best
-    value = best if np.isfinite(best) else -cost
-    sentence = reason or f"The budget of {optimizer.budget} evaluations ran out first: raise it, or go on from this fit."
-    return SearchResult(space.from_unit(point), value, done, sentence, converged=reason is not None)
+    return SearchResult(space.from_unit(optimizer.best[0]), best, done, reason or "", status)
 
 
 def _values(objective: Objective, space: ParameterSpace) -> Callable[[Array], Array]:

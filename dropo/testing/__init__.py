@@ -1,0 +1,7 @@
+"""The contracts as functions, for authors of plug-ins: each raises AssertionError, with what is wrong, or is silent."""
+
+from dropo.testing.families import check_family as check_family
+from dropo.testing.likelihoods import check_likelihood as check_likelihood
+from dropo.testing.optimizers import check_optimizer as check_optimizer
+from dropo.testing.samplers import check_sampler as check_sampler
+from dropo.testing.simulators import check_simulator as check_simulator

@@ -1,0 +1,181 @@
+"""`dropo fit`: fits the distribution of a problem's parameters."""
+
+import argparse
+import json
+import math
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dropo.cli.output import Progress, printing_options, show, whole
+
+if TYPE_CHECKING:
+    from dropo.core.estimator import Estimator
+    from dropo.core.fit import Fit
+    from dropo.core.journal import Journal
+    from dropo.core.problem import Problem
+
+NAMED = {"likelihood": "likelihoods", "optimizer": "optimizers", "family": "families"}
+SETTINGS = (*NAMED, "epsilon", "budget", "draws", "start")
+"""Options that are settings of the method; those of them that were given are handed to it."""
+
+
+def add(commands: Any) -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("fit", help="fit the distribution of the parameters", description=__doc__, allow_abbrev=False)
+    parser.set_defaults(run=run)
+    parser.add_argument("problem", metavar="PROBLEM", help="a problem file or a built-in name (see `dropo list problems`)")
+    parser.add_argument("--method", default="dropo", metavar="NAME", help="see `dropo list methods`; dropo by default")
+    for name, kind in NAMED.items():
+        parser.add_argument(f"--{name}", metavar="NAME", help=f"see `dropo list {kind}`")
+    parser.add_argument("--epsilon", type=_epsilon, metavar="X|tune|learn", help="variance of the measurement noise")
+    parser.add_argument("--lambda", dest="length", type=_length, metavar="N", help="control steps in a segment")
+    parser.add_argument("--budget", type=whole(1), metavar="N", help="evaluations of the likelihood at most")
+    parser.add_argument("--draws", type=whole(2), metavar="K", help="simulations for each transition in one evaluation")
+    parser.add_argument("--start", choices=("middle", "least-squares"), help="where the search begins")
+    parser.add_argument("--transitions", type=whole(1), metavar="N", help="use the first N transitions alone")
+    parser.add_argument("--seed", type=whole(0), default=0, metavar="S", help="0 by default")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write fit.json here; the same command resumes after any interruption")
+    parser.add_argument("--threads", type=whole(0), default=0, metavar="N", help="0, the default: all cores; results do not depend on it")
+    printing_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fits, prints and saves; 0, or 1 where it was interrupted."""
+    from dropo.cli.record import run_record
+    from dropo.core.fit import Status
+    from dropo.core.journal import Journal
+
+    problem = _problem(arguments)
+    estimator = _estimator(arguments, problem)
+    record = run_record("fit", arguments.method, estimator, problem, arguments.seed)
+    _check_folder(arguments.out, record)
+    journal = Journal(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
+    fit = _fit(arguments, estimator, problem, journal)
+    if arguments.out:
+        _save(arguments.out, fit, record)
+    show(arguments, str(fit), fit.to_json())
+    return 1 if fit.status is Status.INTERRUPTED else 0
+
+
+def _fit(arguments: argparse.Namespace, estimator: "Estimator", problem: "Problem", journal: "Journal") -> "Fit":
+    from dropo.core.errors import Refused
+
+    folder_is_new = arguments.out is not None and not arguments.out.exists()
+    progress = Progress(silent=arguments.quiet)
+    try:
+        with terminable():
+            return estimator.fit(problem, rng=arguments.seed, journal=journal, progress=progress)
+    except Refused:
+        if journal.path is not None and journal.replayed == 0:
+            _take_away(journal.path, folder_is_new)
+        raise
+    finally:
+        progress.close()
+
+
+def _take_away(journal: Path, folder_too: bool) -> None:
+    """A refused run leaves nothing behind."""
+    journal.unlink(missing_ok=True)
+    if folder_too and journal.parent.is_dir() and not any(journal.parent.iterdir()):
+        journal.parent.rmdir()
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Makes SIGTERM end the work inside like Ctrl-C, with the best result so far."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _problem(arguments: argparse.Namespace) -> "Problem":
+    from dataclasses import replace
+
+    from dropo.core.errors import BadFile, Incompatible
+    from dropo.data.check import shorter_than_lambda
+    from dropo.problems.reader import load
+
+    problem = load(arguments.problem, threads=arguments.threads)
+    if len(problem.space) == 0:
+        raise BadFile(arguments.problem, "parameters", "at least one parameter to fit", "none")
+    if arguments.length is not None and problem.reset == "start":
+        raise Incompatible("--lambda has no meaning with `reset: start`, where a segment is a whole trajectory. Leave it out.")
+    problem = problem.using(transitions=arguments.transitions, length=arguments.length)
+    return replace(problem, warnings=(*problem.warnings, *(finding.sentence for finding in shorter_than_lambda(problem))))
+
+
+def _estimator(arguments: argparse.Namespace, problem: "Problem") -> "Estimator":
+    """The method with what the user gave, then what the problem suggests, then its own defaults."""
+    from dataclasses import fields
+
+    from dropo.core.catalogue import find
+    from dropo.core.errors import Incompatible
+
+    method = find("methods", arguments.method)
+    takes = [field.name for field in fields(method)]
+    given = {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
+    for name, value in given.items():
+        if name not in takes:
+            others = ", ".join(f"--{other}" for other in SETTINGS if other in takes)
+            raise Incompatible(f"method {arguments.method!r} takes no --{name}. It takes {others or 'none of these settings'}.")
+        if name in NAMED:
+            find(NAMED[name], value)
+    suggested = {name: value for name, value in problem.settings.items() if name in takes}
+    estimator: Estimator = method(**{**suggested, **given})
+    return estimator
+
+
+def _check_folder(folder: Path | None, record: dict[str, Any]) -> None:
+    """Refuses a folder that holds another run's result, and a path that is no folder."""
+    from dropo.core.errors import BadFile
+
+    if folder is None:
+        return
+    if folder.exists() and not folder.is_dir():
+        raise BadFile(folder, "--out", "a folder", "a file")
+    path = folder / "run.json"
+    if not path.is_file():
+        return
+    try:
+        before = json.loads(path.read_text())
+    except ValueError:
+        raise BadFile(path, "", "what `dropo fit` wrote", "a file that is not JSON") from None
+    differ = sorted(key for key in {*record, *before} if record.get(key) != before.get(key))
+    if differ:
+        raise BadFile(path, ", ".join(differ), "the settings of this run", "those of another: use another --out, or the settings of that run")
+
+
+def _save(folder: Path, fit: "Fit", record: dict[str, Any]) -> None:
+    """run.json, then fit.json and fit.npz; each appears whole or not at all."""
+    folder.mkdir(parents=True, exist_ok=True)
+    whole_file = folder / ".run.json"
+    whole_file.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
+    whole_file.replace(folder / "run.json")
+    fit.save(folder)
+
+
+def _epsilon(text: str) -> float | str:
+    if text in ("tune", "learn"):
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(f"expected a variance of 0 or more, 'tune' or 'learn', got {text!r}")
+    return value
+
+
+def _length(text: str) -> int:
+    if text == "auto":
+        raise argparse.ArgumentTypeError("'auto' is not available yet: choose a whole number of control steps, such as 1")
+    return whole(1)(text)

@@ -1,0 +1,46 @@
+"""`dropo list`: the names of methods, optimizers, problems and other plug-ins, each with the first sentence about it."""
+
+import argparse
+import inspect
+from typing import Any
+
+from dropo.cli.output import show
+
+KINDS = ("methods", "optimizers", "families", "likelihoods", "samplers", "problems", "effects")
+
+
+def add(commands: Any) -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("list", help="what can be named", description=__doc__, allow_abbrev=False)
+    parser.set_defaults(run=run)
+    parser.add_argument("kind", metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prints the names and sentences of one kind."""
+    from dropo.core.checks import known
+
+    entries = sentences(known("kind", arguments.kind, KINDS))
+    width = max(map(len, entries), default=0)
+    lines = [f"{name:<{width}}  {sentence}" for name, sentence in entries.items()]
+    show(arguments, "\n".join(lines) or f"There are no {arguments.kind} yet.", entries)
+    return 0
+
+
+def sentences(kind: str) -> dict[str, str]:
+    """Every name of a kind, with the first sentence of its docstring; the plug-ins are imported for it."""
+    from dropo.core.catalogue import find, kinds, names
+
+    if kind not in kinds():
+        return {}
+    return {name: _sentence(kind, name, find) for name in names(kind)}
+
+
+def _sentence(kind: str, name: str, find: Any) -> str:
+    try:
+        text = inspect.getdoc(find(kind, name)) or ""
+    except (ImportError, AttributeError) as error:
+        return f"(cannot be imported: {error})"
+    paragraph = " ".join(text.split("\n\n")[0].split())
+    return paragraph.split(". ")[0].removesuffix(".") + "." if paragraph else ""

@@ -1,0 +1,53 @@
+"""The command line: `dropo COMMAND ...`. A command imports what it needs when it runs, so that `--help` is quick."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+import dropo
+from dropo.cli import data, fit
+from dropo.cli import list as list_
+from dropo.core.errors import BadArgument, DropoError, Refused
+
+DONE, FAILED, REFUSED = 0, 1, 2
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses like everything else: one line, status 2, no usage."""
+
+    def error(self, message: str) -> NoReturn:
+        raise BadArgument(f"{message[:1].upper()}{message[1:]}. See `{self.prog} --help`.")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command and returns its exit status: 0 done, 1 failed, 2 refused with nothing written."""
+    try:
+        arguments = _parser().parse_args(argv)
+        return int(arguments.run(arguments))
+    except SystemExit as stop:  # --help and --version
+        return int(stop.code or DONE)
+    except Refused as error:
+        return _fail(str(error), REFUSED)
+    except DropoError as error:
+        return _fail(str(error), FAILED)
+    except KeyboardInterrupt:
+        return _fail("Interrupted before there was a result.", FAILED)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="dropo", description=dropo.__doc__, allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"dropo {dropo.__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for command in (fit, data, list_):
+        command.add(commands)
+    return parser
+
+
+def _fail(message: str, status: int) -> int:
+    print(f"dropo: {' '.join(message.split())}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""What a run is: everything that decides its result, as JSON; the number of threads is not among it."""
+
+import hashlib
+import math
+from dataclasses import asdict, fields
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from dropo import __version__
+from dropo.core.data import Trajectories
+from dropo.core.estimator import Estimator
+from dropo.core.problem import Problem
+
+
+def run_record(command: str, method: str, estimator: Estimator, problem: Problem, seed: int) -> dict[str, Any]:
+    """The header of a journal and the content of run.json."""
+    settings = {field.name: plain(getattr(estimator, field.name)) for field in fields(estimator)}  # type: ignore[arg-type]
+    return {"command": command, "method": method, "settings": settings, "seed": seed, "version": __version__, **problem_record(problem)}
+
+
+def problem_record(problem: Problem) -> dict[str, Any]:
+    """The problem's settings, with SHA-256 sums of its data and model."""
+    simulator = problem.simulator
+    model = getattr(simulator, "model", None)
+    return {
+        "problem": problem.name, "simulator": type(simulator).__name__, "parameters": [plain(asdict(parameter)) for parameter in problem.space],
+        "signals": [signal.name for signal in simulator.signals], "steps_per_action": simulator.steps_per_action,
+        "lambda": problem.length, "reset": problem.reset, "set_columns": plain(problem.set_columns), "every_step": problem.every_step,
+        "epsilon": plain(problem.epsilon), "transitions": len(problem.trajectories), "data_sha256": data_sum(problem.trajectories),
+        "model_sha256": model_sum(model) if isinstance(model, mujoco.MjModel) else None,
+    }  # fmt: skip
+
+
+def data_sum(trajectories: Trajectories) -> str:
+    """SHA-256 of all arrays, with their names and shapes."""
+    digest = hashlib.sha256()
+    for field in fields(trajectories):
+        array = getattr(trajectories, field.name)
+        if array is not None:
+            digest.update(f"{field.name} {array.shape} {array.dtype}".encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def model_sum(model: mujoco.MjModel) -> str:
+    """SHA-256 of the compiled model, as MuJoCo writes it."""
+    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return hashlib.sha256(buffer.tobytes()).hexdigest()
+
+
+def plain(value: Any) -> Any:
+    """A setting as strict JSON: numbers that are not finite become null, objects their repr."""
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else repr(value)

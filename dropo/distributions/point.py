@@ -1,0 +1,33 @@
+"""A single value of every parameter: what a point estimate is as a distribution."""
+
+import numpy as np
+
+from dropo.core.checks import Array
+from dropo.core.family import Family
+from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.standard_law import NORMAL
+
+
+class Point(Family):
+    """All draws equal the mean: no spread, and no scale to find."""
+
+    standard = NORMAL
+
+    def __init__(self, space: ParameterSpace):
+        super().__init__(space)
+        self.unknowns = ParameterSpace(tuple(Parameter(f"mean.{p.name}", p.low, p.high, p.unit) for p in space))
+
+    def _draw(self, phi: Array, base: Array) -> Array:
+        return np.broadcast_to(phi, base.shape).copy()
+
+    def mean(self, phi: Array) -> Array:
+        return phi
+
+    def sd(self, phi: Array) -> Array:
+        return np.zeros(len(phi))
+
+    def scale(self, phi: Array) -> Array:
+        return np.zeros(len(phi))
+
+    def phi(self, mean: Array, scale: Array) -> Array:
+        return np.clip(np.asarray(mean, dtype=float), self.unknowns.low, self.unknowns.high)

@@ -1,0 +1,27 @@
+"""Independent uniform distributions."""
+
+import numpy as np
+
+from dropo.core.checks import Array
+from dropo.core.family import Family, means_and_scales
+from dropo.core.parameters import ParameterSpace
+from dropo.core.standard_law import UNIFORM
+
+
+class Uniform(Family):
+    """xi_i uniform on mean_i -+ scale_i: the scale is the half width, sd = scale / sqrt(3)."""
+
+    standard = UNIFORM
+
+    def __init__(self, space: ParameterSpace):
+        super().__init__(space)
+        self.unknowns = means_and_scales(space)
+
+    def _draw(self, phi: Array, base: Array) -> Array:
+        return self.mean(phi) + self.scale(phi) * (2 * base - 1)
+
+    def mean(self, phi: Array) -> Array:
+        return phi[: len(self.space)]
+
+    def sd(self, phi: Array) -> Array:
+        return self.scale(phi) / float(np.sqrt(3))

@@ -1,0 +1,55 @@
+"""DROID: means by squared distance, the distribution from the search's own covariance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.catalogue import find
+from dropo.core.checks import Array, require
+from dropo.core.errors import Incompatible
+from dropo.core.estimator import Estimator, Run
+from dropo.core.fit import Fit
+from dropo.core.problem import Problem
+from dropo.core.search import maximise
+from dropo.estimators.summary import summarise
+
+
+@dataclass(frozen=True)
+class DROID(Estimator):
+    """Least squared distance of simulated to measured states over the means alone, by CMA-ES (thesis, section 6.1).
+
+    Its distribution is the final covariance of CMA-ES itself: how far the search had converged, not how much the
+    parameters vary. optimizer: one that ends with a `covariance` (m, m) in the unit box.
+    """
+
+    optimizer: str = "cma-es"
+    budget: int = 2000
+    name = "droid"
+
+    def __post_init__(self) -> None:
+        require(self.budget >= 1, "budget", "at least 1", self.budget, "DROID")
+
+    def _fit(self, problem: Problem, run: Run) -> Fit:
+        simulator, segments, space = problem.simulator, problem.segments, problem.space
+        targets = simulator.targets(segments)
+
+        def minus_distance(points: Array) -> Array:
+            predictions = simulator.predict(space.from_unit(points), segments)
+            return -np.sum((predictions - targets) ** 2, axis=(1, 2))
+
+        search = find("optimizers", self.optimizer)(len(space), run.rng, budget=self.budget)
+        if not hasattr(search, "covariance"):
+            raise Incompatible(f"DROID reads its distribution from the optimizer's covariance, and {self.optimizer!r} has none. Use 'cma-es'.")
+        result = maximise(minus_distance, space, search, run, batched=True)
+        width = space.high - space.low
+        covariance = search.covariance * np.outer(width, width)
+        family = find("families", "full")(space)
+        with run.counting():
+            predicted = simulator.predict(result.point[None], segments)[0]
+        noise = np.mean((predicted - targets) ** 2, axis=0)
+        log_likelihood = -0.5 * float(np.sum(np.log(2 * np.pi * np.maximum(noise, 1e-300)) + 1.0)) * len(targets)
+        return summarise(
+            problem, run, method=self.name, family=family, family_name="full", phi=family.phi_of(result.point, covariance), epsilon=noise,
+            log_likelihood=log_likelihood, mean_prediction=predicted, message=result.reason,
+            status=result.status, details={"squared_distance": -result.value},
+        )  # fmt: skip

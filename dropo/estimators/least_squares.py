@@ -1,0 +1,115 @@
+"""Least squares, the classical system identification."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.optimize
+
+from dropo.core.catalogue import find
+from dropo.core.checks import Array, float_array, known, require
+from dropo.core.errors import SimulationFailed
+from dropo.core.estimator import Estimator, Run
+from dropo.core.fit import Fit, Status
+from dropo.core.problem import Problem
+from dropo.estimators.summary import summarise
+
+
+@dataclass(frozen=True)
+class PointEstimate:
+    """value: (d,); noise: (p,) the residuals' variance; predicted: (R, p); evaluations: of the residuals and Jacobian."""
+
+    value: Array
+    noise: Array
+    predicted: Array
+    evaluations: int
+    converged: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class LeastSquares(Estimator):
+    """The parameters with the least weighted squared error, xi* = argmin sum_t |s_{t+1} - s_{t+1}^xi|_W^2 (thesis, eq. 3.1).
+
+    weights: "noise", the inverse variance of each signal's residuals, found in a second pass; "equal", as in eq. 3.1; or
+    one number for each signal. By Gauss-Newton in a trust region (scipy's "trf"), Jacobians by central differences.
+    """
+
+    weights: Literal["noise", "equal"] | tuple[float, ...] = "noise"
+    budget: int = 100
+    name = "least-squares"
+
+    def __post_init__(self) -> None:
+        require(self.budget >= 1, "budget", "at least 1", self.budget, "LeastSquares")
+        if isinstance(self.weights, str):
+            known("weights", self.weights, ("noise", "equal"))
+
+    def _fit(self, problem: Problem, run: Run) -> Fit:
+        found = estimate(problem, run, self.weights, self.budget)
+        family = find("families", "point")(problem.space)
+        rows = len(problem.segments.rows[0])
+        positive = np.maximum(found.noise, 1e-300)  # a perfect fit has no noise, and no density
+        log_likelihood = -0.5 * rows * float(np.sum(np.log(2 * np.pi * positive) + found.noise / positive))
+        return summarise(
+            problem, run, method=self.name, family=family, family_name="point", phi=family.phi(found.value, np.zeros(len(problem.space))),
+            epsilon=found.noise, log_likelihood=log_likelihood, mean_prediction=found.predicted,
+            status=Status.CONVERGED if found.converged else Status.OUT_OF_BUDGET, message=found.message,
+        )  # fmt: skip
+
+
+def estimate(problem: Problem, run: Run, weights: str | tuple[float, ...] = "noise", budget: int = 100) -> PointEstimate:
+    """The point estimate from the middle of the box; with "noise" a second pass from the first one's end."""
+    simulator, segments = problem.simulator, problem.segments
+    targets = simulator.targets(segments)
+    spread = np.maximum(np.var(targets, axis=0), 1e-300)
+    if weights == "noise":
+        first = _solve(problem, run, 1 / _change(problem), problem.space.from_unit(np.full(len(problem.space), 0.5)), budget)
+        noise = np.maximum(first.noise, 1e-16 * spread)  # rounding, where the model is perfect
+        second = _solve(problem, run, 1 / noise, first.value, budget)
+        return PointEstimate(second.value, second.noise, second.predicted, first.evaluations + second.evaluations, second.converged, second.message)
+    p = targets.shape[1]
+    chosen = np.ones(p) if weights == "equal" else float_array("weights", weights, (p,), "LeastSquares")
+    return _solve(problem, run, chosen, problem.space.from_unit(np.full(len(problem.space), 0.5)), budget)
+
+
+def _change(problem: Problem) -> Array:
+    """(p,) the mean square of each signal's change over a segment, the natural scale of a prediction error."""
+    segments = problem.segments
+    targets = problem.simulator.targets(segments)
+    if targets.shape[1] != segments.starts.shape[1]:  # a chart: start rows have other columns
+        return np.maximum(np.var(targets, axis=0), 1e-6)
+    moved = targets - segments.starts[segments.rows[0]]
+    return np.maximum(np.mean(moved**2, axis=0), 1e-12 * np.maximum(np.var(targets, axis=0), 1e-12))
+
+
+def _solve(problem: Problem, run: Run, weights: Array, start: Array, budget: int) -> PointEstimate:
+    simulator, segments, space = problem.simulator, problem.segments, problem.space
+    targets, root = simulator.targets(segments), np.sqrt(weights)
+    width = space.high - space.low
+    kept: dict[bytes, tuple[Array, Array]] = {}
+
+    def linearised(unit: Array) -> tuple[Array, Array]:
+        if unit.tobytes() not in kept:
+            with run.counting(evaluations=1):
+                kept.clear()
+                kept[unit.tobytes()] = simulator.linearise(space.low + unit * width, segments)
+            run.progress(min(0.99, run.evaluations / budget), f"least squares, {run.evaluations} evaluations")
+        return kept[unit.tobytes()]
+
+    def residuals(unit: Array) -> Array:
+        return ((linearised(unit)[0] - targets) * root).ravel()
+
+    def jacobian(unit: Array) -> Array:
+        return (linearised(unit)[1] * root[:, None] * width).reshape(-1, len(space))
+
+    before = run.evaluations
+    unit = np.clip((start - space.low) / width, 1e-9, 1 - 1e-9)
+    try:
+        result = scipy.optimize.least_squares(residuals, unit, jacobian, bounds=(0.0, 1.0), xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=budget)
+    except SimulationFailed as error:
+        raise SimulationFailed(f"Least squares met a simulation that diverged: {error} Narrow the bounds.") from None
+    value = space.low + result.x * width
+    predicted = linearised(result.x)[0]
+    noise = np.mean((predicted - targets) ** 2, axis=0)
+    message = "The estimate stopped moving." if result.status > 0 else f"The budget of {budget} evaluations ran out first."
+    return PointEstimate(value, noise, predicted, run.evaluations - before, result.status > 0, message)

@@ -1,0 +1,76 @@
+"""From a member of a family to a Fit: moments, standard errors, what is at its bound."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dropo.core.checks import Array
+from dropo.core.data import Ints, Segments
+from dropo.core.errors import SimulationFailed
+from dropo.core.estimator import Run
+from dropo.core.family import Family
+from dropo.core.fit import Fit, Status
+from dropo.core.linear_gaussian import sandwich, scores_and_information
+from dropo.core.parameters import ParameterSpace
+from dropo.core.problem import Problem
+
+MANY = 20  # groups from which their number is enough for standard errors clustered by group
+
+
+def summarise(
+    problem: Problem, run: Run, *, method: str, family: Family, family_name: str, phi: Array, epsilon: Array, log_likelihood: float,
+    mean_prediction: Array, status: Status, message: str, warnings: Sequence[str] = (), arrays: dict[str, Array] | None = None,
+    details: dict[str, Any] | None = None,
+) -> Fit:  # fmt: skip
+    """A Fit for the member phi of the family; standard errors by the clustered sandwich on the linear-Gaussian model."""
+    mean, scale, sd, correlation = family.mean(phi), family.scale(phi), family.sd(phi), family.correlation(phi)
+    notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, phi[: len(family.unknowns)])]
+    try:
+        with run.counting():
+            mean_se, scale_se = standard_errors(problem, mean, sd, correlation, epsilon)
+    except SimulationFailed as error:
+        mean_se = scale_se = np.full(len(mean), np.nan)
+        notes.append(f"no standard errors: {error}")
+    misfit = mean_prediction - problem.simulator.targets(problem.segments)
+    return Fit(
+        method=method, problem=problem.name, space=problem.space, family=family_name, phi=phi[: len(family.unknowns)], mean=mean, scale=scale,
+        sd=sd, mean_se=mean_se, scale_se=scale_se, correlation=correlation, epsilon=epsilon, log_likelihood=log_likelihood,
+        mse=float(np.mean(misfit**2)), transitions=int(problem.segments.lengths.sum()), simulator_steps=0, failed_simulations=0,
+        objective_evaluations=0, status=status, message=message, warnings=tuple(notes), arrays=arrays or {}, details=details or {},
+    )  # fmt: skip
+
+
+def standard_errors(problem: Problem, mean: Array, sd: Array, correlation: Array, epsilon: Array) -> tuple[Array, Array]:
+    """(d,) standard errors of the means and of the scales; NaN where the data do not tell, and for a scale of about 0."""
+    segments = problem.segments
+    predicted, jacobian = problem.simulator.linearise(mean, segments)
+    residuals = problem.simulator.targets(segments) - predicted
+    noise = np.where(epsilon > 0, epsilon, np.maximum(np.mean(residuals**2, axis=0), 1e-300))
+    scores, information = scores_and_information(residuals, jacobian, correlation * np.outer(sd, sd), noise)
+    variance = np.diagonal(sandwich(scores, information, clusters(segments)))
+    d = len(mean)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale_se = np.where(sd > 0, np.sqrt(variance[d:]) / (2 * sd), np.nan)
+    scale_se[~(scale_se < sd)] = np.nan  # a spread that may be 0 has no symmetric error
+    return np.sqrt(variance[:d]), scale_se
+
+
+def clusters(segments: Segments) -> Ints:
+    """(R,) what is independent of the rest: groups where the data name many, else segments."""
+    given = segments.trajectories.group is not None and len(np.unique(segments.group)) >= MANY
+    return np.unique(segments.group if given else np.arange(len(segments)), return_inverse=True)[1][segments.rows[0]]
+
+
+def at_bounds(space: ParameterSpace, phi: Array) -> list[str]:
+    """A sentence for every mean on its bound, and for a scale on its upper one: the search wanted to go on."""
+    unit = space.to_unit(phi)
+    out = []
+    for name, u, low, high in zip(space.names, unit, space.low, space.high, strict=True):
+        if name.startswith("partial."):  # of no meaning between parameters that do not vary
+            continue
+        if u > 1 - 1e-3:
+            out.append(f"{name} ends on its upper bound {high:.6g}: widen it, or the model cannot explain the data")
+        elif u < 1e-3 and not name.startswith(("scale.", "epsilon")):
+            out.append(f"{name} ends on its lower bound {low:.6g}: widen it, or the model cannot explain the data")
+    return out

@@ -1,0 +1,107 @@
+"""A simulator's predictions as polynomials of the parameters, fitted on a shared design."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from dropo.core.checks import Array
+from dropo.core.data import Segments
+from dropo.core.errors import SimulationFailed
+from dropo.core.simulator import Simulator, describe_failures
+from dropo.core.standard_law import NORMAL
+
+POINTS, SPARE = 1.7, 6  # design points for M polynomials: 1.7 M + 6
+FULL_QUADRATIC = 10  # up to so many parameters all pairs are crossed; beyond, only their squares are kept
+
+
+def index_set(orders: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(M, d) exponents j with sum_i j_i / orders_i <= 1, and the pairs (1, 1); by degree, the constant first."""
+    d = len(orders)
+    if d > FULL_QUADRATIC:
+        own = [np.eye(d, dtype=np.int64) * k for k in range(1, int(orders.max()) + 1)]
+        chosen = [row for k, block in enumerate(own, 1) for row in block[orders >= k]]
+        return np.array([np.zeros(d, dtype=np.int64), *chosen])
+    found = []
+    for j in product(*(range(q + 1) for q in orders)):
+        exponents = np.array(j)
+        pair = exponents.sum() == 2 and exponents.max() == 1
+        if (exponents / orders).sum() <= 1 + 1e-9 or pair:
+            found.append(j)
+    return np.array(sorted(found, key=lambda j: (sum(j), tuple(-x for x in j))), dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Emulator:
+    """f(x) ~ sum_j C_j psi_j((x - centre) / width), psi products of orthonormal Hermite polynomials.
+
+    centre, width: (d,) in the emulator's coordinates (logarithms where `logarithmic`); indices: (M, d);
+    coefficients: (M, R, p); residual: (R, p, p) the residuals' covariance; failed: design points that diverged.
+    """
+
+    centre: Array
+    width: Array
+    indices: NDArray[np.int64]
+    coefficients: Array
+    residual: Array
+    logarithmic: bool
+    failed: int
+
+    def basis(self, values: Array) -> Array:
+        """The polynomials (K, M) at parameter vectors (K, d)."""
+        x = np.log(values) if self.logarithmic else values
+        return products((x - self.centre) / self.width, self.indices)
+
+    def predict(self, values: Array) -> Array:
+        """Emulated predictions (K, R, p) at (K, d)."""
+        return np.einsum("km,mrp->krp", self.basis(values), self.coefficients, optimize=True)
+
+
+def products(u: Array, indices: NDArray[np.int64], law=NORMAL) -> Array:  # type: ignore[no-untyped-def]
+    """Products of the law's orthonormal polynomials: u (K, d), indices (M, d) -> (K, M)."""
+    single = law.orthonormal(u, max(1, int(indices.max())))  # (K, d, degree + 1)
+    out = np.ones((len(u), len(indices)))
+    for i in range(u.shape[1]):
+        out *= single[:, i, indices[:, i]]
+    return out
+
+
+def build(
+    simulator: Simulator, segments: Segments, centre: Array, width: Array, orders: NDArray[np.int64], rng: np.random.Generator,
+    *, logarithmic: bool = False,
+) -> Emulator:  # fmt: skip
+    """Simulates a scrambled Sobol design around the centre and regresses every row's signals on it at once."""
+    indices = index_set(orders)
+    count = int(np.ceil(POINTS * len(indices))) + SPARE
+    design = design_points(simulator, centre, width, count, rng, logarithmic)
+    predictions = simulator.predict(design, segments)  # (N, R, p)
+    good = np.isfinite(predictions).all(axis=(1, 2))
+    if good.sum() < len(indices) + SPARE:
+        raise SimulationFailed(f"{describe_failures(predictions, design, simulator.space)} The design around the estimate cannot be used.")
+    x = np.log(design[good]) if logarithmic else design[good]
+    basis = products((x - centre) / width, indices)
+    q, r = np.linalg.qr(basis)
+    flat = predictions[good].reshape(int(good.sum()), -1)
+    projected = q.T @ flat
+    coefficients = np.linalg.solve(r, projected).reshape(len(indices), *predictions.shape[1:])
+    left = (flat - q @ projected).reshape(-1, *predictions.shape[1:])
+    return Emulator(centre, width, indices, coefficients, _residual_covariance(left, len(indices)), logarithmic, int((~good).sum()))
+
+
+def design_points(simulator: Simulator, centre: Array, width: Array, count: int, rng: np.random.Generator, logarithmic: bool) -> Array:
+    """(N, d) quasi-random normal points around the centre, put on the bound where they are not physically possible."""
+    sobol = qmc.Sobol(len(centre), rng=rng).random_base2(int(np.ceil(np.log2(count))))[:count]
+    x = centre + width * ndtri(np.clip(sobol, 1e-12, 1 - 1e-12))
+    return simulator.space.feasible(np.exp(x) if logarithmic else x)
+
+
+def _residual_covariance(left: Array, terms: int) -> Array:
+    """(R, p, p) from residuals (N, R, p), with Hartlap, Simon, Schneider's (2007) factor where the inverse has a mean."""
+    n, _, p = left.shape
+    free = n - terms
+    rows = left.swapaxes(0, 1)  # (R, N, p)
+    covariance = rows.swapaxes(1, 2) @ rows / free
+    return covariance * (free / (free - p - 1) if free > p + 1 else free)

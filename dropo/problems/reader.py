@@ -1,0 +1,236 @@
+"""Problems by a built-in name or from a YAML file: model, data, columns and parameters, all checked before anything runs."""
+
+import importlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import mujoco
+import numpy as np
+
+from dropo.core.catalogue import find, names
+from dropo.core.checks import Array, known
+from dropo.core.data import Reset, Trajectories
+from dropo.core.problem import Problem
+from dropo.core.simulator import Simulator
+from dropo.data.check import outside_control_range, quaternion_norms, times
+from dropo.data.entries import BadEntry, Entries, read_yaml
+from dropo.data.reader import MINARI, read
+from dropo.simulators.fields import PREFIXES, Binding, FieldParameter, element_names, model_fields, option_fields
+from dropo.simulators.mujoco import MujocoSimulator, action_columns, load_model
+from dropo.simulators.observation import Layout
+
+KEYS = ("model", "frame_skip", "data", "observation", "action", "parameters", "epsilon", "lambda", "reset", "held_out", "transitions")
+PARAMETER_KEYS = ("field", "name", "index", "low", "high", "unit", "target", "derived")
+MODELS = {"hopper": "dropo.problems.hopper_model:hopper_spec"}
+"""Models of built-in problems, by the name that `model:` takes: functions that return an MjSpec."""
+RESETS = "'transition', 'start', or {set: [observation items]}"
+
+
+def load(problem: str | Path, *, threads: int = 0, checked: bool = True) -> Problem:
+    """A built-in problem by its name, or the one that a YAML file describes; paths in it are relative to it.
+
+    threads: of the simulator, 0 for all cores. checked: refuse data in which `dropo.data.check` finds an error.
+    """
+    if is_file(problem):
+        return _from_file(Path(problem), threads, checked)
+    known("problem", str(problem), names("problems"))
+    return cast(Problem, find("problems", str(problem))(threads=threads))
+
+
+def is_file(problem: str | Path) -> bool:
+    """Whether `problem` means a YAML file rather than a built-in name."""
+    return isinstance(problem, Path) or problem.endswith((".yaml", ".yml")) or Path(problem).is_file()
+
+
+def _from_file(path: Path, threads: int, checked: bool) -> Problem:
+    entries = read_yaml(path, KEYS, "a problem file")
+    frame_skip = entries.whole("frame_skip", 1, 1)
+    length = entries.whole("lambda", 1, 1)
+    simulator = _simulator(entries, cast(int, frame_skip), threads)
+    fitted, held_out = _data(entries, simulator)
+    for key, trajectories in (("data", fitted), ("held_out", held_out)) if checked else ():
+        _refuse_errors(entries, key, trajectories, simulator)
+    reset, set_columns = _reset(entries, simulator)
+    with entries.blaming("lambda"):
+        problem = Problem(
+            path.stem, simulator, fitted, length=cast(int, length), reset=reset, set_columns=set_columns,
+            epsilon=_epsilon(entries, simulator), held_out=held_out, warnings=_warnings(fitted, simulator),
+        )  # fmt: skip
+    return problem
+
+
+# The model and what is fitted in it
+
+
+def _simulator(entries: Entries, frame_skip: int, threads: int) -> MujocoSimulator:
+    parameters = _parameters(entries)
+    source = _model(entries)
+    with entries.blaming("model"):
+        model = load_model(source, [p.field for p in parameters])
+    _check_parameters(entries, parameters, model)
+    observation = entries.texts("observation", ("qpos", "qvel"), "a list of items such as [qpos, qvel]")
+    action = entries.texts("action", ("ctrl",), "a list of items such as [ctrl]")
+    with entries.blaming("observation"):
+        layout = Layout(model, observation)
+    twice = next((name for i, name in enumerate(layout.names) if name in layout.names[:i]), None)
+    if twice is not None:
+        raise entries.bad("observation", "each column once", f"{twice!r} twice")
+    with entries.blaming("action"):
+        action_columns(model, action)
+    return MujocoSimulator(source, parameters, observation=observation, action=action, frame_skip=frame_skip, threads=threads)
+
+
+def _model(entries: Entries) -> str | mujoco.MjSpec:
+    """The path of an MJCF file, or the spec of a built-in model."""
+    expected = f"an MJCF file, or the name of a built-in model ({', '.join(MODELS)})"
+    name = entries.text("model", expected)
+    path = entries.path.parent / name
+    if path.is_file():
+        return str(path)
+    if name not in MODELS:
+        raise entries.bad("model", expected, f"{name!r}, which is neither (no such file: {path})")
+    module, attribute = MODELS[name].split(":")
+    return getattr(importlib.import_module(module), attribute)()
+
+
+def _parameters(entries: Entries) -> list[FieldParameter]:
+    level = entries.level("parameters", what="a mapping from names to parameters")
+    return [_parameter(level.level(name, PARAMETER_KEYS, "a mapping with field, low and high"), name) for name in level.content]
+
+
+def _parameter(entry: Entries, name: str) -> FieldParameter:
+    field = entry.text("field", "a field of MjModel or mjOption, such as body_mass")
+    element = entry.text("name", "the name of an element") if "name" in entry else None
+    low, high = entry.number("low"), entry.number("high")
+    if low >= high:
+        raise entry.bad("low", f"a number below high = {high:g}")
+    unit = entry.text("unit", "a text, such as kg") if "unit" in entry else ""
+    relative = entry.choice("target", ("absolute", "relative"), "a known target") == "relative"
+    derived = entry.choice("derived", ("follow", "keep"), "what derived constants do") == "follow"
+    return FieldParameter(
+        name, low, high, unit, field=field, element=element, index=entry.whole("index", 0, None), relative=relative, derived=derived
+    )
+
+
+def _check_parameters(entries: Entries, parameters: Iterable[FieldParameter], model: mujoco.MjModel) -> None:
+    """Every field, element and index must be the model's, and no number of it may be set twice."""
+    valid = [*model_fields(model), *option_fields(model)]
+    before: list[FieldParameter] = []
+    for parameter in parameters:
+        entry = entries.level("parameters").level(parameter.name)
+        entry.known("field", parameter.field, valid, "a field of MjModel or mjOption")
+        _check_element(entry, parameter, model)
+        with entry.blaming("index"):
+            Binding(parameter, model)
+        same = next((other for other in before if _overlap(parameter, other)), None)
+        if same is not None:
+            raise entry.bad("field", "a number that no other parameter sets", f"the one of {same.name!r}")
+        before.append(parameter)
+
+
+def _check_element(entry: Entries, parameter: FieldParameter, model: mujoco.MjModel) -> None:
+    kind = PREFIXES.get(parameter.field.split("_")[0]) if "_" in parameter.field else None
+    if kind is not None:
+        entry.known("name", parameter.element, element_names(model, kind), f"the name of a {kind}")
+    elif parameter.element is not None:
+        raise entry.bad("name", f"no name, since the field {parameter.field!r} has no elements")
+
+
+def _overlap(one: FieldParameter, other: FieldParameter) -> bool:
+    same_row = (one.field, one.element) == (other.field, other.element)
+    return same_row and (one.index == other.index or one.index is None or other.index is None)
+
+
+# The data
+
+
+def _data(entries: Entries, simulator: MujocoSimulator) -> tuple[Trajectories, Trajectories | None]:
+    """The trajectories to fit and those held out."""
+    everything = _read(entries, "data", simulator)
+    fitted, held_out = everything, None
+    value = entries.content.get("held_out")
+    if isinstance(value, list) and value and all(isinstance(i, int) and not isinstance(i, bool) for i in value):
+        fitted, held_out = _split(entries, everything, value)
+    elif "held_out" in entries:
+        held_out = _read(entries, "held_out", simulator, "a list of trajectory numbers, or data as in `data`")
+    count = entries.whole("transitions", 1, None)
+    return (fitted if count is None else fitted.first(count)), held_out
+
+
+def _read(entries: Entries, key: str, simulator: MujocoSimulator, expected: str = "a file, a folder or a list of them") -> Trajectories:
+    value = entries.content.get(key)
+    listed: list[Any] = value if isinstance(value, list) else [value]
+    if not listed or not all(isinstance(item, str) and item for item in listed):
+        raise entries.bad(key, expected)
+    trajectories = read([item if item.startswith(MINARI) else entries.path.parent / item for item in listed])
+    have = {"observation": trajectories.observations.shape[1], "action": trajectories.actions.shape[1]}
+    for what, want in (("observation", len(simulator.layout)), ("action", len(simulator.controls))):
+        if have[what] != want:
+            raise entries.bad(key, f"{want} {what} columns, as the {what} items give", f"{have[what]} in {', '.join(listed)}")
+    return trajectories
+
+
+def _split(entries: Entries, everything: Trajectories, numbers: list[int]) -> tuple[Trajectories, Trajectories]:
+    last = len(everything.spans) - 1
+    wrong = next((i for i in numbers if not 0 <= i <= last), None)
+    if wrong is not None:
+        raise entries.bad("held_out", f"trajectory numbers from 0 to {last}", str(wrong))
+    rest = sorted(set(range(last + 1)) - set(numbers))
+    if not rest:
+        raise entries.bad("held_out", "some trajectories left to fit", f"all {last + 1} of them")
+    return everything.only(rest), everything.only(numbers)
+
+
+def _refuse_errors(entries: Entries, key: str, trajectories: Trajectories | None, simulator: Simulator) -> None:
+    if trajectories is not None:
+        for finding in (*quaternion_norms(trajectories, simulator), *times(trajectories)):
+            if finding.level == "error":
+                raise BadEntry(entries.path, key, f"{finding.signal}: {finding.sentence}")
+
+
+def _warnings(trajectories: Trajectories, simulator: Simulator) -> tuple[str, ...]:
+    return tuple(f"{finding.signal}: {finding.sentence}" for finding in outside_control_range(trajectories, simulator))
+
+
+# How segments are cut and compared
+
+
+def _reset(entries: Entries, simulator: MujocoSimulator) -> tuple[Reset, Any]:
+    """The reset mode, and for `partial` which columns are set."""
+    value = entries.content.get("reset", "transition")
+    if value == "start" and "lambda" in entries:
+        raise entries.bad("lambda", "none with `reset: start`, where a segment is a whole trajectory")
+    if value in ("transition", "start"):
+        return cast(Literal["transition", "start"], value), None
+    if not isinstance(value, dict):
+        raise entries.bad("reset", RESETS)
+    level = entries.level("reset", ("set",))
+    items = level.texts("set", (), "a list of observation items such as [qpos]")
+    with level.blaming("set"):
+        chosen, named = simulator.layout.places_of(items, simulator.model), Layout(simulator.model, items)
+    missing = sorted(set(named.names) - set(simulator.layout.names))
+    if missing:
+        raise level.bad("set", "columns that the observation holds", ", ".join(missing))
+    return "partial", chosen
+
+
+def _epsilon(entries: Entries, simulator: MujocoSimulator) -> float | Array | None:
+    """The noise variance: one number, one for each signal in order, or by the signals' names."""
+    value = entries.content.get("epsilon")
+    signals = [signal.name for signal in simulator.signals]
+    if "epsilon" not in entries:
+        return None
+    if isinstance(value, dict):
+        level = entries.level("epsilon")
+        for name in value:
+            level.known(name, name, signals, "a signal")
+        missing = [name for name in signals if name not in value]
+        if missing:
+            raise entries.bad("epsilon", f"a variance for each of the {len(signals)} signals", f"none for {', '.join(missing)}")
+        return np.array([level.variance(name, value[name]) for name in signals])
+    if isinstance(value, list):
+        if len(value) != len(signals):
+            raise entries.bad("epsilon", f"one number, or one for each of the {len(signals)} signals", f"{len(value)} numbers")
+        return np.array([entries.variance("epsilon", number) for number in value])
+    return entries.variance("epsilon", value)
