@@ -129,9 +129,22 @@ def _estimator(arguments: argparse.Namespace, problem: "Problem") -> "Estimator"
             raise Incompatible(f"method {arguments.method!r} takes no --{name}. It takes {others or 'none of these settings'}.")
         if name in NAMED:
             find(NAMED[name], value)
-    suggested = {name: value for name, value in problem.settings.items() if name in takes}
-    estimator: Estimator = method(**{**suggested, **given})
+    settings = {name: value for name, value in problem.settings.items() if name in takes} | given
+    if "draws" in settings and not _draws(settings.get("likelihood", getattr(method, "likelihood", None))):
+        if "draws" in given:
+            raise Incompatible("--draws has no meaning with a likelihood that draws nothing. Leave it out, or add --likelihood monte-carlo.")
+        del settings["draws"]
+    estimator: Estimator = method(**settings)
     return estimator
+
+
+def _draws(likelihood: Any) -> bool:
+    """Whether a likelihood, by its name, takes a number of draws; a method without one decides itself."""
+    from dataclasses import fields
+
+    from dropo.core.catalogue import find
+
+    return not isinstance(likelihood, str) or "draws" in [field.name for field in fields(find("likelihoods", likelihood))]
 
 
 def _check_folder(folder: Path | None, record: dict[str, Any]) -> None:
@@ -151,7 +164,8 @@ def _check_folder(folder: Path | None, record: dict[str, Any]) -> None:
         raise BadFile(path, "", "what `dropo fit` wrote", "a file that is not JSON") from None
     differ = sorted(key for key in {*record, *before} if record.get(key) != before.get(key))
     if differ:
-        raise BadFile(path, ", ".join(differ), "the settings of this run", "those of another: use another --out, or the settings of that run")
+        got = "those of another run (use another --out, or the settings of that run)"
+        raise BadFile(path, ", ".join(differ), "the settings of this run", got)
 
 
 def _save(folder: Path, fit: "Fit", record: dict[str, Any]) -> None:

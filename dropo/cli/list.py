@@ -2,6 +2,7 @@
 
 import argparse
 import inspect
+import re
 from typing import Any
 
 from dropo.cli.output import show
@@ -43,4 +44,4 @@ def _sentence(kind: str, name: str, find: Any) -> str:
     except (ImportError, AttributeError) as error:
         return f"(cannot be imported: {error})"
     paragraph = " ".join(text.split("\n\n")[0].split())
-    return paragraph.split(". ")[0].removesuffix(".") + "." if paragraph else ""
+    return re.split(r"(?<=\.) (?=[A-Z])", paragraph)[0]

@@ -25,7 +25,8 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     simulator = problem.simulator
     model = getattr(simulator, "model", None)
     return {
-        "problem": problem.name, "simulator": type(simulator).__name__, "parameters": [plain(asdict(parameter)) for parameter in problem.space],
+        "problem": problem.name, "simulator": type(simulator).__name__,
+        "parameters": [plain(asdict(parameter)) for parameter in problem.space],
         "signals": [signal.name for signal in simulator.signals], "steps_per_action": simulator.steps_per_action,
         "lambda": problem.length, "reset": problem.reset, "set_columns": plain(problem.set_columns), "every_step": problem.every_step,
         "epsilon": plain(problem.epsilon), "transitions": len(problem.trajectories), "data_sha256": data_sum(problem.trajectories),

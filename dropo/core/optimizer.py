@@ -20,7 +20,9 @@ class Optimizer(ABC):
 
     needs_gradients = False
 
-    def __init__(self, dimension: int, rng: np.random.Generator, *, start: ArrayLike | None = None, step: ArrayLike = 0.25, budget: int = 5000):
+    def __init__(
+        self, dimension: int, rng: np.random.Generator, *, start: ArrayLike | None = None, step: ArrayLike = 0.25, budget: int = 5000
+    ):
         caller = type(self).__name__
         require(dimension >= 1, "dimension", "at least 1", dimension, caller)
         require(budget >= 1, "budget", "at least 1 evaluation", budget, caller)
@@ -52,7 +54,7 @@ class Optimizer(ABC):
         """None while there is more to do, else the reason in a sentence."""
         return self._stop()
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027, most hold nothing
         """Frees what the optimizer holds; it cannot go on afterwards."""
 
     @abstractmethod
@@ -75,7 +77,9 @@ class CallbackOptimizer(Optimizer):
     The minimiser runs in a thread of its own and waits, in its objective, for the cost to be told.
     """
 
-    def __init__(self, dimension: int, rng: np.random.Generator, *, start: ArrayLike | None = None, step: ArrayLike = 0.25, budget: int = 5000):
+    def __init__(
+        self, dimension: int, rng: np.random.Generator, *, start: ArrayLike | None = None, step: ArrayLike = 0.25, budget: int = 5000
+    ):
         super().__init__(dimension, rng, start=start, step=step, budget=budget)
         self._questions: queue.Queue[Array | str | BaseException] = queue.Queue()
         self._answers: queue.Queue[tuple[float, Array | None] | None] = queue.Queue()

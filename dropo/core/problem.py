@@ -19,7 +19,8 @@ class Problem:
 
     length: the thesis' lambda, in control steps; reset, set_columns, every_step: as in `Trajectories.segments`;
     epsilon: the noise variance, one or (p,), where it is known; truth: the parameters' true values, where the data
-    are simulated; held_out: trajectories that no fit sees; warnings: what looked odd in the data;
+    are simulated; held_out: trajectories that no fit sees; everything: the whole data, where `trajectories` are only their
+    first ones; warnings: what looked odd in the data;
     settings: what a fit of this problem takes where its caller says nothing (for example {"draws": 20}).
     """
 
@@ -33,6 +34,7 @@ class Problem:
     epsilon: float | Array | None = None
     truth: Mapping[str, float] | None = None
     held_out: Trajectories | None = None
+    everything: Trajectories | None = None
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
 
@@ -59,5 +61,6 @@ class Problem:
 
     def using(self, *, transitions: int | None = None, length: int | None = None) -> "Problem":
         """The same problem with the first so many transitions, or another lambda."""
-        data = self.trajectories if transitions is None else self.trajectories.first(transitions)
+        whole = self.trajectories if self.everything is None else self.everything
+        data = self.trajectories if transitions is None else whole.first(transitions)
         return replace(self, trajectories=data, length=self.length if length is None else length)

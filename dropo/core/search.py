@@ -71,7 +71,8 @@ def maximise(
             best = max([best, *answers[np.isfinite(answers[:, 0]), 0].tolist()])
             run.progress(done / optimizer.budget, f"{done} evaluations, best {best:.6g}")
         if reason is None:
-            status, reason = Status.OUT_OF_BUDGET, f"The budget of {optimizer.budget} evaluations ran out first: raise it, or go on from this fit."
+            status = Status.OUT_OF_BUDGET
+            reason = f"The budget of {optimizer.budget} evaluations ran out first: raise it, or go on from this fit."
     except KeyboardInterrupt:
         status, reason = Status.INTERRUPTED, f"Interrupted after {done} evaluations: this is the best so far."
     finally:

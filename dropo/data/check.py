@@ -53,10 +53,15 @@ class Description:
     def __str__(self) -> str:
         shortest, longest = min(self.lengths), max(self.lengths)
         lengths = f"{shortest}" if shortest == longest else f"{shortest} to {longest}"
-        first = f"{self.transitions} transitions in {len(self.lengths)} trajectories of {lengths}"
-        extra = [f"{self.groups} groups"] * (self.groups is not None) + [f"{self.duration:.6g} s"] * (self.duration is not None)
+        first = f"{_count(self.transitions, 'transition')} in {_count(len(self.lengths), 'trajectory', 'trajectories')} of {lengths}"
+        extra = [] if self.groups is None else [_count(self.groups, "group")]
+        extra += [] if self.duration is None else [f"{self.duration:.6g} s"]
         rows = [[name, row["unit"], *(number(row[key]) for key in ("min", "mean", "max", "sd"))] for name, row in self.signals.items()]
         return ", ".join([first, *extra]) + "\n" + text_table(["signal", "unit", "min", "mean", "max", "sd"], rows)
+
+
+def _count(number: int, one: str, many: str = "") -> str:
+    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def describe(trajectories: Trajectories, signals: Sequence[Signal] | None = None, controls: Sequence[Signal] | None = None) -> Description:

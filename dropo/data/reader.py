@@ -209,7 +209,7 @@ def _minari(source: Source, where: str | Path) -> Arrays:
             content = minari.load_dataset(where)
         episodes = list(content.iterate_episodes())
     except (OSError, ValueError, ImportError) as error:
-        got = str(error).strip().removesuffix(".")
+        got = "none of that name" if isinstance(error, FileNotFoundError) else str(error).strip().removesuffix(".")
         raise BadFile(source, "", "a Minari data set of this machine (`minari download` fetches one)", got) from None
     return _episodes(source, episodes)
 

@@ -10,10 +10,11 @@ from dropo.core.checks import Array, known, require
 from dropo.core.estimator import Estimator, Run
 from dropo.core.family import Family
 from dropo.core.fit import Fit, Status
-from dropo.core.likelihood import Epsilon, Likelihood, LogLikelihood, NoiseModel
+from dropo.core.likelihood import Epsilon, Learned, Likelihood, LogLikelihood, NoiseModel
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
 from dropo.core.sampler import ChainTooShort, Density, Draws, Sampler
+from dropo.estimators.dropo import noise_shape
 from dropo.estimators.summary import at_bounds
 
 R_HAT, ESS = 1.01, 400  # what Vehtari et al. 2021 ask for before draws are used
@@ -72,8 +73,9 @@ class Posterior(Estimator):
     over: "parameters", one value of the parameters for all the data, with Gaussian errors of variance epsilon: the fit is
     the Gaussian of the draws' mean and covariance; "distribution", a family's phi: the fit is the member at the draws' mean
     in the unit box, its standard errors their standard deviations, and `likelihood` and `family` count.
-    epsilon: the noise variance, one or for each signal; "learn", one number found with the rest; None, the problem's own
-    where it names one, else "learn". start: where the walkers begin, a least-squares estimate or the middle of the box.
+    epsilon: the noise variance, one or for each signal; "learn", a factor on the problem's own, or on the residuals' variances,
+    found with the rest; None, the problem's own where it names one, else "learn". start: where the walkers begin, a
+    least-squares estimate or the middle of the box.
     """
 
     over: Literal["parameters", "distribution"] = "parameters"
@@ -87,6 +89,7 @@ class Posterior(Estimator):
     def __post_init__(self) -> None:
         known("posterior over", self.over, ("parameters", "distribution"))
         known("start", self.start, ("least-squares", "middle"))
+        require(not isinstance(self.epsilon, str) or self.epsilon == "learn", "epsilon", "a variance or 'learn'", self.epsilon, "Posterior")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         family: Family = find("families", "full" if self.over == "parameters" else self.family)(problem.space)
@@ -99,9 +102,9 @@ class Posterior(Estimator):
         return self._summary(problem, run, family, target, draws)
 
     def _target(self, problem: Problem, family: Family, run: Run) -> _Target:
-        epsilon: Any = self.epsilon
-        if epsilon is None:
-            epsilon = "learn" if problem.epsilon is None else problem.epsilon
+        epsilon: Any = problem.epsilon if self.epsilon is None else self.epsilon
+        if epsilon is None or isinstance(epsilon, str):
+            epsilon = Learned(noise_shape(problem, run))
         if self.over == "parameters":
             return PointLikelihood(problem, epsilon)
         likelihood: Likelihood = find("likelihoods", self.likelihood)() if isinstance(self.likelihood, str) else self.likelihood
@@ -120,8 +123,6 @@ class Posterior(Estimator):
         else:
             scale = [start[unknowns.names.index(f"scale.{n}")] if f"scale.{n}" in unknowns.names else 0.0 for n in problem.space.names]
             start[: len(family.unknowns)] = family.phi(found.mean, scale)
-        if "epsilon" in unknowns.names:
-            start[unknowns.names.index("epsilon")] = max(float(found.epsilon.mean()), 1e-300)
         return start, spread
 
     def _summary(self, problem: Problem, run: Run, family: Family, target: _Target, draws: Draws) -> Fit:

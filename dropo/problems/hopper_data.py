@@ -14,10 +14,10 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from dropo.core.checks import Array, float_array, require
-from dropo.core.data import Trajectories
+from dropo.core.data import Ints, Trajectories
 from dropo.core.errors import SimulationFailed
 from dropo.problems.hopper_model import BODIES, FRAME_SKIP, TRUTH, hopper_model
-from dropo.simulators.closed_loop import Ints, Runs, closed_loop
+from dropo.simulators.closed_loop import Runs, closed_loop
 
 Masses = Callable[[Generator, int], ArrayLike]
 """Draws the four masses [kg] of so many blocks, (blocks, 4): masses(rng, blocks)."""
@@ -41,15 +41,17 @@ class LinearPolicy:
     def __call__(self, observations: Array, noise: Array) -> Array:
         """Actions (m, 3) for observations (m, 11) and standard normal noise (m, 3)."""
         scaled = (observations - self.mean) / self.deviation
-        return np.clip((self.weights * scaled[:, None]).sum(axis=-1) + self.action_noise * noise, -1, 1)
+        commands: Array = (self.weights * scaled[:, None]).sum(axis=-1) + self.action_noise * noise
+        return commands.clip(-1, 1)
 
 
 @cache
 def hopper_policy() -> LinearPolicy:
     """The policy of `hopper_policy.json`, which `python -m dropo.problems.find_hopper_policy` found."""
     kept: dict[str, Any] = json.loads((files("dropo.problems") / "hopper_policy.json").read_text())
-    array = lambda name, *shape: float_array(name, kept[name], shape, "hopper_policy.json")
-    return LinearPolicy(array("weights", 3, 11), array("mean", 11), array("deviation", 11), float(kept["action_noise"]))
+    shapes = {"weights": (3, 11), "mean": (11,), "deviation": (11,)}
+    arrays = {name: float_array(name, kept[name], shape, "hopper_policy.json") for name, shape in shapes.items()}
+    return LinearPolicy(**arrays, action_noise=float(kept["action_noise"]))
 
 
 def observe(states: Array) -> Array:
@@ -145,17 +147,18 @@ def _collect(hopper: _Hopper, steps: int, total: int, rng: Generator) -> tuple[T
         runs, masses = hopper.run(-(-missing // steps), steps, rng)
         if not runs.lengths.any():
             raise SimulationFailed("The hopper diverges in its first step: are the masses possible ones?")
-        parts += [_part(runs, masses[i], i, hopper.hold) for i in np.flatnonzero(runs.lengths)]
+        parts += [_part(runs, masses[i], i, hopper.hold) for i in np.flatnonzero(runs.lengths).tolist()]
         missing = total - sum(len(part[1]) for part in parts)
     firsts = np.cumsum([0, *(len(part[3]) for part in parts)])
+    groups = np.concatenate([first + part[2] for first, part in zip(firsts, parts, strict=False)])
     data = Trajectories(
         np.concatenate([observe(states[:-1]) for states, *_ in parts]),
         np.concatenate([actions for _, actions, *_ in parts]),
         np.concatenate([observe(states[1:]) for states, *_ in parts]),
         np.concatenate([np.arange(len(part[1])) == len(part[1]) - 1 for part in parts]),
-        group=np.concatenate([first + part[2] for first, part in zip(firsts, parts, strict=False)]),
+        group=groups,
     ).first(total)
-    return data, np.concatenate([part[3] for part in parts])[: data.group.max() + 1]
+    return data, np.concatenate([part[3] for part in parts])[: groups[total - 1] + 1]
 
 
 def _part(runs: Runs, masses: Array, i: int, hold: int) -> tuple[Array, Array, Ints, Array]:

@@ -52,12 +52,12 @@ def _from_file(path: Path, threads: int, checked: bool) -> Problem:
     for key, trajectories in (("data", fitted), ("held_out", held_out)) if checked else ():
         _refuse_errors(entries, key, trajectories, simulator)
     reset, set_columns = _reset(entries, simulator)
+    epsilon, warnings = _epsilon(entries, simulator), _warnings(fitted, simulator)
     with entries.blaming("lambda"):
-        problem = Problem(
+        return Problem(
             path.stem, simulator, fitted, length=cast(int, length), reset=reset, set_columns=set_columns,
-            epsilon=_epsilon(entries, simulator), held_out=held_out, warnings=_warnings(fitted, simulator),
+            epsilon=epsilon, held_out=held_out, warnings=warnings,
         )  # fmt: skip
-    return problem
 
 
 # The model and what is fitted in it
@@ -105,7 +105,7 @@ def _parameter(entry: Entries, name: str) -> FieldParameter:
     low, high = entry.number("low"), entry.number("high")
     if low >= high:
         raise entry.bad("low", f"a number below high = {high:g}")
-    unit = entry.text("unit", "a text, such as kg") if "unit" in entry else ""
+    unit = entry.text("unit", "a text, such as kg") if entry.content.get("unit", "") != "" else ""
     relative = entry.choice("target", ("absolute", "relative"), "a known target") == "relative"
     derived = entry.choice("derived", ("follow", "keep"), "what derived constants do") == "follow"
     return FieldParameter(

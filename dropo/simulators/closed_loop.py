@@ -9,8 +9,8 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from dropo.core.checks import Array, check_shape, require
+from dropo.core.data import Ints
 
-Ints = NDArray[np.int64]
 Policy = Callable[[Array, Ints, int], Array]
 """Actions (m, nu) at a control step, from the states (m, nq + nv) of the simulations `ids` (m,): policy(states, ids, step)."""
 
@@ -89,5 +89,5 @@ def _step(batch: Batch, ids: Ints, frame_skip: int) -> NDArray[np.bool_]:
     try:
         batch.step(ids, frame_skip)
     except SimulationError:
-        return batch.status[ids] == 0
+        return np.equal(batch.status[ids], 0)
     return np.ones(len(ids), dtype=bool)

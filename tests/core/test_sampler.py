@@ -37,8 +37,7 @@ def test_autocorrelation_time_of_autoregressive_walkers(rho):
     found = draws(autoregressive(rho, 4000, 20, np.random.default_rng(1))).autocorrelation_time()[0]
     error = true * np.sqrt((4 * 5 * true + 2) / n)
     assert abs(found - true) < 4.5 * error + 0.02 * true  # the window leaves exp(-5) of the sum out
-    wrong = (1 + rho + 0.05) / (1 - rho - 0.05)
-    assert abs(found - wrong) > 4.5 * error or rho == 0.5 or abs(found - wrong) > 0.5 * abs(true - wrong)
+    assert abs(found - 2 * true) > 4.5 * error + 0.02 * true
 
 
 def test_effective_sample_size_predicts_the_error_of_the_mean():
@@ -60,7 +59,7 @@ def test_r_hat_of_mixed_walkers_is_one_and_of_others_is_not():
     rng = np.random.default_rng(3)
     x = rng.standard_normal((1000, 8))
     apart = x + np.where(np.arange(8) < 4, 0.0, 1.0)
-    drift = x + np.linspace(0, 1, 1000)[:, None]
+    drift = x + np.linspace(0, 3, 1000)[:, None]
     widths = x * np.where(np.arange(8) < 4, 1.0, 2.0)
     r_hat = draws(x, apart, drift, widths).split_r_hat()
     assert abs(r_hat[0] - 1) < 0.01
@@ -167,8 +166,8 @@ def test_bad_densities_and_starts_are_refused():
         Walk().sample(lambda x: np.zeros((len(x), 1)), SPACE, rng=rng)
     with pytest.raises(BadArgument, match=r"'start' of Walk\.sample must be inside \[0, 1\]"):
         Walk().sample(lambda x: np.zeros(len(x)), SPACE, rng=rng, start=[0.5, 2.0])
+    space = ParameterSpace(tuple(Parameter(n, 0.0, 1.0) for n in "abc"))
     with pytest.raises(BadArgument, match=r"'walkers' of Emcee must be at least 6, twice the 3 parameters"):
-        space = ParameterSpace(tuple(Parameter(n, 0.0, 1.0) for n in "abc"))
         Emcee(walkers=5).sample(lambda x: np.zeros(len(x)), space, rng=rng)
 
 

@@ -168,17 +168,15 @@ def test_budget_smaller_than_a_batch_is_refused():
 
 @pytest.mark.parametrize("name", ALL)
 def test_killed_search_resumes(name, tmp_path):
-    """Killed in its 30th evaluation and taken up again: the same result as in one go, and nothing evaluated twice."""
+    """Killed in its 21st evaluation and taken up again: the same result as in one go, and nothing evaluated twice."""
     cost, path = Rosenbrock(), tmp_path / "journal"
     whole = maximise(Objective(cost), SPACE, make(name, budget=200), run())
-    if whole.evaluations <= 30:
-        pytest.skip("finds the minimum before it is killed")
     with pytest.raises(RuntimeError, match="killed"):
-        maximise(Objective(cost, dies_after=29), SPACE, make(name, budget=200), run(Journal(path)))
+        maximise(Objective(cost, dies_after=20), SPACE, make(name, budget=200), run(Journal(path)))
     recorded = sum(len(entry["points"]) for entry in Journal(path)._known)
     again = Objective(cost)
     resumed = maximise(again, SPACE, make(name, budget=200), run(Journal(path)))
-    assert recorded > 15
+    assert recorded >= 12
     assert again.calls == whole.evaluations - recorded
     assert np.array_equal(resumed.point, whole.point)
     assert (resumed.value, resumed.evaluations, resumed.reason) == (whole.value, whole.evaluations, whole.reason)

@@ -1,0 +1,44 @@
+"""Where outside data are: the folder that DROPO_DATA names, then ../shared/data, then the user's cache."""
+
+import hashlib
+import os
+from pathlib import Path
+
+import numpy as np
+
+from dropo.core.checks import Array
+from dropo.core.errors import BadFile
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def data_folders() -> list[Path]:
+    """The folders that are searched, in order."""
+    named = os.environ.get("DROPO_DATA")
+    return [*([Path(named)] if named else []), Path("../shared/data").resolve(), ROOT.parent / "shared" / "data"]
+
+
+def find_data(name: str) -> Path | None:
+    """The path of a data file such as "cube-toss/runs.npz", or None."""
+    return next((folder / name for folder in data_folders() if (folder / name).is_file()), None)
+
+
+def missing(name: str, source: str) -> BadFile:
+    """What is raised where outside data are not at hand."""
+    searched = ", ".join(str(folder) for folder in dict.fromkeys(data_folders()))
+    return BadFile(name, "", f"the data of {source} in the folder that DROPO_DATA names", f"no such file in {searched}")
+
+
+def fetch_arrays(base_url: str, files: dict[str, tuple[str, str]]) -> dict[str, Array]:
+    """Arrays from public .npy files, kept in the user's cache: key -> (file, sha256 of the float64 content)."""
+    import pooch
+
+    out = {}
+    for key, (file, digest) in files.items():
+        path = pooch.retrieve(f"{base_url}/{file}", known_hash=None, path=pooch.os_cache("dropo"), fname=file.replace("/", "-"), progressbar=False)
+        out[key] = np.ascontiguousarray(np.load(path, allow_pickle=False), dtype=np.float64)
+        got = hashlib.sha256(out[key].tobytes()).hexdigest()
+        if got != digest:
+            Path(path).unlink()
+            raise BadFile(f"{base_url}/{file}", "", f"content with sha256 {digest}", got)
+    return out

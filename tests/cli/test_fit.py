@@ -1,0 +1,295 @@
+"""`dropo fit`: one answer however often it is killed and however many threads it has; nothing written on refusal."""
+
+import io
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dropo.cli.main import main
+from dropo.cli.output import Progress
+from dropo.core.fit import Fit
+from dropo.core.problem import Problem
+from dropo.problems.reader import load
+
+SAMPLED = ("--likelihood", "monte-carlo", "--optimizer", "cma-es")
+SMALL = (*SAMPLED, "--draws", "10", "--budget", "60")
+LONG = (*SAMPLED, "--draws", "20", "--budget", "400")
+
+
+def result(folder: Path) -> dict[str, Any]:
+    """fit.json without the time."""
+    content: dict[str, Any] = json.loads((folder / "fit.json").read_text())
+    assert content.pop("wall_time_s") >= 0
+    return content
+
+
+def start(problem: Path, *arguments: str) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "dropo", "fit", str(problem), *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_lines(journal: Path, lines: int, run: "subprocess.Popen[str]") -> None:
+    until = time.monotonic() + 60
+    while not journal.exists() or journal.read_bytes().count(b"\n") < lines:
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.001)
+
+
+def test_it_prints_and_saves_the_same(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The table holds what fit.json holds; run.json says what was asked for; the Python API gives the same numbers."""
+    out = problem.parent / "out"
+    assert main(["fit", str(problem), *SMALL, "--out", str(out)]) == 0
+    text, errors = capsys.readouterr()
+    found = result(out)
+    assert errors == ""
+    assert "mass" in text
+    assert f"{found['parameters']['mass']['mean']:.7g}" in text
+    assert abs(found["parameters"]["mass"]["mean"] - 2) < 0.2
+    assert sorted(path.name for path in out.iterdir()) == ["evaluations.jsonl", "fit.json", "fit.npz", "run.json"]
+    record = json.loads((out / "run.json").read_text())
+    assert (record["problem"], record["seed"], record["settings"]["draws"], record["lambda"]) == ("problem", 0, 10, 1)
+    assert "threads" not in json.dumps(record)
+    from dropo.estimators.dropo import DROPO
+
+    api = DROPO(likelihood="monte-carlo", optimizer="cma-es", draws=10, budget=60).fit(load(problem), rng=0)
+    assert {**api.to_json(), "wall_time_s": 0} == {**found, "wall_time_s": 0}
+    np.testing.assert_array_equal(Fit.load(out).mean, api.mean)
+
+
+def test_json_and_quiet(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(problem), *SMALL, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["method"] == "dropo"
+    assert main(["fit", str(problem), *SMALL, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_options_reach_the_problem(problem: Path, tmp_path: Path) -> None:
+    """--lambda, --transitions, --seed and --epsilon."""
+    options = ("--lambda", "3", "--transitions", "30", "--seed", "4", "--epsilon", "1e-6")
+    assert main(["fit", str(problem), *SMALL, *options, "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    found, record = result(tmp_path / "out"), json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (found["seed"], found["transitions"], found["epsilon"]) == (4, 27, [1e-6, 1e-6])  # 6 + 3 segments of 3
+    assert (record["lambda"], record["transitions"], record["settings"]["epsilon"]) == (3, 30, 1e-6)
+
+
+@pytest.mark.parametrize("method", ["least-squares", "droid", "uniform-randomization"])
+def test_other_methods(problem: Path, method: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A method that evaluates nothing is saved, and asked for again, like the others."""
+    out = problem.parent / "out"
+    arguments = ["fit", str(problem), "--method", method, "--out", str(out), "--json"]
+    assert main(arguments) == 0
+    before = result(out)
+    assert main(arguments) == 0
+    assert result(out) == before
+    assert before["method"] == method
+
+
+def test_the_problem_suggests_settings(problem: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the user says nothing, and only those that the method has."""
+    from dataclasses import replace
+
+    from dropo.core.catalogue import register
+
+    def suggesting(threads: int = 0) -> Problem:
+        return replace(load(problem, threads=threads), name="suggesting", settings={"draws": 7, "budget": 40, "colour": "red"})
+
+    register("problems", "suggesting", suggesting)
+    out = problem.parent / "out"
+    assert main(["fit", "suggesting", *SAMPLED, "--budget", "50", "--out", str(out), "--quiet"]) == 0
+    settings = json.loads((out / "run.json").read_text())["settings"]
+    assert (settings["draws"], settings["budget"]) == (7, 50)
+
+
+REFUSALS = {
+    "unknown method": (["--method", "drop"], "No method called 'drop'. Did you mean 'dropo'?"),
+    "unknown optimizer": (["--optimizer", "cma"], "No optimizer called 'cma'. Did you mean 'cma-es'?"),
+    "unknown family": (["--family", "uniforn"], "No family called 'uniforn'. Did you mean 'uniform'?"),
+    "unknown likelihood": (["--likelihood", "monte"], "No likelihood called 'monte'. Did you mean 'monte-carlo'?"),
+    "a setting of another method": (
+        ["--method", "least-squares", "--family", "full"], "method 'least-squares' takes no --family. It takes --budget.",
+    ),
+    "lambda auto": (
+        ["--lambda", "auto"],
+        "Argument --lambda: 'auto' is not available yet: choose a whole number of control steps, such as 1. See `dropo fit --help`.",
+    ),
+    "lambda below 1": (["--lambda", "0"], "Argument --lambda: expected a whole number of at least 1, got '0'. See `dropo fit --help`."),
+    "lambda too long": (
+        ["--lambda", "21"],
+        "lambda = 21 is longer than trajectory 0, which has 20 transitions. Choose a smaller lambda, or leave that trajectory out.",
+    ),
+    "one draw": (["--draws", "1"], "Argument --draws: expected a whole number of at least 2, got '1'. See `dropo fit --help`."),
+    "no budget": (["--budget", "0"], "Argument --budget: expected a whole number of at least 1, got '0'. See `dropo fit --help`."),
+    "negative epsilon": (
+        ["--epsilon=-1"], "Argument --epsilon: expected a variance of 0 or more, 'tune' or 'learn', got '-1'. See `dropo fit --help`.",
+    ),
+    "NaN epsilon": (
+        ["--epsilon", "nan"], "Argument --epsilon: expected a variance of 0 or more, 'tune' or 'learn', got 'nan'. See `dropo fit --help`.",
+    ),
+    "singular covariance": (
+        ["--epsilon", "0", "--draws", "2", "--start", "middle", *SAMPLED],
+        "The covariance of the K = 2 predictions at row 0 is singular in p = 2 signals, and an epsilon is 0."
+        " Give epsilon > 0 (the variance of the measurement noise), or more draws.",
+    ),
+    "draws of a likelihood without": (
+        ["--likelihood", "emulated", "--draws", "9"],
+        "--draws has no meaning with a likelihood that draws nothing. Leave it out, or add --likelihood monte-carlo.",
+    ),
+    "half a seed": (["--seed", "0.5"], "Argument --seed: expected a whole number of at least 0, got '0.5'. See `dropo fit --help`."),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "message"), REFUSALS.values(), ids=REFUSALS)
+def test_refusals_write_nothing(problem: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    before = sorted(problem.parent.rglob("*"))
+    assert main(["fit", str(problem), *arguments, "--out", str(problem.parent / "out")]) == 2
+    assert capsys.readouterr() == ("", f"dropo: {message}\n")
+    assert sorted(problem.parent.rglob("*")) == before
+
+
+def test_a_refusal_later_in_the_run_writes_nothing(problem: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where some evaluations were recorded already."""
+    from dropo.core.errors import BadArgument
+    from dropo.core.journal import Journal
+
+    append, out = Journal._append, problem.parent / "out"
+
+    def third(self: Journal, entry: dict[str, Any]) -> None:
+        append(self, entry)
+        assert out.exists()
+        if self.path is not None and self.path.read_bytes().count(b"\n") > 3:
+            raise BadArgument("No more.")
+
+    monkeypatch.setattr(Journal, "_append", third)
+    assert main(["fit", str(problem), *SMALL, "--out", str(out)]) == 2
+    assert not out.exists()
+
+
+def test_a_problem_without_parameters(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem.write_text("model: robot.xml\ndata: data.npz\n")
+    assert main(["fit", str(problem)]) == 2
+    assert capsys.readouterr().err == f"dropo: {problem}: parameters: expected at least one parameter to fit, got none.\n"
+
+
+def test_lambda_means_nothing_with_reset_start(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem.write_text(problem.read_text() + "reset: start\n")
+    assert main(["fit", str(problem), "--lambda", "2"]) == 2
+    assert "--lambda has no meaning with `reset: start`" in capsys.readouterr().err
+
+
+def test_warnings_are_shown(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = dict(np.load(problem.parent / "data.npz"))
+    data["actions"][0] = 1.5
+    data["terminals"][1] = True
+    np.savez(problem.parent / "data.npz", **data)
+    assert main(["fit", str(problem), *SMALL, "--lambda", "3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"][:2] == [
+        "ctrl.push: 1 of 40 actions are outside the control range [-1, 1] and are clipped; the farthest is 1.5.",
+        "1 of 3 trajectories are shorter than lambda = 3 and are left out.",
+    ]
+
+
+@pytest.mark.parametrize("method", ["dropo", "uniform-randomization"])
+def test_a_folder_of_another_run_is_refused(problem: Path, method: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Another seed, or other data under the same name."""
+    out = problem.parent / "out"
+    arguments = ["fit", str(problem), "--method", method, "--out", str(out), "--quiet", *(SMALL if method == "dropo" else ())]
+    assert main(arguments) == 0
+    before = (out / "fit.json").read_text()
+    assert main([*arguments, "--seed", "1"]) == 2
+    got = "those of another run (use another --out, or the settings of that run)"
+    assert capsys.readouterr().err == f"dropo: {out}/run.json: seed: expected the settings of this run, got {got}.\n"
+    data = dict(np.load(problem.parent / "data.npz"))
+    data["next_observations"][0] += 1e-9
+    np.savez(problem.parent / "data.npz", **data)
+    assert main(arguments) == 2
+    assert "run.json: data_sha256: " in capsys.readouterr().err
+    (problem.parent / "robot.xml").write_text((problem.parent / "robot.xml").read_text().replace('size="0.1"', 'size="0.2"'))
+    assert main(arguments) == 2
+    assert "run.json: data_sha256, model_sha256: " in capsys.readouterr().err
+    assert (out / "fit.json").read_text() == before
+
+
+def test_out_must_be_a_folder(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(problem), "--out", str(problem)]) == 2
+    assert capsys.readouterr().err == f"dropo: {problem}: --out: expected a folder, got a file.\n"
+
+
+def test_kill_and_resume(problem: Path) -> None:
+    """A run that was killed twice gives what an undisturbed one gives, and one with another number of threads."""
+    whole, killed = problem.parent / "whole", problem.parent / "killed"
+    assert main(["fit", str(problem), *LONG, "--out", str(whole), "--threads", "1", "--quiet"]) == 0
+    for lines in (3, 9):
+        run = start(problem, *LONG, "--out", str(killed), "--threads", "2")
+        wait_for_lines(killed / "evaluations.jsonl", lines, run)
+        run.send_signal(signal.SIGKILL)
+        run.communicate()
+        assert run.returncode == -signal.SIGKILL
+        assert not (killed / "fit.json").exists()
+    with (killed / "evaluations.jsonl").open("a") as journal:
+        journal.write('{"points": [[0.1, 0.')  # a kill in the middle of a line
+    run = start(problem, *LONG, "--out", str(killed), "--threads", "2")
+    assert run.communicate()[1] == ""
+    assert run.returncode == 0
+    assert result(killed) == result(whole)
+    assert (killed / "evaluations.jsonl").read_text() == (whole / "evaluations.jsonl").read_text()
+
+
+def test_a_finished_run_is_replayed(problem: Path) -> None:
+    """The same command again evaluates nothing and gives the same file."""
+    out = problem.parent / "out"
+    arguments = ["fit", str(problem), *SMALL, "--out", str(out), "--quiet"]
+    assert main(arguments) == 0
+    before, journal = result(out), (out / "evaluations.jsonl").read_bytes()
+    assert main([*arguments, "--threads", "1"]) == 0
+    assert result(out) == before
+    assert (out / "evaluations.jsonl").read_bytes() == journal
+
+
+@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
+def test_interruption_saves_the_best_so_far(problem: Path, kind: signal.Signals) -> None:
+    """Status 1 and "interrupted"; the same command then goes on to what an undisturbed run gives."""
+    whole, out = problem.parent / "whole", problem.parent / "out"
+    run = start(problem, *LONG, "--out", str(out))
+    wait_for_lines(out / "evaluations.jsonl", 4, run)
+    run.send_signal(kind)
+    text, errors = run.communicate()
+    assert (run.returncode, errors) == (1, "")
+    assert "interrupted: " in text
+    assert result(out)["status"] == "interrupted"
+    assert main(["fit", str(problem), *LONG, "--out", str(out), "--quiet"]) == 0
+    assert main(["fit", str(problem), *LONG, "--out", str(whole), "--quiet"]) == 0
+    assert result(out) == result(whole)
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_for_terminals(problem: Path) -> None:
+    pipe, terminal = io.StringIO(), _Terminal()
+    for stream in (pipe, terminal):
+        progress = Progress(stream=stream)
+        progress(0.5, "60 evaluations")
+        progress(0.6, "too soon")
+        progress.close()
+    assert pipe.getvalue() == ""
+    assert terminal.getvalue() == f"\r\033[K[{'#' * 12}{' ' * 12}]  50%  60 evaluations\r\033[K"
+    run = start(problem, *SMALL, "--quiet")
+    assert run.communicate() == ("", "")
+    assert run.returncode == 0
+
+
+def test_no_log_of_the_physics_is_left(problem: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(problem.parent)
+    before = sorted(problem.parent.iterdir())
+    assert main(["fit", "problem.yaml", *SMALL, "--quiet"]) == 0
+    assert sorted(problem.parent.iterdir()) == before

@@ -1,0 +1,69 @@
+"""The command itself: quick help, one line for an error, exit statuses."""
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+import dropo
+from dropo.cli.main import main
+from dropo.core.errors import SimulationFailed
+
+HEAVY = ("numpy", "mujoco", "scipy", "torch", "cma", "emcee", "nlopt", "gymnasium", "yaml")
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = f"import sys; from dropo.cli.main import main; main(['--help']); print([m for m in {HEAVY} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_help_is_quick() -> None:
+    """Under a second, the best of three."""
+    times = []
+    for _ in range(3):
+        begun = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "dropo", "--help"], capture_output=True, check=True)
+        times.append(time.perf_counter() - begun)
+    assert min(times) < 1.0
+
+
+@pytest.mark.parametrize("command", [[], ["fit"], ["data"], ["data", "check"], ["data", "describe"], ["list"]])
+def test_every_command_has_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*command, "--help"]) == 0
+    assert capsys.readouterr().out.startswith(f"usage: {' '.join(['dropo', *command])} ")
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"dropo {dropo.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "The following arguments are required: COMMAND. See `dropo --help`."),
+        (["fit"], "The following arguments are required: PROBLEM. See `dropo fit --help`."),
+        (["fit", "p", "--sede", "1"], "Unrecognized arguments: --sede 1. See `dropo --help`."),
+        (["fit", "hoper"], "No problem called 'hoper'. Did you mean 'hopper'?"),
+        (["list", "method"], "No kind called 'method'. Did you mean 'methods'?"),
+        (["data", "check", "nothing"], None),
+    ],
+)
+def test_refusals_are_one_line(arguments: list[str], message: str | None, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("dropo: ")
+    assert err.count("\n") == 1
+    assert message is None or err == f"dropo: {message}\n"
+
+
+def test_a_failure_is_status_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail(arguments: object) -> int:
+        raise SimulationFailed("It diverged\nat once.")
+
+    monkeypatch.setattr("dropo.cli.fit.run", fail)
+    assert main(["fit", "p"]) == 1
+    assert capsys.readouterr().err == "dropo: It diverged at once.\n"
