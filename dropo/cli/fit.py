@@ -132,7 +132,7 @@ def _estimator(arguments: argparse.Namespace, problem: "Problem") -> "Estimator"
     settings = {name: value for name, value in problem.settings.items() if name in takes} | given
     if "draws" in settings and not _draws(settings.get("likelihood", getattr(method, "likelihood", None))):
         if "draws" in given:
-            raise Incompatible("--draws has no meaning with a likelihood that draws nothing. Leave it out, or add --likelihood monte-carlo.")
+            raise Incompatible("--draws means nothing to a likelihood that draws nothing. Leave it out, or add --likelihood monte-carlo.")
         del settings["draws"]
     estimator: Estimator = method(**settings)
     return estimator

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.checks import Array
-from dropo.core.errors import Refused
+from dropo.core.errors import BadFile, Refused
 
 Answer = tuple[Array, dict[str, int]]
 
@@ -26,7 +26,7 @@ class Journal:
     """
 
     def __init__(self, path: Path | None = None, header: dict[str, Any] | None = None):
-        self.path, self._recorded, self._next = path, [], 0
+        self.path, self._next = path, 0
         self._known: list[dict[str, Any]] = []
         if path is None:
             return
@@ -45,7 +45,8 @@ class Journal:
             entry = self._known[self._next]
             self._next += 1
             if not np.array_equal(np.asarray(entry["points"]), points):
-                raise Refused(f"{self.path}: batch {self._next} was asked for at other points, so another version wrote it. Use another --out.")
+                sentence = f"batch {self._next} was asked for at other points, so another version wrote it."
+                raise Refused(f"{self.path}: {sentence} Use another --out.")
             return np.array(entry["answers"], dtype=float), entry["counts"]
         answers, counts = function(points)
         if self.path is not None:
@@ -68,7 +69,10 @@ def _read(path: Path, header: dict[str, Any]) -> list[dict[str, Any]]:
     whole = text[: text.rfind("\n") + 1]
     if whole != text:
         path.write_text(whole)
-    lines = [json.loads(line) for line in whole.splitlines()]
+    try:
+        lines = [json.loads(line) for line in whole.splitlines()]
+    except json.JSONDecodeError:
+        raise BadFile(path, "", "the evaluations of a run, one JSON line each", "something else") from None
     if not lines:
         return []
     if lines[0] != json.loads(json.dumps(header)):

@@ -18,9 +18,10 @@ from dropo.core.simulator import Simulator
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """Epsilon to be found: a factor in [1e-6, 1e6] on a given shape, the noise variance of each signal (p,) up to that factor."""
+    """Epsilon to be found: a factor in [1e-8, 1e4] on the given noise variances (p,), one for all signals, or each its own."""
 
     shape: Array
+    each: bool = False
 
 
 Epsilon = float | Array | Learned
@@ -153,15 +154,17 @@ class NoiseModel:
         require(array.shape in ((), (signals,)), "epsilon", f"one number, or one for each of {signals} signals", array.shape, "Likelihood")
         require(bool(np.isfinite(array).all() and (array >= 0).all()), "epsilon", "a finite variance, not negative", given, "Likelihood")
         self.shape = np.broadcast_to(array, (signals,)).astype(float)
-        self.unknowns = (Parameter("epsilon", 1e-6, 1e6, scale="log"),) if isinstance(epsilon, Learned) else ()
+        factors = (signals if epsilon.each else 1) if isinstance(epsilon, Learned) else 0
+        self.unknowns = tuple(Parameter(f"epsilon[{i}]", 1e-8, 1e4, scale="log") for i in range(factors))
 
     def epsilon(self, own: Array) -> Array:
-        """(p,) from the likelihood's own unknowns, (1,) or (0,)."""
-        return self.shape * own[0] if self.unknowns else self.shape
+        """(p,) from the likelihood's own unknowns, (p,), (1,) or (0,)."""
+        return self.shape * own if self.unknowns else self.shape
 
-    def slopes(self) -> list[Array]:
-        """d epsilon (p,) for each own unknown."""
-        return [self.shape] if self.unknowns else []
+    def slopes(self) -> Array:
+        """d epsilon / d own unknown (n, p)."""
+        n = len(self.unknowns)
+        return np.diag(self.shape) if n == len(self.shape) else np.repeat(self.shape[None], n, axis=0)
 
 
 class LocalLogLikelihood(LogLikelihood):

@@ -17,7 +17,7 @@ from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
 from dropo.core.search import SearchResult, maximise
 from dropo.core.simulator import describe_failures
-from dropo.estimators.least_squares import estimate
+from dropo.estimators.least_squares import estimate, misfit
 from dropo.estimators.rounds import fit_in_rounds
 from dropo.estimators.summary import summarise
 
@@ -31,8 +31,8 @@ class DROPO(Estimator):
     As published: likelihood "monte-carlo" (K = `draws` = 100), family "truncated_gaussian", optimizer "cma-es", `budget` of
     5000 evaluations, start "middle". likelihood, family, optimizer: names, or a Likelihood object; without an optimizer,
     Fisher scoring where the likelihood knows its information, else "cma-es". epsilon: the noise variance, one or for each
-    signal; "learn", a factor on the problem's own, or on the residuals' variances, found with the rest; "tune", section
-    5.3: the smallest of `sweep` whose fit has a mean squared error of at most `mse_threshold`; None, the problem's own
+    signal; "learn", one for each signal found with the rest (sampled likelihoods: one factor on the variances that least
+    squares leaves); "tune", section 5.3: the smallest of `sweep` whose fit has a mean squared error of at most `mse_threshold`; None, the problem's own
     where it names one, else "learn". start: the first mean, a least-squares estimate or the middle of the box.
     """
 
@@ -63,7 +63,8 @@ class DROPO(Estimator):
         if self.epsilon == "tune":
             return tune(self, problem, run)
         if self.epsilon == "learn" or (self.epsilon is None and problem.epsilon is None):
-            return self._fit_with(problem, run, Learned(noise_shape(problem, run)))
+            local = isinstance(self._likelihood(), LocalLikelihood)
+            return self._fit_with(problem, run, Learned(misfit(problem, run), each=True) if local else Learned(noise_shape(problem, run)))
         return self._fit_with(problem, run, np.asarray(problem.epsilon if self.epsilon is None else self.epsilon, dtype=float))
 
     def _fit_with(self, problem: Problem, run: Run, epsilon: Epsilon) -> Fit:

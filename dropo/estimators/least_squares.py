@@ -61,10 +61,9 @@ def estimate(problem: Problem, run: Run, weights: str | tuple[float, ...] = "noi
     """The point estimate from the middle of the box; with "noise" a second pass from the first one's end."""
     simulator, segments = problem.simulator, problem.segments
     targets = simulator.targets(segments)
-    spread = np.maximum(np.var(targets, axis=0), 1e-300)
     if weights == "noise":
-        first = _solve(problem, run, 1 / _change(problem), problem.space.from_unit(np.full(len(problem.space), 0.5)), budget)
-        noise = np.maximum(first.noise, 1e-16 * spread)  # rounding, where the model is perfect
+        first = _solve(problem, run, 1 / misfit(problem, run), problem.space.from_unit(np.full(len(problem.space), 0.5)), budget)
+        noise = np.maximum(first.noise, np.maximum(1e-16 * np.var(targets, axis=0), 1e-300))  # rounding, where the model is perfect
         second = _solve(problem, run, 1 / noise, first.value, budget)
         return PointEstimate(second.value, second.noise, second.predicted, first.evaluations + second.evaluations, second.converged, second.message)
     p = targets.shape[1]
@@ -72,14 +71,14 @@ def estimate(problem: Problem, run: Run, weights: str | tuple[float, ...] = "noi
     return _solve(problem, run, chosen, problem.space.from_unit(np.full(len(problem.space), 0.5)), budget)
 
 
-def _change(problem: Problem) -> Array:
-    """(p,) the mean square of each signal's change over a segment, the natural scale of a prediction error."""
-    segments = problem.segments
-    targets = problem.simulator.targets(segments)
-    if targets.shape[1] != segments.starts.shape[1]:  # a chart: start rows have other columns
-        return np.maximum(np.var(targets, axis=0), 1e-6)
-    moved = targets - segments.starts[segments.rows[0]]
-    return np.maximum(np.mean(moved**2, axis=0), 1e-12 * np.maximum(np.var(targets, axis=0), 1e-12))
+def misfit(problem: Problem, run: Run) -> Array:
+    """(p,) the mean squared error of each signal at the middle of the box: the scale of what is to be explained."""
+    middle = problem.space.from_unit(np.full(len(problem.space), 0.5))
+    targets = problem.simulator.targets(problem.segments)
+    with run.counting(evaluations=1):
+        errors = problem.simulator.predict(middle[None], problem.segments)[0] - targets
+    floor = np.maximum(1e-16 * np.var(targets, axis=0), 1e-30)
+    return np.maximum(np.nanmean(errors**2, axis=0), floor)
 
 
 def _solve(problem: Problem, run: Run, weights: Array, start: Array, budget: int) -> PointEstimate:

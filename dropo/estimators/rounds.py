@@ -41,14 +41,14 @@ def fit_in_rounds(
     region = _Region(start.copy(), FIRST * box)
     coarse = np.arange(len(problem.segments)) % COARSE == 0
     thin = coarse.sum() >= LEAST and len(problem.segments.levels) == 1
-    phi, evaluations, local, value = None, 0, None, -np.inf
+    design = rng.spawn(1)[0].bit_generator.seed_seq  # type: ignore[attr-defined]  # one scramble for all rounds, so that they can settle
+    phi, local, value = None, None, -np.inf
     try:
         for count in range(1, rounds + 1):
             segments = problem.segments.take(coarse) if thin else problem.segments
-            local, region = _build(problem, run, family, likelihood, epsilon, region, segments, rng)
+            local, region = _build(problem, run, family, likelihood, epsilon, region, segments, design)
             phi = _maximise(local, _first(family, local, region, phi), make_optimizer, run)
             value = local(phi)
-            evaluations += 1
             run.progress(min(0.95, count / 8), f"round {count}, log-likelihood {value:.6g}")
             move, settled = _move(family, region, phi, box)
             small = np.all(np.abs(move) < np.maximum.reduce([0.02 * family.sd(phi[: len(family.unknowns)]), 0.1 * _errors(family, local, phi), 1e-2 * NARROW * box]))
@@ -66,12 +66,12 @@ def fit_in_rounds(
     return local, SearchResult(phi, value, run.evaluations, reason, status)
 
 
-def _build(problem, run, family, likelihood, epsilon, region, segments, rng):  # type: ignore[no-untyped-def]
+def _build(problem, run, family, likelihood, epsilon, region, segments, design):  # type: ignore[no-untyped-def]
     """The local likelihood; where a design's simulations diverge, on half the width, up to five times."""
     for attempt in range(6):
         try:
             with run.counting(evaluations=1):
-                return likelihood.around(problem.simulator, segments, family, epsilon, region.centre, region.width, rng.spawn(1)[0]), region
+                return likelihood.around(problem.simulator, segments, family, epsilon, region.centre, region.width, np.random.default_rng(design)), region
         except SimulationFailed:
             if attempt == 5:
                 raise
@@ -89,6 +89,8 @@ def _first(family: Family, local: LocalLogLikelihood, region: _Region, phi: Arra
             relative = h / c if family.logarithmic else h
             i = unknowns.names.index(f"scale.{name}")
             start[i] = relative / 2 if phi is None else max(start[i], 0.05 * relative)
+    if phi is None:  # the noise is below the misfit at the middle of the box
+        start[len(family.unknowns) :] = 0.1
     return np.clip(start, unknowns.low, unknowns.high)
 
 

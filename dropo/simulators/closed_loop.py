@@ -1,6 +1,7 @@
 """A policy in closed loop with MuJoCo: many simulations at once, whose model fields may change as they go."""
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import mujoco
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from dropo.core.checks import Array, check_shape, require
 from dropo.core.data import Ints
+
+HUGE = 1e10  # mjMAXVAL: beyond it MuJoCo itself calls a state divergent
 
 Policy = Callable[[Array, Ints, int], Array]
 """Actions (m, nu) at a control step, from the states (m, nq + nv) of the simulations `ids` (m,): policy(states, ids, step)."""
@@ -48,7 +51,7 @@ def closed_loop(
     """
     require(min(steps, frame_skip, hold) >= 1, "steps, frame_skip, hold", "at least 1", (steps, frame_skip, hold), "closed_loop")
     check_shape("starts", starts, (None, model.nq + model.nv), "closed_loop")
-    batch = Batch(model, len(starts), threads)
+    batch = Batch(_without_autoreset(model), len(starts), threads)
     changing = [_expanded(batch, name, values, -(-steps // hold)) for name, values in (fields or {}).items()]
     qpos, qvel, ctrl = (batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
     qpos[:], qvel[:] = np.split(starts, [model.nq], axis=1)
@@ -59,9 +62,11 @@ def closed_loop(
             live[:] = values[:, t // hold]
         command = policy(runs.states[ids, t], ids, t)
         ctrl[ids] = command
-        sound = _step(batch, ids, frame_skip)
+        failed = _step(batch, ids, frame_skip)
+        after = np.hstack([qpos[ids], qvel[ids]])
+        sound = ~failed & (np.abs(after) < HUGE).all(axis=1)  # also False for NaN
         ids = ids[sound]
-        runs.states[ids, t + 1] = np.hstack([qpos[ids], qvel[ids]])
+        runs.states[ids, t + 1] = after[sound]
         runs.actions[ids, t] = command[sound]
         runs.lengths[ids] = t + 1
         ids = ids if alive is None else ids[alive(runs.states[ids, t + 1])]
@@ -84,10 +89,18 @@ def _expanded(batch: Batch, name: str, values: Array, blocks: int) -> tuple[Arra
     return live, values
 
 
+def _without_autoreset(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy in which a divergent simulation stays so: MuJoCo else puts it back to its initial state and goes on."""
+    model = copy(model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return model
+
+
 def _step(batch: Batch, ids: Ints, frame_skip: int) -> NDArray[np.bool_]:
-    """(m,) which of the simulations made the step without diverging."""
+    """(m,) which of the simulations MuJoCo gave up with an error."""
     try:
         batch.step(ids, frame_skip)
     except SimulationError:
-        return np.equal(batch.status[ids], 0)
-    return np.ones(len(ids), dtype=bool)
+        failed: NDArray[np.bool_] = batch.status[ids] != 0
+        return failed
+    return np.zeros(len(ids), dtype=bool)

@@ -96,12 +96,12 @@ def test_the_problem_suggests_settings(problem: Path, monkeypatch: pytest.Monkey
     """Where the user says nothing, and only those that the method has."""
     from dataclasses import replace
 
-    from dropo.core.catalogue import register
+    from dropo.core import catalogue
 
     def suggesting(threads: int = 0) -> Problem:
         return replace(load(problem, threads=threads), name="suggesting", settings={"draws": 7, "budget": 40, "colour": "red"})
 
-    register("problems", "suggesting", suggesting)
+    monkeypatch.setitem(catalogue._registered["problems"], "suggesting", suggesting)
     out = problem.parent / "out"
     assert main(["fit", "suggesting", *SAMPLED, "--budget", "50", "--out", str(out), "--quiet"]) == 0
     settings = json.loads((out / "run.json").read_text())["settings"]
@@ -140,7 +140,7 @@ REFUSALS = {
     ),
     "draws of a likelihood without": (
         ["--likelihood", "emulated", "--draws", "9"],
-        "--draws has no meaning with a likelihood that draws nothing. Leave it out, or add --likelihood monte-carlo.",
+        "--draws means nothing to a likelihood that draws nothing. Leave it out, or add --likelihood monte-carlo.",
     ),
     "half a seed": (["--seed", "0.5"], "Argument --seed: expected a whole number of at least 0, got '0.5'. See `dropo fit --help`."),
 }  # fmt: skip
@@ -242,15 +242,17 @@ def test_kill_and_resume(problem: Path) -> None:
     assert (killed / "evaluations.jsonl").read_text() == (whole / "evaluations.jsonl").read_text()
 
 
-def test_a_finished_run_is_replayed(problem: Path) -> None:
-    """The same command again evaluates nothing and gives the same file."""
-    out = problem.parent / "out"
-    arguments = ["fit", str(problem), *SMALL, "--out", str(out), "--quiet"]
-    assert main(arguments) == 0
-    before, journal = result(out), (out / "evaluations.jsonl").read_bytes()
-    assert main([*arguments, "--threads", "1"]) == 0
-    assert result(out) == before
-    assert (out / "evaluations.jsonl").read_bytes() == journal
+@pytest.mark.parametrize("options", [(), SMALL, (*SMALL, "--epsilon", "tune"), (*SMALL, "--epsilon", "learn", "--start", "least-squares")])
+def test_a_finished_run_is_replayed(problem: Path, options: tuple[str, ...]) -> None:
+    """The same command again evaluates nothing and gives the same file; so does another number of threads, from the start."""
+    out, other = problem.parent / "out", problem.parent / "other"
+    arguments = ["fit", str(problem), *options, "--quiet"]
+    assert main([*arguments, "--out", str(out), "--threads", "1"]) == 0
+    before, journals = result(out), [path.read_bytes() for path in out.glob("*.jsonl")]  # none where nothing was worth recording
+    assert main([*arguments, "--out", str(out)]) == 0
+    assert (result(out), [path.read_bytes() for path in out.glob("*.jsonl")]) == (before, journals)
+    assert main([*arguments, "--out", str(other), "--threads", "2"]) == 0
+    assert result(other) == before
 
 
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])

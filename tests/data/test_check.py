@@ -1,11 +1,13 @@
 """The check is silent on data that the model itself made, and names the signal that was spoilt."""
 
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
+from dropo.core.checks import Array
 from dropo.core.data import Signal, Trajectories
 from dropo.core.errors import BadArgument
 from dropo.core.problem import Problem
@@ -43,7 +45,7 @@ def clean(simulator: MujocoSimulator) -> Trajectories:
     blank = Trajectories(start, rng.uniform(-1, 1, (n, 2)), start, terminals)
     states = start.copy()
     for t in range(n):  # the simulator answers in the chart at the target; here the full rows are wanted
-        one = Trajectories(states[[t]], blank.actions[[t]], states[[t]], [True])
+        one = Trajectories(states[[t]], blank.actions[[t]], states[[t]], np.array([True]))
         moved = simulator.layout.move(states[[t]], simulator.predict([[1.0]], one.segments())[0] - simulator.targets(one.segments()))
         following = moved[0]
         if not terminals[t]:
@@ -52,7 +54,7 @@ def clean(simulator: MujocoSimulator) -> Trajectories:
     return Trajectories(states, blank.actions, start, terminals)
 
 
-def spoilt(data: Trajectories, **changes: Callable[[np.ndarray], None]) -> Trajectories:
+def spoilt(data: Trajectories, **changes: Callable[[Array], None]) -> Trajectories:
     """A copy of the data with arrays changed in place."""
     arrays = {key: np.array(getattr(data, key)) for key in ("observations", "actions", "next_observations", "terminals")}
     for key, change in changes.items():
@@ -60,7 +62,7 @@ def spoilt(data: Trajectories, **changes: Callable[[np.ndarray], None]) -> Traje
     return Trajectories(**arrays)
 
 
-def put(index: object, value: object) -> Callable[[np.ndarray], None]:
+def put(index: Any, value: Any) -> Callable[[Array], None]:
     return lambda array: array.__setitem__(index, value)
 
 

@@ -7,8 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from dropo.core.catalogue import find
 from dropo.core.data import Trajectories
-from dropo.core.errors import BadFile, Refused, UnknownName
+from dropo.core.errors import BadArgument, BadFile, Refused, UnknownName
 from dropo.problems.reader import load
 from dropo.simulators.fields import FieldParameter
 from dropo.simulators.mujoco import MujocoSimulator
@@ -151,6 +152,8 @@ def test_parameters_may_be_left_out(folder: Path) -> None:
     problem = load(folder / "problem.yaml", threads=1)
     assert len(problem.space) == 0
     assert problem.simulator.predict(np.empty((1, 0)), problem.segments).shape == (1, 60, 4)
+    with pytest.raises(BadArgument, match=r"The 'parameters' of Problem 'problem' must be at least one\. Got 0 instead\."):
+        find("methods", "least-squares")().fit(problem)
 
 
 def test_a_model_may_be_a_built_in_one(folder: Path) -> None:
