@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.catalogue import find
 from dropo.core.checks import Array, known, require
-from dropo.core.errors import SimulationFailed
+from dropo.core.errors import Incompatible, SimulationFailed
 from dropo.core.estimator import Estimator, Run
 from dropo.core.family import Family
 from dropo.core.fit import Fit, Status
@@ -18,7 +18,7 @@ from dropo.core.problem import Problem
 from dropo.core.search import SearchResult, maximise
 from dropo.core.simulator import describe_failures
 from dropo.estimators.least_squares import estimate, misfit
-from dropo.estimators.rounds import fit_in_rounds
+from dropo.estimators.rounds import Rounds
 from dropo.estimators.summary import summarise
 
 SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
@@ -57,6 +57,8 @@ class DROPO(Estimator):
         if not isinstance(self.likelihood, str):
             return self.likelihood
         made = find("likelihoods", self.likelihood)
+        if self.draws is not None and "draws" not in getattr(made, "__dataclass_fields__", {}):
+            raise Incompatible(f"The likelihood {self.likelihood!r} draws nothing. Leave draws out, or use 'monte-carlo'.")
         return made() if self.draws is None else made(draws=self.draws)  # type: ignore[no-any-return]
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
@@ -88,7 +90,7 @@ class DROPO(Estimator):
             return made
 
         centre = estimate(problem, run).value if self.start == "least-squares" else (problem.space.low + problem.space.high) / 2
-        objective, found = fit_in_rounds(problem, run, family, likelihood, epsilon, rng, make if self.optimizer else None, centre)
+        objective, found = Rounds(problem, run, family, likelihood, epsilon, rng, make if self.optimizer else None).fit(centre)
         return self._summary(problem, run, family, objective, found)
 
     def _start(self, problem: Problem, run: Run, family: Family, unknowns: ParameterSpace) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dropo.core.checks import Array
+from dropo.core.data import Segments
 from dropo.core.errors import SimulationFailed
 from dropo.core.estimator import Run
 from dropo.core.family import Family
@@ -17,106 +18,159 @@ from dropo.core.optimizer import Optimizer
 from dropo.core.problem import Problem
 from dropo.core.search import SearchResult, maximise
 
-FIRST, COARSE, LEAST = 1 / 6, 5, 200  # first width as a share of the box; every 5th segment at first, where 200 remain
+FIRST, COARSE, LEAST, EARLY = 1 / 6, 5, 200, 3  # first width as a share of the box; every 5th segment in 3 rounds, where 200 remain
 MOVED, SETTLED = 0.7, 0.15  # a width follows 0.7 of the last move; rounds end when widths change by less than 15 %
 NARROW = 2e-4  # the least width, as a share of the box
+STALLED = 5  # full rounds without a better likelihood, after which the best one is taken
+
+MakeOptimizer = Callable[[int, Array], Optimizer]
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Region:
-    """Where the local model is built: centre and width (d,)."""
+    """Where a local likelihood is built: centre and width (d,), and whether from every 5th segment only."""
 
     centre: Array
     width: Array
+    coarse: bool
 
 
-def fit_in_rounds(
-    problem: Problem, run: Run, family: Family, likelihood: LocalLikelihood, epsilon: Epsilon, rng: np.random.Generator,
-    make_optimizer: Callable[[int, Array], Optimizer] | None, start: Array, rounds: int = 25,
-) -> tuple[LocalLogLikelihood, SearchResult]:  # fmt: skip
-    """The likelihood built around its own maximum, and that maximum. make_optimizer: None for Fisher scoring, else
-    a function of (dimension, start) to an Optimizer."""
-    space = problem.space
-    box = space.high - space.low
-    region = _Region(start.copy(), FIRST * box)
-    coarse = np.arange(len(problem.segments)) % COARSE == 0
-    thin = coarse.sum() >= LEAST and len(problem.segments.levels) == 1
-    design = rng.spawn(1)[0].bit_generator.seed_seq  # type: ignore[attr-defined]  # one scramble for all rounds, so that they can settle
-    phi, local, value = None, None, -np.inf
-    try:
-        for count in range(1, rounds + 1):
-            segments = problem.segments.take(coarse) if thin else problem.segments
-            local, region = _build(problem, run, family, likelihood, epsilon, region, segments, design)
-            phi = _maximise(local, _first(family, local, region, phi), make_optimizer, run)
-            value = local(phi)
-            run.progress(min(0.95, count / 8), f"round {count}, log-likelihood {value:.6g}")
-            move, settled = _move(family, region, phi, box)
-            small = np.all(np.abs(move) < np.maximum.reduce([0.02 * family.sd(phi[: len(family.unknowns)]), 0.1 * _errors(family, local, phi), 1e-2 * NARROW * box]))
-            if not thin and settled and small:
-                return local, SearchResult(phi, value, run.evaluations, f"The estimate stopped moving after {count} rounds.", Status.CONVERGED)
-            if thin and (settled or count >= 3):
-                thin = False
-        reason = f"The estimate still moved after {rounds} rounds: raise the budget, or look at parameters that the data cannot tell."
-        status = Status.OUT_OF_BUDGET
-    except KeyboardInterrupt:
-        if phi is None or local is None:
-            raise
-        reason, status = "Interrupted: this is the best so far.", Status.INTERRUPTED
-    assert local is not None and phi is not None
-    return local, SearchResult(phi, value, run.evaluations, reason, status)
+@dataclass(frozen=True)
+class _Outcome:
+    """A round's maximum phi (m,) with its value, and the standard errors (d,) of its means by the Fisher information."""
+
+    region: _Region
+    phi: Array
+    value: float
+    errors: Array
 
 
-def _build(problem, run, family, likelihood, epsilon, region, segments, design):  # type: ignore[no-untyped-def]
-    """The local likelihood; where a design's simulations diverge, on half the width, up to five times."""
-    for attempt in range(6):
+@dataclass
+class Rounds:
+    """One fit. make_optimizer: a function of (dimension, start) to the inner optimizer, or None for Fisher scoring."""
+
+    problem: Problem
+    run: Run
+    family: Family
+    likelihood: LocalLikelihood
+    epsilon: Epsilon
+    rng: np.random.Generator
+    make_optimizer: MakeOptimizer | None = None
+    most: int = 25
+
+    def __post_init__(self) -> None:
+        self.box = self.problem.space.high - self.problem.space.low
+        self.design = self.rng.spawn(1)[0].bit_generator.seed_seq  # type: ignore[attr-defined]  # one scramble, so that rounds can settle
+        self._built: tuple[_Region, LocalLogLikelihood] | None = None
+
+    def fit(self, start: Array) -> tuple[LocalLogLikelihood, SearchResult]:
+        """The likelihood built around its own maximum, and that maximum, from means (d,)."""
+        thin = self._segments(True) is not self.problem.segments
+        region, done = _Region(start, FIRST * self.box, thin), []
+        status, reason = Status.OUT_OF_BUDGET, f"The estimate still moved after {self.most} rounds: look at parameters that the data cannot tell."
         try:
-            with run.counting(evaluations=1):
-                return likelihood.around(problem.simulator, segments, family, epsilon, region.centre, region.width, np.random.default_rng(design)), region
-        except SimulationFailed:
-            if attempt == 5:
+            while len(done) < self.most:
+                outcome = self._round(region, done[-1].phi if done else None)
+                done.append(outcome)
+                self.run.progress(min(0.95, len(done) / 8), f"round {len(done)}, log-likelihood {outcome.value:.6g}")
+                following = self._following(outcome)
+                settled = bool(np.all(np.abs(following.width / outcome.region.width - 1) < SETTLED))
+                if not outcome.region.coarse and settled and self._still(outcome):
+                    status, reason = Status.CONVERGED, f"The estimate stopped moving after {len(done)} rounds."
+                    break
+                if self._stalled(done):
+                    status, reason = Status.CONVERGED, f"The likelihood stopped rising after {len(done)} rounds; designs differ by more than the steps."
+                    break
+                region = replace(following, coarse=thin and not settled and len(done) < EARLY)
+        except KeyboardInterrupt:
+            if not done:
                 raise
-            region = _Region(region.centre, region.width / 2)
-    raise AssertionError
+            status, reason = Status.INTERRUPTED, "Interrupted: this is the best so far."
+        best = done[-1] if status is not Status.CONVERGED or "moving" in reason else max((o for o in done if not o.region.coarse), key=lambda o: o.value)
+        return self._likelihood_of(best), SearchResult(best.phi, best.value, len(done), reason, status)
 
+    def _round(self, region: _Region, last: Array | None) -> _Outcome:
+        """One round, or its record: what is kept is the width used, the value, phi and the errors."""
+        d = len(self.box)
+        point = np.concatenate([region.centre, region.width])[None]
 
-def _first(family: Family, local: LocalLogLikelihood, region: _Region, phi: Array | None) -> Array:
-    """Where the inner search begins: the last maximum, its scales not below a twentieth of the width."""
-    unknowns = local.unknowns
-    start = np.array(unknowns.from_unit(np.full(len(unknowns), 0.5)) if phi is None else phi)
-    for name, c, h in zip(family.space.names, region.centre, region.width, strict=True):
-        start[unknowns.names.index(f"mean.{name}")] = c
-        if f"scale.{name}" in unknowns.names:
-            relative = h / c if family.logarithmic else h
-            i = unknowns.names.index(f"scale.{name}")
-            start[i] = relative / 2 if phi is None else max(start[i], 0.05 * relative)
-    if phi is None:  # the noise is below the misfit at the middle of the box
-        start[len(family.unknowns) :] = 0.1
-    return np.clip(start, unknowns.low, unknowns.high)
+        def play(point: Array) -> Array:
+            used, local = self._build(region)
+            phi = self._maximise(local, self._first(local, used, last))
+            return np.concatenate([used.width, [local(phi)], self._errors(local, phi), phi])[None]
 
+        kept = self.run.evaluate(point, play)[0]
+        used = replace(region, width=kept[:d])
+        return _Outcome(used, kept[2 * d + 1 :], float(kept[d]), kept[d + 1 : 2 * d + 1])
 
-def _maximise(local: LocalLogLikelihood, start: Array, make_optimizer, run: Run) -> Array:  # type: ignore[no-untyped-def]
-    if make_optimizer is None:
-        return maximise_locally(local, start).phi
-    optimizer: Optimizer = make_optimizer(len(start), np.clip(local.unknowns.to_unit(start), 0.0, 1.0))
-    inside = replace(run, journal=Journal(), progress=lambda share, text: None)
-    return maximise(local, local.unknowns, optimizer, inside).point
+    def _build(self, region: _Region) -> tuple[_Region, LocalLogLikelihood]:
+        """The local likelihood; where a design's simulations diverge, on half the width, up to five times."""
+        for attempt in range(6):
+            try:
+                rng = np.random.default_rng(self.design)
+                local = self.likelihood.around(
+                    self.problem.simulator, self._segments(region.coarse), self.family, self.epsilon, region.centre, region.width, rng
+                )
+                self._built = (region, local)
+                return self._built
+            except SimulationFailed:
+                if attempt == 5:
+                    raise
+                region = replace(region, width=region.width / 2)
+        raise AssertionError
 
+    def _likelihood_of(self, outcome: _Outcome) -> LocalLogLikelihood:
+        """The one that the outcome came from; built again, not counted, where it was read from the record or left behind."""
+        if self._built is None or not np.array_equal(self._built[0].centre, outcome.region.centre):
+            self._build(outcome.region)
+        assert self._built is not None
+        return self._built[1]
 
-def _errors(family: Family, local: LocalLogLikelihood, phi: Array) -> Array:
-    """(d,) the means' standard errors by the Fisher information, as far as the data tell them."""
-    d = len(family.space)
-    information = local.expand(phi)[2][:d, :d]
-    return np.sqrt(np.abs(np.diagonal(np.linalg.pinv(information, hermitian=True))))
+    def _segments(self, coarse: bool) -> Segments:
+        every = self.problem.segments
+        chosen = np.arange(len(every)) % COARSE == 0
+        enough = chosen.sum() >= LEAST and len(every.levels) == 1
+        return every.take(chosen) if coarse and enough else every
 
+    def _first(self, local: LocalLogLikelihood, region: _Region, last: Array | None) -> Array:
+        """Where the inner search begins: the last maximum, its scales not below a twentieth of the width."""
+        unknowns = local.unknowns
+        start = unknowns.from_unit(np.full(len(unknowns), 0.5)) if last is None else last.copy()
+        if last is None:  # learned noise begins below the misfit at the middle of the box
+            start[len(self.family.unknowns) :] = 0.1
+        for name, c, h in zip(self.family.space.names, region.centre, region.width, strict=True):
+            start[unknowns.names.index(f"mean.{name}")] = c
+            if f"scale.{name}" in unknowns.names:
+                i, relative = unknowns.names.index(f"scale.{name}"), h / c if self.family.logarithmic else h
+                start[i] = relative / 2 if last is None else max(start[i], 0.05 * relative)
+        return np.clip(start, unknowns.low, unknowns.high)
 
-def _move(family: Family, region: _Region, phi: Array, box: Array) -> tuple[Array, bool]:
-    """Moves the region to the maximum; the move (d,), and whether its widths have settled."""
-    n = len(family.unknowns)
-    mean, sd = family.mean(phi[:n]), family.sd(phi[:n])
-    spread = np.maximum(family.scale(phi[:n]) * (mean if family.logarithmic else 1.0), sd)
-    move = mean - region.centre
-    want = np.maximum.reduce([spread, MOVED * np.abs(move), NARROW * box])
-    width = np.clip(want, np.maximum(region.width / 20, NARROW * box), 2 * region.width)
-    settled = bool(np.all(np.abs(width / region.width - 1) < SETTLED))
-    region.centre, region.width = mean.copy(), width
-    return move, settled
+    def _maximise(self, local: LocalLogLikelihood, start: Array) -> Array:
+        if self.make_optimizer is None:
+            return maximise_locally(local, start).phi
+        optimizer = self.make_optimizer(len(start), np.clip(local.unknowns.to_unit(start), 0.0, 1.0))
+        inside = replace(self.run, journal=Journal(), progress=lambda share, text: None)
+        return maximise(local, local.unknowns, optimizer, inside).point
+
+    def _errors(self, local: LocalLogLikelihood, phi: Array) -> Array:
+        d = len(self.box)
+        information = local.expand(phi)[2][:d, :d]
+        return np.sqrt(np.abs(np.diagonal(np.linalg.pinv(information, hermitian=True))))
+
+    def _following(self, outcome: _Outcome) -> _Region:
+        """The region around the outcome's mean; wide enough for its spread and for its last move."""
+        phi, width = outcome.phi[: len(self.family.unknowns)], outcome.region.width
+        mean = self.family.mean(phi)
+        spread = np.maximum(self.family.scale(phi) * (mean if self.family.logarithmic else 1.0), self.family.sd(phi))
+        want = np.maximum.reduce([spread, MOVED * np.abs(mean - outcome.region.centre), NARROW * self.box])
+        return _Region(mean, np.clip(want, np.maximum(width / 20, NARROW * self.box), 2 * width), outcome.region.coarse)
+
+    def _still(self, outcome: _Outcome) -> bool:
+        """Whether the mean moved by less than a fiftieth of its spread or a tenth of its standard error."""
+        phi = outcome.phi[: len(self.family.unknowns)]
+        move = np.abs(self.family.mean(phi) - outcome.region.centre)
+        return bool(np.all(move < np.maximum.reduce([0.02 * self.family.sd(phi), 0.1 * outcome.errors, 0.01 * NARROW * self.box])))
+
+    def _stalled(self, done: list[_Outcome]) -> bool:
+        values = [outcome.value for outcome in done if not outcome.region.coarse]
+        return len(values) > STALLED and max(values[-STALLED:]) <= max(values[:-STALLED])

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from dropo.core.checks import Array, check_shape, require
 from dropo.core.data import Ints
-
-HUGE = 1e10  # mjMAXVAL: beyond it MuJoCo itself calls a state divergent
+from dropo.simulators.mujoco import HUGE, quiet
 
 Policy = Callable[[Array, Ints, int], Array]
 """Actions (m, nu) at a control step, from the states (m, nq + nv) of the simulations `ids` (m,): policy(states, ids, step)."""
@@ -99,7 +98,8 @@ def _without_autoreset(model: mujoco.MjModel) -> mujoco.MjModel:
 def _step(batch: Batch, ids: Ints, frame_skip: int) -> NDArray[np.bool_]:
     """(m,) which of the simulations MuJoCo gave up with an error."""
     try:
-        batch.step(ids, frame_skip)
+        with quiet():
+            batch.step(ids, frame_skip)
     except SimulationError:
         failed: NDArray[np.bool_] = batch.status[ids] != 0
         return failed

@@ -164,7 +164,6 @@ def test_closed_loop_equals_stepping_by_hand():
             np.testing.assert_array_equal(np.r_[state.qpos, state.qvel], runs.states[i, t + 1])
 
 
-@pytest.mark.filterwarnings("ignore")
 def test_a_diverging_simulation_ends_and_spoils_no_other():
     """MuJoCo itself would put it back to its initial state and go on."""
     model = hopper_model()
