@@ -87,8 +87,9 @@ class Trajectories:
         end = self.terminals[rows].copy()
         end[:-1] |= np.diff(rows) != 1
         end[-1] = True
-        pick = lambda array: None if array is None else array[rows]  # noqa: E731
-        return Trajectories(self.observations[rows], self.actions[rows], self.next_observations[rows], end, pick(self.group), pick(self.time))
+        group = None if self.group is None else self.group[rows]
+        time = None if self.time is None else self.time[rows]
+        return Trajectories(self.observations[rows], self.actions[rows], self.next_observations[rows], end, group, time)
 
     def segments(
         self, length: int = 1, *, reset: Reset = "transition", set_columns: ArrayLike | None = None, every_step: bool = False
@@ -124,10 +125,11 @@ def _whole(spans: list[tuple[int, int]]) -> tuple[Ints, Ints]:
 
 
 def _windows(spans: list[tuple[int, int]], length: int, *, chained: bool) -> tuple[Ints, Ints]:
-    starts, previous = [], []
+    starts: list[Ints] = []
+    previous: list[Ints] = []
     for start, stop in spans:
         own = np.arange(start, stop - length + 1, length)
-        first = sum(map(len, starts))
+        first = sum(len(own) for own in starts)
         starts.append(own)
         previous.append(np.arange(first, first + len(own)) - 1)
         previous[-1][:1] = -1

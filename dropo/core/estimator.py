@@ -64,7 +64,9 @@ class Estimator(ABC):
 
     name: str
 
-    def fit(self, problem: Problem, *, rng: np.random.Generator | int | None = 0, journal: Journal | None = None, progress: Progress = silent) -> Fit:
+    def fit(
+        self, problem: Problem, *, rng: np.random.Generator | int | None = 0, journal: Journal | None = None, progress: Progress = silent
+    ) -> Fit:
         """Fits the distribution of the problem's parameters. rng: anything that numpy.random.default_rng takes."""
         require(len(problem.space) >= 1, "parameters", "at least one", 0, f"Problem {problem.name!r}")
         begun = time.perf_counter()

@@ -72,7 +72,9 @@ def maximise_locally(objective: LocalLogLikelihood, start: Array, *, tolerance: 
             return Maximum(at.phi(theta), value, score, information, evaluations, True)
         matrix = information[np.ix_(free, free)] + damping * np.diag(size[free])
         target = theta.copy()
-        target[free] += np.linalg.solve(matrix / np.outer(np.sqrt(size[free]), np.sqrt(size[free])), score[free] / np.sqrt(size[free])) / np.sqrt(size[free])
+        target[free] += np.linalg.solve(
+            matrix / np.outer(np.sqrt(size[free]), np.sqrt(size[free])), score[free] / np.sqrt(size[free])
+        ) / np.sqrt(size[free])
         moved = at.limit(theta, target)
         new = expand(moved)
         evaluations += 1

@@ -77,11 +77,12 @@ class Fit:
         return {
             "method": self.method, "problem": self.problem, "seed": self.seed, "version": __version__, "parameters": parameters,
             "correlation": self.correlation.tolist(), "family": self.family, "phi": self.phi.tolist(), "epsilon": self.epsilon.tolist(),
-            "log_likelihood": _number(self.log_likelihood), "log_likelihood_per_transition": _number(self.log_likelihood / self.transitions),
+            "log_likelihood": _number(self.log_likelihood),
+            "log_likelihood_per_transition": _number(self.log_likelihood / self.transitions),
             "mse": _number(self.mse), "transitions": self.transitions, "simulator_steps": self.simulator_steps,
             "failed_simulations": self.failed_simulations, "objective_evaluations": self.objective_evaluations,
-            "wall_time_s": round(self.wall_time_s, 3), "status": self.status.value, "message": self.message, "warnings": list(self.warnings),
-            **self.details,
+            "wall_time_s": round(self.wall_time_s, 3), "status": self.status.value, "message": self.message,
+            "warnings": list(self.warnings), **self.details,
         }  # fmt: skip
 
     def save(self, folder: str | Path) -> None:
@@ -90,7 +91,8 @@ class Fit:
         folder.mkdir(parents=True, exist_ok=True)
         whole = folder / ".fit.npz"
         with whole.open("wb") as file:
-            np.savez(file, **{"phi": self.phi, "correlation": self.correlation, "epsilon": self.epsilon, **self.arrays})  # type: ignore[arg-type]
+            own: dict[str, Any] = {"phi": self.phi, "correlation": self.correlation, "epsilon": self.epsilon}
+            np.savez(file, **{**own, **self.arrays})
         whole.replace(folder / "fit.npz")
         text = folder / ".fit.json"
         text.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
@@ -122,18 +124,27 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
+def _value(saved: float | None, missing: float = np.nan) -> float:
+    return missing if saved is None else float(saved)
+
+
+def _space(rows: dict[str, dict[str, Any]]) -> ParameterSpace:
+    return ParameterSpace(
+        tuple(
+            Parameter(name, row["low"], row["high"], row["unit"], _value(row["lower"], -np.inf), _value(row["upper"], np.inf))
+            for name, row in rows.items()
+        )
+    )
+
+
 def _from_json(cls: type[Fit], content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
     rows = content["parameters"]
-    nan = lambda value, other=np.nan: other if value is None else value  # noqa: E731
-    column = lambda key: np.array([nan(row[key]) for row in rows.values()], dtype=float)  # noqa: E731
-    space = ParameterSpace(tuple(
-        Parameter(name, row["low"], row["high"], row["unit"], nan(row["lower"], -np.inf), nan(row["upper"], np.inf)) for name, row in rows.items()
-    ))  # fmt: skip
+    columns = {key: np.array([_value(row[key]) for row in rows.values()]) for key in ("mean", "scale", "sd", "mean_se", "scale_se")}
     own = {key: arrays.pop(key) for key in ("phi", "correlation", "epsilon")}
     known = {"version", "parameters", "log_likelihood", "log_likelihood_per_transition", "status", "warnings", *own, *_SAVED}
+    saved: dict[str, Any] = {key: content[key] for key in _SAVED} | {"mse": _value(content["mse"])} | columns | own
     return cls(
-        space=space, mean=column("mean"), scale=column("scale"), sd=column("sd"), mean_se=column("mean_se"), scale_se=column("scale_se"),
-        log_likelihood=nan(content["log_likelihood"]), status=Status(content["status"]), warnings=tuple(content["warnings"]),
-        arrays=arrays, details={key: value for key, value in content.items() if key not in known}, **own,
-        **{key: nan(content[key]) if key == "mse" else content[key] for key in _SAVED},
+        space=_space(rows), log_likelihood=_value(content["log_likelihood"]), status=Status(content["status"]),
+        warnings=tuple(content["warnings"]), arrays=arrays,
+        details={key: value for key, value in content.items() if key not in known}, **saved,
     )  # fmt: skip

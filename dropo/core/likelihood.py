@@ -15,7 +15,6 @@ from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.simulator import Simulator
 
 
-
 @dataclass(frozen=True, eq=False)
 class Learned:
     """Epsilon to be found: a factor in [1e-8, 1e4] on the given noise variances (p,), one for all signals, or each its own."""
@@ -185,6 +184,8 @@ class LocalLikelihood(Likelihood):
     ) -> LocalLogLikelihood:  # fmt: skip
         """The log-likelihood of members with means near centre (d,) and scales up to about width (d,)."""
 
-    def bind(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, rng: np.random.Generator) -> LocalLogLikelihood:
+    def bind(
+        self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, rng: np.random.Generator
+    ) -> LocalLogLikelihood:
         space = simulator.space
         return self.around(simulator, segments, family, epsilon, (space.low + space.high) / 2, (space.high - space.low) / 6, rng)

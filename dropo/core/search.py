@@ -14,7 +14,7 @@ from dropo.core.likelihood import LogLikelihood
 from dropo.core.optimizer import Optimizer
 from dropo.core.parameters import ParameterSpace
 
-Objective = Callable[[Array], float]
+Objective = Callable[[Array], Any]
 
 
 @dataclass(frozen=True)

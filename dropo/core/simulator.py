@@ -43,7 +43,7 @@ class Simulator(ABC):
             offsets = float_array("offsets", offsets, (len(array), len(segments), self.start_size), caller)
         predictions = self._predict(array, segments, offsets)
         check_shape("predictions", predictions, (len(array), len(segments.rows[0]), len(self.signals)), caller)
-        bad = ~np.isfinite(predictions).all(axis=2)  # (K, R)
+        bad = np.asarray(~np.isfinite(predictions).all(axis=2))  # (K, R)
         predictions[bad] = np.nan
         self.steps += int(segments.lengths.sum()) * len(array) * self.steps_per_action
         self.failures += len({(k, s) for k, s in zip(*_where(bad, segments), strict=True)}) if bad.any() else 0

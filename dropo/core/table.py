@@ -11,8 +11,12 @@ if TYPE_CHECKING:
 def text_table(header: list[str], rows: list[list[str]]) -> str:
     """Columns padded with blanks; the first one to the left, the others to the right."""
     widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-    line = lambda row: "  ".join(cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True)))  # noqa: E731
-    return "\n".join([line(header).rstrip(), "  ".join("-" * w for w in widths), *(line(row).rstrip() for row in rows)])
+
+    def line(row: list[str]) -> str:
+        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        return "  ".join(cells).rstrip()
+
+    return "\n".join([line(header), "  ".join("-" * width for width in widths), *(line(row) for row in rows)])
 
 
 def number(value: float, digits: int = 5) -> str:
@@ -27,11 +31,11 @@ def fit_table(fit: "Fit") -> str:
         [p.name, p.unit, number(fit.mean[i], 7), number(fit.mean_se[i], 2), number(fit.scale[i], 4), number(fit.sd[i], 4)]
         for i, p in enumerate(fit.space)
     ]
-    per = fit.log_likelihood / fit.transitions
+    likelihood = f"log-likelihood {fit.log_likelihood:.6g} ({fit.log_likelihood / fit.transitions:.4g} a transition)"
     lines = [
         f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
         text_table(header, rows),
-        f"log-likelihood {fit.log_likelihood:.6g} ({per:.4g} a transition), mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
+        f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
         f"{fit.simulator_steps:,} simulator steps, {fit.objective_evaluations} evaluations, {fit.wall_time_s:.1f} s",
         f"{fit.status.value}: {fit.message}",
         *(f"warning: {text}" for text in fit.warnings),

@@ -1,6 +1,7 @@
 """A single value of every parameter: what a point estimate is as a distribution."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dropo.core.checks import Array
 from dropo.core.family import Family
@@ -29,5 +30,5 @@ class Point(Family):
     def scale(self, phi: Array) -> Array:
         return np.zeros(len(phi))
 
-    def phi(self, mean: Array, scale: Array) -> Array:
+    def phi(self, mean: ArrayLike, scale: ArrayLike) -> Array:
         return np.clip(np.asarray(mean, dtype=float), self.unknowns.low, self.unknowns.high)

@@ -37,9 +37,13 @@ class DROID(Estimator):
             predictions = simulator.predict(space.from_unit(points), segments)
             return -np.sum((predictions - targets) ** 2, axis=(1, 2))
 
-        search = find("optimizers", self.optimizer)(len(space), run.rng, budget=self.budget, **({"restarts": 0} if self.optimizer == "cma-es" else {}))
+        search = find("optimizers", self.optimizer)(
+            len(space), run.rng, budget=self.budget, **({"restarts": 0} if self.optimizer == "cma-es" else {})
+        )
         if not hasattr(search, "covariance"):
-            raise Incompatible(f"DROID reads its distribution from the optimizer's covariance, and {self.optimizer!r} has none. Use 'cma-es'.")
+            raise Incompatible(
+                f"DROID reads its distribution from the optimizer's covariance, and {self.optimizer!r} has none. Use 'cma-es'."
+            )
         result = maximise(minus_distance, space, search, run, batched=True)
         width = space.high - space.low
         covariance = search.covariance * np.outer(width, width)

@@ -7,6 +7,7 @@ import numpy as np
 
 from dropo.core.catalogue import find
 from dropo.core.checks import Array, known, require
+from dropo.core.data import Ints
 from dropo.core.errors import Incompatible, SimulationFailed
 from dropo.core.estimator import Estimator, Run
 from dropo.core.family import Family
@@ -32,8 +33,8 @@ class DROPO(Estimator):
     5000 evaluations, start "middle". likelihood, family, optimizer: names, or a Likelihood object; without an optimizer,
     Fisher scoring where the likelihood knows its information, else "cma-es". epsilon: the noise variance, one or for each
     signal; "learn", one for each signal found with the rest (sampled likelihoods: one factor on the variances that least
-    squares leaves); "tune", section 5.3: the smallest of `sweep` whose fit has a mean squared error of at most `mse_threshold`; None, the problem's own
-    where it names one, else "learn". start: the first mean, a least-squares estimate or the middle of the box.
+    squares leaves); "tune", section 5.3: the smallest of `sweep` whose fit has a mean squared error of at most
+    `mse_threshold`; None, the problem's own where it names one, else "learn". start: the first mean, a least-squares estimate or the middle of the box.
     """
 
     likelihood: str | Likelihood = "emulated"
@@ -50,7 +51,13 @@ class DROPO(Estimator):
     def __post_init__(self) -> None:
         known("start", self.start, ("least-squares", "middle"))
         require(self.budget >= 1, "budget", "at least 1", self.budget, "DROPO")
-        require(self.draws is None or isinstance(self.likelihood, str), "draws", "left out where the likelihood brings its own", self.draws, "DROPO")
+        require(
+            self.draws is None or isinstance(self.likelihood, str),
+            "draws",
+            "left out where the likelihood brings its own",
+            self.draws,
+            "DROPO",
+        )
         self._likelihood()
 
     def _likelihood(self) -> Likelihood:
@@ -59,19 +66,21 @@ class DROPO(Estimator):
         made = find("likelihoods", self.likelihood)
         if self.draws is not None and "draws" not in getattr(made, "__dataclass_fields__", {}):
             raise Incompatible(f"The likelihood {self.likelihood!r} draws nothing. Leave draws out, or use 'monte-carlo'.")
-        return made() if self.draws is None else made(draws=self.draws)  # type: ignore[no-any-return]
+        return made() if self.draws is None else made(draws=self.draws)
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
+        seeds = run.rng.integers(2**63, size=2)
         if self.epsilon == "tune":
-            return tune(self, problem, run)
+            return tune(self, problem, run, seeds)
         if self.epsilon == "learn" or (self.epsilon is None and problem.epsilon is None):
             local = isinstance(self._likelihood(), LocalLikelihood)
-            return self._fit_with(problem, run, Learned(misfit(problem, run), each=True) if local else Learned(noise_shape(problem, run)))
-        return self._fit_with(problem, run, np.asarray(problem.epsilon if self.epsilon is None else self.epsilon, dtype=float))
+            noise = Learned(misfit(problem, run), each=True) if local else Learned(noise_shape(problem, run))
+            return self._fit_with(problem, run, noise, seeds)
+        return self._fit_with(problem, run, np.asarray(problem.epsilon if self.epsilon is None else self.epsilon, dtype=float), seeds)
 
-    def _fit_with(self, problem: Problem, run: Run, epsilon: Epsilon) -> Fit:
+    def _fit_with(self, problem: Problem, run: Run, epsilon: Epsilon, seeds: Ints) -> Fit:
         family = find("families", self.family)(problem.space)
-        randomness, search = np.random.default_rng(run.rng.bit_generator.seed_seq).spawn(2)  # type: ignore[attr-defined]
+        randomness, search = (np.random.default_rng(int(seed)) for seed in seeds)
         likelihood = self._likelihood()
         if isinstance(likelihood, LocalLikelihood):
             return self._fit_locally(problem, run, family, likelihood, epsilon, randomness)
@@ -86,7 +95,9 @@ class DROPO(Estimator):
         self, problem: Problem, run: Run, family: Family, likelihood: LocalLikelihood, epsilon: Epsilon, rng: np.random.Generator
     ) -> Fit:
         def make(dimension: int, start: Array) -> Optimizer:
-            made: Optimizer = find("optimizers", self.optimizer or "")(dimension, rng.spawn(1)[0], start=start, step=0.1, budget=self.budget)
+            made: Optimizer = find("optimizers", self.optimizer or "")(
+                dimension, rng.spawn(1)[0], start=start, step=0.1, budget=self.budget
+            )
             return made
 
         centre = estimate(problem, run).value if self.start == "least-squares" else (problem.space.low + problem.space.high) / 2
@@ -108,8 +119,14 @@ class DROPO(Estimator):
         return summarise(
             problem, run, method=self.name, family=family, family_name=self.family, phi=found.point, epsilon=objective.epsilon(found.point),
             log_likelihood=found.value, mean_prediction=mean, status=found.status, message=found.reason,
-            details={"likelihood": self.likelihood if isinstance(self.likelihood, str) else type(self.likelihood).__name__, "optimizer": self.optimizer or ("fisher-scoring" if isinstance(objective, LocalLogLikelihood) else "cma-es")},
+            details=self._parts(objective),
         )  # fmt: skip
+
+
+    def _parts(self, objective: LogLikelihood) -> dict[str, str]:
+        default = "fisher-scoring" if isinstance(objective, LocalLogLikelihood) else "cma-es"
+        named = self.likelihood if isinstance(self.likelihood, str) else type(self.likelihood).__name__
+        return {"likelihood": named, "optimizer": self.optimizer or default}
 
 
 def noise_shape(problem: Problem, run: Run) -> Array:
@@ -134,7 +151,7 @@ def check_start(problem: Problem, run: Run, family: Family, phi: Array) -> None:
         raise SimulationFailed(f"{sentence} Leave those segments out, or start elsewhere.")
 
 
-def tune(settings: DROPO, problem: Problem, run: Run) -> Fit:
+def tune(settings: DROPO, problem: Problem, run: Run, seeds: Ints) -> Fit:
     """The fit at the smallest epsilon of the sweep with an acceptable mean squared error (thesis, section 5.3, figure 6.4).
 
     Without a threshold, acceptable is at most 1.1 times the least of the sweep. Its table is in `details["tuning"]`.
@@ -142,16 +159,21 @@ def tune(settings: DROPO, problem: Problem, run: Run) -> Fit:
     fits = []
     for i, epsilon in enumerate(sorted(settings.sweep)):
         report = run.progress
-        run.progress = lambda share, text, i=i, report=report, e=epsilon: report((i + share) / len(settings.sweep), f"epsilon {e:.0e}: {text}")  # type: ignore[misc]
-        fits.append(settings._fit_with(problem, run, epsilon))
+        run.progress = lambda share, text, i=i, report=report, e=epsilon: report(
+            (i + share) / len(settings.sweep), f"epsilon {e:.0e}: {text}"
+        )  # type: ignore[misc]
+        fits.append(settings._fit_with(problem, run, epsilon, seeds))
         run.progress = report
         if fits[-1].status is Status.INTERRUPTED:
             break
     least = min(fit.mse for fit in fits)
-    threshold = settings.mse_threshold if settings.mse_threshold is not None else 1.1 * least + 1e-10 * float(np.var(problem.segments.targets))
+    threshold = (
+        settings.mse_threshold if settings.mse_threshold is not None else 1.1 * least + 1e-10 * float(np.var(problem.segments.targets))
+    )
     accepted = [fit for fit in fits if fit.mse <= threshold]
     table = [
-        {"epsilon": float(f.epsilon[0]), "total_variance": float(np.sum(f.sd**2)), "mse": f.mse, "log_likelihood": f.log_likelihood} for f in fits
+        {"epsilon": float(f.epsilon[0]), "total_variance": float(np.sum(f.sd**2)), "mse": f.mse, "log_likelihood": f.log_likelihood}
+        for f in fits
     ]
     best = accepted[0] if accepted else min(fits, key=lambda fit: fit.mse)
     note = () if accepted else (f"no epsilon of the sweep reaches the mean squared error {threshold:.3g}; the least is shown",)

@@ -65,7 +65,9 @@ def estimate(problem: Problem, run: Run, weights: str | tuple[float, ...] = "noi
         first = _solve(problem, run, 1 / misfit(problem, run), problem.space.from_unit(np.full(len(problem.space), 0.5)), budget)
         noise = np.maximum(first.noise, np.maximum(1e-16 * np.var(targets, axis=0), 1e-300))  # rounding, where the model is perfect
         second = _solve(problem, run, 1 / noise, first.value, budget)
-        return PointEstimate(second.value, second.noise, second.predicted, first.evaluations + second.evaluations, second.converged, second.message)
+        return PointEstimate(
+            second.value, second.noise, second.predicted, first.evaluations + second.evaluations, second.converged, second.message
+        )
     p = targets.shape[1]
     chosen = np.ones(p) if weights == "equal" else float_array("weights", weights, (p,), "LeastSquares")
     return _solve(problem, run, chosen, problem.space.from_unit(np.full(len(problem.space), 0.5)), budget)
@@ -104,7 +106,9 @@ def _solve(problem: Problem, run: Run, weights: Array, start: Array, budget: int
     before = run.evaluations
     unit = np.clip((start - space.low) / width, 1e-9, 1 - 1e-9)
     try:
-        result = scipy.optimize.least_squares(residuals, unit, jacobian, bounds=(0.0, 1.0), xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=budget)
+        result = scipy.optimize.least_squares(
+            residuals, unit, jacobian, bounds=(0.0, 1.0), xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=budget
+        )
     except SimulationFailed as error:
         raise SimulationFailed(f"Least squares met a simulation that diverged: {error} Narrow the bounds.") from None
     value = space.low + result.x * width

@@ -23,6 +23,10 @@ MOVED, SETTLED = 0.7, 0.15  # a width follows 0.7 of the last move; rounds end w
 NARROW = 2e-4  # the least width, as a share of the box
 STALLED = 5  # full rounds without a better likelihood, after which the best one is taken
 
+UNSETTLED = "The estimate still moved after {} rounds: look at parameters that the data cannot tell."
+SETTLED_IN = "The estimate stopped moving after {} rounds."
+STOPPED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
+
 MakeOptimizer = Callable[[int, Array], Optimizer]
 
 
@@ -60,14 +64,15 @@ class Rounds:
 
     def __post_init__(self) -> None:
         self.box = self.problem.space.high - self.problem.space.low
-        self.design = self.rng.spawn(1)[0].bit_generator.seed_seq  # type: ignore[attr-defined]  # one scramble, so that rounds can settle
+        self.design = int(self.rng.spawn(1)[0].integers(2**63))  # one scramble, so that rounds can settle
         self._built: tuple[_Region, LocalLogLikelihood] | None = None
 
     def fit(self, start: Array) -> tuple[LocalLogLikelihood, SearchResult]:
         """The likelihood built around its own maximum, and that maximum, from means (d,)."""
         thin = self._segments(True) is not self.problem.segments
-        region, done = _Region(start, FIRST * self.box, thin), []
-        status, reason = Status.OUT_OF_BUDGET, f"The estimate still moved after {self.most} rounds: look at parameters that the data cannot tell."
+        region = _Region(start, FIRST * self.box, thin)
+        done: list[_Outcome] = []
+        status, reason = Status.OUT_OF_BUDGET, UNSETTLED.format(self.most)
         try:
             while len(done) < self.most:
                 outcome = self._round(region, done[-1].phi if done else None)
@@ -76,17 +81,18 @@ class Rounds:
                 following = self._following(outcome)
                 settled = bool(np.all(np.abs(following.width / outcome.region.width - 1) < SETTLED))
                 if not outcome.region.coarse and settled and self._still(outcome):
-                    status, reason = Status.CONVERGED, f"The estimate stopped moving after {len(done)} rounds."
+                    status, reason = Status.CONVERGED, SETTLED_IN.format(len(done))
                     break
                 if self._stalled(done):
-                    status, reason = Status.CONVERGED, f"The likelihood stopped rising after {len(done)} rounds; designs differ by more than the steps."
+                    status, reason = Status.CONVERGED, STOPPED.format(len(done))
                     break
                 region = replace(following, coarse=thin and not settled and len(done) < EARLY)
         except KeyboardInterrupt:
             if not done:
                 raise
             status, reason = Status.INTERRUPTED, "Interrupted: this is the best so far."
-        best = done[-1] if status is not Status.CONVERGED or "moving" in reason else max((o for o in done if not o.region.coarse), key=lambda o: o.value)
+        full = [outcome for outcome in done if not outcome.region.coarse]
+        best = max(full, key=lambda outcome: outcome.value) if self._stalled(done) else done[-1]
         return self._likelihood_of(best), SearchResult(best.phi, best.value, len(done), reason, status)
 
     def _round(self, region: _Region, last: Array | None) -> _Outcome:

@@ -34,8 +34,8 @@ def summarise(
         notes.append(f"no standard errors: {error}")
     misfit = mean_prediction - problem.simulator.targets(problem.segments)
     return Fit(
-        method=method, problem=problem.name, space=problem.space, family=family_name, phi=phi[: len(family.unknowns)], mean=mean, scale=scale,
-        sd=sd, mean_se=mean_se, scale_se=scale_se, correlation=correlation, epsilon=epsilon, log_likelihood=log_likelihood,
+        method=method, problem=problem.name, space=problem.space, family=family_name, phi=phi[: len(family.unknowns)], mean=mean,
+        scale=scale, sd=sd, mean_se=mean_se, scale_se=scale_se, correlation=correlation, epsilon=epsilon, log_likelihood=log_likelihood,
         mse=float(np.mean(misfit**2)), transitions=int(problem.segments.lengths.sum()), simulator_steps=0, failed_simulations=0,
         objective_evaluations=0, status=status, message=message, warnings=tuple(notes), arrays=arrays or {}, details=details or {},
     )  # fmt: skip

@@ -43,8 +43,9 @@ class UniformRandomization(Estimator):
         with run.counting(evaluations=1):
             value = likelihood.bind(problem.simulator, problem.segments, family, np.asarray(epsilon, dtype=float), base)(phi)
         return summarise(
-            problem, run, method=self.name, family=family, family_name="uniform", phi=phi, epsilon=np.asarray(epsilon, dtype=float), log_likelihood=value,
-            mean_prediction=mean, status=Status.DONE, message="Bounds drawn at random; nothing was fitted.", arrays={"bounds": bounds},
+            problem, run, method=self.name, family=family, family_name="uniform", phi=phi, epsilon=np.asarray(epsilon, dtype=float),
+            log_likelihood=value, mean_prediction=mean, status=Status.DONE, message="Bounds drawn at random; nothing was fitted.",
+            arrays={"bounds": bounds},
         )  # fmt: skip
 
 

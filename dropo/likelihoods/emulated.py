@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import qmc
 
 from dropo.core.checks import Array
@@ -34,7 +34,9 @@ class Emulated(LocalLikelihood):
         rng: np.random.Generator,
     ) -> LocalLogLikelihood:  # fmt: skip
         if family.standard is None:
-            raise Incompatible(f"The family {type(family).__name__} names no standard law, so its moments are not known. Use likelihood 'monte-carlo'.")
+            raise Incompatible(
+                f"The family {type(family).__name__} names no standard law, so its moments are not known. Use likelihood 'monte-carlo'."
+            )
         orders = np.full(len(centre), self.order) if self.order else orders_for(width / (simulator.space.high - simulator.space.low))
         logarithmic = family.logarithmic
         c, h = (np.log(centre), width / centre) if logarithmic else (centre, width)
@@ -50,7 +52,9 @@ def orders_for(share: Array) -> NDArray[np.int64]:
 class _EmulatedLogLikelihood(LocalLogLikelihood):
     has_gradients = True
 
-    def __init__(self, emulator: Emulator, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array):
+    def __init__(
+        self, emulator: Emulator, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array
+    ):
         self.emulator, self.family = emulator, family
         self.targets = simulator.targets(segments)
         self.noise = NoiseModel(epsilon, len(simulator.signals))
@@ -90,8 +94,8 @@ class _EmulatedLogLikelihood(LocalLogLikelihood):
     def epsilon(self, phi: Array) -> Array:
         return self.noise.epsilon(phi[len(self.family.unknowns) :])
 
-    def gradient(self, phi: Array) -> Array:
-        return self.expand(phi)[1]
+    def gradient(self, phi: ArrayLike) -> Array:
+        return self.expand(np.asarray(phi, dtype=float))[1]
 
     def expand(self, phi: Array) -> tuple[float, Array, Array]:
         mean, factor, sigma = self._moments(phi)

@@ -12,17 +12,23 @@ SOURCE = "https://raw.githubusercontent.com/gabrieletiboni/dropo/a9861643bc8e183
 EPISODE = 500  # transitions of each of the 20 trajectories
 FIRST = 1000  # transitions that the thesis fits
 FILES = {
-    "clean": {
-        "observations": ("hopper10000/hoppermass_n10000_observations.npy", "67a6934c06a6a84e0b7b34e03b4574b159de1d034fa080ddf3fa7477738281fe"),
-        "actions": ("hopper10000/hoppermass_n10000_actions.npy", "27b6ce4f6d0f826f261f8233dab031e115aada2e2ea19baa242714d2c556e095"),
-        "next_observations": ("hopper10000/hoppermass_n10000_nextobservations.npy", "5afe0240ef830ea37f364f01c1f02b1728241c3d2c2ff506639ba8cb5f5b8e72"),
-    },
-    "noisy-1e-5": {
-        "observations": ("hoppernoisy1e-510000/hopper_n10000_observations.npy", "f7e0a77f0d6f3f2947f976bc1854eac0d7d40e63495b22139ecb219f1ab7ab64"),
-        "actions": ("hoppernoisy1e-510000/hopper_n10000_actions.npy", "7fc718aafcd19654a160bd14373baf6b24529efae50841d66b18ccf1a3066a00"),
-        "next_observations": ("hoppernoisy1e-510000/hopper_n10000_nextobservations.npy", "50e9f7785500f556a96d5446f4d74e684ddcdfd97980be333f43b302aecad121"),
-    },
-}  # fmt: skip
+    "clean": "hopper10000/hoppermass_n10000",
+    "noisy-1e-5": "hoppernoisy1e-510000/hopper_n10000",
+}
+DIGESTS = {
+    "clean": (
+        "67a6934c06a6a84e0b7b34e03b4574b159de1d034fa080ddf3fa7477738281fe",
+        "27b6ce4f6d0f826f261f8233dab031e115aada2e2ea19baa242714d2c556e095",
+        "5afe0240ef830ea37f364f01c1f02b1728241c3d2c2ff506639ba8cb5f5b8e72",
+    ),
+    "noisy-1e-5": (
+        "f7e0a77f0d6f3f2947f976bc1854eac0d7d40e63495b22139ecb219f1ab7ab64",
+        "7fc718aafcd19654a160bd14373baf6b24529efae50841d66b18ccf1a3066a00",
+        "50e9f7785500f556a96d5446f4d74e684ddcdfd97980be333f43b302aecad121",
+    ),
+}
+"""sha256 of the float64 content of observations, actions and next observations."""
+KEYS = {"observations": "observations", "actions": "actions", "next_observations": "nextobservations"}
 
 
 def published(which: str) -> Trajectories:
@@ -30,9 +36,10 @@ def published(which: str) -> Trajectories:
     path = find_data(f"hopper-published/{which}.npz")
     if path is not None:
         return read(path)
-    arrays = fetch_arrays(SOURCE, FILES[which])
-    n = len(arrays["observations"])
-    return Trajectories(**arrays, terminals=np.arange(n) % EPISODE == EPISODE - 1)
+    files = {key: (f"{FILES[which]}_{name}.npy", digest) for (key, name), digest in zip(KEYS.items(), DIGESTS[which], strict=True)}
+    arrays = fetch_arrays(SOURCE, files)
+    ends = np.arange(len(arrays["observations"])) % EPISODE == EPISODE - 1
+    return Trajectories(arrays["observations"], arrays["actions"], arrays["next_observations"], ends)
 
 
 def hopper_published(threads: int = 0) -> Problem:

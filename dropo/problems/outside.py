@@ -35,7 +35,9 @@ def fetch_arrays(base_url: str, files: dict[str, tuple[str, str]]) -> dict[str, 
 
     out = {}
     for key, (file, digest) in files.items():
-        path = pooch.retrieve(f"{base_url}/{file}", known_hash=None, path=pooch.os_cache("dropo"), fname=file.replace("/", "-"), progressbar=False)
+        path = pooch.retrieve(
+            f"{base_url}/{file}", known_hash=None, path=pooch.os_cache("dropo"), fname=file.replace("/", "-"), progressbar=False
+        )
         out[key] = np.ascontiguousarray(np.load(path, allow_pickle=False), dtype=np.float64)
         got = hashlib.sha256(out[key].tobytes()).hexdigest()
         if got != digest:

@@ -74,7 +74,11 @@ def _float_like(value: Any) -> bool:
 
 def model_fields(model: mujoco.MjModel) -> list[str]:
     """The names of the model's float64 arrays."""
-    return [name for name in dir(model) if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray) and _float_like(getattr(model, name))]
+    return [
+        name
+        for name in dir(model)
+        if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray) and _float_like(getattr(model, name))
+    ]
 
 
 def option_fields(model: mujoco.MjModel) -> list[str]:
@@ -85,7 +89,9 @@ def option_fields(model: mujoco.MjModel) -> list[str]:
 def element_names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
     """The names of the model's elements of one kind ("body", "joint", ...), and their ids; unnamed ones are left out."""
     obj = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-    count = {"joint": "njnt", "camera": "ncam", "equality": "neq", "actuator": "nu", "pair": "npair", "material": "nmat"}.get(kind, f"n{kind}")
+    count = {"joint": "njnt", "camera": "ncam", "equality": "neq", "actuator": "nu", "pair": "npair", "material": "nmat"}.get(
+        kind, f"n{kind}"
+    )
     found = ((mujoco.mj_id2name(model, obj, i), i) for i in range(getattr(model, count)))
     return {name: i for name, i in found if name}
 
@@ -97,7 +103,9 @@ def _entries(parameter: FieldParameter, model: mujoco.MjModel, array: Any) -> An
     if rows is None:
         shape = np.shape(array)
         if parameter.element is not None:
-            raise BadArgument(f"The field {parameter.field!r} of {owner} has no named elements, and the name {parameter.element!r} was given.")
+            raise BadArgument(
+                f"The field {parameter.field!r} of {owner} has no named elements, and the name {parameter.element!r} was given."
+            )
     else:
         shape = np.shape(array[rows])[1:] if isinstance(rows, int) is False and len(rows) == 1 else np.shape(array[rows])
     size = int(np.prod(shape))
@@ -106,7 +114,9 @@ def _entries(parameter: FieldParameter, model: mujoco.MjModel, array: Any) -> An
             raise BadArgument(f"The field {parameter.field!r} of {owner} has {size} numbers: give the index, 0 to {size - 1}.")
         return (slice(None) if shape else ()) if rows is None else np.array(rows)
     if not 0 <= parameter.index < max(size, 1):
-        raise BadArgument(f"The index of {owner} must be 0 to {size - 1}, the field {parameter.field!r} has {size} numbers there. Got {parameter.index}.")
+        raise BadArgument(
+            f"The index of {owner} must be 0 to {size - 1}, the field {parameter.field!r} has {size} numbers there. Got {parameter.index}."
+        )
     if rows is None:
         return np.unravel_index(parameter.index, shape) if shape else ()
     grid = np.argwhere(np.isin(np.arange(len(array)), rows)[(...,) + (None,) * (array.ndim - 1)] & np.ones(array.shape, dtype=bool))
@@ -139,7 +149,9 @@ def item_columns(text: str, sizes: dict[str, int], addresses: dict[str, dict[str
     """
     match = ITEM.match(text.replace(" ", ""))
     if match is None:
-        raise BadArgument(f"The item {text!r} must be a field, with a slice or an element's name, such as 'qpos[1:]' or 'qpos.thigh_joint'.")
+        raise BadArgument(
+            f"The item {text!r} must be a field, with a slice or an element's name, such as 'qpos[1:]' or 'qpos.thigh_joint'."
+        )
     field = known("field", match["field"], sizes)
     if match["name"]:
         start, count = addresses[field][known(f"element of {field}", match["name"], addresses[field])]

@@ -70,8 +70,10 @@ class EnvSimulator(ReplaySimulator):
     def _replay(self, value: Array, starts: Array, actions: Array) -> Array:
         self.set_parameters(self.env, dict(zip(self.space.names, value.tolist(), strict=True)))
         out = np.empty((len(starts), actions.shape[1], len(self.signals)))
+        space = self.env.action_space
+        commands = actions.astype(space.dtype) if np.issubdtype(space.dtype, np.integer) else actions  # choices come as numbers
         for i, start in enumerate(starts):
             self.set_state(self.env, start)
-            for j, action in enumerate(actions[i]):
-                out[i, j] = np.ravel(self.env.step(action.reshape(self.env.action_space.shape))[0])
+            for j, action in enumerate(commands[i]):
+                out[i, j] = np.ravel(self.env.step(action.reshape(space.shape))[0])
         return out

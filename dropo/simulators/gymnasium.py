@@ -8,7 +8,7 @@ import gymnasium
 from dropo.core.checks import nearest
 from dropo.core.errors import Incompatible, UnknownName
 from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.simulators.mujoco import MujocoSimulator, quiet
 
 
 class GymnasiumSimulator(MujocoSimulator):
@@ -27,7 +27,8 @@ class GymnasiumSimulator(MujocoSimulator):
 def _environment(env_id: str, options: dict[str, Any]) -> tuple[Any, int, int]:
     """The model, the frame skip, and how many leading positions the observation leaves out."""
     try:
-        env = gymnasium.make(env_id, **options).unwrapped
+        with quiet():  # some of its models use deprecated MJCF
+            env = gymnasium.make(env_id, **options).unwrapped
     except gymnasium.error.UnregisteredEnv:
         raise UnknownName(f"No Gymnasium environment called {env_id!r}. {nearest(env_id, gymnasium.registry)}") from None
     if not hasattr(env, "model") or not hasattr(env, "frame_skip"):
@@ -35,7 +36,9 @@ def _environment(env_id: str, options: dict[str, Any]) -> tuple[Any, int, int]:
     structure = getattr(env, "observation_structure", None)
     skipped = env.model.nq - structure["qpos"] if structure else 0
     if structure is None or structure["qvel"] != env.model.nv or skipped != structure.get("skipped_qpos", 0):
-        raise Incompatible(f"The observation of {env_id!r} does not hold positions and velocities as they are. Use MujocoSimulator with its model.")
+        raise Incompatible(
+            f"The observation of {env_id!r} does not hold positions and velocities as they are. Use MujocoSimulator with its model."
+        )
     found = env.model, int(env.frame_skip), int(skipped)
     env.close()
     return found

@@ -2,10 +2,12 @@
 
 import os
 import queue
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import mujoco
@@ -101,7 +103,13 @@ class MujocoSimulator(Simulator):
         """(N, L, nu) commands, made once for each set of segments."""
         if segments not in self._commands:
             actions = segments.actions
-            require(actions.shape[2] == len(self.controls), "segments", f"of {len(self.controls)} action columns", actions.shape[2], "MujocoSimulator")
+            require(
+                actions.shape[2] == len(self.controls),
+                "segments",
+                f"of {len(self.controls)} action columns",
+                actions.shape[2],
+                "MujocoSimulator",
+            )
             commands = np.zeros((*actions.shape[:2], self.model.nu))
             commands[..., self.controls] = actions
             self._commands[segments] = commands
@@ -118,9 +126,8 @@ class MujocoSimulator(Simulator):
                 for length in np.unique(segments.lengths[level]):
                     block = level[segments.lengths[level] == length]
                     states = self._start_states(segments, block, starts[np.searchsorted(part, block)], ends)
-                    observed, last = self._roll(worker, states, commands[block, :length])
-                    keep = observed if segments.every_step else observed[:, -1:]
-                    found.update(zip(block.tolist(), keep, strict=True))
+                    observed, last = self._roll(worker, states, commands[block, :length], segments.every_step)
+                    found.update(zip(block.tolist(), observed, strict=True))
                     if len(segments.levels) > 1:
                         ends.update(zip(block.tolist(), last, strict=True))
         finally:
@@ -139,24 +146,25 @@ class MujocoSimulator(Simulator):
         self.layout.write_start(states, starts, every, self.model)
         return states
 
-    def _roll(self, worker: "_Worker", states: Array, commands: Array) -> tuple[Array, Array]:
-        """Observations (n, L, P) after every action and the last states (n, s); NaN where MuJoCo stopped early."""
-        held = np.repeat(commands, self.frame_skip, axis=1)
-        steps = held.shape[1]
-        extra = int(self.layout.needs_sensors)  # sensors are those of the state before a step: one more step shows the last
-        if extra:
-            held = np.concatenate([held, held[:, -1:]], axis=1)
-        trace, sensors = worker.roll(states, held, steps + extra)
-        after = trace[:, self.frame_skip - 1 : steps : self.frame_skip]
-        seen = sensors[:, self.frame_skip :: self.frame_skip] if extra else None
-        observed = self.layout.observe(after, seen, self.model)
+    def _roll(self, worker: "_Worker", states: Array, commands: Array, every: bool) -> tuple[Array, Array]:
+        """Observations (n, L or 1, P) after every action or the last, and the last states (n, s); NaN where MuJoCo stopped early."""
+        trace, _ = worker.roll(states, np.repeat(commands, self.frame_skip, axis=1))
+        first = 0 if every else commands.shape[1] - 1
+        after = trace[:, self.frame_skip - 1 :: self.frame_skip][:, first:]
+        sensors = self._sensors(worker, after, commands[:, first:]) if self.layout.needs_sensors else None
+        observed = self.layout.observe(after, sensors, self.model)
         # MuJoCo halts a rollout at its first warning and repeats the state: its clock stands still.
-        late = after[:, :, 0] < (np.arange(1, after.shape[1] + 1) * self.frame_skip - 0.5) * worker.model.opt.timestep
+        late = after[:, :, 0] < (np.arange(first + 1, commands.shape[1] + 1) * self.frame_skip - 0.5) * worker.model.opt.timestep
         bad = late | ~(np.abs(after) < HUGE).all(axis=2)
         observed[bad] = np.nan
         last = after[:, -1].copy()
         last[bad[:, -1]] = np.nan
         return observed, last
+
+    def _sensors(self, worker: "_Worker", after: Array, commands: Array) -> Array:
+        """Sensor data (n, J, m) of the states after an action, still under it: a step reports those of the state before it."""
+        states = after.reshape(-1, after.shape[2])
+        return worker.roll(states, commands.reshape(len(states), 1, self.model.nu))[1].reshape(*after.shape[:2], -1)
 
 
 class _Worker:
@@ -171,6 +179,8 @@ class _Worker:
         """Writes a parameter vector (d,); mj_setConst follows those that want it, and leaves the others as written."""
         follow = [(b, v) for b, v in zip(self.bindings, value, strict=True) if b.parameter.derived]
         keep = [(b, v) for b, v in zip(self.bindings, value, strict=True) if not b.parameter.derived]
+        for binding, _ in keep:  # else derived constants would depend on what this copy simulated before
+            binding.set(self.model, binding.nominal())
         for binding, number in follow:
             binding.set(self.model, number)
         if follow:
@@ -178,10 +188,10 @@ class _Worker:
         for binding, number in keep:
             binding.set(self.model, number)
 
-    def roll(self, states: Array, controls: Array, steps: int) -> tuple[Array, Array]:
+    def roll(self, states: Array, controls: Array) -> tuple[Array, Array]:
         """States (n, steps, s) and sensor data (n, steps, m) from start states (n, s) under controls (n, steps, nu)."""
         control = controls if self.model.nu else None
-        return mujoco.rollout.rollout(self.model, [self.data], states, control, nstep=steps)  # type: ignore[no-any-return]
+        return mujoco.rollout.rollout(self.model, [self.data], states, control, nstep=controls.shape[1])
 
 
 def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -229,12 +239,24 @@ def action_columns(model: mujoco.MjModel, items: Sequence[str]) -> NDArray[np.in
     return np.array(places, dtype=np.int64)
 
 
+_LOCK = threading.Lock()
+_handlers: list[Any] = []  # what was set when each `quiet` now open began; the first is the user's own
+
+
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT into the working directory; failures are found in the states."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT into the working directory; failures are found in the states.
+
+    The handler is the whole process's: of overlapping ones on several threads, the last to end puts the user's own back.
+    """
+    with _LOCK:
+        _handlers.append(mujoco.get_mju_user_warning())
+        mujoco.set_mju_user_warning(lambda message: None)
     try:
         yield
     finally:
-        mujoco.set_mju_user_warning(before)
+        with _LOCK:
+            own = _handlers[0]
+            _handlers.pop()
+            if not _handlers:
+                mujoco.set_mju_user_warning(own)

@@ -60,7 +60,9 @@ class Layout:
         for start in quaternion_addresses(model):
             have = [where[i] for i in range(start, start + 4) if i in where]
             if have and (len(have) < 4 or have != list(range(have[0], have[0] + 4))):
-                raise BadArgument(f"The observation must hold all four numbers of the quaternion at qpos[{start}:{start + 4}], in order, or none.")
+                raise BadArgument(
+                    f"The observation must hold all four numbers of the quaternion at qpos[{start}:{start + 4}], in order, or none."
+                )
             if have:
                 found.append(have)
         return found

@@ -32,7 +32,10 @@ class SlidingBlock(ReplaySimulator):
     def __init__(self, *, dt: float = 0.05):
         require(dt > 0, "dt", "positive [s]", dt, "SlidingBlock")
         self.dt = dt
-        super().__init__([Parameter("mass", 0.5, 4.0, "kg"), Parameter("damping", 0.1, 3.0, "N s/m")], [Signal("position", "m"), Signal("velocity", "m/s")])
+        super().__init__(
+            [Parameter("mass", 0.5, 4.0, "kg"), Parameter("damping", 0.1, 3.0, "N s/m")],
+            [Signal("position", "m"), Signal("velocity", "m/s")],
+        )
 
     def _replay(self, value: Array, starts: Array, actions: Array) -> Array:
         mass, damping = value
