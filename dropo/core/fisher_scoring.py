@@ -58,9 +58,9 @@ def maximise_locally(objective: LocalLogLikelihood, start: Array, *, tolerance: 
 
     def expand(theta: Array) -> tuple[float, Array, Array]:
         phi = at.phi(theta)
-        value, score, information = objective.expand(phi)
+        value, scores, information = objective.expand(phi)
         slope = at.slope(phi)
-        return value, score * slope, information * np.outer(slope, slope)
+        return value, scores.sum(axis=0) * slope, information * np.outer(slope, slope)
 
     theta = np.clip(at.of(start), at.low, at.high)
     value, score, information = expand(theta)

@@ -153,8 +153,8 @@ class NoiseModel:
         require(array.shape in ((), (signals,)), "epsilon", f"one number, or one for each of {signals} signals", array.shape, "Likelihood")
         require(bool(np.isfinite(array).all() and (array >= 0).all()), "epsilon", "a finite variance, not negative", given, "Likelihood")
         self.shape = np.broadcast_to(array, (signals,)).astype(float)
-        factors = (signals if epsilon.each else 1) if isinstance(epsilon, Learned) else 0
-        self.unknowns = tuple(Parameter(f"epsilon[{i}]", 1e-8, 1e4, scale="log") for i in range(factors))
+        own = [f"epsilon[{i}]" for i in range(signals)] if isinstance(epsilon, Learned) and epsilon.each else ["epsilon"]
+        self.unknowns = tuple(Parameter(name, 1e-8, 1e4, scale="log") for name in own) if isinstance(epsilon, Learned) else ()
 
     def epsilon(self, own: Array) -> Array:
         """(p,) from the likelihood's own unknowns, (p,), (1,) or (0,)."""
@@ -171,7 +171,7 @@ class LocalLogLikelihood(LogLikelihood):
 
     @abstractmethod
     def expand(self, phi: Array) -> tuple[float, Array, Array]:
-        """The value, the score (m,) and the Fisher information (m, m) at phi."""
+        """The value, the scores of the rows (R, m) and the Fisher information (m, m) at phi."""
 
 
 class LocalLikelihood(Likelihood):
@@ -180,9 +180,9 @@ class LocalLikelihood(Likelihood):
     @abstractmethod
     def around(
         self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
-        rng: np.random.Generator,
+        rng: np.random.Generator, *, rough: bool = False,
     ) -> LocalLogLikelihood:  # fmt: skip
-        """The log-likelihood of members with means near centre (d,) and scales up to about width (d,)."""
+        """The log-likelihood of members with means near centre (d,) and scales up to about width (d,); cheaper where `rough`."""
 
     def bind(
         self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, rng: np.random.Generator

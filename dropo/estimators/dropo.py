@@ -119,7 +119,7 @@ class DROPO(Estimator):
         return summarise(
             problem, run, method=self.name, family=family, family_name=self.family, phi=found.point, epsilon=objective.epsilon(found.point),
             log_likelihood=found.value, mean_prediction=mean, status=found.status, message=found.reason,
-            details=self._parts(objective),
+            objective=objective, details=self._parts(objective),
         )  # fmt: skip
 
 

@@ -18,9 +18,10 @@ from dropo.core.optimizer import Optimizer
 from dropo.core.problem import Problem
 from dropo.core.search import SearchResult, maximise
 
-FIRST, COARSE, LEAST, EARLY = 1 / 6, 5, 200, 3  # first width as a share of the box; every 5th segment in 3 rounds, where 200 remain
+FIRST, COARSE, EARLY = 1 / 6, 100, 4  # first width as a share of the box; 100 segments in up to 4 rounds
 MOVED, SETTLED = 0.7, 0.15  # a width follows 0.7 of the last move; rounds end when widths change by less than 15 %
-NARROW = 2e-4  # the least width, as a share of the box
+NARROW = 5e-5  # the least width, as a share of the box
+SHRINK, GROW = 20.0, 4.0  # a width changes by at most these factors in a round, and stays within the first one
 STALLED = 5  # full rounds without a better likelihood, after which the best one is taken
 
 UNSETTLED = "The estimate still moved after {} rounds: look at parameters that the data cannot tell."
@@ -32,7 +33,7 @@ MakeOptimizer = Callable[[int, Array], Optimizer]
 
 @dataclass(frozen=True)
 class _Region:
-    """Where a local likelihood is built: centre and width (d,), and whether from every 5th segment only."""
+    """Where a local likelihood is built: centre and width (d,), and whether from some of the segments only."""
 
     centre: Array
     width: Array
@@ -115,7 +116,8 @@ class Rounds:
             try:
                 rng = np.random.default_rng(self.design)
                 local = self.likelihood.around(
-                    self.problem.simulator, self._segments(region.coarse), self.family, self.epsilon, region.centre, region.width, rng
+                    self.problem.simulator, self._segments(region.coarse), self.family, self.epsilon, region.centre, region.width, rng,
+                    rough=region.coarse,
                 )
                 self._built = (region, local)
                 return self._built
@@ -134,9 +136,8 @@ class Rounds:
 
     def _segments(self, coarse: bool) -> Segments:
         every = self.problem.segments
-        chosen = np.arange(len(every)) % COARSE == 0
-        enough = chosen.sum() >= LEAST and len(every.levels) == 1
-        return every.take(chosen) if coarse and enough else every
+        stride = len(every) // COARSE if len(every.levels) == 1 else 1
+        return every.take(np.arange(0, len(every), stride)) if coarse and stride > 1 else every
 
     def _first(self, local: LocalLogLikelihood, region: _Region, last: Array | None) -> Array:
         """Where the inner search begins: the last maximum, its scales not below a twentieth of the width."""
@@ -164,18 +165,19 @@ class Rounds:
         return np.sqrt(np.abs(np.diagonal(np.linalg.pinv(information, hermitian=True))))
 
     def _following(self, outcome: _Outcome) -> _Region:
-        """The region around the outcome's mean; wide enough for its spread and for its last move."""
+        """The region around the outcome's mean; wide enough for its spread, its last move and its standard error."""
         phi, width = outcome.phi[: len(self.family.unknowns)], outcome.region.width
         mean = self.family.mean(phi)
         spread = np.maximum(self.family.scale(phi) * (mean if self.family.logarithmic else 1.0), self.family.sd(phi))
-        want = np.maximum.reduce([spread, MOVED * np.abs(mean - outcome.region.centre), NARROW * self.box])
-        return _Region(mean, np.clip(want, np.maximum(width / 20, NARROW * self.box), 2 * width), outcome.region.coarse)
+        want = np.maximum.reduce([spread, MOVED * np.abs(mean - outcome.region.centre), outcome.errors, NARROW * self.box])
+        limited = np.clip(want, width / SHRINK, np.minimum(GROW * width, FIRST * self.box))
+        return _Region(mean, np.maximum(limited, NARROW * self.box), outcome.region.coarse)
 
     def _still(self, outcome: _Outcome) -> bool:
         """Whether the mean moved by less than a fiftieth of its spread or a tenth of its standard error."""
         phi = outcome.phi[: len(self.family.unknowns)]
         move = np.abs(self.family.mean(phi) - outcome.region.centre)
-        return bool(np.all(move < np.maximum.reduce([0.02 * self.family.sd(phi), 0.1 * outcome.errors, 0.01 * NARROW * self.box])))
+        return bool(np.all(move < np.maximum.reduce([0.02 * self.family.sd(phi), 0.1 * outcome.errors, 0.05 * NARROW * self.box])))
 
     def _stalled(self, done: list[_Outcome]) -> bool:
         values = [outcome.value for outcome in done if not outcome.region.coarse]

@@ -11,6 +11,7 @@ from dropo.core.errors import SimulationFailed
 from dropo.core.estimator import Run
 from dropo.core.family import Family
 from dropo.core.fit import Fit, Status
+from dropo.core.likelihood import LocalLogLikelihood, LogLikelihood
 from dropo.core.linear_gaussian import sandwich, scores_and_information
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
@@ -20,15 +21,19 @@ MANY = 20  # groups from which their number is enough for standard errors cluste
 
 def summarise(
     problem: Problem, run: Run, *, method: str, family: Family, family_name: str, phi: Array, epsilon: Array, log_likelihood: float,
-    mean_prediction: Array, status: Status, message: str, warnings: Sequence[str] = (), arrays: dict[str, Array] | None = None,
+    mean_prediction: Array, status: Status, message: str, objective: LogLikelihood | None = None, warnings: Sequence[str] = (), arrays: dict[str, Array] | None = None,
     details: dict[str, Any] | None = None,
 ) -> Fit:  # fmt: skip
-    """A Fit for the member phi of the family; standard errors by the clustered sandwich on the linear-Gaussian model."""
+    """A Fit for the member phi of the family; standard errors by the clustered sandwich: on the objective's own scores where
+    it has them, else on the linear-Gaussian model."""
     mean, scale, sd, correlation = family.mean(phi), family.scale(phi), family.sd(phi), family.correlation(phi)
     notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, phi[: len(family.unknowns)])]
     try:
-        with run.counting():
-            mean_se, scale_se = standard_errors(problem, mean, sd, correlation, epsilon)
+        if isinstance(objective, LocalLogLikelihood):
+            mean_se, scale_se = local_standard_errors(problem, family, objective, phi)
+        else:
+            with run.counting():
+                mean_se, scale_se = standard_errors(problem, mean, sd, correlation, epsilon)
     except SimulationFailed as error:
         mean_se = scale_se = np.full(len(mean), np.nan)
         notes.append(f"no standard errors: {error}")
@@ -54,6 +59,21 @@ def standard_errors(problem: Problem, mean: Array, sd: Array, correlation: Array
         scale_se = np.where(sd > 0, np.sqrt(variance[d:]) / (2 * sd), np.nan)
     scale_se[~(scale_se < sd)] = np.nan  # a spread that may be 0 has no symmetric error
     return np.sqrt(variance[:d]), scale_se
+
+
+def local_standard_errors(problem: Problem, family: Family, objective: LocalLogLikelihood, phi: Array) -> tuple[Array, Array]:
+    """(d,) as `standard_errors`, from a local likelihood's scores; unknowns on a bound of phi are held fixed."""
+    n = len(family.unknowns)
+    _, scores, information = objective.expand(phi)
+    unit = family.unknowns.to_unit(phi[:n])
+    free = np.concatenate([(unit > 1e-6) & (unit < 1 - 1e-6), np.ones(len(phi) - n, dtype=bool)])
+    errors = np.full(len(phi), np.nan)
+    errors[free] = np.sqrt(np.diagonal(sandwich(scores[:, free], information[np.ix_(free, free)], clusters(problem.segments))))
+    names = objective.unknowns.names
+    mean_se = np.array([errors[names.index(f"mean.{name}")] for name in family.space.names])
+    scale_se = np.array([errors[names.index(f"scale.{name}")] if f"scale.{name}" in names else np.nan for name in family.space.names])
+    scale_se[~(scale_se < family.scale(phi[:n]))] = np.nan
+    return mean_se, scale_se
 
 
 def clusters(segments: Segments) -> Ints:

@@ -15,6 +15,7 @@ from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.simulator import Simulator
 from dropo.likelihoods.polynomials import Emulator, build, products
 
+ROUGH = 2  # the order for a first look
 ORDERS = ((0.002, 1), (0.013, 2), (0.033, 3), (np.inf, 4))  # polynomial order by width / search interval
 
 
@@ -31,13 +32,14 @@ class Emulated(LocalLikelihood):
 
     def around(
         self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
-        rng: np.random.Generator,
+        rng: np.random.Generator, *, rough: bool = False,
     ) -> LocalLogLikelihood:  # fmt: skip
         if family.standard is None:
             raise Incompatible(
                 f"The family {type(family).__name__} names no standard law, so its moments are not known. Use likelihood 'monte-carlo'."
             )
         orders = np.full(len(centre), self.order) if self.order else orders_for(width / (simulator.space.high - simulator.space.low))
+        orders = np.minimum(orders, ROUGH) if rough else orders
         logarithmic = family.logarithmic
         c, h = (np.log(centre), width / centre) if logarithmic else (centre, width)
         emulator = build(simulator, segments, c, h, orders, rng, logarithmic=logarithmic)
@@ -95,7 +97,7 @@ class _EmulatedLogLikelihood(LocalLogLikelihood):
         return self.noise.epsilon(phi[len(self.family.unknowns) :])
 
     def gradient(self, phi: ArrayLike) -> Array:
-        return self.expand(np.asarray(phi, dtype=float))[1]
+        return self.expand(np.asarray(phi, dtype=float))[1].sum(axis=0)
 
     def expand(self, phi: Array) -> tuple[float, Array, Array]:
         mean, factor, sigma = self._moments(phi)
@@ -111,7 +113,7 @@ class _EmulatedLogLikelihood(LocalLogLikelihood):
         for own in self.noise.slopes():
             by_mean.append(np.zeros_like(left))
             by_cov.append(whiten * own @ whiten.swapaxes(1, 2))
-        return float(rows.sum()), *_score_and_information(left, np.stack(by_mean), np.stack(by_cov))
+        return float(rows.sum()), *_scores_and_information(left, np.stack(by_mean), np.stack(by_cov))
 
 
 def trusted(family: Family, centre: Array, width: Array) -> list[Parameter]:
@@ -139,13 +141,13 @@ def _log_normal_density(residual: Array, sigma: Array) -> tuple[Array, Array]:
     return -0.5 * (residual.shape[1] * np.log(2 * np.pi) + (z**2).sum(axis=1)) - log_root, whiten
 
 
-def _score_and_information(left: Array, by_mean: Array, by_cov: Array) -> tuple[Array, Array]:
-    """Score (m,) and Fisher information (m, m) of Gaussian rows, in whitened terms.
+def _scores_and_information(left: Array, by_mean: Array, by_cov: Array) -> tuple[Array, Array]:
+    """Scores (R, m) and Fisher information (m, m) of Gaussian rows, in whitened terms.
 
     left: L^-1 r (R, p); by_mean: L^-1 dm (m, R, p); by_cov: L^-1 dSigma L^-T (m, R, p, p).
     """
-    quadratic = np.einsum("rp,mrpq,rq->m", left, by_cov, left, optimize=True)
-    score = np.einsum("rp,mrp->m", left, by_mean) + 0.5 * (quadratic - np.einsum("mrpp->m", by_cov))
+    quadratic = np.einsum("mrpq,rp,rq->rm", by_cov, left, left, optimize=True)
+    scores = np.einsum("rp,mrp->rm", left, by_mean) + 0.5 * (quadratic - np.einsum("mrpp->rm", by_cov))
     m = len(by_mean)
     flat_mean, flat_cov = by_mean.reshape(m, -1), by_cov.reshape(m, -1)
-    return score, flat_mean @ flat_mean.T + 0.5 * flat_cov @ flat_cov.T
+    return scores, flat_mean @ flat_mean.T + 0.5 * flat_cov @ flat_cov.T

@@ -19,7 +19,7 @@ FULL_QUADRATIC = 10  # up to so many parameters all pairs are crossed; beyond, o
 
 
 def index_set(orders: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(M, d) exponents j with sum_i j_i / orders_i <= 1, and the pairs (1, 1); by degree, the constant first."""
+    """(M, d) exponents j with sum_i j_i / orders_i <= 1, and the pairs (1, 1) of orders above 1; by degree, the constant first."""
     d = len(orders)
     if d > FULL_QUADRATIC:
         own = [np.eye(d, dtype=np.int64) * k for k in range(1, int(orders.max()) + 1)]
@@ -28,7 +28,7 @@ def index_set(orders: NDArray[np.int64]) -> NDArray[np.int64]:
     found = []
     for j in product(*(range(q + 1) for q in orders)):
         exponents = np.array(j)
-        pair = exponents.sum() == 2 and exponents.max() == 1
+        pair = exponents.sum() == 2 and exponents.max() == 1 and orders[exponents > 0].min() > 1
         if (exponents / orders).sum() <= 1 + 1e-9 or pair:
             found.append(j)
     return np.array(sorted(found, key=lambda j: (sum(j), tuple(-x for x in j))), dtype=np.int64)

@@ -210,7 +210,7 @@ def test_signs_of_quaternions_do_not_matter(name):
         array[:, quaternion] *= flip
     flipped, values = Trajectories(rows[0], data.actions, rows[1], data.terminals), draws(simulator, 2)
     np.testing.assert_allclose(simulator.predict(values, flipped.segments()), simulator.predict(values, data.segments()), atol=1e-12)
-    np.testing.assert_array_equal(simulator.targets(flipped.segments())[:, quaternion.start : quaternion.start + 3], 0.0)
+    np.testing.assert_allclose(simulator.targets(flipped.segments())[:, quaternion.start : quaternion.start + 3], 0.0, atol=1e-15)
 
 
 def growing():
