@@ -62,7 +62,7 @@ def torso_panel(ax: Any, fit: Fit, drawn: Array) -> None:
     at = np.linspace(low, high, 2001)
     ax.hist(drawn, bins=np.arange(low, high, 0.2), density=True, color=GREY, label=f"{len(drawn)} masses behind the data")
     ax.plot(at, density(fit, at, 0), color=BLUE, lw=2.2, label="fitted distribution")
-    ax.axhline(1 / (high - low), color=DARK, lw=1.2, ls=(0, (4, 3)), label="search interval, evenly")
+    ax.axhline(1 / (high - low), color=DARK, lw=1.2, ls=(0, (4, 3)), label="uniform over the search interval")
     ax.set(xlim=(low, high), xlabel="torso mass [kg]", ylabel="density [1/kg]", title="A mass that varies")
     ax.set_ylim(0, 1.32 * ax.get_ylim()[1])
     ax.legend(loc="upper right", frameon=False, fontsize=8)
@@ -78,7 +78,9 @@ def masses_panel(ax: Any, fit: Fit) -> None:
     ax.plot(MEAN, y, "D", color=ORANGE, ms=4.5, label="true mean")
     ax.set(yticks=y, yticklabels=[name.removesuffix("_mass") for name in fit.space.names], xlabel="mass [kg]", title="All four masses")
     ax.set(xlim=(0, 11.5), ylim=(-0.55, 4.75))
-    ax.legend(loc="upper right", frameon=False, fontsize=8)
+    handles, labels = ax.get_legend_handles_labels()
+    order = np.argsort([labels.index(label) if label != "true mean" else 9 for label in labels])
+    ax.legend([handles[i] for i in order], [labels[i] for i in order], loc="upper right", frameon=False, fontsize=8)
 
 
 def error_panel(ax: Any, names: list[str], before: Array, after: Array) -> None:

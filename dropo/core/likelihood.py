@@ -173,6 +173,10 @@ class LocalLogLikelihood(LogLikelihood):
     def expand(self, phi: Array) -> tuple[float, Array, Array]:
         """The value, the scores of the rows (R, m) and the Fisher information (m, m) at phi."""
 
+    @abstractmethod
+    def predict(self, values: Array) -> Array:
+        """What the local model has in the simulator's place: (K, d) -> (K, R, p)."""
+
 
 class LocalLikelihood(Likelihood):
     """A likelihood from a local model of the simulator: an estimator builds it again where it finds the maximum."""

@@ -26,9 +26,11 @@ def number(value: float, digits: int = 5) -> str:
 
 def fit_table(fit: "Fit") -> str:
     """The fit as a table, with what it cost beneath."""
-    header = ["parameter", "unit", "mean", "se", "scale", "sd"]
+    truth = fit.details.get("truth", {})
+    header = ["parameter", "unit", "mean", "se", "scale", "sd", *(["truth"] if truth else [])]
     rows = [
         [p.name, p.unit, number(fit.mean[i], 7), number(fit.mean_se[i], 2), number(fit.scale[i], 4), number(fit.sd[i], 4)]
+        + ([number(truth[p.name], 7)] if truth else [])
         for i, p in enumerate(fit.space)
     ]
     likelihood = f"log-likelihood {fit.log_likelihood:.6g} ({fit.log_likelihood / fit.transitions:.4g} a transition)"

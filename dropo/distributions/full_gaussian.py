@@ -57,7 +57,7 @@ class FullGaussian(Family):
         return correlation
 
     def phi_of(self, mean: ArrayLike, covariance: ArrayLike) -> Array:
-        """The member (m,) of that mean (d,) and covariance (d, d), positive definite; moved into the bounds of phi."""
+        """The member (m,) of that mean (d,) and covariance (d, d), positive definite; the bounds of phi are those of a search."""
         d, caller = len(self.space), "FullGaussian.phi_of"
         covariance = float_array("covariance", covariance, (d, d), caller)
         try:
@@ -68,6 +68,4 @@ class FullGaussian(Family):
         factor = factor / sd[:, None]
         left = np.sqrt(np.cumsum(factor[:, ::-1] ** 2, axis=1)[:, ::-1])  # sqrt(1 - sum_{k < j} L_ik^2), without cancellation
         z = np.divide(factor, left, out=np.zeros((d, d)), where=left > 0)
-        phi = np.concatenate([float_array("mean", mean, (d,), caller), sd, z.T[np.triu_indices(d, 1)]])
-        inside: Array = np.clip(phi, self.unknowns.low, self.unknowns.high)
-        return inside
+        return np.concatenate([float_array("mean", mean, (d,), caller), sd, z.T[np.triu_indices(d, 1)]])

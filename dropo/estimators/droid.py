@@ -11,7 +11,7 @@ from dropo.core.estimator import Estimator, Run
 from dropo.core.fit import Fit
 from dropo.core.problem import Problem
 from dropo.core.search import maximise
-from dropo.estimators.summary import summarise
+from dropo.estimators.summary import rounding, summarise
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class DROID(Estimator):
     """
 
     optimizer: str = "cma-es"
-    budget: int = 2000
+    budget: int = 1000
     name = "droid"
 
     def __post_init__(self) -> None:
@@ -50,8 +50,9 @@ class DROID(Estimator):
         family = find("families", "full")(space)
         with run.counting():
             predicted = simulator.predict(result.point[None], segments)[0]
-        noise = np.mean((predicted - targets) ** 2, axis=0)
-        log_likelihood = -0.5 * float(np.sum(np.log(2 * np.pi * np.maximum(noise, 1e-300)) + 1.0)) * len(targets)
+        residual = np.mean((predicted - targets) ** 2, axis=0)
+        noise = np.maximum(residual, rounding(problem))
+        log_likelihood = -0.5 * float(np.sum(np.log(2 * np.pi * noise) + residual / noise)) * len(targets)
         return summarise(
             problem, run, method=self.name, family=family, family_name="full", phi=family.phi_of(result.point, covariance), epsilon=noise,
             log_likelihood=log_likelihood, mean_prediction=predicted, message=result.reason,

@@ -1,7 +1,8 @@
 """DROPO: the distribution of the parameters with the highest likelihood of the measured segments."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
 from dropo.core.search import SearchResult, maximise
 from dropo.core.simulator import describe_failures
+from dropo.estimators.certificate import paired_check
 from dropo.estimators.least_squares import estimate, misfit
 from dropo.estimators.rounds import Rounds
 from dropo.estimators.summary import summarise
@@ -34,7 +36,8 @@ class DROPO(Estimator):
     Fisher scoring where the likelihood knows its information, else "cma-es". epsilon: the noise variance, one or for each
     signal; "learn", one for each signal found with the rest (sampled likelihoods: one factor on the variances that least
     squares leaves); "tune", section 5.3: the smallest of `sweep` whose fit has a mean squared error of at most
-    `mse_threshold`; None, the problem's own where it names one, else "learn". start: the first mean, a least-squares estimate or the middle of the box.
+    `mse_threshold`; None, the problem's own where it names one, else "learn". start: the first mean, a least-squares
+    estimate or the middle of the box.
     """
 
     likelihood: str | Likelihood = "emulated"
@@ -102,7 +105,8 @@ class DROPO(Estimator):
 
         centre = estimate(problem, run).value if self.start == "least-squares" else (problem.space.low + problem.space.high) / 2
         objective, found = Rounds(problem, run, family, likelihood, epsilon, rng, make if self.optimizer else None).fit(centre)
-        return self._summary(problem, run, family, objective, found)
+        checked, warnings = paired_check(problem, run, family, objective, found.point, rng)
+        return self._summary(problem, run, family, objective, found, checked, warnings)
 
     def _start(self, problem: Problem, run: Run, family: Family, unknowns: ParameterSpace) -> tuple[Array, Array]:
         """phi to start from, and the first steps in the unit box (0.25, the thesis' 1 in [0, 4])."""
@@ -113,13 +117,16 @@ class DROPO(Estimator):
             start[: len(family.unknowns)] = family.phi(found.value, middle)
         return start, step
 
-    def _summary(self, problem: Problem, run: Run, family: Family, objective: LogLikelihood, found: SearchResult) -> Fit:
+    def _summary(
+        self, problem: Problem, run: Run, family: Family, objective: LogLikelihood, found: SearchResult,
+        checked: dict[str, Any] | None = None, warnings: Sequence[str] = (),
+    ) -> Fit:  # fmt: skip
         with run.counting():
             mean = objective.mean(found.point)
         return summarise(
             problem, run, method=self.name, family=family, family_name=self.family, phi=found.point, epsilon=objective.epsilon(found.point),
             log_likelihood=found.value, mean_prediction=mean, status=found.status, message=found.reason,
-            objective=objective, details=self._parts(objective),
+            objective=objective, details={**self._parts(objective), **(checked or {})}, warnings=warnings,
         )  # fmt: skip
 
 

@@ -12,7 +12,8 @@ from dropo.core.errors import SimulationFailed
 from dropo.core.estimator import Estimator, Run
 from dropo.core.fit import Fit, Status
 from dropo.core.problem import Problem
-from dropo.estimators.summary import summarise
+from dropo.core.simulator import describe_failures
+from dropo.estimators.summary import rounding, summarise
 
 
 @dataclass(frozen=True)
@@ -48,11 +49,11 @@ class LeastSquares(Estimator):
         found = estimate(problem, run, self.weights, self.budget)
         family = find("families", "point")(problem.space)
         rows = len(problem.segments.rows[0])
-        positive = np.maximum(found.noise, 1e-300)  # a perfect fit has no noise, and no density
-        log_likelihood = -0.5 * rows * float(np.sum(np.log(2 * np.pi * positive) + found.noise / positive))
+        noise = np.maximum(found.noise, rounding(problem))  # a perfect fit would have no density
+        log_likelihood = -0.5 * rows * float(np.sum(np.log(2 * np.pi * noise) + found.noise / noise))
         return summarise(
             problem, run, method=self.name, family=family, family_name="point", phi=family.phi(found.value, np.zeros(len(problem.space))),
-            epsilon=found.noise, log_likelihood=log_likelihood, mean_prediction=found.predicted,
+            epsilon=noise, log_likelihood=log_likelihood, mean_prediction=found.predicted,
             status=Status.CONVERGED if found.converged else Status.OUT_OF_BUDGET, message=found.message,
         )  # fmt: skip
 
@@ -78,7 +79,10 @@ def misfit(problem: Problem, run: Run) -> Array:
     middle = problem.space.from_unit(np.full(len(problem.space), 0.5))
     targets = problem.simulator.targets(problem.segments)
     with run.counting(evaluations=1):
-        errors = problem.simulator.predict(middle[None], problem.segments)[0] - targets
+        predicted = problem.simulator.predict(middle[None], problem.segments)
+    if not np.isfinite(predicted).any():
+        raise SimulationFailed(f"In the middle of the box, {describe_failures(predicted, middle[None], problem.space)} Narrow the bounds.")
+    errors = predicted[0] - targets
     floor = np.maximum(1e-16 * np.var(targets, axis=0), 1e-30)
     return np.maximum(np.nanmean(errors**2, axis=0), floor)
 

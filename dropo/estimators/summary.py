@@ -21,8 +21,8 @@ MANY = 20  # groups from which their number is enough for standard errors cluste
 
 def summarise(
     problem: Problem, run: Run, *, method: str, family: Family, family_name: str, phi: Array, epsilon: Array, log_likelihood: float,
-    mean_prediction: Array, status: Status, message: str, objective: LogLikelihood | None = None, warnings: Sequence[str] = (), arrays: dict[str, Array] | None = None,
-    details: dict[str, Any] | None = None,
+    mean_prediction: Array, status: Status, message: str, objective: LogLikelihood | None = None,
+    warnings: Sequence[str] = (), arrays: dict[str, Array] | None = None, details: dict[str, Any] | None = None,
 ) -> Fit:  # fmt: skip
     """A Fit for the member phi of the family; standard errors by the clustered sandwich: on the objective's own scores where
     it has them, else on the linear-Gaussian model."""
@@ -42,7 +42,8 @@ def summarise(
         method=method, problem=problem.name, space=problem.space, family=family_name, phi=phi[: len(family.unknowns)], mean=mean,
         scale=scale, sd=sd, mean_se=mean_se, scale_se=scale_se, correlation=correlation, epsilon=epsilon, log_likelihood=log_likelihood,
         mse=float(np.mean(misfit**2)), transitions=int(problem.segments.lengths.sum()), simulator_steps=0, failed_simulations=0,
-        objective_evaluations=0, status=status, message=message, warnings=tuple(notes), arrays=arrays or {}, details=details or {},
+        objective_evaluations=0, status=status, message=message, warnings=tuple(notes), arrays=arrays or {},
+        details={**(details or {}), **({"truth": dict(problem.truth)} if problem.truth else {})},
     )  # fmt: skip
 
 
@@ -51,7 +52,7 @@ def standard_errors(problem: Problem, mean: Array, sd: Array, correlation: Array
     segments = problem.segments
     predicted, jacobian = problem.simulator.linearise(mean, segments)
     residuals = problem.simulator.targets(segments) - predicted
-    noise = np.where(epsilon > 0, epsilon, np.maximum(np.mean(residuals**2, axis=0), 1e-300))
+    noise = np.maximum(np.where(epsilon > 0, epsilon, np.mean(residuals**2, axis=0)), rounding(problem))
     scores, information = scores_and_information(residuals, jacobian, correlation * np.outer(sd, sd), noise)
     variance = np.diagonal(sandwich(scores, information, clusters(segments)))
     d = len(mean)
@@ -76,6 +77,11 @@ def local_standard_errors(problem: Problem, family: Family, objective: LocalLogL
     return mean_se, scale_se
 
 
+def rounding(problem: Problem) -> Array:
+    """(p,) the variance of rounding in each signal, below which a residual says nothing: (1e-12 of its size)^2."""
+    return np.maximum(1e-24 * np.mean(problem.segments.targets**2), 1e-60) * np.ones(len(problem.simulator.signals))
+
+
 def clusters(segments: Segments) -> Ints:
     """(R,) what is independent of the rest: groups where the data name many, else segments."""
     given = segments.trajectories.group is not None and len(np.unique(segments.group)) >= MANY
@@ -91,6 +97,6 @@ def at_bounds(space: ParameterSpace, phi: Array) -> list[str]:
             continue
         if u > 1 - 1e-3:
             out.append(f"{name} ends on its upper bound {high:.6g}: widen it, or the model cannot explain the data")
-        elif u < 1e-3 and not name.startswith(("scale.", "epsilon")):
+        elif u < 1e-3 and name.startswith("mean."):
             out.append(f"{name} ends on its lower bound {low:.6g}: widen it, or the model cannot explain the data")
     return out

@@ -99,6 +99,9 @@ class _EmulatedLogLikelihood(LocalLogLikelihood):
     def gradient(self, phi: ArrayLike) -> Array:
         return self.expand(np.asarray(phi, dtype=float))[1].sum(axis=0)
 
+    def predict(self, values: Array) -> Array:
+        return self.emulator.predict(values)
+
     def expand(self, phi: Array) -> tuple[float, Array, Array]:
         mean, factor, sigma = self._moments(phi)
         rows, whiten = _log_normal_density(self.targets - mean, sigma)

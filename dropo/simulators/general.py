@@ -34,8 +34,9 @@ class ReplaySimulator(Simulator):
             before = segments.previous[level]
             if before[0] >= 0:
                 begin = np.where(segments.set_columns, begin, steps[before, segments.lengths[before] - 1])
-            steps[level] = self._replay(value, begin, actions[level])
-            check_shape("replayed observations", steps[level], (len(level), actions.shape[1], len(self.signals)), type(self).__name__)
+            replayed = self._replay(value, begin, actions[level])
+            check_shape("replayed observations", replayed, (len(level), actions.shape[1], len(self.signals)), type(self).__name__)
+            steps[level] = replayed
         segment, step = segments.rows
         return steps[segment, step]
 

@@ -29,7 +29,9 @@ def _environment(env_id: str, options: dict[str, Any]) -> tuple[Any, int, int]:
     try:
         with quiet():  # some of its models use deprecated MJCF
             env = gymnasium.make(env_id, **options).unwrapped
-    except gymnasium.error.UnregisteredEnv:
+    except (gymnasium.error.Error, ImportError) as error:
+        if env_id in gymnasium.registry:
+            raise Incompatible(f"The environment {env_id!r} cannot be made here: {error}") from None
         raise UnknownName(f"No Gymnasium environment called {env_id!r}. {nearest(env_id, gymnasium.registry)}") from None
     if not hasattr(env, "model") or not hasattr(env, "frame_skip"):
         raise Incompatible(f"The environment {env_id!r} is not a MuJoCo one. Use EnvSimulator with a function that sets its state.")

@@ -74,7 +74,8 @@ class Layout:
         inside = {i for quat in self.quaternions for i in quat[1:]}
         for i, (column, name) in enumerate(zip(self.columns, self.names, strict=True)):
             if i in firsts:
-                out += [Signal(f"{name.rsplit('.', 1)[0]}.r{axis}", "rad") for axis in "xyz"]
+                owner = name.rsplit("[", 1)[0] if "." in name else name
+                out += [Signal(f"{owner}.r{axis}", "rad") for axis in "xyz"]
             elif i not in inside:
                 out.append(Signal(name, self.model_units.get((column.field, column.place), "")))
         return out

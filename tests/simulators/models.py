@@ -10,7 +10,8 @@ from dropo.simulators.fields import FieldParameter
 from dropo.simulators.mujoco import MujocoSimulator
 
 PENDULUM = """<mujoco><option timestep="0.01"/><worldbody>
-  <body name="rod" pos="0 0 1"><joint name="pivot" axis="0 1 0" damping="0.1"/><geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.5" mass="0.4"/></body>
+  <body name="rod" pos="0 0 1"><joint name="pivot" axis="0 1 0" damping="0.1"/>
+    <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.5" mass="0.4"/></body>
 </worldbody><actuator><motor name="torque" joint="pivot"/></actuator></mujoco>"""
 
 CART = """<mujoco><option timestep="0.01" integrator="RK4"/><worldbody>
@@ -26,19 +27,25 @@ BOX = """<mujoco><option timestep="0.005"/><worldbody><geom name="floor" type="p
 </worldbody></mujoco>"""
 
 BALL = """<mujoco><option timestep="0.01"/><worldbody>
-  <body name="arm" pos="0 0 1"><joint name="shoulder" type="ball" damping="0.05"/><geom type="capsule" size="0.03" fromto="0 0 0 0.4 0 -0.1" mass="0.5"/>
-    <body name="forearm" pos="0.4 0 -0.1"><joint name="elbow" axis="0 1 0"/><geom type="box" pos="0.1 0 0" size="0.1 0.02 0.03" mass="0.2"/></body></body>
+  <body name="arm" pos="0 0 1"><joint name="shoulder" type="ball" damping="0.05"/>
+    <geom type="capsule" size="0.03" fromto="0 0 0 0.4 0 -0.1" mass="0.5"/>
+    <body name="forearm" pos="0.4 0 -0.1"><joint name="elbow" axis="0 1 0"/>
+      <geom type="box" pos="0.1 0 0" size="0.1 0.02 0.03" mass="0.2"/></body></body>
 </worldbody><actuator><motor joint="elbow"/></actuator></mujoco>"""
 
 VALVE = """<mujoco><option timestep="0.01"/><worldbody>
-  <body name="spool"><joint name="slide" type="slide" axis="1 0 0" stiffness="4"/><geom type="sphere" size="0.1" mass="0.5"/></body>
-</worldbody><actuator><general name="direct" joint="slide"/><general name="lag" joint="slide" dyntype="filter" dynprm="0.1" gainprm="3"/></actuator></mujoco>"""
+  <body name="spool"><joint name="slide" type="slide" axis="1 0 0" stiffness="4"/>
+    <geom type="sphere" size="0.1" mass="0.5"/></body>
+</worldbody><actuator><general name="direct" joint="slide"/>
+  <general name="lag" joint="slide" dyntype="filter" dynprm="0.1" gainprm="3"/></actuator></mujoco>"""
 
 SENSED = """<mujoco><option timestep="0.01"/><worldbody>
-  <body name="rod" pos="0 0 1"><joint name="pivot" axis="0 1 0" damping="0.1"/><geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.5" mass="0.4"/>
+  <body name="rod" pos="0 0 1"><joint name="pivot" axis="0 1 0" damping="0.1"/>
+    <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.5" mass="0.4"/>
     <site name="tip" pos="0 0 -0.5"/></body>
 </worldbody><actuator><motor name="torque" joint="pivot"/></actuator>
-<sensor><accelerometer name="imu" site="tip"/><jointpos name="angle" joint="pivot"/><actuatorfrc name="load" actuator="torque"/></sensor></mujoco>"""
+<sensor><accelerometer name="imu" site="tip"/><jointpos name="angle" joint="pivot"/>
+  <actuatorfrc name="load" actuator="torque"/></sensor></mujoco>"""
 
 
 @dataclass(frozen=True)

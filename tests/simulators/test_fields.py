@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
 from dropo.core.errors import BadArgument, UnknownName
 from dropo.simulators.fields import Binding, FieldParameter
 from dropo.simulators.mujoco import MujocoSimulator
@@ -158,11 +157,10 @@ def test_moved_centre_of_mass():
 
 def test_a_parameter_of_every_kind_at_once():
     """Mass, friction, gravity and a factor, derived and kept, give what each writes by itself, in any order."""
-    parameters = [mass("box"), parameter("gravity", index=2), FieldParameter("f", 0.5, 2, field="geom_friction", element="shell", relative=True),
-                  FieldParameter("d", 0, 1, field="dof_damping", element="lid", derived=False)]  # fmt: skip
-    values, case = np.array([1.5, -5.0, 1.3, 0.2]), CASES["box"]
-    data = case.data()
-    segments = Trajectories(data.observations, data.actions, data.next_observations, data.terminals).segments(2)
+    friction = FieldParameter("friction", 0.5, 2, field="geom_friction", element="shell", relative=True)
+    damping = FieldParameter("damping", 0, 1, field="dof_damping", element="lid", derived=False)
+    parameters = [mass("box"), parameter("gravity", index=2), friction, damping]
+    values, segments = np.array([1.5, -5.0, 1.3, 0.2]), CASES["box"].segments("lambda")
     found = simulator_of(BOX, parameters).predict(values[None], segments)
     np.testing.assert_array_equal(found, simulator_of(BOX, parameters[::-1]).predict(values[None, ::-1], segments))
     names = {"body_mass": {1: 1.5}, "geom_friction": {1: model_of(BOX).geom_friction[1] * 1.3}, "dof_damping": {6: 0.2}}
@@ -180,7 +178,8 @@ def test_a_parameter_of_every_kind_at_once():
     (parameter("body_mass", "bxo"), UnknownName, r"No body called 'bxo'. Did you mean 'box'\?"),
     (parameter("dof_damping", "box"), UnknownName, r"No joint called 'box'. There is lid."),
     (parameter("body_mass"), BadArgument, r"The field 'body_mass' of parameter 'x' needs the name of a body. There is box, flap, world."),
-    (parameter("geom_friction", "shell"), BadArgument, r"The field 'geom_friction' of parameter 'x' has 3 numbers: give the index, 0 to 2."),
+    (parameter("geom_friction", "shell"), BadArgument,
+     r"The field 'geom_friction' of parameter 'x' has 3 numbers: give the index, 0 to 2."),
     (parameter("gravity"), BadArgument, r"The field 'gravity' of parameter 'x' has 3 numbers: give the index, 0 to 2."),
     (parameter("geom_friction", "shell", index=3), BadArgument,
      r"The index of parameter 'x' must be 0 to 2, the field 'geom_friction' has 3 numbers there. Got 3."),
@@ -190,7 +189,8 @@ def test_a_parameter_of_every_kind_at_once():
      r"The index of parameter 'x' must be 0 to 0, the field 'body_mass' has 1 numbers there. Got 1."),
     (parameter("gravity", "box", index=2), BadArgument,
      r"The field 'gravity' of parameter 'x' has no named elements, and the name 'box' was given."),
-    (parameter("timestep", index=1), BadArgument, r"The index of parameter 'x' must be 0 to 0, the field 'timestep' has 1 numbers there. Got 1."),
+    (parameter("timestep", index=1), BadArgument,
+     r"The index of parameter 'x' must be 0 to 0, the field 'timestep' has 1 numbers there. Got 1."),
 ])  # fmt: skip
 def test_refusals(chosen, error, words):
     """The message names the parameter, its field and the nearest valid name or the allowed range."""

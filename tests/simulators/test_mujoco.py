@@ -244,7 +244,8 @@ def test_a_failed_link_fails_the_rest_of_its_chain():
     simulator, data = growing()
     wild = data.observations.copy()
     wild[6, 1] = 1e12
-    chained = Trajectories(wild, data.actions, data.next_observations, data.terminals).segments(2, reset="partial", set_columns=[False, True])
+    trajectories = Trajectories(wild, data.actions, data.next_observations, data.terminals)
+    chained = trajectories.segments(2, reset="partial", set_columns=[False, True])
     lost = np.isnan(simulator.predict([[0.1]], chained)[0]).all(axis=1)
     np.testing.assert_array_equal(np.flatnonzero(lost), np.arange(3, 15))
     assert simulator.failures == 12
@@ -273,7 +274,8 @@ def test_values_by_group():
     for g in range(3):
         mine = segments.group[segments.rows[0]] == g
         np.testing.assert_array_equal(found[:, mine], simulator.predict(values[:, g], segments)[:, mine])
-    with pytest.raises(BadArgument, match=r"^The 'values' of MujocoSimulator.predict must be given for 3 groups. Got \(2, 2, 2\) instead.$"):
+    words = r"^The 'values' of MujocoSimulator.predict must be given for 3 groups. Got \(2, 2, 2\) instead.$"
+    with pytest.raises(BadArgument, match=words):
         simulator.predict(values[:, :2], segments)
 
 

@@ -1,0 +1,49 @@
+"""Holds a local likelihood against the true simulator at the fit, at the same draws, so that the comparison is not lost in noise."""
+
+from typing import Any
+
+import numpy as np
+
+from dropo.core.catalogue import find
+from dropo.core.checks import Array
+from dropo.core.estimator import Run
+from dropo.core.family import Family
+from dropo.core.likelihood import LocalLogLikelihood
+from dropo.core.problem import Problem
+
+DRAWS, ROWS = 32, 100  # draws of the fitted law, on about so many segments
+SUSPICIOUS = 0.1  # nats a row: beyond it the local model misleads
+
+
+def paired_check(
+    problem: Problem, run: Run, family: Family, local: LocalLogLikelihood, phi: Array, rng: np.random.Generator
+) -> tuple[dict[str, Any], list[str]]:
+    """What the check found, for fit.json, and a warning where simulator and local model differ too much.
+
+    Both predict the same draws of the fitted law on the same rows; the log-likelihoods are those of the Gaussian with
+    their sample moments.
+    """
+    family_phi = phi[: len(family.unknowns)]
+    values = family.draw(family_phi, family.base(DRAWS, rng))
+    chosen = np.arange(0, len(problem.segments), max(1, len(problem.segments) // ROWS))
+    if len(problem.segments.levels) > 1:  # chains stay whole
+        chosen = np.arange(len(problem.segments))
+    segments = problem.segments.take(chosen)
+    rows = np.isin(problem.segments.rows[0], chosen)
+    with run.counting(evaluations=1):
+        simulated = problem.simulator.predict(values, segments)
+    gaussian = find("likelihoods", "monte-carlo")(draws=DRAWS)
+    targets, epsilon = problem.simulator.targets(segments), np.maximum(local.epsilon(phi), 1e-300)
+    true, emulated = (
+        gaussian.log_density(predictions, targets, epsilon).sum() for predictions in (simulated, local.predict(values)[:, rows])
+    )
+    difference = float(true - emulated)
+    found = {"draws": DRAWS, "rows": int(rows.sum()), "simulator": _finite(true), "emulator": _finite(emulated)}
+    if np.isfinite(difference) and abs(difference) <= SUSPICIOUS * rows.sum():
+        return {"emulator_check": found}, []
+    apart = f"at the fit the simulator and its emulator differ by {difference / rows.sum():.2g} nat a row"
+    return {"emulator_check": found}, [f"{apart}: check with likelihood 'monte-carlo'"]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,55 @@
+"""The long claims, each with its number; `pytest -m study`."""
+
+import numpy as np
+import pytest
+
+from dropo.core.catalogue import find
+from dropo.estimators.dropo import DROPO
+from dropo.problems.outside import find_data
+
+pytestmark = pytest.mark.study
+
+
+def needs(name):
+    """Skips, saying what is missing, where outside data are not at hand."""
+    if find_data(name) is None:
+        pytest.skip(f"needs {name} in the folder that DROPO_DATA names")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_published_hopper_by_the_published_method(seed):
+    """CMA-ES on 10 draws, from the middle of the box: 3.53, 3.93, 2.71 and 5.09 kg, from 100 transitions and 2000 evaluations."""
+    needs("hopper-published/clean.npz")
+    problem = find("problems", "hopper-published")().using(transitions=100)
+    fit = DROPO(likelihood="monte-carlo", optimizer="cma-es", start="middle", draws=10, budget=2000).fit(problem, rng=seed)
+    assert fit.mean.round(2).tolist() == [3.53, 3.93, 2.71, 5.09], str(fit)
+    assert (fit.scale < 1e-2).all()  # the masses did not vary
+    assert fit.simulator_steps <= 2001 * 10 * 100 * 4 + 9 * 100 * 4
+
+
+def held_out_position_error(problem, values):
+    """Root mean square distance [m] of the cube after a horizon, over the tosses that no fit saw."""
+    segments = problem.cut(problem.held_out)
+    apart = (problem.simulator.predict(np.atleast_2d(values), segments)[0] - problem.simulator.targets(segments))[:, :3]
+    return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
+
+
+def test_a_real_cube_on_a_board():
+    """Friction 0.15 to 0.23, and held-out tosses within 5.5 mm after 101 ms; MuJoCo's default contact is 25 to 30 mm off."""
+    needs("cube-toss/runs.npz")
+    problem = find("problems", "cube-toss")()
+    fit = DROPO().fit(problem, rng=0)
+    assert 0.15 < fit.mean[0] < 0.23, str(fit)
+    assert held_out_position_error(problem, fit.mean) <= 5.5e-3
+    assert 25e-3 < held_out_position_error(problem, [1.0, 0.02, 1.0]) < 30e-3
+
+
+def test_tuning_epsilon_on_noisy_data_chooses_the_noise():
+    """Figure 6.4: on 1000 transitions with noise of variance 1e-5, the smallest epsilon with an acceptable error is 1e-5."""
+    fit = DROPO(epsilon="tune").fit(find("problems", "hopper-noisy")(), rng=0)
+    table = fit.details["tuning"]
+    print(*table, sep="\n")
+    assert [row["epsilon"] for row in table] == [10.0**k for k in range(-8, -1)]
+    assert fit.epsilon.tolist() == [1e-5] * 11
+    assert table[0]["total_variance"] > 100 * table[3]["total_variance"]
+    assert table[0]["mse"] > table[3]["mse"]
