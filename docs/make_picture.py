@@ -79,8 +79,7 @@ def masses_panel(ax: Any, fit: Fit) -> None:
     ax.set(yticks=y, yticklabels=[name.removesuffix("_mass") for name in fit.space.names], xlabel="mass [kg]", title="All four masses")
     ax.set(xlim=(0, 11.5), ylim=(-0.55, 4.75))
     handles, labels = ax.get_legend_handles_labels()
-    order = np.argsort([labels.index(label) if label != "true mean" else 9 for label in labels])
-    ax.legend([handles[i] for i in order], [labels[i] for i in order], loc="upper right", frameon=False, fontsize=8)
+    ax.legend(handles[1:] + handles[:1], labels[1:] + labels[:1], loc="upper right", frameon=False, fontsize=8)  # bars first
 
 
 def error_panel(ax: Any, names: list[str], before: Array, after: Array) -> None:

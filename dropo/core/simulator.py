@@ -18,7 +18,8 @@ class Simulator(ABC):
     """Replays segments under parameter vectors. A plug-in writes `_predict`, and sets `space` and `signals`.
 
     space: the d parameters that `predict` takes, in this order. signals: the p numbers that it gives for each row.
-    steps: the simulator steps made so far; failures: the simulations so far that did not reach their end.
+    nominal: (d,) the parameters' values before any fit, where there are such. steps: the simulator steps made so far;
+    failures: the simulations so far that did not reach their end.
     """
 
     space: ParameterSpace
@@ -50,6 +51,7 @@ class Simulator(ABC):
         return predictions
 
     steps_per_action: int = 1
+    nominal: Array | None = None
 
     @property
     def start_size(self) -> int:

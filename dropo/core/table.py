@@ -1,6 +1,6 @@
 """Results as plain text."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,22 @@ def number(value: float, digits: int = 5) -> str:
     return f"{value:.{digits}g}" if np.isfinite(value) else "-"
 
 
+def held_out_lines(found: dict[str, Any] | None) -> list[str]:
+    """One line on the held-out errors, by unit, with the nominal model's before the arrow."""
+    if found is None:
+        return []
+    before = found.get("rmse_nominal", {})
+    shown = [
+        (f"{number(_nan(before[unit]), 3)} -> " if unit in before else "") + f"{number(_nan(value), 3)} {unit}"
+        for unit, value in found["rmse"].items()
+    ]
+    return [f"held-out error after {found['steps']} steps (RMS, {found['rows']} rows): {', '.join(shown)}"]
+
+
+def _nan(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
 def fit_table(fit: "Fit") -> str:
     """The fit as a table, with what it cost beneath."""
     truth = fit.details.get("truth", {})
@@ -38,6 +54,7 @@ def fit_table(fit: "Fit") -> str:
         f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
         text_table(header, rows),
         f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
+        *held_out_lines(fit.details.get("held_out")),
         f"{fit.simulator_steps:,} simulator steps, {fit.objective_evaluations} evaluations, {fit.wall_time_s:.1f} s",
         f"{fit.status.value}: {fit.message}",
         *(f"warning: {text}" for text in fit.warnings),

@@ -94,7 +94,15 @@ class Rounds:
             status, reason = Status.INTERRUPTED, "Interrupted: this is the best so far."
         full = [outcome for outcome in done if not outcome.region.coarse]
         best = max(full, key=lambda outcome: outcome.value) if self._stalled(done) else done[-1]
+        if best.region.coarse:
+            best = self._on_all_segments(best)
         return self._likelihood_of(best), SearchResult(best.phi, best.value, len(done), reason, status)
+
+    def _on_all_segments(self, outcome: _Outcome) -> _Outcome:
+        """The same maximum in a likelihood of all segments: for a fit that was interrupted before its first full round."""
+        with self.run.counting():
+            region, local = self._build(replace(outcome.region, coarse=False))
+        return replace(outcome, region=region, value=local(outcome.phi))
 
     def _round(self, region: _Region, last: Array | None) -> _Outcome:
         """One round, or its record: what is kept is the width used, the value, phi and the errors."""

@@ -15,6 +15,7 @@ from dropo.core.likelihood import LocalLogLikelihood, LogLikelihood
 from dropo.core.linear_gaussian import sandwich, scores_and_information
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
+from dropo.estimators.held_out import held_out_errors
 
 MANY = 20  # groups from which their number is enough for standard errors clustered by group
 
@@ -43,7 +44,7 @@ def summarise(
         scale=scale, sd=sd, mean_se=mean_se, scale_se=scale_se, correlation=correlation, epsilon=epsilon, log_likelihood=log_likelihood,
         mse=float(np.mean(misfit**2)), transitions=int(problem.segments.lengths.sum()), simulator_steps=0, failed_simulations=0,
         objective_evaluations=0, status=status, message=message, warnings=tuple(notes), arrays=arrays or {},
-        details={**(details or {}), **({"truth": dict(problem.truth)} if problem.truth else {})},
+        details={**(details or {}), **({"truth": dict(problem.truth)} if problem.truth else {}), **held_out_errors(problem, run, mean)},
     )  # fmt: skip
 
 

@@ -45,6 +45,7 @@ class MujocoSimulator(Simulator):
         self.space = ParameterSpace(tuple(parameters))
         self.model = load_model(model, [p.field for p in parameters])
         self.bindings = [Binding(p, self.model) for p in parameters]
+        self.nominal = np.array([binding.nominal() for binding in self.bindings])
         self.layout = Layout(self.model, observation)
         self.signals = self.layout.signals
         self.controls = action_columns(self.model, action)
@@ -60,11 +61,6 @@ class MujocoSimulator(Simulator):
     def control_step(self) -> float:
         """Seconds for which one action is held."""
         return float(self.model.opt.timestep) * self.frame_skip
-
-    @property
-    def nominal(self) -> Array:
-        """(d,) the parameters' values in the model as loaded."""
-        return np.array([binding.nominal() for binding in self.bindings])
 
     def targets(self, segments: Segments) -> Array:
         return self.layout.coordinates(segments.targets, segments.targets)
@@ -256,7 +252,4 @@ def quiet() -> Iterator[None]:
         yield
     finally:
         with _LOCK:
-            own = _handlers[0]
-            _handlers.pop()
-            if not _handlers:
-                mujoco.set_mju_user_warning(own)
+            mujoco.set_mju_user_warning(_handlers.pop())

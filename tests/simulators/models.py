@@ -74,7 +74,7 @@ class Case:
 
     def segments(self, cut):
         """The data, cut in one of the ways of CUTS."""
-        options = CUTS[cut] | ({"set_columns": self.partly} if cut == "partial" else {})
+        options = CUTS[cut] | ({"set_columns": self.partly} if "partial" in cut else {})
         return self.data().segments(**options)
 
     def _row(self, model, rng):
@@ -85,8 +85,14 @@ class Case:
         return [getattr(data, field)[place] for field, place in self.columns]
 
 
-CUTS = {"transitions": {}, "lambda": {"length": 2}, "every step": {"length": 3, "every_step": True}, "start": {"reset": "start"},
-        "partial": {"length": 2, "reset": "partial"}, "partial, every step": {"length": 2, "reset": "partial", "every_step": True}}  # fmt: skip
+CUTS = {
+    "transitions": {},
+    "lambda": {"length": 2},
+    "every step": {"length": 3, "every_step": True},
+    "start": {"reset": "start"},
+    "partial": {"length": 2, "reset": "partial"},
+    "partial, every step": {"length": 2, "reset": "partial", "every_step": True},
+}
 
 
 def mass(body, **more):

@@ -32,7 +32,7 @@ def data(width=2, actions=1, seed=0):
 
 def cut_of(trajectories, cut):
     """The trajectories in one of the ways of CUTS; `partial` sets the first column alone."""
-    columns = {"set_columns": np.arange(trajectories.observations.shape[1]) == 0} if cut == "partial" else {}
+    columns = {"set_columns": np.arange(trajectories.observations.shape[1]) == 0} if "partial" in cut else {}
     return trajectories.segments(**CUTS[cut], **columns)
 
 
