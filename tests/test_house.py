@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "distributions": {"core"}, "likelihoods": {"core"}, "optimizers": {"core"}, "estimators": {"core"}, "simulators": {"core"},
     "data": {"core"}, "testing": {"core"},
     "problems": {"core", "simulators", "data"},
-    "cli": {"core", "data", "problems", ""}, "": {"cli"},
+    "cli": {"core", "data", "problems", ""}, "": {"cli", "core", "data", "estimators", "problems", "simulators"},  # names alone, imported late
 }  # fmt: skip
 HEAVY = {"torch", "pyro", "arviz", "matplotlib", "cma", "nlopt", "emcee", "pooch", "gymnasium", "minari"}
 UNAVOIDABLE = {"simulators/gymnasium.py": {"gymnasium"}}  # it does nothing without; imported where one is asked for
@@ -196,3 +196,15 @@ def test_no_path_of_a_machine():
     assert not MACHINE.search("https://example.org" + "/hom" + "e and a/wor" + "k")
     lines = [(path.name, line[:100]) for path in texts() for line in path.read_text().splitlines() if MACHINE.search(line)]
     assert lines == []
+
+
+def test_public_names_resolve_and_cost_nothing():
+    """Each name of dropo.__all__ is there, and `import dropo` alone brings neither numpy nor mujoco."""
+    import dropo
+
+    assert [name for name in dropo.__all__ if not hasattr(dropo, name)] == []
+    with pytest.raises(AttributeError, match="no attribute 'DROPPO'"):
+        dropo.DROPPO  # noqa: B018
+    loaded = subprocess.run([sys.executable, "-c", "import dropo, sys; print(sorted(sys.modules))"], capture_output=True, text=True, check=True)
+    assert "'numpy'" not in loaded.stdout
+    assert "'mujoco'" not in loaded.stdout

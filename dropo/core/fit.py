@@ -12,6 +12,7 @@ from dropo.core.catalogue import find
 from dropo.core.checks import Array
 from dropo.core.errors import BadFile
 from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.table import number, text_table
 
 
 class Status(str, Enum):
@@ -111,8 +112,6 @@ class Fit:
             raise BadFile(path, "", "a fit written by `dropo fit --out`", f"{type(error).__name__}: {error}") from None
 
     def __str__(self) -> str:
-        from dropo.core.table import fit_table
-
         return fit_table(self)
 
 
@@ -148,3 +147,37 @@ def _from_json(cls: type[Fit], content: dict[str, Any], arrays: dict[str, Array]
         warnings=tuple(content["warnings"]), arrays=arrays,
         details={key: value for key, value in content.items() if key not in known}, **saved,
     )  # fmt: skip
+
+
+def held_out_lines(found: dict[str, Any] | None) -> list[str]:
+    """One line on the held-out errors, by unit, with the nominal model's before the arrow."""
+    if found is None:
+        return []
+    before = found.get("rmse_nominal", {})
+    shown = [
+        (f"{number(_value(before[unit]), 3)} -> " if unit in before else "") + f"{number(_value(value), 3)} {unit}"
+        for unit, value in found["rmse"].items()
+    ]
+    return [f"held-out error after {found['steps']} steps (RMS, {found['rows']} rows): {', '.join(shown)}"]
+
+
+def fit_table(fit: Fit) -> str:
+    """The fit as a table, with what it cost beneath."""
+    truth = fit.details.get("truth", {})
+    header = ["parameter", "unit", "mean", "se", "scale", "sd", *(["truth"] if truth else [])]
+    rows = [
+        [p.name, p.unit, number(fit.mean[i], 7), number(fit.mean_se[i], 2), number(fit.scale[i], 4), number(fit.sd[i], 4)]
+        + ([number(truth[p.name], 7)] if truth else [])
+        for i, p in enumerate(fit.space)
+    ]
+    likelihood = f"log-likelihood {fit.log_likelihood:.6g} ({fit.log_likelihood / fit.transitions:.4g} a transition)"
+    lines = [
+        f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
+        text_table(header, rows),
+        f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
+        *held_out_lines(fit.details.get("held_out")),
+        f"{fit.simulator_steps:,} simulator steps, {fit.objective_evaluations} evaluations, {fit.wall_time_s:.1f} s",
+        f"{fit.status.value}: {fit.message}",
+        *(f"warning: {text}" for text in fit.warnings),
+    ]
+    return "\n".join(lines)

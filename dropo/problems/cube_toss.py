@@ -36,7 +36,7 @@ def cube_toss(threads: int = 0) -> Problem:
     kept_back = number % HELD_OUT == HELD_OUT - 1
     fitted, held_out = tosses(arrays, number[~kept_back]), tosses(arrays, number[kept_back])
     first = fitted.only(np.arange(FIRST))
-    return Problem("cube-toss", simulator, first, length=HORIZON, held_out=held_out, everything=fitted)
+    return Problem("cube-toss", simulator, first, length=HORIZON, held_out=held_out, everything=fitted, settings={"family": "log_normal"})
 
 
 def cube_spec(path: Path) -> mujoco.MjSpec:

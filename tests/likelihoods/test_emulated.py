@@ -281,6 +281,29 @@ def test_a_design_with_too_few_points_is_refused():
     )
 
 
+def test_what_the_polynomials_leave_is_an_unbiased_covariance():
+    """White noise in place of a simulator, over 3000 rows: its covariance, times Hartlap's factor free / (free - p - 1).
+
+    4.5 standard errors, themselves below 2 %; the maximum-likelihood covariance, divided by N, is rejected.
+    """
+    rng, p = np.random.default_rng(0), 2
+    root = np.array([[1.0, 0.0], [0.6, 0.8]])
+    noisy = lambda value, starts, actions: rng.standard_normal((*actions.shape[:2], p)) @ root.T
+    simulator = FunctionSimulator(noisy, [Parameter("x", -9, 9), Parameter("y", -9, 9)], ["a", "b"])
+    actions = np.ones((3000, 1, 1))
+    segments = simulate(simulator, np.zeros((3000, 2)), actions, np.zeros(p)).segments()
+    emulator = build(simulator, segments, np.zeros(2), np.ones(2), np.array([2, 2]), np.random.default_rng(1))
+    terms = len(emulator.indices)
+    points = int(np.ceil(POINTS * terms)) + SPARE
+    free = points - terms
+    found = emulator.residual[:, [0, 1, 0], [0, 1, 1]] * (free - p - 1) / free
+    error = found.std(axis=0) / np.sqrt(len(found))
+    exact = (root @ root.T)[[0, 1, 0], [0, 1, 1]]
+    assert (error < 0.02).all()
+    assert (np.abs(found.mean(axis=0) - exact) < 4.5 * error).all()
+    assert (np.abs(found.mean(axis=0) * free / points - exact) > 4.5 * error).all()
+
+
 def test_a_family_without_a_standard_law_is_refused():
     class Nameless(TruncatedGaussian):
         standard = None
