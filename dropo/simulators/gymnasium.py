@@ -12,20 +12,25 @@ from dropo.simulators.mujoco import MujocoSimulator, quiet
 
 
 class GymnasiumSimulator(MujocoSimulator):
-    """The model, frame skip and observation of a Gymnasium MuJoCo environment, replayed in batches.
+    """The model and frame skip of a Gymnasium MuJoCo environment, replayed in batches.
 
-    Observations are the environment's positions and velocities (`qpos[k:]`, `qvel`), velocities not clipped; other parts
-    of an observation (contact forces, inertias) do not determine the state and are left out of the data's columns.
+    observation: the columns of the data's rows. By default those of the environment's own observation that are positions
+    and velocities (`qpos[k:]`, `qvel`; velocities not clipped, contact forces and inertias left out). Environments that
+    observe something else (Reacher's cosines) need it given, as ["qpos", "qvel"], and data with these columns.
     """
 
-    def __init__(self, env_id: str, parameters: Sequence[FieldParameter], *, threads: int = 0, **options: Any):
-        model, frame_skip, skipped = _environment(env_id, options)
-        observation = [f"qpos[{skipped}:]" if skipped else "qpos", "qvel"]
-        super().__init__(model, parameters, observation=observation, frame_skip=frame_skip, threads=threads)
+    def __init__(
+        self, env_id: str, parameters: Sequence[FieldParameter], *, observation: Sequence[str] | None = None, threads: int = 0,
+        **options: Any,
+    ):  # fmt: skip
+        env = _environment(env_id, options)
+        model, frame_skip = env.model, int(env.frame_skip)
+        columns = _observed(env_id, env) if observation is None else observation
+        env.close()
+        super().__init__(model, parameters, observation=columns, frame_skip=frame_skip, threads=threads)
 
 
-def _environment(env_id: str, options: dict[str, Any]) -> tuple[Any, int, int]:
-    """The model, the frame skip, and how many leading positions the observation leaves out."""
+def _environment(env_id: str, options: dict[str, Any]) -> Any:
     try:
         with quiet():  # some of its models use deprecated MJCF
             env = gymnasium.make(env_id, **options).unwrapped
@@ -35,12 +40,16 @@ def _environment(env_id: str, options: dict[str, Any]) -> tuple[Any, int, int]:
         raise UnknownName(f"No Gymnasium environment called {env_id!r}. {nearest(env_id, gymnasium.registry)}") from None
     if not hasattr(env, "model") or not hasattr(env, "frame_skip"):
         raise Incompatible(f"The environment {env_id!r} is not a MuJoCo one. Use EnvSimulator with a function that sets its state.")
+    return env
+
+
+def _observed(env_id: str, env: Any) -> list[str]:
+    """The environment's positions and velocities, where its observation begins with them as they are."""
     structure = getattr(env, "observation_structure", None)
-    skipped = env.model.nq - structure["qpos"] if structure else 0
+    skipped = int(env.model.nq - structure["qpos"]) if structure else 0
     if structure is None or structure["qvel"] != env.model.nv or skipped != structure.get("skipped_qpos", 0):
         raise Incompatible(
-            f"The observation of {env_id!r} does not hold positions and velocities as they are. Use MujocoSimulator with its model."
+            f"The observation of {env_id!r} does not hold positions and velocities as they are."
+            " Give observation=['qpos', 'qvel'], and data with these columns."
         )
-    found = env.model, int(env.frame_skip), int(skipped)
-    env.close()
-    return found
+    return [f"qpos[{skipped}:]" if skipped else "qpos", "qvel"]

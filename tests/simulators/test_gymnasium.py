@@ -108,7 +108,8 @@ def test_writes_no_log(tmp_path, monkeypatch, capfd):
     ("CartPole-v1", Incompatible,
      "The environment 'CartPole-v1' is not a MuJoCo one. Use EnvSimulator with a function that sets its state."),
     ("Reacher-v5", Incompatible,
-     "The observation of 'Reacher-v5' does not hold positions and velocities as they are. Use MujocoSimulator with its model."),
+     "The observation of 'Reacher-v5' does not hold positions and velocities as they are."
+     " Give observation=['qpos', 'qvel'], and data with these columns."),
     ("Hoper-v5", UnknownName, "No Gymnasium environment called 'Hoper-v5'. Did you mean 'Hopper-v5'?"),
     ("Hopper-v99", UnknownName, "No Gymnasium environment called 'Hopper-v99'. Did you mean 'Hopper-v5'?"),
     ("hopper v5", UnknownName, "No Gymnasium environment called 'hopper v5'. Did you mean 'Hopper-v5'?"),
@@ -121,3 +122,19 @@ def test_refusals(env_id, error, words):
     with pytest.raises(error) as caught:
         GymnasiumSimulator(env_id, [])
     assert str(caught.value) == words
+
+
+def test_any_environment_by_its_state():
+    """Reacher observes cosines; with the columns given, its model is replayed like any other (1e-10)."""
+    damping = FieldParameter("damping", 0.1, 2.0, field="dof_damping", element="joint0")
+    simulator = GymnasiumSimulator("Reacher-v5", [damping], observation=["qpos", "qvel"])
+    env = gymnasium.make("Reacher-v5").unwrapped
+    env.reset(seed=0)
+    env.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    rows, actions = [np.concatenate([env.data.qpos, env.data.qvel])], np.random.default_rng(0).uniform(-1, 1, (20, 2))
+    for action in actions:
+        env.step(action)
+        rows.append(np.concatenate([env.data.qpos, env.data.qvel]))
+    data = Trajectories(rows[:-1], actions, rows[1:], np.arange(20) == 19)
+    np.testing.assert_allclose(simulator.predict([simulator.nominal], data.segments())[0], rows[1:], atol=1e-10)
+    env.close()
