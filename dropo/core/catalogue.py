@@ -23,6 +23,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
     "likelihoods": {
         "monte-carlo": "dropo.likelihoods.gaussian:Gaussian",
         "emulated": "dropo.likelihoods.emulated:Emulated",
+        "random-effects": "dropo.likelihoods.random_effects:RandomEffects",
         "ghurye-olkin": "dropo.likelihoods.ghurye_olkin:GhuryeOlkin",
     },
     "families": {

@@ -171,7 +171,7 @@ class LocalLogLikelihood(LogLikelihood):
 
     @abstractmethod
     def expand(self, phi: Array) -> tuple[float, Array, Array]:
-        """The value, the scores of the rows (R, m) and the Fisher information (m, m) at phi."""
+        """The value, the scores of the rows (R, m), or of the groups where they share draws, and the Fisher information (m, m)."""
 
     @abstractmethod
     def predict(self, values: Array) -> Array:

@@ -67,10 +67,12 @@ def local_standard_errors(problem: Problem, family: Family, objective: LocalLogL
     """(d,) as `standard_errors`, from a local likelihood's scores; unknowns on a bound of phi are held fixed."""
     n = len(family.unknowns)
     _, scores, information = objective.expand(phi)
+    units = clusters(problem.segments)
+    units = units if len(units) == len(scores) else np.arange(len(scores))  # scores of groups are independent as they are
     unit = family.unknowns.to_unit(phi[:n])
     free = np.concatenate([(unit > 1e-6) & (unit < 1 - 1e-6), np.ones(len(phi) - n, dtype=bool)])
     errors = np.full(len(phi), np.nan)
-    errors[free] = np.sqrt(np.diagonal(sandwich(scores[:, free], information[np.ix_(free, free)], clusters(problem.segments))))
+    errors[free] = np.sqrt(np.diagonal(sandwich(scores[:, free], information[np.ix_(free, free)], units)))
     names = objective.unknowns.names
     mean_se = np.array([errors[names.index(f"mean.{name}")] for name in family.space.names])
     scale_se = np.array([errors[names.index(f"scale.{name}")] if f"scale.{name}" in names else np.nan for name in family.space.names])

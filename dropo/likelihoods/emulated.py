@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
 from dropo.core.checks import Array
@@ -13,10 +13,8 @@ from dropo.core.family import Family
 from dropo.core.likelihood import Epsilon, LocalLikelihood, LocalLogLikelihood, NoiseModel
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.simulator import Simulator
-from dropo.likelihoods.polynomials import Emulator, build, products
+from dropo.likelihoods.polynomials import Emulator, build, orders_for, products
 
-ROUGH = 2  # the order for a first look
-ORDERS = ((0.002, 1), (0.013, 2), (0.033, 3), (np.inf, 4))  # polynomial order by width / search interval
 
 
 @dataclass(frozen=True)
@@ -38,17 +36,11 @@ class Emulated(LocalLikelihood):
             raise Incompatible(
                 f"The family {type(family).__name__} names no standard law, so its moments are not known. Use likelihood 'monte-carlo'."
             )
-        orders = np.full(len(centre), self.order) if self.order else orders_for(width / (simulator.space.high - simulator.space.low))
-        orders = np.minimum(orders, ROUGH) if rough else orders
+        orders = orders_for(width, simulator.space, self.order, rough)
         logarithmic = family.logarithmic
         c, h = (np.log(centre), width / centre) if logarithmic else (centre, width)
         emulator = build(simulator, segments, c, h, orders, rng, logarithmic=logarithmic)
         return _EmulatedLogLikelihood(emulator, simulator, segments, family, epsilon, centre, width)
-
-
-def orders_for(share: Array) -> NDArray[np.int64]:
-    """(d,) polynomial orders from design widths as shares of the search interval; pairs of parameters are always crossed."""
-    return np.array([next(order for limit, order in ORDERS if s < limit) for s in share], dtype=np.int64)
 
 
 class _EmulatedLogLikelihood(LocalLogLikelihood):
@@ -88,7 +80,7 @@ class _EmulatedLogLikelihood(LocalLogLikelihood):
 
     def _rows(self, phi: Array) -> Array:
         mean, _, sigma = self._moments(phi)
-        return _log_normal_density(self.targets - mean, sigma)[0]
+        return log_normal_density(self.targets - mean, sigma)[0]
 
     def mean(self, phi: Array) -> Array:
         return self._moments(phi)[0]
@@ -104,7 +96,7 @@ class _EmulatedLogLikelihood(LocalLogLikelihood):
 
     def expand(self, phi: Array) -> tuple[float, Array, Array]:
         mean, factor, sigma = self._moments(phi)
-        rows, whiten = _log_normal_density(self.targets - mean, sigma)
+        rows, whiten = log_normal_density(self.targets - mean, sigma)
         left = np.einsum("rpq,rq->rp", whiten, self.targets - mean)  # L^-1 r
         white_factor = whiten @ factor
         by_mean, by_cov = [], []
@@ -136,7 +128,7 @@ def trusted(family: Family, centre: Array, width: Array) -> list[Parameter]:
     return out
 
 
-def _log_normal_density(residual: Array, sigma: Array) -> tuple[Array, Array]:
+def log_normal_density(residual: Array, sigma: Array) -> tuple[Array, Array]:
     """(R,) log N(residual; 0, sigma), and L^-1 (R, p, p)."""
     whiten = np.linalg.inv(np.linalg.cholesky(sigma))
     z = np.einsum("rpq,rq->rp", whiten, residual)

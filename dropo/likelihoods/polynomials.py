@@ -11,11 +11,21 @@ from scipy.stats import qmc
 from dropo.core.checks import Array
 from dropo.core.data import Segments
 from dropo.core.errors import SimulationFailed
+from dropo.core.parameters import ParameterSpace
 from dropo.core.simulator import Simulator, describe_failures
 from dropo.core.standard_law import NORMAL
 
 POINTS, SPARE = 1.7, 6  # design points for M polynomials: 1.7 M + 6
+ROUGH = 2  # the highest order for a first look
+ORDERS = ((0.002, 1), (0.013, 2), (0.033, 3), (np.inf, 4))  # polynomial order by width / search interval
 FULL_QUADRATIC = 10  # up to so many parameters all pairs are crossed; beyond, only their squares are kept
+
+
+def orders_for(width: Array, space: ParameterSpace, order: int | None, rough: bool) -> NDArray[np.int64]:
+    """(d,) polynomial orders: the one given, else by the design's width as a share of the search interval; at most 2 where rough."""
+    share = width / (space.high - space.low)
+    chosen = [order or next(o for limit, o in ORDERS if s < limit) for s in share]
+    return np.minimum(np.array(chosen, dtype=np.int64), ROUGH if rough else max(chosen))
 
 
 def index_set(orders: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -54,6 +64,16 @@ class Emulator:
         """The polynomials (K, M) at parameter vectors (K, d)."""
         x = np.log(values) if self.logarithmic else values
         return products((x - self.centre) / self.width, self.indices)
+
+    def slopes(self, values: Array) -> Array:
+        """d basis / d value (K, M, d) at parameter vectors (K, d), where the coordinates are the values themselves."""
+        u = (values - self.centre) / self.width
+        out = []
+        for i in range(u.shape[1]):
+            lower = self.indices - np.eye(u.shape[1], dtype=np.int64)[i]
+            factor = np.sqrt(np.maximum(self.indices[:, i], 0)) / self.width[i]  # d He_n / du = sqrt(n) He_(n-1), orthonormal
+            out.append(factor * products(u, np.maximum(lower, 0)))
+        return np.stack(out, axis=-1)
 
     def predict(self, values: Array) -> Array:
         """Emulated predictions (K, R, p) at (K, d)."""
