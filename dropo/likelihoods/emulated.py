@@ -16,7 +16,6 @@ from dropo.core.simulator import Simulator
 from dropo.likelihoods.polynomials import Emulator, build, orders_for, products
 
 
-
 @dataclass(frozen=True)
 class Emulated(LocalLikelihood):
     """Polynomials in place of the simulator near the estimate; their moments under a member of the family are exact.

@@ -1,8 +1,10 @@
 """The Gaussian likelihood that integrates over a draw shared by all segments of a group."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.checks import Array
 from dropo.core.data import Segments
@@ -139,7 +141,7 @@ class GroupedLogLikelihood(LocalLogLikelihood):
         return [(up[0] - down[0]) / h for up, down, h in sides], [(up[1] - down[1]) / h for up, down, h in sides]
 
     def _noise_scores(
-        self, own: Array, rho: Array, jacobian: Array, whiten: Array, inner: Array, e: Array, spread: Array
+        self, own: Array, rho: Array, jacobian: Array, whiten: Array, inner: NDArray[np.floating[Any]], e: Array, spread: Array
     ) -> tuple[list[Array], Array]:
         """Scores (G,) of each noise unknown, and their information with the draws taken as known."""
         posterior = np.einsum("de,gef->gdf", spread, inner)  # (S^-1 + G)^-1

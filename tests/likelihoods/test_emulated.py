@@ -15,8 +15,8 @@ from dropo.core.likelihood import Learned, LocalLogLikelihood
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.standard_law import NORMAL, TRUNCATED_NORMAL, UNIFORM
 from dropo.distributions.truncated_gaussian import SD, TruncatedGaussian
-from dropo.likelihoods.emulated import Emulated, orders_for
-from dropo.likelihoods.polynomials import POINTS, SPARE, build, design_points, index_set
+from dropo.likelihoods.emulated import Emulated
+from dropo.likelihoods.polynomials import POINTS, SPARE, build, design_points, index_set, orders_for
 from dropo.simulators.general import FunctionSimulator
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from dropo.testing import check_likelihood
@@ -352,8 +352,12 @@ def test_many_parameters_are_emulated():
 
 
 def test_orders_follow_the_width():
-    """Shares of the search interval up to 0.2, 1.3 and 3.3 % are orders 1, 2 and 3; all wider ones are 4."""
-    assert orders_for(np.array([1e-3, 5e-3, 0.02, 0.1])).tolist() == [1, 2, 3, 4]
+    """Shares of the search interval up to 0.2, 1.3 and 3.3 % are orders 1, 2 and 3; all wider ones are 4; a first look stops at 2."""
+    space = ParameterSpace(tuple(Parameter(name, 0.0, 2.0) for name in "abcd"))
+    width = 2 * np.array([1e-3, 5e-3, 0.02, 0.1])
+    assert orders_for(width, space, None, rough=False).tolist() == [1, 2, 3, 4]
+    assert orders_for(width, space, None, rough=True).tolist() == [1, 2, 2, 2]
+    assert orders_for(width, space, 3, rough=False).tolist() == [3, 3, 3, 3]
 
 
 # --- standard laws
