@@ -72,7 +72,7 @@ class Fit:
         columns = {"mean": self.mean, "scale": self.scale, "sd": self.sd, "mean_se": self.mean_se, "scale_se": self.scale_se}
         parameters = {
             p.name: {**{key: _number(values[i]) for key, values in columns.items()}, "unit": p.unit, "low": p.low, "high": p.high,
-                     "lower": _number(p.lower), "upper": _number(p.upper)}
+                     "lower": _number(p.lower), "upper": _number(p.upper), "search_scale": p.scale}
             for i, p in enumerate(self.space)
         }  # fmt: skip
         return {
@@ -127,13 +127,9 @@ def _value(saved: float | None, missing: float = np.nan) -> float:
     return missing if saved is None else float(saved)
 
 
-def _space(rows: dict[str, dict[str, Any]]) -> ParameterSpace:
-    return ParameterSpace(
-        tuple(
-            Parameter(name, row["low"], row["high"], row["unit"], _value(row["lower"], -np.inf), _value(row["upper"], np.inf))
-            for name, row in rows.items()
-        )
-    )
+def _parameter(name: str, row: dict[str, Any]) -> Parameter:
+    lower, upper = _value(row["lower"], -np.inf), _value(row["upper"], np.inf)
+    return Parameter(name, row["low"], row["high"], row["unit"], lower, upper, row["search_scale"])
 
 
 def _from_json(cls: type[Fit], content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
@@ -143,7 +139,8 @@ def _from_json(cls: type[Fit], content: dict[str, Any], arrays: dict[str, Array]
     known = {"version", "parameters", "log_likelihood", "log_likelihood_per_transition", "status", "warnings", *own, *_SAVED}
     saved: dict[str, Any] = {key: content[key] for key in _SAVED} | {"mse": _value(content["mse"])} | columns | own
     return cls(
-        space=_space(rows), log_likelihood=_value(content["log_likelihood"]), status=Status(content["status"]),
+        space=ParameterSpace(tuple(_parameter(name, row) for name, row in rows.items())),
+        log_likelihood=_value(content["log_likelihood"]), status=Status(content["status"]),
         warnings=tuple(content["warnings"]), arrays=arrays,
         details={key: value for key, value in content.items() if key not in known}, **saved,
     )  # fmt: skip

@@ -26,6 +26,7 @@ STALLED = 5  # full rounds without a better likelihood, after which the best one
 
 UNSETTLED = "The estimate still moved after {} rounds: look at parameters that the data cannot tell."
 SETTLED_IN = "The estimate stopped moving after {} rounds."
+CUT_SHORT = "The estimate stopped moving, but the budget of the search within each round ran out first: raise it."
 STOPPED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
 
 MakeOptimizer = Callable[[int, Array], Optimizer]
@@ -42,12 +43,14 @@ class _Region:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """A round's maximum phi (m,) with its value, and the standard errors (d,) of its means by the Fisher information."""
+    """A round's maximum phi (m,) with its value, the standard errors (d,) of its means by the Fisher information, and whether
+    the search for it came to its own end."""
 
     region: _Region
     phi: Array
     value: float
     errors: Array
+    finished: bool
 
 
 @dataclass
@@ -94,6 +97,8 @@ class Rounds:
             status, reason = Status.INTERRUPTED, "Interrupted: this is the best so far."
         full = [outcome for outcome in done if not outcome.region.coarse]
         best = max(full, key=lambda outcome: outcome.value) if self._stalled(done) else done[-1]
+        if status is Status.CONVERGED and not best.finished:
+            status, reason = Status.OUT_OF_BUDGET, CUT_SHORT
         if best.region.coarse:
             best = self._on_all_segments(best)
         return self._likelihood_of(best), SearchResult(best.phi, best.value, len(done), reason, status)
@@ -105,18 +110,17 @@ class Rounds:
         return replace(outcome, region=region, value=local(outcome.phi))
 
     def _round(self, region: _Region, last: Array | None) -> _Outcome:
-        """One round, or its record: what is kept is the width used, the value, phi and the errors."""
+        """One round, or its record: what is kept is the width used, the errors, the value, whether it finished, and phi."""
         d = len(self.box)
         point = np.concatenate([region.centre, region.width])[None]
 
         def play(point: Array) -> Array:
             used, local = self._build(region)
-            phi = self._maximise(local, self._first(local, used, last))
-            return np.concatenate([used.width, [local(phi)], self._errors(local, phi), phi])[None]
+            phi, finished = self._maximise(local, self._first(local, used, last))
+            return np.concatenate([used.width, self._errors(local, phi), [local(phi), finished], phi])[None]
 
-        kept = self.run.evaluate(point, play)[0]
-        used = replace(region, width=kept[:d])
-        return _Outcome(used, kept[2 * d + 1 :], float(kept[d]), kept[d + 1 : 2 * d + 1])
+        width, errors, (value, finished), phi = np.split(self.run.evaluate(point, play)[0], [d, 2 * d, 2 * d + 2])
+        return _Outcome(replace(region, width=width), phi, float(value), errors, bool(finished))
 
     def _build(self, region: _Region) -> tuple[_Region, LocalLogLikelihood]:
         """The local likelihood; where a design's simulations diverge, on half the width, up to five times."""
@@ -160,12 +164,17 @@ class Rounds:
                 start[i] = relative / 2 if last is None else max(start[i], 0.05 * relative)
         return np.clip(start, unknowns.low, unknowns.high)
 
-    def _maximise(self, local: LocalLogLikelihood, start: Array) -> Array:
+    def _maximise(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
+        """The local maximum (m,), and whether the search came to its own end."""
         if self.make_optimizer is None:
-            return maximise_locally(local, start).phi
+            found = maximise_locally(local, start)
+            return found.phi, found.converged
         optimizer = self.make_optimizer(len(start), np.clip(local.unknowns.to_unit(start), 0.0, 1.0))
         inside = replace(self.run, journal=Journal(), progress=lambda share, text: None)
-        return maximise(local, local.unknowns, optimizer, inside).point
+        result = maximise(local, local.unknowns, optimizer, inside)
+        if result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return result.point, result.status is Status.CONVERGED
 
     def _errors(self, local: LocalLogLikelihood, phi: Array) -> Array:
         d = len(self.box)
