@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from dropo.core.fit import Fit, Status
     from dropo.core.parameters import Parameter, ParameterSpace
     from dropo.core.problem import Problem
+    from dropo.core.recipe import fit
     from dropo.data.reader import read
     from dropo.estimators.droid import DROID
     from dropo.estimators.dropo import DROPO
@@ -41,6 +42,7 @@ _HOME = {
     "Status": "dropo.core.fit",
     "Trajectories": "dropo.core.data",
     "UniformRandomization": "dropo.estimators.uniform_randomization",
+    "fit": "dropo.core.recipe",
     "load": "dropo.problems.reader",
     "read": "dropo.data.reader",
 }
@@ -48,7 +50,7 @@ _HOME = {
 __all__ = [
     "DROID", "DROPO", "EnvSimulator", "FieldParameter", "Fit", "FunctionSimulator", "GymnasiumSimulator", "LeastSquares",
     "MujocoSimulator", "Parameter", "ParameterSpace", "Posterior", "Problem", "Segments", "Signal", "Status", "Trajectories",
-    "UniformRandomization", "load", "read",
+    "UniformRandomization", "fit", "load", "read",
 ]  # fmt: skip
 
 

@@ -48,9 +48,11 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.cli.record import run_record
     from dropo.core.fit import Status
     from dropo.core.journal import Journal
+    from dropo.core.recipe import estimator_for
 
     problem = _problem(arguments)
-    estimator = _estimator(arguments, problem)
+    given = {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
+    estimator = estimator_for(problem, arguments.method, given)
     record = run_record("fit", arguments.method, estimator, problem, arguments.seed)
     _check_folder(arguments.out, record)
     journal = Journal(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
@@ -111,40 +113,6 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
         raise Incompatible("--lambda has no meaning with `reset: start`, where a segment is a whole trajectory. Leave it out.")
     problem = problem.using(transitions=arguments.transitions, length=arguments.length)
     return replace(problem, warnings=(*problem.warnings, *(finding.sentence for finding in shorter_than_lambda(problem))))
-
-
-def _estimator(arguments: argparse.Namespace, problem: "Problem") -> "Estimator":
-    """The method with what the user gave, then what the problem suggests, then its own defaults."""
-    from dataclasses import fields
-
-    from dropo.core.catalogue import find
-    from dropo.core.errors import Incompatible
-
-    method = find("methods", arguments.method)
-    takes = [field.name for field in fields(method)]
-    given = {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
-    for name, value in given.items():
-        if name not in takes:
-            others = ", ".join(f"--{other}" for other in SETTINGS if other in takes)
-            raise Incompatible(f"method {arguments.method!r} takes no --{name}. It takes {others or 'none of these settings'}.")
-        if name in NAMED:
-            find(NAMED[name], value)
-    settings = {name: value for name, value in problem.settings.items() if name in takes} | given
-    if "draws" in settings and not _draws(settings.get("likelihood", getattr(method, "likelihood", None))):
-        if "draws" in given:
-            raise Incompatible("--draws means nothing to a likelihood that draws nothing. Leave it out, or add --likelihood monte-carlo.")
-        del settings["draws"]
-    estimator: Estimator = method(**settings)
-    return estimator
-
-
-def _draws(likelihood: Any) -> bool:
-    """Whether a likelihood, by its name, takes a number of draws; a method without one decides itself."""
-    from dataclasses import fields
-
-    from dropo.core.catalogue import find
-
-    return not isinstance(likelihood, str) or "draws" in [field.name for field in fields(find("likelihoods", likelihood))]
 
 
 def _check_folder(folder: Path | None, record: dict[str, Any]) -> None:

@@ -114,7 +114,7 @@ REFUSALS = {
     "unknown family": (["--family", "uniforn"], "No family called 'uniforn'. Did you mean 'uniform'?"),
     "unknown likelihood": (["--likelihood", "monte"], "No likelihood called 'monte'. Did you mean 'monte-carlo'?"),
     "a setting of another method": (
-        ["--method", "least-squares", "--family", "full"], "method 'least-squares' takes no --family. It takes --budget.",
+        ["--method", "least-squares", "--family", "full"], "method 'least-squares' takes no family. It takes weights, budget.",
     ),
     "lambda auto": (
         ["--lambda", "auto"],
@@ -140,7 +140,7 @@ REFUSALS = {
     ),
     "draws of a likelihood without": (
         ["--likelihood", "emulated", "--draws", "9"],
-        "--draws means nothing to a likelihood that draws nothing. Leave it out, or add --likelihood monte-carlo.",
+        "The likelihood 'emulated' draws nothing. Leave draws out, or use 'monte-carlo'.",
     ),
     "half a seed": (["--seed", "0.5"], "Argument --seed: expected a whole number of at least 0, got '0.5'. See `dropo fit --help`."),
 }  # fmt: skip

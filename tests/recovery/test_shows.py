@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dropo.core.catalogue import find
+from dropo.core.recipe import fit as fit_as_commanded
 from dropo.estimators.dropo import DROPO
 from dropo.problems.outside import find_data
 
@@ -18,18 +19,16 @@ def needs(name):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_published_hopper_by_the_published_method(seed):
-    """CMA-ES on 10 draws, from the middle of the box, with 100 transitions and 2000 evaluations.
+    """CMA-ES on 10 draws, from the middle of the box, with 100 transitions and 4000 evaluations: the truth within 1e-4 kg.
 
-    The default seed ends at 3.53, 3.93, 2.71 and 5.09 kg; seed 1 has not converged by then, and is within 0.005 kg.
+    Half as many evaluations are enough for three digits with seed 0, and not with seed 1.
     """
     needs("hopper-published/clean.npz")
     problem = find("problems", "hopper-published")().using(transitions=100)
-    fit = DROPO(likelihood="monte-carlo", optimizer="cma-es", start="middle", draws=10, budget=2000).fit(problem, rng=seed)
-    np.testing.assert_allclose(fit.mean, list(problem.truth.values()), atol=5e-3)
-    if seed == 0:
-        assert fit.mean.round(2).tolist() == [3.53, 3.93, 2.71, 5.09], str(fit)
-    assert (fit.scale < 2e-2).all()  # the masses did not vary
-    assert fit.simulator_steps < 2010 * 10 * 100 * 4
+    fit = DROPO(likelihood="monte-carlo", optimizer="cma-es", start="middle", draws=10, budget=4000).fit(problem, rng=seed)
+    np.testing.assert_allclose(fit.mean, list(problem.truth.values()), atol=1e-4)
+    assert (fit.scale < 1e-3).all()  # the masses did not vary
+    assert fit.simulator_steps < 4010 * 10 * 100 * 4
 
 
 def held_out_position_error(problem, values):
@@ -43,7 +42,7 @@ def test_a_real_cube_on_a_board():
     """Friction 0.15 to 0.23, and held-out tosses within 5.5 mm after 101 ms; MuJoCo's default contact is 25 to 30 mm off."""
     needs("cube-toss/runs.npz")
     problem = find("problems", "cube-toss")()
-    fit = DROPO().fit(problem, rng=0)
+    fit = fit_as_commanded(problem)
     assert 0.15 < fit.mean[0] < 0.23, str(fit)
     assert held_out_position_error(problem, fit.mean) <= 5.5e-3
     assert 25e-3 < held_out_position_error(problem, [1.0, 0.02, 1.0]) < 30e-3
