@@ -156,6 +156,15 @@ class NoiseModel:
         own = [f"epsilon[{i}]" for i in range(signals)] if isinstance(epsilon, Learned) and epsilon.each else ["epsilon"]
         self.unknowns = tuple(Parameter(name, 1e-8, 1e4, scale="log") for name in own) if isinstance(epsilon, Learned) else ()
 
+    def positive(self, caller: str) -> "NoiseModel":
+        """Itself, where no epsilon is 0: a local model's own error must not pass for the noise."""
+        if (self.shape <= 0).any():
+            raise BadArgument(
+                f"The epsilon of {caller} must be positive for every signal: without noise its covariance is singular."
+                " Give epsilon > 0 (the variance of the measurement noise), or 'learn'."
+            )
+        return self
+
     def epsilon(self, own: Array) -> Array:
         """(p,) from the likelihood's own unknowns, (p,), (1,) or (0,)."""
         return self.shape * own if self.unknowns else self.shape

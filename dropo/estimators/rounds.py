@@ -26,7 +26,7 @@ STALLED = 5  # full rounds without a better likelihood, after which the best one
 
 UNSETTLED = "The estimate still moved after {} rounds: look at parameters that the data cannot tell."
 SETTLED_IN = "The estimate stopped moving after {} rounds."
-CUT_SHORT = "The estimate stopped moving, but the budget of the search within each round ran out first: raise it."
+CUT_SHORT = "The estimate stopped moving, but the search within the last round did not come to its end: raise its budget."
 STOPPED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
 
 MakeOptimizer = Callable[[int, Array], Optimizer]

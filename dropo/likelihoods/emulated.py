@@ -50,7 +50,7 @@ class _EmulatedLogLikelihood(LocalLogLikelihood):
     ):
         self.emulator, self.family = emulator, family
         self.targets = simulator.targets(segments)
-        self.noise = NoiseModel(epsilon, len(simulator.signals))
+        self.noise = NoiseModel(epsilon, len(simulator.signals)).positive("Emulated")
         self.unknowns = ParameterSpace((*trusted(family, centre, width), *self.noise.unknowns))
         assert family.standard is not None
         base = qmc.Sobol(len(centre), rng=np.random.default_rng(0)).random_base2(int(np.ceil(np.log2(2 * len(emulator.indices)))) + 1)

@@ -50,7 +50,7 @@ class GroupedLogLikelihood(LocalLogLikelihood):
         self.emulator, self.family = emulator, family
         self.targets = simulator.targets(segments)
         self.groups, self.of_row = np.unique(segments.group[segments.rows[0]], return_inverse=True)
-        self.noise = NoiseModel(epsilon, len(simulator.signals))
+        self.noise = NoiseModel(epsilon, len(simulator.signals)).positive("RandomEffects")
         self.unknowns = ParameterSpace((*trusted(family, emulator.centre, width), *self.noise.unknowns))
         self.modes = np.repeat(emulator.centre[None], len(self.groups), axis=0)  # (G, d)
 

@@ -1,5 +1,6 @@
 """CMA-ES by pycma (Hansen 2016, arXiv:1604.00772), scaled as in the thesis, with restarts that double the population."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,9 @@ class CMAES(Optimizer):
         return self._present_covariance() if self._kept is None else self._kept
 
     def _begin(self, start: Array) -> Any:
-        import cma
+        with warnings.catch_warnings():  # its plots want matplotlib, which is not needed here
+            warnings.simplefilter("ignore", UserWarning)
+            import cma
 
         widest = float(self.step.max())
         return cma.CMAEvolutionStrategy(WIDTH * start, WIDTH * widest, {

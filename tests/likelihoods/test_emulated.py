@@ -121,7 +121,7 @@ def test_moments_of_a_polynomial_are_exact(name):
     rng = np.random.default_rng(0)
     data = simulate(simulator, np.full((6, 2), 1.1), rng.uniform(0.5, 2, (6, 1, 2)), np.zeros(2))
     segments, family = data.segments(), find("families", name)(simulator.space)
-    local = Emulated(order=3).around(simulator, segments, family, 0.0, np.array([1.1, 1.0]), np.array([0.2, 0.1]), rng)
+    local = Emulated(order=3).around(simulator, segments, family, 1e-12, np.array([1.1, 1.0]), np.array([0.2, 0.1]), rng)
     found, _, sigma = local._moments(member(family, mean, scale))
     nodes, weights = quadrature(name, mean, scale)
     exact = np.stack([cubic(x, np.zeros((len(segments), 2)), segments.actions)[:, 0] for x in nodes])  # (Q, R, p)

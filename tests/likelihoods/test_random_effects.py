@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from dropo.core.catalogue import find
-from dropo.core.errors import Incompatible
+from dropo.core.errors import BadArgument, Incompatible
 from dropo.core.likelihood import Learned
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.problem import Problem
@@ -117,6 +117,14 @@ def test_groups_come_back_with_their_own_parameters():
     sd = np.sqrt(np.einsum("gdd->gd", posterior))
     assert np.abs((modes - draws) / sd).max() < 4.5
     assert np.abs((modes[::-1] - draws) / sd).max() > 4.5
+
+
+@pytest.mark.parametrize("name", ["emulated", "random-effects"])
+def test_no_noise_is_refused(name):
+    """With epsilon 0 the covariance is singular: refused with the way out, before the search."""
+    problem, _ = linear_problem(np.random.default_rng(6))
+    with pytest.raises(BadArgument, match=r"must be positive for every signal.*Give epsilon > 0 .*, or 'learn'\."):
+        DROPO(likelihood=name, epsilon=0.0).fit(problem)
 
 
 def test_a_log_normal_law_is_refused():
