@@ -48,6 +48,14 @@ BUILT_IN: dict[str, dict[str, str]] = {
     "samplers": {
         "emcee": "dropo.optimizers.emcee:Emcee",
     },
+    "simulators": {
+        "mujoco": "dropo.simulators.mujoco:MujocoSimulator",
+        "gymnasium": "dropo.simulators.gymnasium:GymnasiumSimulator",
+        "function": "dropo.simulators.general:FunctionSimulator",
+        "env": "dropo.simulators.general:EnvSimulator",
+        "linear": "dropo.simulators.toy:LinearSimulator",
+        "sliding-block": "dropo.simulators.toy:SlidingBlock",
+    },
     "problems": {
         "hopper": "dropo.problems.hopper:hopper",
         "hopper-noisy": "dropo.problems.hopper:hopper_noisy",

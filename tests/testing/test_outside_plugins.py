@@ -101,7 +101,7 @@ def _fresh_catalogue(monkeypatch):
 
 @pytest.mark.parametrize(("kind", "name", "plugin"), [
     ("families", "triangle", Triangle), ("likelihoods", "student-t", StudentT), ("problems", "cooling", cooling),
-    ("optimizers", "random-search", RandomSearch),
+    ("optimizers", "random-search", RandomSearch), ("simulators", "cooling", Cooling),
 ])  # fmt: skip
 def test_registered_plugins_are_found_by_name(kind, name, plugin):
     """Unknown before, listed and found after; a typo is corrected."""
