@@ -27,8 +27,9 @@ def summarise(
 ) -> Fit:  # fmt: skip
     """A Fit for the member phi of the family; standard errors by the clustered sandwich: on the objective's own scores where
     it has them, else on the linear-Gaussian model."""
-    mean, scale, sd, correlation = family.mean(phi), family.scale(phi), family.sd(phi), family.correlation(phi)
-    notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, phi[: len(family.unknowns)])]
+    own = phi[: len(family.unknowns)]  # behind it stand the likelihood's unknowns
+    mean, scale, sd, correlation = family.mean(own), family.scale(own), family.sd(own), family.correlation(own)
+    notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, own)]
     try:
         if isinstance(objective, LocalLogLikelihood):
             mean_se, scale_se = local_standard_errors(problem, family, objective, phi)
@@ -40,7 +41,7 @@ def summarise(
         notes.append(f"no standard errors: {error}")
     misfit = mean_prediction - problem.simulator.targets(problem.segments)
     return Fit(
-        method=method, problem=problem.name, space=problem.space, family=family_name, phi=phi[: len(family.unknowns)], mean=mean,
+        method=method, problem=problem.name, space=problem.space, family=family_name, phi=own, mean=mean,
         scale=scale, sd=sd, mean_se=mean_se, scale_se=scale_se, correlation=correlation, epsilon=epsilon, log_likelihood=log_likelihood,
         mse=float(np.mean(misfit**2)), transitions=int(problem.segments.lengths.sum()), simulator_steps=0, failed_simulations=0,
         objective_evaluations=0, status=status, message=message, warnings=tuple(notes), arrays=arrays or {},
