@@ -10,14 +10,15 @@ from dropo.core.checks import Array, known, require
 from dropo.core.estimator import Estimator, Run
 from dropo.core.family import Family
 from dropo.core.fit import Fit, Status
-from dropo.core.likelihood import Epsilon, Learned, Likelihood, LogLikelihood, NoiseModel
+from dropo.core.likelihood import Epsilon, Learned, Likelihood, LocalLikelihood, LocalLogLikelihood, LogLikelihood, NoiseModel
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
 from dropo.core.sampler import ChainTooShort, Density, Draws, Sampler
-from dropo.estimators.dropo import noise_shape
+from dropo.estimators.dropo import DROPO, noise_shape
 from dropo.estimators.summary import at_bounds
 
 R_HAT, ESS = 1.01, 400  # what Vehtari et al. 2021 ask for before draws are used
+NARROWEST = 1e-4  # the least width of a local likelihood, as a share of the box
 
 
 class _Target(Protocol):
@@ -57,10 +58,10 @@ class PointLikelihood:
 
 
 class _OneByOne:
-    """A log-likelihood over a family's members, for many of them."""
+    """A log-likelihood over a family's members, for many of them; best: (n,) the family's unknowns at its maximum, where known."""
 
-    def __init__(self, bound: LogLikelihood):
-        self.bound, self.unknowns, self.epsilon, self.mean = bound, bound.unknowns, bound.epsilon, bound.mean
+    def __init__(self, bound: LogLikelihood, best: Array | None = None):
+        self.bound, self.unknowns, self.epsilon, self.mean, self.best = bound, bound.unknowns, bound.epsilon, bound.mean, best
 
     def many(self, phi: Array) -> Array:
         return np.array([self.bound(p) for p in phi])
@@ -108,13 +109,18 @@ class Posterior(Estimator):
         if self.over == "parameters":
             return PointLikelihood(problem, epsilon)
         likelihood: Likelihood = find("likelihoods", self.likelihood)() if isinstance(self.likelihood, str) else self.likelihood
+        if isinstance(likelihood, LocalLikelihood):
+            return _OneByOne(*around_the_maximum(problem, run, family, self.family, likelihood, epsilon))
         return _OneByOne(likelihood.bind(problem.simulator, problem.segments, family, epsilon, run.rng.spawn(1)[0]))
 
     def _start(self, problem: Problem, run: Run, target: _Target, family: Family) -> tuple[Array, Array]:
         """phi (m,) to start from, and the walkers' spread (m,) in the unit box."""
         unknowns = target.unknowns
         start, spread = unknowns.from_unit(np.full(len(unknowns), 0.5)), np.full(len(unknowns), 0.05)
-        if self.start == "middle":
+        best = getattr(target, "best", None)
+        if best is not None:
+            start[: len(best)] = best
+        if self.start == "middle" or best is not None:
             return start, spread
         found = find("methods", "least-squares")()._fit(problem, run)
         if self.over == "parameters":
@@ -148,6 +154,18 @@ class Posterior(Estimator):
             warnings=(*problem.warnings, *notes, *at_bounds(family.unknowns, phi)),
             arrays={"chain": draws.chain, "log_density": draws.log_density}, details={"over": self.over, "posterior": diagnostics},
         )  # fmt: skip
+
+
+def around_the_maximum(
+    problem: Problem, run: Run, family: Family, family_name: str, likelihood: LocalLikelihood, epsilon: Any
+) -> tuple[LocalLogLikelihood, Array]:
+    """The local likelihood where DROPO finds its maximum, wide enough for eight standard errors of the means; and that maximum."""
+    found = DROPO(likelihood=likelihood, family=family_name, epsilon=None if isinstance(epsilon, Learned) else epsilon)._fit(problem, run)
+    box = problem.space.high - problem.space.low
+    width = np.clip(np.maximum(2 * found.sd, 4 * np.nan_to_num(found.mean_se)), NARROWEST * box, box / 6)
+    with run.counting(evaluations=1):
+        local = likelihood.around(problem.simulator, problem.segments, family, epsilon, found.mean, width, run.rng.spawn(1)[0])
+    return local, found.phi
 
 
 class _Evaluate:

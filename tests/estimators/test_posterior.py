@@ -11,8 +11,10 @@ from dropo.core.fit import Fit, Status
 from dropo.core.journal import Journal
 from dropo.core.problem import Problem
 from dropo.core.sampler import Draws
+from dropo.estimators.dropo import DROPO
 from dropo.estimators.posterior import PointLikelihood, Posterior, judge
 from dropo.optimizers.emcee import Emcee
+from dropo.problems.slide import slide
 from dropo.simulators.toy import LinearSimulator, simulate
 
 TRUTH, NOISE = np.array([1.5, -0.7]), 0.04
@@ -147,3 +149,12 @@ def test_unusable_settings_are_refused():
         Posterior(over="params")
     with pytest.raises(BadArgument, match="'epsilon' of Posterior must be positive"):
         Posterior(epsilon=0.0).fit(problem())
+
+
+def test_posterior_on_a_local_likelihood_is_around_its_maximum():
+    """Random effects on `slide`: the posterior's mean and its errors are those of DROPO's fit, the errors within a third."""
+    problem = slide()
+    fit = Posterior(over="distribution", likelihood="random-effects", sampler=Emcee(walkers=16, steps=400, burn_in=100)).fit(problem)
+    best = DROPO(likelihood="random-effects").fit(problem)
+    assert (np.abs(fit.mean - best.mean) < 0.5 * best.mean_se).all()
+    np.testing.assert_allclose(fit.mean_se, best.mean_se, rtol=1 / 3)
