@@ -31,16 +31,23 @@ def missing(name: str, source: str) -> BadFile:
 
 def fetch_arrays(base_url: str, files: dict[str, tuple[str, str]]) -> dict[str, Array]:
     """Arrays from public .npy files, kept in the user's cache: key -> (file, sha256 of the float64 content)."""
-    import pooch
-
     out = {}
     for key, (file, digest) in files.items():
-        path = pooch.retrieve(
-            f"{base_url}/{file}", known_hash=None, path=pooch.os_cache("dropo"), fname=file.replace("/", "-"), progressbar=False
-        )
+        path = _fetched(f"{base_url}/{file}", file.replace("/", "-"))
         out[key] = np.ascontiguousarray(np.load(path, allow_pickle=False), dtype=np.float64)
         got = hashlib.sha256(out[key].tobytes()).hexdigest()
         if got != digest:
             Path(path).unlink()
             raise BadFile(f"{base_url}/{file}", "", f"content with sha256 {digest}", got)
     return out
+
+
+def _fetched(url: str, name: str) -> str:
+    """The path of a public file in the user's cache, fetched where it is not there yet."""
+    import pooch
+
+    try:
+        return str(pooch.retrieve(url, known_hash=None, path=pooch.os_cache("dropo"), fname=name, progressbar=False))
+    except (OSError, ValueError) as error:  # no network, or no such address
+        reason = f"{type(error).__name__} while fetching it; there is no copy in {', '.join(map(str, dict.fromkeys(data_folders())))}"
+        raise BadFile(url, "", "a public file that can be fetched, or the data in the folder that DROPO_DATA names", reason) from None

@@ -103,6 +103,18 @@ def test_wrong_content_is_refused_and_removed(source):
     assert len(asked) == 2
 
 
+def test_without_a_network_it_is_refused(tmp_path, monkeypatch):
+    """A download that fails is one sentence with the address and the way out, and no traceback of the network's."""
+    monkeypatch.setattr(pooch, "os_cache", lambda name: tmp_path / name)
+
+    def fail(*args, **more):
+        raise ConnectionError("Failed to resolve host")
+
+    monkeypatch.setattr(pooch.core, "choose_downloader", lambda *args, **more: fail)
+    with pytest.raises(BadFile, match=r"actions\.npy: expected a public file .* DROPO_DATA names, got ConnectionError while fetching it"):
+        fetch_arrays(BASE, {"actions": ("actions.npy", "0" * 64)})
+
+
 def test_published_sets_are_fetched_where_they_are_not_at_hand(monkeypatch):
     """Without the data, the six files of the authors' repository are asked for, and cut into trajectories of 500."""
     asked = []
