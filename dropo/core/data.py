@@ -209,6 +209,11 @@ class Segments:
         """The same segments with every step compared."""
         return self if self.every_step else replace(self, every_step=True)
 
+    def spread_out(self, count: int) -> Ints:
+        """Which segments to take for about so many, evenly spread; all of them where they form chains, or are fewer."""
+        stride = len(self) // count if len(self.levels) == 1 else 1
+        return np.arange(0, len(self), max(1, stride), dtype=np.int64)
+
     def take(self, index: ArrayLike) -> "Segments":
         """Some of the segments; of a chain (`partial` resets) only whole beginnings can be taken."""
         index = np.asarray(index)

@@ -78,12 +78,13 @@ class Family(ABC):
         """(d, d) the member's correlation matrix."""
         return np.eye(len(self.space))
 
-    def phi(self, mean: ArrayLike, scale: ArrayLike) -> Array:
-        """The member of that mean and scale (d,) each, moved into the bounds of phi; other unknowns in their middle."""
+    def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
+        """The member of that mean and scale (d,) each, moved into the bounds of phi; what is not given is in its middle."""
         phi = self.unknowns.from_unit(np.full(len(self.unknowns), 0.5))
-        for name, m, s in zip(self.space.names, np.asarray(mean), np.asarray(scale), strict=True):
-            phi[self.unknowns.names.index(f"mean.{name}")] = m
-            phi[self.unknowns.names.index(f"scale.{name}")] = s
+        given = {"mean": mean} if scale is None else {"mean": mean, "scale": scale}
+        for kind, values in given.items():
+            for name, value in zip(self.space.names, np.asarray(values), strict=True):
+                phi[self.unknowns.names.index(f"{kind}.{name}")] = value
         return np.clip(phi, self.unknowns.low, self.unknowns.high)
 
 

@@ -30,5 +30,5 @@ class Point(Family):
     def scale(self, phi: Array) -> Array:
         return np.zeros(len(phi))
 
-    def phi(self, mean: ArrayLike, scale: ArrayLike) -> Array:
+    def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
         return np.clip(np.asarray(mean, dtype=float), self.unknowns.low, self.unknowns.high)

@@ -25,15 +25,13 @@ def paired_check(
     """
     family_phi = phi[: len(family.unknowns)]
     values = family.draw(family_phi, family.base(DRAWS, rng))
-    chosen = np.arange(0, len(problem.segments), max(1, len(problem.segments) // ROWS))
-    if len(problem.segments.levels) > 1:  # chains stay whole
-        chosen = np.arange(len(problem.segments))
+    chosen = problem.segments.spread_out(ROWS)
     segments = problem.segments.take(chosen)
     rows = np.isin(problem.segments.rows[0], chosen)
     with run.counting(evaluations=1):
         simulated = problem.simulator.predict(values, segments)
     gaussian = find("likelihoods", "monte-carlo")(draws=DRAWS)
-    targets, epsilon = problem.simulator.targets(segments), np.maximum(local.epsilon(phi), 1e-300)
+    targets, epsilon = problem.simulator.targets(segments), local.epsilon(phi)
     true, emulated = (
         gaussian.log_density(predictions, targets, epsilon).sum() for predictions in (simulated, local.predict(values)[:, rows])
     )

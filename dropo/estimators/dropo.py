@@ -88,10 +88,10 @@ class DROPO(Estimator):
         if isinstance(likelihood, LocalLikelihood):
             return self._fit_locally(problem, run, family, likelihood, epsilon, randomness)
         objective = likelihood.bind(problem.simulator, problem.segments, family, epsilon, randomness)
-        start, step = self._start(problem, run, family, objective.unknowns)
+        start = self._start(problem, run, family, objective.unknowns)
         check_start(problem, run, family, start)
         unit = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
-        optimizer = find("optimizers", self.optimizer or "cma-es")(len(unit), search, start=unit, step=step, budget=self.budget)
+        optimizer = find("optimizers", self.optimizer or "cma-es")(len(unit), search, start=unit, budget=self.budget)
         return self._summary(problem, run, family, objective, maximise(objective, objective.unknowns, optimizer, run))
 
     def _fit_locally(
@@ -108,14 +108,12 @@ class DROPO(Estimator):
         checked, warnings = paired_check(problem, run, family, objective, found.point, rng)
         return self._summary(problem, run, family, objective, found, checked, warnings)
 
-    def _start(self, problem: Problem, run: Run, family: Family, unknowns: ParameterSpace) -> tuple[Array, Array]:
-        """phi to start from, and the first steps in the unit box (0.25, the thesis' 1 in [0, 4])."""
-        start, step = unknowns.from_unit(np.full(len(unknowns), 0.5)), np.full(len(unknowns), 0.25)
+    def _start(self, problem: Problem, run: Run, family: Family, unknowns: ParameterSpace) -> Array:
+        """phi to start from; the first steps are the optimizer's own, a quarter of the unit box (the thesis' 1 in [0, 4])."""
+        start = unknowns.from_unit(np.full(len(unknowns), 0.5))
         if self.start == "least-squares":
-            found = estimate(problem, run)
-            middle = start[[unknowns.names.index(f"scale.{n}") for n in problem.space.names]] if self.family != "point" else 0 * found.value
-            start[: len(family.unknowns)] = family.phi(found.value, middle)
-        return start, step
+            start[: len(family.unknowns)] = family.phi(estimate(problem, run).value)
+        return start
 
     def _summary(
         self, problem: Problem, run: Run, family: Family, objective: LogLikelihood, found: SearchResult,
@@ -128,7 +126,6 @@ class DROPO(Estimator):
             log_likelihood=found.value, mean_prediction=mean, status=found.status, message=found.reason,
             objective=objective, details={**self._parts(objective), **(checked or {})}, warnings=warnings,
         )  # fmt: skip
-
 
     def _parts(self, objective: LogLikelihood) -> dict[str, str]:
         default = "fisher-scoring" if isinstance(objective, LocalLogLikelihood) else "cma-es"

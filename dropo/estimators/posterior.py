@@ -127,8 +127,7 @@ class Posterior(Estimator):
             start[: len(problem.space)] = found.mean
             spread[: len(problem.space)] = _unit_width(problem.space, found.mean, found.mean_se)
         else:
-            scale = [start[unknowns.names.index(f"scale.{n}")] if f"scale.{n}" in unknowns.names else 0.0 for n in problem.space.names]
-            start[: len(family.unknowns)] = family.phi(found.mean, scale)
+            start[: len(family.unknowns)] = family.phi(found.mean)
         return start, spread
 
     def _summary(self, problem: Problem, run: Run, family: Family, target: _Target, draws: Draws) -> Fit:

@@ -148,8 +148,8 @@ class Rounds:
 
     def _segments(self, coarse: bool) -> Segments:
         every = self.problem.segments
-        stride = len(every) // COARSE if len(every.levels) == 1 else 1
-        return every.take(np.arange(0, len(every), stride)) if coarse and stride > 1 else every
+        chosen = every.spread_out(COARSE)
+        return every.take(chosen) if coarse and len(chosen) < len(every) else every
 
     def _first(self, local: LocalLogLikelihood, region: _Region, last: Array | None) -> Array:
         """Where the inner search begins: the last maximum, its scales not below a twentieth of the width."""
