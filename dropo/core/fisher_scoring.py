@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.checks import Array
-from dropo.core.likelihood import LocalLogLikelihood
+from dropo.core.local_likelihood import LocalLogLikelihood
 
 REACH = 50.0  # a variance or another positive unknown moves by at most this factor in one step
 

@@ -8,7 +8,7 @@ from dropo.core.catalogue import find
 from dropo.core.checks import Array
 from dropo.core.estimator import Run
 from dropo.core.family import Family
-from dropo.core.likelihood import LocalLogLikelihood
+from dropo.core.local_likelihood import LocalLogLikelihood
 from dropo.core.problem import Problem
 
 DRAWS, ROWS = 32, 100  # draws of the fitted law, on about so many segments

@@ -13,7 +13,9 @@ from dropo.core.errors import Incompatible, SimulationFailed
 from dropo.core.estimator import Estimator, Run
 from dropo.core.family import Family
 from dropo.core.fit import Fit, Status
-from dropo.core.likelihood import Epsilon, Learned, Likelihood, LocalLikelihood, LocalLogLikelihood, LogLikelihood
+from dropo.core.likelihood import Likelihood, LogLikelihood
+from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.noise import Epsilon, Noise
 from dropo.core.optimizer import Optimizer
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
@@ -77,7 +79,7 @@ class DROPO(Estimator):
             return tune(self, problem, run, seeds)
         if self.epsilon == "learn" or (self.epsilon is None and problem.epsilon is None):
             local = isinstance(self._likelihood(), LocalLikelihood)
-            noise = Learned(misfit(problem, run), each=True) if local else Learned(noise_shape(problem, run))
+            noise = Noise(misfit(problem, run), "each") if local else Noise(noise_shape(problem, run), "factor")
             return self._fit_with(problem, run, noise, seeds)
         return self._fit_with(problem, run, np.asarray(problem.epsilon if self.epsilon is None else self.epsilon, dtype=float), seeds)
 

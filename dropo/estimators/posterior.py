@@ -10,7 +10,9 @@ from dropo.core.checks import Array, known, require
 from dropo.core.estimator import Estimator, Run
 from dropo.core.family import Family
 from dropo.core.fit import Fit, Status
-from dropo.core.likelihood import Epsilon, Learned, Likelihood, LocalLikelihood, LocalLogLikelihood, LogLikelihood, NoiseModel
+from dropo.core.likelihood import Likelihood, LogLikelihood
+from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.noise import Epsilon, Noise, NoiseModel
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
 from dropo.core.sampler import ChainTooShort, Density, Draws, Sampler
@@ -105,7 +107,7 @@ class Posterior(Estimator):
     def _target(self, problem: Problem, family: Family, run: Run) -> _Target:
         epsilon: Any = problem.epsilon if self.epsilon is None else self.epsilon
         if epsilon is None or isinstance(epsilon, str):
-            epsilon = Learned(noise_shape(problem, run))
+            epsilon = Noise(noise_shape(problem, run), "factor")
         if self.over == "parameters":
             return PointLikelihood(problem, epsilon)
         likelihood: Likelihood = find("likelihoods", self.likelihood)() if isinstance(self.likelihood, str) else self.likelihood
@@ -159,7 +161,7 @@ def around_the_maximum(
     problem: Problem, run: Run, family: Family, family_name: str, likelihood: LocalLikelihood, epsilon: Any
 ) -> tuple[LocalLogLikelihood, Array]:
     """The local likelihood where DROPO finds its maximum, wide enough for eight standard errors of the means; and that maximum."""
-    found = DROPO(likelihood=likelihood, family=family_name, epsilon=None if isinstance(epsilon, Learned) else epsilon)._fit(problem, run)
+    found = DROPO(likelihood=likelihood, family=family_name, epsilon=None if isinstance(epsilon, Noise) else epsilon)._fit(problem, run)
     box = problem.space.high - problem.space.low
     width = np.clip(np.maximum(2 * found.sd, 4 * np.nan_to_num(found.mean_se)), NARROWEST * box, box / 6)
     with run.counting(evaluations=1):

@@ -13,7 +13,8 @@ from dropo.core.family import Family
 from dropo.core.fisher_scoring import maximise_locally
 from dropo.core.fit import Status
 from dropo.core.journal import Journal
-from dropo.core.likelihood import Epsilon, LocalLikelihood, LocalLogLikelihood
+from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.noise import Epsilon
 from dropo.core.optimizer import Optimizer
 from dropo.core.problem import Problem
 from dropo.core.search import SearchResult, maximise
@@ -128,7 +129,13 @@ class Rounds:
             try:
                 rng = np.random.default_rng(self.design)
                 local = self.likelihood.around(
-                    self.problem.simulator, self._segments(region.coarse), self.family, self.epsilon, region.centre, region.width, rng,
+                    self.problem.simulator,
+                    self._segments(region.coarse),
+                    self.family,
+                    self.epsilon,
+                    region.centre,
+                    region.width,
+                    rng,
                     rough=region.coarse,
                 )
                 self._built = (region, local)

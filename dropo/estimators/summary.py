@@ -11,8 +11,9 @@ from dropo.core.errors import SimulationFailed
 from dropo.core.estimator import Run
 from dropo.core.family import Family
 from dropo.core.fit import Fit, Status
-from dropo.core.likelihood import LocalLogLikelihood, LogLikelihood
+from dropo.core.likelihood import LogLikelihood
 from dropo.core.linear_gaussian import sandwich, scores_and_information
+from dropo.core.local_likelihood import LocalLogLikelihood
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
 from dropo.estimators.held_out import held_out_errors

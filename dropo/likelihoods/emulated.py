@@ -10,7 +10,8 @@ from dropo.core.checks import Array
 from dropo.core.data import Segments
 from dropo.core.errors import Incompatible
 from dropo.core.family import Family
-from dropo.core.likelihood import Epsilon, LocalLikelihood, LocalLogLikelihood, NoiseModel
+from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.noise import Epsilon, NoiseModel
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.simulator import Simulator
 from dropo.likelihoods.polynomials import Emulator, build, orders_for, products

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.checks import Array
-from dropo.core.likelihood import SampledLikelihood
+from dropo.core.sampled_likelihood import SampledLikelihood
 
 BLOCK = 4_000_000  # numbers of predictions in one block of rows: 32 MB, whatever K and R are
 

@@ -9,7 +9,9 @@ from scipy.special import gammaln
 from dropo.core.checks import Array, require
 from dropo.core.data import Segments
 from dropo.core.family import Family
-from dropo.core.likelihood import Epsilon, LogLikelihood, SampledLikelihood
+from dropo.core.likelihood import LogLikelihood
+from dropo.core.noise import Epsilon
+from dropo.core.sampled_likelihood import SampledLikelihood
 from dropo.core.simulator import Simulator
 from dropo.likelihoods.gaussian import cholesky_rows, log_determinant, sample_moments, square_distance
 

@@ -9,8 +9,10 @@ from dropo.core.checks import Array
 from dropo.core.data import Segments, Signal, Trajectories
 from dropo.core.errors import BadArgument, Incompatible, SimulationFailed
 from dropo.core.family import Family
-from dropo.core.likelihood import Epsilon, Learned, Likelihood, LogLikelihood, SampledLikelihood
+from dropo.core.likelihood import Likelihood, LogLikelihood
+from dropo.core.noise import Epsilon, Noise
 from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.sampled_likelihood import SampledLikelihood
 from dropo.core.simulator import Simulator
 
 EPSILON = 0.05
@@ -162,7 +164,7 @@ def _check_gradient(bound: LogLikelihood, phi: Array, name: str) -> None:
 def _check_learned(likelihood: Likelihood) -> None:
     name = type(likelihood).__name__
     try:
-        bound, family, _ = _bind(likelihood, Learned(np.full(2, EPSILON)))
+        bound, family, _ = _bind(likelihood, Noise(np.full(2, EPSILON), "factor"))
     except Incompatible:
         return
     assert len(bound.unknowns) > len(family.unknowns), f"{name}: a learned epsilon adds no unknown"

@@ -117,7 +117,7 @@ def test_draws_refuse_other_shapes_and_infinite_densities():
 
 
 def test_a_flat_density_is_flat_in_the_logarithm():
-    """"b" is on a log scale, so its logarithm is uniform: the median is 1 = sqrt(0.1 * 10), not 5.05."""
+    """ "b" is on a log scale, so its logarithm is uniform: the median is 1 = sqrt(0.1 * 10), not 5.05."""
     found = Emcee(steps=2000, burn_in=200).sample(lambda x: np.zeros(len(x)), SPACE, rng=np.random.default_rng(1))
     share = (found.flat()[:, 1] < 1.0).mean()
     error = 0.5 / np.sqrt(found.effective_sample_size()[1])

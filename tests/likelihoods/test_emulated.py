@@ -11,7 +11,8 @@ from scipy import integrate, stats
 from dropo.core.catalogue import find
 from dropo.core.errors import Incompatible, SimulationFailed
 from dropo.core.fisher_scoring import maximise_locally
-from dropo.core.likelihood import Learned, LocalLogLikelihood
+from dropo.core.local_likelihood import LocalLogLikelihood
+from dropo.core.noise import Noise
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.standard_law import NORMAL, TRUNCATED_NORMAL, UNIFORM
 from dropo.distributions.truncated_gaussian import SD, TruncatedGaussian
@@ -23,7 +24,7 @@ from dropo.testing import check_likelihood
 
 FAMILIES = ("truncated_gaussian", "full", "uniform", "log_normal")
 CORRELATION = 0.6
-EPSILONS = {"fixed": 1e-3, "one": Learned(np.full(2, 1e-3)), "each": Learned(np.array([1e-3, 2e-3]), each=True)}
+EPSILONS = {"fixed": 1e-3, "one": Noise(np.full(2, 1e-3), "factor"), "each": Noise(np.array([1e-3, 2e-3]), "each")}
 
 
 def member(family, mean, scale):

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from dropo.core.errors import BadArgument
-from dropo.core.likelihood import Learned
+from dropo.core.noise import Noise
 from dropo.distributions.truncated_gaussian import SD, TruncatedGaussian
 from dropo.likelihoods import gaussian
 from dropo.likelihoods.gaussian import Gaussian
@@ -77,7 +77,7 @@ def test_learned_epsilon_is_an_unknown():
     simulator, segments, family = linear_problem()
     phi = family.phi([1.0, -2.0], [0.5, 0.9])
     given = Gaussian(20).bind(simulator, segments, family, 0.03, np.random.default_rng(0))
-    learned = Gaussian(20).bind(simulator, segments, family, Learned(np.full(3, 0.01)), np.random.default_rng(0))
+    learned = Gaussian(20).bind(simulator, segments, family, Noise(np.full(3, 0.01), "factor"), np.random.default_rng(0))
     assert learned.unknowns.names == (*family.unknowns.names, "epsilon")
     assert learned.unknowns["epsilon"].scale == "log"
     np.testing.assert_allclose(learned.epsilon(np.append(phi, 3.0)), np.full(3, 0.03))

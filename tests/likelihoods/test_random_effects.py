@@ -6,7 +6,7 @@ from scipy import stats
 
 from dropo.core.catalogue import find
 from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.likelihood import Learned
+from dropo.core.noise import Noise
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.problem import Problem
 from dropo.distributions.full_gaussian import FullGaussian
@@ -61,7 +61,7 @@ def test_linear_groups_have_their_closed_form():
 
 
 @pytest.mark.parametrize("name", ["truncated_gaussian", "full", "point"])
-@pytest.mark.parametrize("epsilon", [NOISE, Learned(np.full(3, NOISE)), Learned(np.full(3, NOISE), each=True)], ids=str)
+@pytest.mark.parametrize("epsilon", [NOISE, Noise(np.full(3, NOISE), "factor"), Noise(np.full(3, NOISE), "each")], ids=str)
 def test_scores_are_the_slopes_of_the_value(name, epsilon):
     """Against central differences, for a linear simulator, 1e-4 of the largest."""
     problem, _ = linear_problem(np.random.default_rng(2))

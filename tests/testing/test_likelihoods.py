@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from dropo.core.likelihood import Learned, LogLikelihood, SampledLikelihood
+from dropo.core.likelihood import LogLikelihood
+from dropo.core.noise import Noise
+from dropo.core.sampled_likelihood import SampledLikelihood
 from dropo.likelihoods.gaussian import Gaussian
 from dropo.testing import check_likelihood
 
@@ -139,8 +141,8 @@ class Faulty:
     fault: str
 
     def bind(self, simulator, segments, family, epsilon, rng):
-        if self.fault == "learn" and isinstance(epsilon, Learned):
-            epsilon = epsilon.shape
+        if self.fault == "learn" and isinstance(epsilon, Noise):
+            epsilon = epsilon.variance
         return _Bound(Gaussian(50).bind(simulator, segments, family, epsilon, rng), self.fault, rng)
 
 

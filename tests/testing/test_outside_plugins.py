@@ -11,10 +11,10 @@ from dropo.core import catalogue
 from dropo.core.data import Signal, Trajectories
 from dropo.core.errors import UnknownName
 from dropo.core.family import Family, means_and_scales
-from dropo.core.likelihood import SampledLikelihood
 from dropo.core.optimizer import Optimizer
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.problem import Problem
+from dropo.core.sampled_likelihood import SampledLikelihood
 from dropo.core.simulator import Simulator
 from dropo.testing import check_family, check_likelihood, check_optimizer, check_simulator
 
