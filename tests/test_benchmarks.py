@@ -1,11 +1,14 @@
-"""The benchmark runs, its slow twin agrees with the fast likelihood, and `predict` costs little beside bare rollout."""
+"""The benchmarks run, the slow twin agrees with the fast likelihood, and `predict` costs little beside bare rollout."""
 
+import json
 import time
 
 import numpy as np
 import pytest
 
+from benchmarks import cost, tables
 from benchmarks.objective import EPSILON, TINY, Bare, Sizes, draws_near_truth, predict_beside_bare, problem_of, report
+from benchmarks.robots import problem_of as problem_with
 from dropo.likelihoods.gaussian import Gaussian
 from dropo.problems.hopper_model import BODIES, FRAME_SKIP
 from tests.reference.published_loop import log_likelihood
@@ -46,3 +49,49 @@ def test_report_has_every_line():
     for words in ("published loop, Python", "monte-carlo, 1 thread", "monte-carlo, 2 threads", "bare rollout, K = 5, 2 threads",
                   "of bare rollout with 1 thread.", "of bare rollout with 2 threads.", "times fewer than the"):  # fmt: skip
         assert words in text
+
+
+@pytest.mark.parametrize("parameters", cost.PARAMETERS)
+def test_a_cell_of_the_cost_table(parameters):
+    """So many parameters and transitions; steps and simulation time are those of the round alone."""
+    problem = problem_with(parameters, 40, 1)
+    assert len(problem.space) == parameters
+    assert len(problem.trajectories) == 40
+    truth = problem.space.vector(problem.truth)
+    np.testing.assert_allclose(truth, problem.simulator.nominal)
+    assert np.isfinite(problem.simulator.predict(truth[None], problem.segments)).all()
+    if parameters < 100:  # a round of those takes seconds
+        found = cost.measured(("round", parameters, 40, 1))
+        assert found["steps"] >= (2 * parameters + 1) * 40 * FRAME_SKIP
+        assert 0 < found["simulation"] < found["seconds"]
+
+
+def test_cost_table_and_picture():
+    """Cells that were measured are shown, the others are left out."""
+    from dropo.studies.pages import picture
+
+    row = {"seconds": 4.0, "simulation": 3.0, "steps": 1000, "memory_mb": 50.0}
+    found = {json.dumps(cell): row for cell in cost.CELLS if cell[2] == 1000}
+    text = cost.table(found)
+    assert text.count("\n") == 1 + len(found)
+    assert "| round, linear | 18 | 1,000 | 2 | 1,000 | 4.0 | 3.0 | 25% | 50 | - |" in text
+    assert "<svg" in picture(lambda figure: cost.draw(figure, found))
+
+
+def test_every_row_takes_a_thousandth_of_the_steps():
+    """At 40 transitions already; the reference's steps are counted, not assumed."""
+    row = tables.row("6.1", "noisy", 40)
+    assert row.reference_steps == 100 * 40 * FRAME_SKIP
+    assert row.fewer > 1000
+    assert 0 < row.fitting < 1
+
+
+@pytest.mark.study
+def test_every_row_at_its_full_size():
+    """Tables 6.1 to 6.3: a thousand times fewer steps, and fitting under a third of the time on a free machine."""
+    text, rows = tables.report()
+    print(text)
+    assert len(rows) == 6
+    for row in rows:
+        assert row.fewer > 1000
+        assert row.fitting < 1 / 3

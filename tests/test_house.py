@@ -20,10 +20,13 @@ SOURCES = {str(path.relative_to(ROOT / "dropo")): path.read_text() for path in s
 # What each room may import beside itself; "" is dropo/__init__.py (public names, imported when asked for) and __main__.py.
 MAY_IMPORT = {
     "core": {""},  # the version
-    "distributions": {"core"}, "likelihoods": {"core"}, "optimizers": {"core"}, "estimators": {"core"}, "simulators": {"core"},
+    "distributions": {"core"}, "likelihoods": {"core"}, "optimizers": {"core"}, "estimators": {"core", "analysis"},
+    "analysis": {"core"}, "effects": {"core"}, "diagnosis": {"core", "analysis", ""}, "simulators": {"core"},
     "data": {"core"}, "testing": {"core"},
     "problems": {"core", "simulators", "data"},
-    "cli": {"core", "data", "problems", ""}, "": {"cli", "core", "data", "estimators", "problems", "simulators"},
+    "studies": {"core", "data", "distributions", "estimators", "likelihoods", "problems", "simulators", "analysis", ""},
+    "cli": {"core", "data", "diagnosis", "estimators", "problems", "studies", ""},
+    "": {"cli", "core", "data", "diagnosis", "estimators", "problems", "simulators"},
 }  # fmt: skip
 HEAVY = {"torch", "pyro", "arviz", "matplotlib", "cma", "nlopt", "emcee", "pooch", "gymnasium", "minari"}
 UNAVOIDABLE = {"simulators/gymnasium.py": {"gymnasium"}}  # it does nothing without; imported where one is asked for

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from dropo.core.problem import Problem
 
 NAMED = {"likelihood": "likelihoods", "optimizer": "optimizers", "family": "families"}
-SETTINGS = (*NAMED, "epsilon", "budget", "draws", "start")
+SETTINGS = (*NAMED, "epsilon", "start_noise", "degrees", "budget", "draws", "start", "starts")
 """Options that are settings of the method; those of them that were given are handed to it."""
+AUTO = "auto"
 
 
 def add(commands: Any) -> None:
@@ -32,10 +33,13 @@ def add(commands: Any) -> None:
     for name, kind in NAMED.items():
         parser.add_argument(f"--{name}", metavar="NAME", help=f"see `dropo list {kind}`")
     parser.add_argument("--epsilon", type=_epsilon, metavar="X|tune|learn", help="variance of the measurement noise")
-    parser.add_argument("--lambda", dest="length", type=_length, metavar="N", help="control steps in a segment")
+    parser.add_argument("--start-noise", action="store_true", default=None, help="the measured start states carry the noise too")
+    parser.add_argument("--student-t", dest="degrees", type=_degrees, metavar="NU", help="noise with long tails: degrees of freedom")
+    parser.add_argument("--starts", choices=("measured", "filtered"), help="where segments start")
+    parser.add_argument("--lambda", dest="length", type=_length, metavar="N|auto", help="control steps in a segment")
     parser.add_argument("--budget", type=whole(1), metavar="N", help="evaluations of the likelihood at most")
     parser.add_argument("--draws", type=whole(2), metavar="K", help="simulations for each transition in one evaluation")
-    parser.add_argument("--start", choices=("middle", "least-squares"), help="where the search begins")
+    parser.add_argument("--start", choices=("middle", "least-squares", "random"), help="where the search begins")
     parser.add_argument("--transitions", type=whole(1), metavar="N", help="use the first N transitions alone")
     parser.add_argument("--seed", type=whole(0), default=0, metavar="S", help="0 by default")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write fit.json here; the same command resumes after any interruption")
@@ -49,11 +53,14 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.core.fit import Status
     from dropo.core.journal import Journal
     from dropo.core.recipe import estimator_for
+    from dropo.estimators.horizon import ChooseHorizon
 
     problem = _problem(arguments)
     given = {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
     estimator = estimator_for(problem, arguments.method, given)
     record = run_record("fit", arguments.method, estimator, problem, arguments.seed)
+    if arguments.length == AUTO:
+        estimator, record = ChooseHorizon(estimator), {**record, "lambda": AUTO}
     _check_folder(arguments.out, record)
     journal = Journal(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
     fit = _fit(arguments, estimator, problem, journal)
@@ -111,7 +118,7 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
         raise BadFile(arguments.problem, "parameters", "at least one parameter to fit", "none")
     if arguments.length is not None and problem.reset == "start":
         raise Incompatible("--lambda has no meaning with `reset: start`, where a segment is a whole trajectory. Leave it out.")
-    problem = problem.using(transitions=arguments.transitions, length=arguments.length)
+    problem = problem.using(transitions=arguments.transitions, length=None if arguments.length == AUTO else arguments.length)
     return replace(problem, warnings=(*problem.warnings, *(finding.sentence for finding in shorter_than_lambda(problem))))
 
 
@@ -157,7 +164,15 @@ def _epsilon(text: str) -> float | str:
     return value
 
 
-def _length(text: str) -> int:
-    if text == "auto":
-        raise argparse.ArgumentTypeError("'auto' is not available yet: choose a whole number of control steps, such as 1")
-    return whole(1)(text)
+def _degrees(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 2):
+        raise argparse.ArgumentTypeError(f"expected degrees of freedom, a number above 2, got {text!r}")
+    return value
+
+
+def _length(text: str) -> int | str:
+    return text if text == AUTO else whole(1)(text)

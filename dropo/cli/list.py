@@ -7,7 +7,7 @@ from typing import Any
 
 from dropo.cli.output import show
 
-KINDS = ("methods", "optimizers", "families", "likelihoods", "samplers", "simulators", "problems", "effects")
+KINDS = ("methods", "optimizers", "families", "likelihoods", "samplers", "simulators", "problems", "studies", "effects")
 
 
 def add(commands: Any) -> None:

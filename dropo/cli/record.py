@@ -11,6 +11,7 @@ import numpy as np
 from dropo import __version__
 from dropo.core.data import Trajectories
 from dropo.core.estimator import Estimator
+from dropo.core.prior import describe
 from dropo.core.problem import Problem
 
 
@@ -29,7 +30,9 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "parameters": [plain(asdict(parameter)) for parameter in problem.space],
         "signals": [signal.name for signal in simulator.signals], "steps_per_action": simulator.steps_per_action,
         "lambda": problem.length, "reset": problem.reset, "set_columns": plain(problem.set_columns), "every_step": problem.every_step,
-        "epsilon": plain(problem.epsilon), "transitions": len(problem.trajectories), "data_sha256": data_sum(problem.trajectories),
+        "epsilon": plain(problem.epsilon), "priors": {name: describe(prior) for name, prior in problem.priors.items()},
+        "start_noise": problem.start_noise, "degrees": problem.noise_degrees,
+        "transitions": len(problem.trajectories), "data_sha256": data_sum(problem.trajectories),
         "model_sha256": model_sum(model) if isinstance(model, mujoco.MjModel) else None,
     }  # fmt: skip
 

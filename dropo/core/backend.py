@@ -11,7 +11,7 @@ import array_api_compat
 import numpy as np
 from scipy import special
 
-from dropo.core.checks import Array
+from dropo.core.checks import Array, check_shape, float_array, require
 
 
 def is_tensor(x: Any) -> bool:
@@ -31,7 +31,24 @@ def constant(x: Any, like: Any) -> Any:
     if not is_tensor(like):
         return np.asarray(x, dtype=float)
     torch = sys.modules["torch"]
+    if not is_tensor(x):
+        x = np.require(x, dtype=float, requirements=["C", "W"])  # what torch can share
     return torch.as_tensor(x, dtype=torch.float64, device=like.device)
+
+
+def checked(name: str, values: Any, shape: tuple[int | None, ...], caller: str) -> Any:
+    """`float_array` of numbers; a tensor in float64, with its history, if it is finite and of that shape."""
+    if not is_tensor(values):
+        return float_array(name, values, shape, caller)
+    check_shape(name, values, shape, caller)
+    require(bool(values.isfinite().all()), name, "finite", values.tolist(), caller)
+    return values.double()
+
+
+def together(*arrays: Any) -> list[Any]:
+    """The arrays as float64 in one namespace: torch's where one of them is a tensor, else NumPy's."""
+    like = next((x for x in arrays if is_tensor(x)), None)
+    return [constant(x, like) for x in arrays]
 
 
 def plain(x: Any) -> Array:
@@ -42,3 +59,22 @@ def plain(x: Any) -> Array:
 def ndtri(x: Any) -> Any:
     """The standard normal quantile."""
     return sys.modules["torch"].special.ndtri(x) if is_tensor(x) else special.ndtri(x)
+
+
+def cholesky(covariance: Any) -> Any:
+    """Lower factors (R, p, p) of R symmetric matrices; NaN where one is not positive definite."""
+    if is_tensor(covariance):
+        torch = sys.modules["torch"]
+        factor, bad = torch.linalg.cholesky_ex(covariance)
+        return torch.where(bad[:, None, None] > 0, torch.nan, factor)
+    try:
+        return np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return np.array([_cholesky_or_nan(row) for row in covariance])
+
+
+def _cholesky_or_nan(covariance: Array) -> Array:
+    try:
+        return np.linalg.cholesky(covariance).astype(float, copy=False)
+    except np.linalg.LinAlgError:
+        return np.full_like(covariance, np.nan)

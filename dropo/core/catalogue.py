@@ -12,9 +12,18 @@ from typing import Any
 
 from dropo.core.checks import known
 
+_EFFECTS = (
+    "body_mass", "body_com", "body_inertia", "joint_damping", "joint_friction",
+    "joint_stribeck", "joint_stiffness", "joint_armature", "joint_load_friction", "joint_cogging",
+    "joint_limit", "actuator_gain", "actuator_bias", "actuator_delay", "actuator_lag",
+    "actuator_coupling", "actuator_torque_speed", "actuator_saturation", "actuator_deadband", "gravity_tilt",
+    "external_force", "air_drag", "wind", "contact_friction", "contact_stiffness",
+    "sensor_bias", "sensor_gain", "sensor_delay",
+)  # fmt: skip
 BUILT_IN: dict[str, dict[str, str]] = {
     "methods": {
         "dropo": "dropo.estimators.dropo:DROPO",
+        "random-effects": "dropo.estimators.random_effects:RandomEffects",
         "droid": "dropo.estimators.droid:DROID",
         "least-squares": "dropo.estimators.least_squares:LeastSquares",
         "uniform-randomization": "dropo.estimators.uniform_randomization:UniformRandomization",
@@ -23,6 +32,8 @@ BUILT_IN: dict[str, dict[str, str]] = {
     "likelihoods": {
         "monte-carlo": "dropo.likelihoods.gaussian:Gaussian",
         "emulated": "dropo.likelihoods.emulated:Emulated",
+        "linear": "dropo.likelihoods.linear:Linear",
+        "unscented": "dropo.likelihoods.unscented:Unscented",
         "random-effects": "dropo.likelihoods.random_effects:RandomEffects",
         "ghurye-olkin": "dropo.likelihoods.ghurye_olkin:GhuryeOlkin",
     },
@@ -47,6 +58,8 @@ BUILT_IN: dict[str, dict[str, str]] = {
     },
     "samplers": {
         "emcee": "dropo.optimizers.emcee:Emcee",
+        "pyro-nuts": "dropo.optimizers.pyro_nuts:PyroNuts",
+        "pyro-svi": "dropo.optimizers.pyro_svi:PyroSvi",
     },
     "simulators": {
         "mujoco": "dropo.simulators.mujoco:MujocoSimulator",
@@ -55,7 +68,11 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "env": "dropo.simulators.general:EnvSimulator",
         "linear": "dropo.simulators.toy:LinearSimulator",
         "sliding-block": "dropo.simulators.toy:SlidingBlock",
+        "pendulum": "dropo.simulators.robots:Pendulum",
+        "cart-pole": "dropo.simulators.robots:CartPole",
+        "sliding-puck": "dropo.simulators.robots:SlidingPuck",
     },
+    "effects": {name: f"dropo.effects.{name}:{name}" for name in _EFFECTS},
     "problems": {
         "hopper": "dropo.problems.hopper:hopper",
         "hopper-noisy": "dropo.problems.hopper:hopper_noisy",
@@ -63,6 +80,16 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "hopper-published-noisy": "dropo.problems.hopper_published:hopper_published_noisy",
         "cube-toss": "dropo.problems.cube_toss:cube_toss",
         "slide": "dropo.problems.slide:slide",
+    },
+    "studies": {
+        "table-6.1": "dropo.studies.table_6_1:table_6_1",
+        "table-6.2": "dropo.studies.table_6_2:table_6_2",
+        "table-6.3": "dropo.studies.table_6_3:table_6_3",
+        "table-6.4": "dropo.studies.table_6_4:table_6_4",
+        "figure-6.2": "dropo.studies.figure_6_2:figure_6_2",
+        "figure-6.4": "dropo.studies.figure_6_4:figure_6_4",
+        "calibration": "dropo.studies.calibration:calibration",
+        "coverage": "dropo.studies.coverage:coverage",
     },
 }
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}
@@ -101,4 +128,4 @@ def _outside(kind: str) -> dict[str, Any]:
 
 
 def _singular(kind: str) -> str:
-    return "family" if kind == "families" else kind.removesuffix("s")
+    return {"families": "family", "studies": "study"}.get(kind, kind.removesuffix("s"))

@@ -31,11 +31,11 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], cal
     return array
 
 
-def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...], caller: str) -> None:
+def check_shape(name: str, array: Any, shape: tuple[int | None, ...], caller: str) -> None:
     """Refuses an array of another shape; None in `shape` stands for any length."""
     fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
     wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-    require(fits, name, f"of shape {wanted}", array.shape, caller)
+    require(fits, name, f"of shape {wanted}", tuple(array.shape), caller)
 
 
 def nearest(name: object, valid: Iterable[str]) -> str:

@@ -58,6 +58,10 @@ class Trajectories:
         if self.time is not None:
             object.__setattr__(self, "time", float_array("time", self.time, (n,), "Trajectories"))
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Copies in other processes are read-only too."""
+        return Trajectories, (self.observations, self.actions, self.next_observations, self.terminals, self.group, self.time)
+
     def __len__(self) -> int:
         return len(self.observations)
 

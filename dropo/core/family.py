@@ -1,12 +1,14 @@
 """The contract of distributions over parameters: drawn by mapping fixed base points, so that objectives are deterministic."""
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import qmc
 
-from dropo.core.checks import Array, float_array, require
+from dropo.core.backend import checked, constant, namespace
+from dropo.core.checks import Array, require
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.standard_law import StandardLaw
 
@@ -14,6 +16,7 @@ from dropo.core.standard_law import StandardLaw
 class Family(ABC):
     """A family of distributions over the parameters of `space`; phi (m,) names a member.
 
+    phi as a NumPy array gives arrays; as a torch tensor in float64, tensors with their history (`dropo.core.backend`).
     A plug-in sets `unknowns` (the box of phi) and writes `_draw`, `mean` and `sd`. The unknowns called "mean.<parameter>"
     and "scale.<parameter>" are what a fit prints as the family's own mean and scale.
     """
@@ -36,14 +39,17 @@ class Family(ABC):
         return _inside(points)
 
     def draw(self, phi: ArrayLike, base: Array) -> Array:
-        """K parameter vectors (K, d) of member phi (m,), from base points (1 + redraws, K, d); all physically possible."""
-        phi = float_array("phi", phi, (len(self.unknowns),), type(self).__name__)
-        values = self._draw(phi, base[0])
+        """K parameter vectors (K, d) of member phi (m,), from base points (1 + redraws, K, d); all physically possible.
+
+        An entry that is put on a bound has no slope in phi.
+        """
+        member = checked("phi", phi, (len(self.unknowns),), type(self).__name__)
+        values = self._draw(member, base[0])
         for attempt in base[1:]:
             bad = self._infeasible(values)
             if not bad.any():
                 return values
-            values = np.where(bad, self._draw(phi, attempt), values)
+            values = namespace(values).where(bad, self._draw(member, attempt), values)
         return self.space.feasible(values)
 
     def map(self, phi: Array, base: Array) -> Array:
@@ -54,9 +60,9 @@ class Family(ABC):
         """Independent draws (K, d), for training under the member."""
         return self.draw(phi, _inside(rng.random((1 + self.redraws, draws, len(self.space)))))
 
-    def _infeasible(self, values: Array) -> np.ndarray:
+    def _infeasible(self, values: Array) -> NDArray[np.bool_]:
         """(K, d) bool, which entries are made again; families with correlations make whole rows again."""
-        return (values < self.space.lower) | (values > self.space.upper)
+        return (values < constant(self.space.lower, values)) | (values > constant(self.space.upper, values))
 
     @abstractmethod
     def _draw(self, phi: Array, base: Array) -> Array:
@@ -72,11 +78,17 @@ class Family(ABC):
 
     def scale(self, phi: Array) -> Array:
         """(d,) the family's own scale parameter (the sigma of a truncated Gaussian)."""
-        return np.array([phi[self.unknowns.names.index(f"scale.{name}")] for name in self.space.names])
+        return phi[self._scales]
+
+    @cached_property
+    def _scales(self) -> list[int]:
+        """Where the scales are in phi; found once, as searching d names d times costs more than a fit's algebra at d = 100."""
+        place = {name: i for i, name in enumerate(self.unknowns.names)}
+        return [place[f"scale.{name}"] for name in self.space.names]
 
     def correlation(self, phi: Array) -> Array:
         """(d, d) the member's correlation matrix."""
-        return np.eye(len(self.space))
+        return constant(np.eye(len(self.space)), phi)
 
     def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
         """The member of that mean and scale (d,) each, moved into the bounds of phi; what is not given is in its middle."""

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from dropo.core.catalogue import find
-from dropo.core.checks import Array
+from dropo.core.checks import Array, require
 from dropo.core.errors import BadFile
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.table import number, text_table
@@ -30,7 +31,8 @@ class Fit:
 
     space: the d parameters; family: the name of the law, phi: (m,) its member; mean, scale, sd: (d,) in the parameters'
     units, scale the family's own and sd the distribution's; mean_se, scale_se: (d,) standard errors, NaN where there is
-    none; epsilon: (p,) noise variances. mse: the mean square of (mean prediction - measured) over rows and signals.
+    none; degrees: (d,) of freedom of the Student t behind the means' intervals, None: normal; epsilon: (p,) noise variances.
+    mse: the mean square of (mean prediction - measured) over rows and signals.
     arrays: whatever else an estimator found, by name; details: further entries of fit.json.
     """
 
@@ -57,6 +59,7 @@ class Fit:
     warnings: tuple[str, ...] = ()
     wall_time_s: float = 0.0
     seed: int | None = None
+    degrees: Array | None = None
     arrays: dict[str, Array] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -65,13 +68,38 @@ class Fit:
         family = find("families", self.family)(self.space)
         return family.sample(self.phi, draws, np.random.default_rng(rng))
 
+    def interval(self, level: float = 0.95) -> Array:
+        """(d, 2) confidence intervals of the means, mean -+ t mean_se, cut at the search interval; NaN without a standard error,
+        as on a bound, where the data speak against one side alone. They cover where `trusted`."""
+        require(0 < level < 1, "level", "between 0 and 1", level, "Fit.interval")
+        degrees = np.full(len(self.mean), np.inf) if self.degrees is None else np.nan_to_num(self.degrees, nan=np.inf)
+        half = stats.t.ppf((1 + level) / 2, degrees) * self.mean_se
+        cut = np.clip(np.stack([self.mean - half, self.mean + half]), self.space.low, self.space.high)
+        return np.asarray(cut.T)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing was found that speaks against the model, on which standard errors and intervals rest."""
+        return bool(self.details.get("model_check", {}).get("passed", True))
+
+    def to_inference_data(self) -> Any:
+        """The draws of a posterior as arviz.InferenceData: posterior, sample_stats, observed_data, and log_likelihood where kept."""
+        from dropo import __version__
+        from dropo.core.draws import inference_data
+
+        about = {"method": self.method, "problem": self.problem, "seed": self.seed, "version": __version__}
+        return inference_data(self.arrays, self.details.get("unknowns", ()), about)
+
     def to_json(self) -> dict[str, Any]:
         """The content of fit.json; numbers that do not exist are null."""
         from dropo import __version__
 
         columns = {"mean": self.mean, "scale": self.scale, "sd": self.sd, "mean_se": self.mean_se, "scale_se": self.scale_se}
+        columns["degrees"] = np.full(len(self.mean), np.inf) if self.degrees is None else self.degrees
+        intervals = self.interval()
         parameters = {
-            p.name: {**{key: _number(values[i]) for key, values in columns.items()}, "unit": p.unit, "low": p.low, "high": p.high,
+            p.name: {**{key: _number(values[i]) for key, values in columns.items()},
+                     "mean_interval": [_number(end) for end in intervals[i]], "unit": p.unit, "low": p.low, "high": p.high,
                      "lower": _number(p.lower), "upper": _number(p.upper), "search_scale": p.scale}
             for i, p in enumerate(self.space)
         }  # fmt: skip
@@ -135,6 +163,8 @@ def _parameter(name: str, row: dict[str, Any]) -> Parameter:
 def _from_json(cls: type[Fit], content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
     rows = content["parameters"]
     columns = {key: np.array([_value(row[key]) for row in rows.values()]) for key in ("mean", "scale", "sd", "mean_se", "scale_se")}
+    degrees = np.array([_value(row.get("degrees"), np.inf) for row in rows.values()])
+    columns["degrees"] = np.where(np.isfinite(columns["mean_se"]), degrees, np.nan)
     own = {key: arrays.pop(key) for key in ("phi", "correlation", "epsilon")}
     known = {"version", "parameters", "log_likelihood", "log_likelihood_per_transition", "status", "warnings", *own, *_SAVED}
     saved: dict[str, Any] = {key: content[key] for key in _SAVED} | {"mse": _value(content["mse"])} | columns | own
@@ -158,12 +188,31 @@ def held_out_lines(found: dict[str, Any] | None) -> list[str]:
     return [f"held-out error after {found['steps']} steps (RMS, {found['rows']} rows): {', '.join(shown)}"]
 
 
+def span(low: float, high: float) -> str:
+    """An interval, with as many digits as its width deserves; a dash where there is none."""
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return "-"
+    size = max(abs(low), abs(high), 1e-300)
+    digits = 3 if high <= low else int(np.clip(np.ceil(np.log10(size / (high - low))) + 2, 3, 12))
+    return f"{low:.{digits}g} .. {high:.{digits}g}"
+
+
 def fit_table(fit: Fit) -> str:
     """The fit as a table, with what it cost beneath."""
     truth = fit.details.get("truth", {})
-    header = ["parameter", "unit", "mean", "se", "scale", "sd", *(["truth"] if truth else [])]
+    ends = "95 % interval" if fit.trusted else "(95 % if the model were right)"
+    header = ["parameter", "unit", "mean", "se", ends, "scale", "sd", *(["truth"] if truth else [])]
+    intervals = fit.interval()
     rows = [
-        [p.name, p.unit, number(fit.mean[i], 7), number(fit.mean_se[i], 2), number(fit.scale[i], 4), number(fit.sd[i], 4)]
+        [
+            p.name,
+            p.unit,
+            number(fit.mean[i], 7),
+            number(fit.mean_se[i], 2),
+            span(*intervals[i]),
+            number(fit.scale[i], 4),
+            number(fit.sd[i], 4),
+        ]
         + ([number(truth[p.name], 7)] if truth else [])
         for i, p in enumerate(fit.space)
     ]
@@ -171,6 +220,7 @@ def fit_table(fit: Fit) -> str:
     lines = [
         f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
         text_table(header, rows),
+        *fit.details.get("identifiability", ()),
         f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
         *held_out_lines(fit.details.get("held_out")),
         f"{fit.simulator_steps:,} simulator steps, {fit.objective_evaluations} evaluations, {fit.wall_time_s:.1f} s",

@@ -5,7 +5,8 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.checks import Array, float_array
+from dropo.core.backend import constant, is_tensor
+from dropo.core.checks import Array, check_shape, float_array
 from dropo.core.data import Segments
 from dropo.core.errors import Incompatible
 from dropo.core.family import Family
@@ -21,13 +22,22 @@ class LogLikelihood(ABC):
     has_gradients = False
 
     def __call__(self, phi: ArrayLike) -> float:
-        """log L(phi) = sum of the rows [nats] (thesis, eq. 5.6); -inf where a simulation failed."""
+        """log L(phi) = sum of the rows [nats] (thesis, eq. 5.6); -inf where a simulation failed; a tensor () of a tensor."""
         rows = self.rows(phi)
+        if is_tensor(rows):
+            return rows.sum()
         return float(rows.sum()) if np.isfinite(rows).all() else -np.inf
 
     def rows(self, phi: ArrayLike) -> Array:
-        """(R,) log density of each compared row [nats]; -inf where one of its simulations failed."""
-        return self._rows(float_array("phi", phi, (len(self.unknowns),), type(self).__name__))
+        """(R,) log density of each compared row [nats]; -inf where one of its simulations failed.
+
+        A torch tensor phi gives a tensor, with its autograd history, where likelihood and family are of closed form in phi.
+        """
+        if not is_tensor(phi):
+            return self._rows(float_array("phi", phi, (len(self.unknowns),), type(self).__name__))
+        tensor = constant(phi, phi)
+        check_shape("phi", tensor, (len(self.unknowns),), type(self).__name__)
+        return self._rows(tensor)
 
     def gradient(self, phi: ArrayLike) -> Array:
         """(m,) d log L / d phi, where `has_gradients`."""
@@ -35,7 +45,7 @@ class LogLikelihood(ABC):
 
     @abstractmethod
     def _rows(self, phi: Array) -> Array:
-        """(m,) -> (R,)."""
+        """(m,) -> (R,), arrays or tensors."""
 
     @abstractmethod
     def epsilon(self, phi: Array) -> Array:

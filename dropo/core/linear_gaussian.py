@@ -1,4 +1,4 @@
-"""The linear-Gaussian model of compared rows around a member of a family: scores, information, standard errors.
+"""The linear-Gaussian model of compared rows around a member of a family: scores and information.
 
 With J = d f / d xi at the mean, xi ~ N(mu, S) gives y ~ N(f(mu), J S J' + diag(epsilon)).
 """
@@ -6,7 +6,6 @@ With J = d f / d xi at the mean, xi ~ N(mu, S) gives y ~ N(f(mu), J S J' + diag(
 import numpy as np
 
 from dropo.core.checks import Array
-from dropo.core.data import Ints
 
 
 def scores_and_information(residuals: Array, jacobian: Array, covariance: Array, epsilon: Array) -> tuple[Array, Array]:
@@ -26,20 +25,3 @@ def scores_and_information(residuals: Array, jacobian: Array, covariance: Array,
     information[:d, :d] = gram.sum(axis=0)
     information[d:, d:] = 0.5 * (gram**2).sum(axis=0)
     return np.concatenate([by_mean, by_variance], axis=1), information
-
-
-def sandwich(scores: Array, information: Array, clusters: Ints) -> Array:
-    """Covariance (m, m) of the estimate from scores (R, m): H^-1 (sum_c u_c u_c') H^-1, u_c the sum of a cluster's scores.
-
-    Directions that the data do not inform have infinite variance, which the pseudo-inverse would hide: they become NaN.
-    """
-    size = np.sqrt(np.diagonal(information))
-    good = size > 0
-    scaled = information[np.ix_(good, good)] / np.outer(size[good], size[good])
-    values, vectors = np.linalg.eigh(scaled)
-    inverse = (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(size[good], size[good])
-    sums = np.zeros((int(clusters.max()) + 1, int(good.sum())))
-    np.add.at(sums, clusters, scores[:, good])
-    out = np.full(information.shape, np.nan)
-    out[np.ix_(good, good)] = inverse @ (sums.T @ sums) @ inverse
-    return out

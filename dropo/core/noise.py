@@ -5,8 +5,9 @@ from typing import Literal
 
 import numpy as np
 
+from dropo.core.backend import constant
 from dropo.core.checks import Array, known, require
-from dropo.core.errors import BadArgument
+from dropo.core.errors import BadArgument, Incompatible
 from dropo.core.parameters import Parameter
 
 
@@ -15,14 +16,17 @@ class Noise:
     """What a likelihood takes for the measurement's error; where it is known and Gaussian, its variance alone will do.
 
     variance: one, or (p,) each signal's [signal unit^2]. learned: "factor", one factor on the variances is found with the
-    rest; "each", one for each signal; factors lie in [1e-8, 1e4]. start: whether the measured start states carry it too.
-    degrees: of freedom of a multivariate Student t in the Gaussian's place; None: Gaussian.
+    rest; "each", one for each signal; factors lie in [1e-8, 1e4]. start: whether the measured start states carry it too:
+    the same variances, in the same coordinates. degrees: nu > 2, each row is a multivariate Student t in the Gaussian's
+    place (Lange, Little, Taylor 1989, J. Am. Stat. Assoc. 84), whose scale matrix is the Gaussian's covariance: its own
+    covariance is nu / (nu - 2) times as large. None: Gaussian. rows: (R, p, p) a known covariance of each compared row beside all this.
     """
 
     variance: float | Array
     learned: Literal["factor", "each"] | None = None
     start: bool = False
     degrees: float | None = None
+    rows: Array | None = None
 
     def __post_init__(self) -> None:
         if self.learned is not None:
@@ -55,9 +59,16 @@ class NoiseModel:
             )
         return self
 
+    def plain(self, caller: str) -> "NoiseModel":
+        """Itself, where it is Gaussian and on the compared rows alone, which is all that the caller knows."""
+        if self.noise.start or self.noise.degrees is not None or self.noise.rows is not None:
+            raise Incompatible(f"{caller} knows no noise on the start states and no Student t. Use 'emulated', 'linear' or 'unscented'.")
+        return self
+
     def epsilon(self, own: Array) -> Array:
-        """(p,) from the likelihood's own unknowns, (p,), (1,) or (0,)."""
-        return self.shape * own if self.unknowns else self.shape
+        """(p,) from the likelihood's own unknowns (p,), (1,) or (0,), array or tensor."""
+        shape = constant(self.shape, own)
+        return shape * own if self.unknowns else shape
 
     def slopes(self) -> Array:
         """d epsilon / d own unknown (n, p)."""

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dropo.core.backend import constant, namespace
 from dropo.core.checks import Array, float_array, known, require
 
 
@@ -123,4 +124,5 @@ class ParameterSpace(Sequence[Parameter]):
 
     def feasible(self, values: Array) -> Array:
         """`values` (..., d) moved to the nearest physically possible ones."""
-        return np.clip(values, self.lower, self.upper)
+        xp = namespace(values)
+        return xp.minimum(xp.maximum(values, constant(self.lower, values)), constant(self.upper, values))

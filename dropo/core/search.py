@@ -13,6 +13,7 @@ from dropo.core.fit import Status
 from dropo.core.likelihood import LogLikelihood
 from dropo.core.optimizer import Optimizer
 from dropo.core.parameters import ParameterSpace
+from dropo.core.simulator import WITHOUT_GRADIENTS
 
 Objective = Callable[[Array], Any]
 
@@ -50,10 +51,8 @@ def maximise(
     """
     gradients = optimizer.needs_gradients
     if gradients and not getattr(objective, "has_gradients", False):
-        raise Incompatible(
-            f"{type(optimizer).__name__} needs gradients and {type(objective).__name__} gives none."
-            " Use an optimizer without gradients, such as 'cma-es' or 'nlopt-sbplx', or a likelihood with them."
-        )
+        giver = getattr(objective, "simulator", objective)
+        raise Incompatible(f"{type(optimizer).__name__} needs gradients, and {type(giver).__name__} gives none. {WITHOUT_GRADIENTS}")
     evaluate: Any = objective if batched else _with_gradients(objective, space) if gradients else _values(objective, space)  # type: ignore[arg-type]
     costs, done, best, reason, status = _Costs(), 0, -np.inf, None, Status.CONVERGED
     try:

@@ -2,15 +2,18 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dropo.core.backend import checked, is_tensor, namespace, plain
 from dropo.core.checks import Array, check_shape, float_array, require
 from dropo.core.data import Segments, Signal
-from dropo.core.errors import SimulationFailed
+from dropo.core.errors import Incompatible, SimulationFailed
 from dropo.core.parameters import ParameterSpace
 
+WITHOUT_GRADIENTS = "Use likelihood 'emulated', which has gradients whatever the simulator, or an optimizer without, such as 'cma-es'."
 STEP = float(np.finfo(float).eps ** (1 / 3))  # central differences: truncation ~ h^2 meets rounding ~ eps / h here
 
 
@@ -19,7 +22,8 @@ class Simulator(ABC):
 
     space: the d parameters that `predict` takes, in this order. signals: the p numbers that it gives for each row.
     nominal: (d,) the parameters' values before any fit, where there are such. steps: the simulator steps made so far;
-    failures: the simulations so far that did not reach their end.
+    failures: the simulations so far that did not reach their end. has_gradients: whether `predict` takes torch tensors too,
+    and gives a tensor with its history then.
     """
 
     space: ParameterSpace
@@ -36,19 +40,25 @@ class Simulator(ABC):
         (`start_size`), or None.
         """
         caller = f"{type(self).__name__}.predict"
-        array = np.asarray(values, dtype=float)
+        self._require_gradients(values, offsets)
+        array: Any = values if is_tensor(values) else np.asarray(values, dtype=float)
         if array.ndim == 3:
             return self._predict_by_group(array, segments, offsets)
-        array = float_array("values", array, (None, len(self.space)), caller)
-        if offsets is not None:
-            offsets = float_array("offsets", offsets, (len(array), len(segments), self.start_size), caller)
-        predictions = self._predict(array, segments, offsets)
+        array = checked("values", array, (None, len(self.space)), caller)
+        moved = None if offsets is None else checked("offsets", offsets, (len(array), len(segments), self.start_size), caller)
+        predictions = self._predict(array, segments, moved)
         check_shape("predictions", predictions, (len(array), len(segments.rows[0]), len(self.signals)), caller)
-        bad = np.asarray(~np.isfinite(predictions).all(axis=2))  # (K, R)
-        predictions[bad] = np.nan
+        bad = np.asarray(~np.isfinite(plain(predictions)).all(axis=2))  # (K, R)
+        if bad.any():
+            xp = namespace(predictions)
+            predictions = xp.where(xp.asarray(bad)[..., None], np.nan, predictions)
         self.steps += int(segments.lengths.sum()) * len(array) * self.steps_per_action
         self.failures += len({(k, s) for k, s in zip(*_where(bad, segments), strict=True)}) if bad.any() else 0
         return predictions
+
+    def _require_gradients(self, *given: object) -> None:
+        if not self.has_gradients and any(is_tensor(x) for x in given):
+            raise Incompatible(f"{type(self).__name__} gives no gradients, so it takes no tensors. {WITHOUT_GRADIENTS}")
 
     steps_per_action: int = 1
     nominal: Array | None = None
@@ -93,10 +103,11 @@ class Simulator(ABC):
         require(segments.group.max() < values.shape[1], "values", f"given for {segments.group.max() + 1} groups", values.shape, caller)
         require(offsets is None, "offsets", "None where values differ by group", "an array", caller)
         row_group = segments.group[segments.rows[0]]
-        out = np.empty((len(values), len(row_group), len(self.signals)))
-        for g in np.unique(segments.group):
-            out[:, row_group == g] = self.predict(values[:, g], segments.take(segments.group == g))
-        return out
+        groups = np.unique(segments.group)
+        parts = [self.predict(values[:, g], segments.take(segments.group == g)) for g in groups]
+        place = np.argsort(np.concatenate([np.flatnonzero(row_group == g) for g in groups]))
+        together: Array = namespace(*parts).concat(parts, axis=1)[:, place]
+        return together
 
 
 def _where(bad: np.ndarray, segments: Segments) -> tuple[list[int], list[int]]:
@@ -104,9 +115,9 @@ def _where(bad: np.ndarray, segments: Segments) -> tuple[list[int], list[int]]:
     return draw.tolist(), segments.rows[0][row].tolist()
 
 
-def describe_failures(predictions: Array, values: Array, space: ParameterSpace) -> str:
-    """Which rows of (K, R, p) predictions failed, and under which (K, d) values: a sentence for an error."""
+def describe_failures(predictions: Array, values: Array, space: ParameterSpace, *, first: int = 0) -> str:
+    """Which rows of (K, R, p) predictions failed, and under which (K, d) values: a sentence for an error; rows count from `first`."""
     bad = ~np.isfinite(predictions).all(axis=2)
     k, row = (int(i[0]) for i in np.nonzero(bad))
     at = ", ".join(f"{name} = {value:.6g}" for name, value in zip(space.names, values[k], strict=True))
-    return f"{int(bad.sum())} of {bad.size} simulated rows diverged, the first at row {row} with {at}."
+    return f"{int(bad.sum())} of {bad.size} simulated rows diverged, the first at row {first + row} with {at}."

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr, ndtri, roots_hermitenorm, roots_legendre
+from scipy.special import ndtr, roots_hermitenorm, roots_legendre
 
+from dropo.core.backend import namespace, ndtri
 from dropo.core.checks import Array
 
 NODES = 64
@@ -33,12 +34,13 @@ class StandardLaw:
         return a, b
 
     def orthonormal(self, x: Array, degree: int) -> Array:
-        """Orthonormal polynomials of degree 0 ... degree at x (...,): (..., degree + 1)."""
-        a, b = self._recurrence
-        out = [np.ones_like(x), (x - a[0]) / b[1]]
+        """Orthonormal polynomials of degree 0 ... degree at x (...,), array or tensor: (..., degree + 1)."""
+        xp, (a, b) = namespace(x), self._recurrence
+        out = [xp.ones_like(x), (x - a[0]) / b[1]]
         for k in range(1, degree):
             out.append(((x - a[k]) * out[k] - b[k] * out[k - 1]) / b[k + 1])
-        return np.stack(out[: degree + 1], axis=-1)
+        stacked: Array = xp.stack(out[: degree + 1], axis=-1)
+        return stacked
 
 
 def _normal() -> StandardLaw:

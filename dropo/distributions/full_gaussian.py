@@ -4,8 +4,8 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
 
+from dropo.core.backend import constant, namespace
 from dropo.core.checks import Array, float_array
 from dropo.core.errors import BadArgument
 from dropo.core.family import Family, means_and_scales
@@ -29,20 +29,22 @@ class FullGaussian(Family):
         super().__init__(space)
         partials = [Parameter(f"partial.{a}.{b}", -PARTIAL, PARTIAL) for a, b in combinations(space.names, 2)]
         self.unknowns = ParameterSpace((*means_and_scales(space), *partials))
+        self._places = np.eye(len(space), dtype=np.int64)  # of z_ij in (0, 1, partials)
+        self._places.T[np.triu_indices(len(space), 1)] = 2 + np.arange(len(partials))
 
     def _draw(self, phi: Array, base: Array) -> Array:
-        return self.mean(phi) + self.scale(phi) * (ndtri(base) @ self._factor(phi).T)
+        return self.mean(phi) + self.scale(phi) * (constant(NORMAL.quantile(base), phi) @ self._factor(phi).T)
 
     def _infeasible(self, values: Array) -> NDArray[np.bool_]:
-        return np.broadcast_to(super()._infeasible(values).any(axis=1, keepdims=True), values.shape)
+        xp = namespace(values)
+        return xp.broadcast_to(xp.any(super()._infeasible(values), axis=1, keepdims=True), values.shape)
 
     def _factor(self, phi: Array) -> Array:
         """L (d, d), lower triangular, of C = L L': L_ij = z_ij sqrt(prod_{k < j} (1 - z_ik^2)), with z_ii = 1."""
-        d = len(self.space)
-        z = np.eye(d)
-        z.T[np.triu_indices(d, 1)] = phi[2 * d :]
-        left = np.cumprod(np.sqrt(1 - np.tril(z, -1) ** 2), axis=1)
-        factor: Array = z * np.column_stack([np.ones(d), left[:, :-1]])
+        xp, d = namespace(phi), len(self.space)
+        z = xp.concat([constant([0.0, 1.0], phi), phi[2 * d :]])[self._places]
+        left = xp.cumulative_prod(xp.sqrt(1 - xp.tril(z, k=-1) ** 2), axis=1)
+        factor: Array = z * xp.concat([constant(np.ones((d, 1)), phi), left[:, :-1]], axis=1)
         return factor
 
     def mean(self, phi: Array) -> Array:

@@ -1,8 +1,8 @@
 """Independent log-normal distributions, for quantities that are positive."""
 
 import numpy as np
-from scipy.special import ndtri
 
+from dropo.core.backend import constant, namespace
 from dropo.core.checks import Array
 from dropo.core.errors import BadArgument
 from dropo.core.family import Family
@@ -29,13 +29,14 @@ class LogNormal(Family):
 
     def _draw(self, phi: Array, base: Array) -> Array:
         s = self.scale(phi)
-        return self.mean(phi) * np.exp(s * ndtri(base) - s**2 / 2)
+        return self.mean(phi) * namespace(phi).exp(s * constant(NORMAL.quantile(base), phi) - s**2 / 2)
 
     def mean(self, phi: Array) -> Array:
         return phi[: len(self.space)]
 
     def sd(self, phi: Array) -> Array:
-        return self.mean(phi) * np.sqrt(np.expm1(self.scale(phi) ** 2))
+        xp = namespace(phi)
+        return self.mean(phi) * xp.sqrt(xp.expm1(self.scale(phi) ** 2))
 
 
 def _log_ratio(parameter: Parameter) -> float:

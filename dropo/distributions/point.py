@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dropo.core.backend import constant, namespace
 from dropo.core.checks import Array
 from dropo.core.family import Family
 from dropo.core.parameters import Parameter, ParameterSpace
@@ -19,16 +20,16 @@ class Point(Family):
         self.unknowns = ParameterSpace(tuple(Parameter(f"mean.{p.name}", p.low, p.high, p.unit) for p in space))
 
     def _draw(self, phi: Array, base: Array) -> Array:
-        return np.broadcast_to(phi, base.shape).copy()
+        return phi + constant(np.zeros(base.shape), phi)
 
     def mean(self, phi: Array) -> Array:
         return phi
 
     def sd(self, phi: Array) -> Array:
-        return np.zeros(len(phi))
+        return namespace(phi).zeros_like(phi)
 
     def scale(self, phi: Array) -> Array:
-        return np.zeros(len(phi))
+        return self.sd(phi)
 
     def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
         return np.clip(np.asarray(mean, dtype=float), self.unknowns.low, self.unknowns.high)

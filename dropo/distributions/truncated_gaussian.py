@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.special import ndtr
 
+from dropo.core.backend import constant
 from dropo.core.checks import Array
 from dropo.core.family import Family, means_and_scales
 from dropo.core.parameters import ParameterSpace
@@ -22,7 +23,7 @@ class TruncatedGaussian(Family):
         self.unknowns = means_and_scales(space)
 
     def _draw(self, phi: Array, base: Array) -> Array:
-        return self.mean(phi) + self.scale(phi) * TRUNCATED_NORMAL.quantile(base)
+        return self.mean(phi) + self.scale(phi) * constant(TRUNCATED_NORMAL.quantile(base), phi)
 
     def mean(self, phi: Array) -> Array:
         return phi[: len(self.space)]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dropo.core.backend import constant
 from dropo.core.checks import Array
 from dropo.core.family import Family, means_and_scales
 from dropo.core.parameters import ParameterSpace
@@ -18,7 +19,7 @@ class Uniform(Family):
         self.unknowns = means_and_scales(space)
 
     def _draw(self, phi: Array, base: Array) -> Array:
-        return self.mean(phi) + self.scale(phi) * (2 * base - 1)
+        return self.mean(phi) + self.scale(phi) * constant(UNIFORM.quantile(base), phi)
 
     def mean(self, phi: Array) -> Array:
         return phi[: len(self.space)]

@@ -55,6 +55,6 @@ class DROID(Estimator):
         log_likelihood = -0.5 * float(np.sum(np.log(2 * np.pi * noise) + residual / noise)) * len(targets)
         return summarise(
             problem, run, method=self.name, family=family, family_name="full", phi=family.phi_of(result.point, covariance), epsilon=noise,
-            log_likelihood=log_likelihood, mean_prediction=predicted, message=result.reason,
+            weighted_by=np.ones(targets.shape[1]), log_likelihood=log_likelihood, mean_prediction=predicted, message=result.reason,
             status=result.status, details={"squared_distance": -result.value},
         )  # fmt: skip

@@ -1,7 +1,7 @@
 """DROPO: the distribution of the parameters with the highest likelihood of the measured segments."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -12,19 +12,21 @@ from dropo.core.data import Ints
 from dropo.core.errors import Incompatible, SimulationFailed
 from dropo.core.estimator import Estimator, Run
 from dropo.core.family import Family
-from dropo.core.fit import Fit, Status
+from dropo.core.fit import Fit
 from dropo.core.likelihood import Likelihood, LogLikelihood
 from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
-from dropo.core.noise import Epsilon, Noise
+from dropo.core.noise import Noise
 from dropo.core.optimizer import Optimizer
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
 from dropo.core.search import SearchResult, maximise
 from dropo.core.simulator import describe_failures
-from dropo.estimators.certificate import paired_check
-from dropo.estimators.least_squares import estimate, misfit
+from dropo.estimators.certificate import certified_scales, paired_check
+from dropo.estimators.filtering import from_filtered_starts
+from dropo.estimators.least_squares import estimate
 from dropo.estimators.rounds import Rounds
 from dropo.estimators.summary import summarise
+from dropo.estimators.tuning import noise_scale, noise_shape, tune
 
 SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
 
@@ -38,8 +40,11 @@ class DROPO(Estimator):
     Fisher scoring where the likelihood knows its information, else "cma-es". epsilon: the noise variance, one or for each
     signal; "learn", one for each signal found with the rest (sampled likelihoods: one factor on the variances that least
     squares leaves); "tune", section 5.3: the smallest of `sweep` whose fit has a mean squared error of at most
-    `mse_threshold`; None, the problem's own where it names one, else "learn". start: the first mean, a least-squares
-    estimate or the middle of the box.
+    `mse_threshold`; None, the problem's own where it names one, else "learn". start_noise: whether the measured start states
+    carry the noise too; degrees: of freedom of a Student t in the Gaussian's place; None, as the problem says. start: the first
+    mean, a least-squares estimate, the middle of the box, or drawn from it (uniformly, in logarithms where a parameter is
+    searched so). starts: segments start from the measured states, or (local likelihoods; noise on all measurements) from
+    states that a Kalman filter makes of the measurements up to them.
     """
 
     likelihood: str | Likelihood = "emulated"
@@ -48,14 +53,19 @@ class DROPO(Estimator):
     epsilon: float | tuple[float, ...] | Literal["learn", "tune"] | None = None
     draws: int | None = None
     budget: int = 5000
-    start: Literal["least-squares", "middle"] = "middle"
+    start: Literal["least-squares", "middle", "random"] = "middle"
     sweep: tuple[float, ...] = SWEEP
     mse_threshold: float | None = None
+    start_noise: bool | None = None
+    starts: Literal["measured", "filtered"] = "measured"
+    degrees: float | None = None
     name = "dropo"
 
     def __post_init__(self) -> None:
-        known("start", self.start, ("least-squares", "middle"))
+        known("start", self.start, ("least-squares", "middle", "random"))
+        known("starts", self.starts, ("measured", "filtered"))
         require(self.budget >= 1, "budget", "at least 1", self.budget, "DROPO")
+        require(self.degrees is None or self.degrees > 2, "degrees", "above 2, to have a variance", self.degrees, "DROPO")
         require(
             self.draws is None or isinstance(self.likelihood, str),
             "draws",
@@ -74,30 +84,47 @@ class DROPO(Estimator):
         return made() if self.draws is None else made(draws=self.draws)
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        seeds = run.rng.integers(2**63, size=2)
+        seeds = run.rng.integers(2**63, size=3)
         if self.epsilon == "tune":
-            return tune(self, problem, run, seeds)
-        if self.epsilon == "learn" or (self.epsilon is None and problem.epsilon is None):
-            local = isinstance(self._likelihood(), LocalLikelihood)
-            noise = Noise(misfit(problem, run), "each") if local else Noise(noise_shape(problem, run), "factor")
-            return self._fit_with(problem, run, noise, seeds)
-        return self._fit_with(problem, run, np.asarray(problem.epsilon if self.epsilon is None else self.epsilon, dtype=float), seeds)
+            return tune(
+                lambda e: self._fit_with(problem, run, self._noise(problem, e), seeds), self.sweep, self.mse_threshold, problem, run
+            )
+        given = problem.epsilon if self.epsilon is None else self.epsilon
+        if given is not None and not isinstance(given, str):
+            return self._fit_with(problem, run, self._noise(problem, given), seeds)
+        if isinstance(self._likelihood(), LocalLikelihood):
+            return self._fit_with(problem, run, self._noise(problem, noise_scale(problem, run), "each"), seeds)
+        return self._fit_with(problem, run, self._noise(problem, noise_shape(problem, run), "factor"), seeds)
 
-    def _fit_with(self, problem: Problem, run: Run, epsilon: Epsilon, seeds: Ints) -> Fit:
+    def _noise(self, problem: Problem, variance: Any, learned: Literal["factor", "each"] | None = None) -> Noise:
+        start = problem.start_noise if self.start_noise is None else self.start_noise
+        degrees = problem.noise_degrees if self.degrees is None else self.degrees
+        return Noise(np.asarray(variance, dtype=float), learned, start=start or self.starts == "filtered", degrees=degrees)
+
+    def _fit_with(self, problem: Problem, run: Run, noise: Noise, seeds: Ints) -> Fit:
         family = find("families", self.family)(problem.space)
-        randomness, search = (np.random.default_rng(int(seed)) for seed in seeds)
-        likelihood = self._likelihood()
+        randomness, search, place = (np.random.default_rng(int(seed)) for seed in seeds)
+        likelihood, centre = self._likelihood(), self._centre(problem, run, place)
         if isinstance(likelihood, LocalLikelihood):
-            return self._fit_locally(problem, run, family, likelihood, epsilon, randomness)
-        objective = likelihood.bind(problem.simulator, problem.segments, family, epsilon, randomness)
-        start = self._start(problem, run, family, objective.unknowns)
+            return self._fit_locally(problem, run, family, likelihood, noise, centre, randomness)
+        if self.starts == "filtered":
+            raise Incompatible(f"{self.likelihood!r} takes no filtered starts. Use 'emulated', 'linear' or 'unscented'.")
+        objective = likelihood.bind(problem.simulator, problem.segments, family, noise, randomness)
+        start = first_member(family, objective.unknowns, centre)
         check_start(problem, run, family, start)
         unit = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
         optimizer = find("optimizers", self.optimizer or "cma-es")(len(unit), search, start=unit, budget=self.budget)
         return self._summary(problem, run, family, objective, maximise(objective, objective.unknowns, optimizer, run))
 
+    def _centre(self, problem: Problem, run: Run, rng: np.random.Generator) -> Array:
+        """(d,) the first mean."""
+        if self.start == "least-squares":
+            return estimate(problem, run).value
+        space = problem.space
+        return space.from_unit(rng.random(len(space))) if self.start == "random" else (space.low + space.high) / 2
+
     def _fit_locally(
-        self, problem: Problem, run: Run, family: Family, likelihood: LocalLikelihood, epsilon: Epsilon, rng: np.random.Generator
+        self, problem: Problem, run: Run, family: Family, likelihood: LocalLikelihood, noise: Noise, centre: Array, rng: np.random.Generator
     ) -> Fit:
         def make(dimension: int, start: Array) -> Optimizer:
             made: Optimizer = find("optimizers", self.optimizer or "")(
@@ -105,17 +132,16 @@ class DROPO(Estimator):
             )
             return made
 
-        centre = estimate(problem, run).value if self.start == "least-squares" else (problem.space.low + problem.space.high) / 2
-        objective, found = Rounds(problem, run, family, likelihood, epsilon, rng, make if self.optimizer else None).fit(centre)
-        checked, warnings = paired_check(problem, run, family, objective, found.point, rng)
+        optimizer = make if self.optimizer else None
+        seen, details = problem, dict[str, Any]()
+        objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(centre)
+        if self.starts == "filtered":
+            refit = lambda seen, noise, centre, width: Rounds(seen, run, family, likelihood, noise, rng, optimizer).fit(centre, width)
+            seen, objective, found, details = from_filtered_starts(refit, problem, run, family, noise, objective, found)
+        checked, warnings = paired_check(seen, run, family, objective, found.point, rng)
+        checked |= details
+        checked["certified"] = certified_scales(family, objective, found.point)
         return self._summary(problem, run, family, objective, found, checked, warnings)
-
-    def _start(self, problem: Problem, run: Run, family: Family, unknowns: ParameterSpace) -> Array:
-        """phi to start from; the first steps are the optimizer's own, a quarter of the unit box (the thesis' 1 in [0, 4])."""
-        start = unknowns.from_unit(np.full(len(unknowns), 0.5))
-        if self.start == "least-squares":
-            start[: len(family.unknowns)] = family.phi(estimate(problem, run).value)
-        return start
 
     def _summary(
         self, problem: Problem, run: Run, family: Family, objective: LogLikelihood, found: SearchResult,
@@ -135,16 +161,12 @@ class DROPO(Estimator):
         return {"likelihood": named, "optimizer": self.optimizer or default}
 
 
-def noise_shape(problem: Problem, run: Run) -> Array:
-    """(p,) what a learned epsilon is a factor of: the problem's own, else the variances that least squares leaves.
-
-    These are kept above (1e-4 of a signal's standard deviation)^2: a signal that the model explains perfectly would
-    otherwise outweigh all others without bound.
-    """
-    if problem.epsilon is not None:
-        return np.asarray(problem.epsilon, dtype=float)
-    spread = np.var(problem.simulator.targets(problem.segments), axis=0)
-    return np.maximum(estimate(problem, run).noise, np.maximum(1e-8 * spread, 1e-300))
+def first_member(family: Family, unknowns: ParameterSpace, centre: Array) -> Array:
+    """phi (m,) of that mean, the rest in its middle; the first steps are the optimizer's own, a quarter of the unit box
+    (the thesis' 1 in [0, 4])."""
+    start = unknowns.from_unit(np.full(len(unknowns), 0.5))
+    start[: len(family.unknowns)] = family.phi(centre)
+    return start
 
 
 def check_start(problem: Problem, run: Run, family: Family, phi: Array) -> None:
@@ -155,32 +177,3 @@ def check_start(problem: Problem, run: Run, family: Family, phi: Array) -> None:
     if not np.isfinite(predictions).all():
         sentence = describe_failures(predictions, values, problem.space)
         raise SimulationFailed(f"{sentence} Leave those segments out, or start elsewhere.")
-
-
-def tune(settings: DROPO, problem: Problem, run: Run, seeds: Ints) -> Fit:
-    """The fit at the smallest epsilon of the sweep with an acceptable mean squared error (thesis, section 5.3, figure 6.4).
-
-    Without a threshold, acceptable is at most 1.1 times the least of the sweep. Its table is in `details["tuning"]`.
-    """
-    fits = []
-    for i, epsilon in enumerate(sorted(settings.sweep)):
-        report = run.progress
-        run.progress = lambda share, text, i=i, report=report, e=epsilon: report(
-            (i + share) / len(settings.sweep), f"epsilon {e:.0e}: {text}"
-        )  # type: ignore[misc]
-        fits.append(settings._fit_with(problem, run, epsilon, seeds))
-        run.progress = report
-        if fits[-1].status is Status.INTERRUPTED:
-            break
-    least = min(fit.mse for fit in fits)
-    threshold = (
-        settings.mse_threshold if settings.mse_threshold is not None else 1.1 * least + 1e-10 * float(np.var(problem.segments.targets))
-    )
-    accepted = [fit for fit in fits if fit.mse <= threshold]
-    table = [
-        {"epsilon": float(f.epsilon[0]), "total_variance": float(np.sum(f.sd**2)), "mse": f.mse, "log_likelihood": f.log_likelihood}
-        for f in fits
-    ]
-    best = accepted[0] if accepted else min(fits, key=lambda fit: fit.mse)
-    note = () if accepted else (f"no epsilon of the sweep reaches the mean squared error {threshold:.3g}; the least is shown",)
-    return replace(best, warnings=(*best.warnings, *note), details={**best.details, "tuning": table, "mse_threshold": threshold})

@@ -1,91 +1,58 @@
 """The posterior by sampling: of the parameters themselves, or of the distribution that they are drawn from."""
 
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from dropo.core.catalogue import find
 from dropo.core.checks import Array, known, require
+from dropo.core.draws import ChainTooShort, Draws
+from dropo.core.errors import Incompatible
 from dropo.core.estimator import Estimator, Run
 from dropo.core.family import Family
 from dropo.core.fit import Fit, Status
-from dropo.core.likelihood import Likelihood, LogLikelihood
-from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
-from dropo.core.noise import Epsilon, Noise, NoiseModel
+from dropo.core.likelihood import Likelihood
+from dropo.core.local_likelihood import LocalLikelihood
+from dropo.core.noise import Noise, NoiseModel
 from dropo.core.parameters import ParameterSpace
+from dropo.core.prior import LogPrior, Prior
 from dropo.core.problem import Problem
-from dropo.core.sampler import ChainTooShort, Density, Draws, Sampler
-from dropo.estimators.dropo import DROPO, noise_shape
+from dropo.core.sampler import Density, Sampler
+from dropo.estimators.around_maximum import AroundMaximum, unit_spread
+from dropo.estimators.posterior_targets import Local, OneByOne, PointLikelihood, Target, log_posterior
 from dropo.estimators.summary import at_bounds
+from dropo.estimators.tuning import noise_scale, noise_shape
 
 R_HAT, ESS = 1.01, 400  # what Vehtari et al. 2021 ask for before draws are used
-NARROWEST = 1e-4  # the least width of a local likelihood, as a share of the box
-
-
-class _Target(Protocol):
-    """What is sampled: a log-likelihood of phi (m,), many phi at once; the prior is flat on the box of its unknowns."""
-
-    unknowns: ParameterSpace
-
-    def many(self, phi: Array) -> Array: ...  # (W, m) -> (W,)
-    def epsilon(self, phi: Array) -> Array: ...  # (m,) -> (p,)
-    def mean(self, phi: Array) -> Array: ...  # (m,) -> (R, p)
-
-
-class PointLikelihood:
-    """log p(data | xi, epsilon) = sum over rows of log N(target; prediction under xi, diag(epsilon)): one xi for all the data."""
-
-    def __init__(self, problem: Problem, epsilon: Epsilon):
-        self.simulator, self.segments, self.size = problem.simulator, problem.segments, len(problem.space)
-        self.targets = self.simulator.targets(self.segments)
-        self.noise = NoiseModel(epsilon, self.targets.shape[1])
-        require(bool((self.noise.shape > 0).all()), "epsilon", "positive: the errors need a variance", epsilon, "Posterior")
-        self.unknowns = ParameterSpace((*problem.space, *self.noise.unknowns))
-
-    def many(self, phi: Array) -> Array:
-        """(W, m) -> (W,) log-likelihood [nats]; NaN where a simulation failed."""
-        variance = np.array([self.epsilon(p) for p in phi])[:, None]  # (W, 1, p)
-        errors = self.simulator.predict(phi[:, : self.size], self.segments) - self.targets  # (W, R, p)
-        return np.asarray(-0.5 * (errors**2 / variance + np.log(2 * np.pi * variance)).sum(axis=(1, 2)))
-
-    def epsilon(self, phi: Array) -> Array:
-        """(p,) the noise variances."""
-        return self.noise.epsilon(phi[self.size :])
-
-    def mean(self, phi: Array) -> Array:
-        """(R, p) the prediction."""
-        prediction: Array = self.simulator.predict(phi[None, : self.size], self.segments)[0]
-        return prediction
-
-
-class _OneByOne:
-    """A log-likelihood over a family's members, for many of them; best: (n,) the family's unknowns at its maximum, where known."""
-
-    def __init__(self, bound: LogLikelihood, best: Array | None = None):
-        self.bound, self.unknowns, self.epsilon, self.mean, self.best = bound, bound.unknowns, bound.epsilon, bound.mean, best
-
-    def many(self, phi: Array) -> Array:
-        return np.array([self.bound(p) for p in phi])
+KEPT = 4000, 1_000_000  # row log-likelihoods are kept of at most so many draws, and so many numbers
 
 
 @dataclass(frozen=True)
 class Posterior(Estimator):
-    """Draws from the posterior under a prior that is flat on the box, in the logarithm where a parameter is on a log scale.
+    """Draws from the posterior. A prior is flat on the box, in the logarithm where a parameter is on a log scale, unless given.
 
     over: "parameters", one value of the parameters for all the data, with Gaussian errors of variance epsilon: the fit is
-    the Gaussian of the draws' mean and covariance; "distribution", a family's phi: the fit is the member at the draws' mean
-    in the unit box, its standard errors their standard deviations, and `likelihood` and `family` count.
-    epsilon: the noise variance, one or for each signal; "learn", a factor on the problem's own, or on the residuals' variances,
-    found with the rest; None, the problem's own where it names one, else "learn". start: where the walkers begin, a
-    least-squares estimate or the middle of the box.
+    the Gaussian of the draws' mean and covariance; "distribution", the phi of a `family`: the fit is the member at the draws'
+    mean in the unit box, its standard errors their standard deviations.
+    likelihood: a local one ("emulated", "linear") is built around its maximum and has gradients; None, the simulator itself
+    for parameters, "monte-carlo" for a distribution, and "emulated" in both where the sampler needs gradients.
+    priors: by the unknowns' names, "torso_mass" over parameters, "mean.torso_mass", "scale.torso_mass", "partial.a.b" over a
+    distribution, "epsilon" or "epsilon[0]", ... for factors of a learned noise; the problem's own priors count for
+    parameters or their means. Each is a text such as "normal(3.5, 0.2)" or a frozen distribution of scipy.stats.
+    epsilon: the noise variance, one or for each signal; "learn", found with the rest: by a local likelihood a factor on each
+    signal's variance, else one on the problem's own or on what least squares leaves; a Noise; None, the problem's own where
+    it names one, else "learn". start: where walkers begin on other than local likelihoods, a least-squares estimate or the
+    middle of the box.
     """
 
     over: Literal["parameters", "distribution"] = "parameters"
-    likelihood: str | Likelihood = "monte-carlo"
+    likelihood: str | Likelihood | None = None
     family: str = "truncated_gaussian"
-    epsilon: float | tuple[float, ...] | Literal["learn"] | None = None
+    epsilon: float | tuple[float, ...] | Noise | Literal["learn"] | None = None
     sampler: str | Sampler = "emcee"
+    priors: Mapping[str, Prior] = field(default_factory=dict)
     start: Literal["least-squares", "middle"] = "least-squares"
     name = "posterior"
 
@@ -95,34 +62,69 @@ class Posterior(Estimator):
         require(not isinstance(self.epsilon, str) or self.epsilon == "learn", "epsilon", "a variance or 'learn'", self.epsilon, "Posterior")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        family: Family = find("families", "full" if self.over == "parameters" else self.family)(problem.space)
-        target = self._target(problem, family, run)
-        start, spread = self._start(problem, run, target, family)
         sampler: Sampler = find("samplers", self.sampler)() if isinstance(self.sampler, str) else self.sampler
-        unit = np.clip(target.unknowns.to_unit(start), 0.0, 1.0)
-        evaluate = _Evaluate(run, sampler.evaluations(len(unit)))
-        draws = sampler.sample(target.many, target.unknowns, rng=run.rng, evaluate=evaluate, start=unit, spread=spread)
-        return self._summary(problem, run, family, target, draws)
-
-    def _target(self, problem: Problem, family: Family, run: Run) -> _Target:
-        epsilon: Any = problem.epsilon if self.epsilon is None else self.epsilon
-        if epsilon is None or isinstance(epsilon, str):
-            epsilon = Noise(noise_shape(problem, run), "factor")
-        if self.over == "parameters":
-            return PointLikelihood(problem, epsilon)
-        likelihood: Likelihood = find("likelihoods", self.likelihood)() if isinstance(self.likelihood, str) else self.likelihood
+        likelihood, points = self._likelihood(sampler), self.over == "parameters"
+        family: Family = find("families", "full" if points else self.family)(problem.space)
+        noise = self._noise(problem, run, isinstance(likelihood, LocalLikelihood))
+        own = NoiseModel(noise, len(problem.simulator.signals)).unknowns
+        prior = self._prior(problem, ParameterSpace((*(problem.space if points else family.unknowns), *own)))
+        target: Target
         if isinstance(likelihood, LocalLikelihood):
-            return _OneByOne(*around_the_maximum(problem, run, family, self.family, likelihood, epsilon))
-        return _OneByOne(likelihood.bind(problem.simulator, problem.segments, family, epsilon, run.rng.spawn(1)[0]))
+            named = "point" if points else self.family
+            place = AroundMaximum(
+                problem, run, find("families", named)(problem.space), named, likelihood, noise, problem.space if points else None
+            )
+            target, draws, notes = self._sample_locally(place, run, sampler, prior)
+            return self._summary(problem, run, family, target, draws, notes)
+        if likelihood is None:
+            target = PointLikelihood(problem, noise)
+        else:
+            target = OneByOne(likelihood.bind(problem.simulator, problem.segments, family, noise, run.rng.spawn(1)[0]))
+        draws = _sample(run, sampler, target, prior, *self._start(problem, run, target, family))
+        return self._summary(problem, run, family, target, draws, [])
 
-    def _start(self, problem: Problem, run: Run, target: _Target, family: Family) -> tuple[Array, Array]:
+    def _likelihood(self, sampler: Sampler) -> Likelihood | None:
+        chosen = self.likelihood
+        if chosen is None and (sampler.needs_gradients or self.over == "distribution"):
+            chosen = "emulated" if sampler.needs_gradients else "monte-carlo"
+        made: Likelihood | None = find("likelihoods", chosen)() if isinstance(chosen, str) else chosen
+        if self.over == "parameters" and not (made is None or isinstance(made, LocalLikelihood)):
+            raise Incompatible(
+                "The likelihood of Posterior(over='parameters') is the simulator's own, or a local model of it."
+                f" Leave it out, or use 'emulated' or 'linear'. Got {self.likelihood!r} instead."
+            )
+        return made
+
+    def _noise(self, problem: Problem, run: Run, local: bool) -> Noise:
+        epsilon: Any = problem.epsilon if self.epsilon is None else self.epsilon
+        if isinstance(epsilon, Noise):
+            return epsilon
+        learned: Literal["factor", "each"] | None = None
+        if epsilon is None or isinstance(epsilon, str):
+            epsilon, learned = (noise_scale(problem, run), "each") if local else (noise_shape(problem, run), "factor")
+        return Noise(np.asarray(epsilon, dtype=float), learned, start=problem.start_noise, degrees=problem.noise_degrees)
+
+    def _prior(self, problem: Problem, space: ParameterSpace) -> LogPrior:
+        own = {name if self.over == "parameters" else f"mean.{name}": prior for name, prior in problem.priors.items()}
+        return LogPrior({**own, **self.priors}, space)
+
+    def _sample_locally(self, place: AroundMaximum, run: Run, sampler: Sampler, prior: LogPrior) -> tuple[Local, Draws, list[str]]:
+        """The draws from the local model around the maximum; where they reach its edge, from a wider one around them."""
+        target = place.first()
+        draws = _sample(run, sampler, target, prior, target.best, unit_spread(target))
+        edges = place.edges(draws, target)
+        if edges:
+            target = place.wider(draws, edges)
+            draws = _sample(run, sampler, target, prior, target.best, unit_spread(target))
+            edges = place.edges(draws, target)
+        told = f"draws of {', '.join(edges)} reach the edge of where the local model is trusted, so the posterior is wider than they are"
+        return target, draws, [f"{told}: check with sampler 'emcee' and the simulator itself"] if edges else []
+
+    def _start(self, problem: Problem, run: Run, target: Target, family: Family) -> tuple[Array, Array]:
         """phi (m,) to start from, and the walkers' spread (m,) in the unit box."""
         unknowns = target.unknowns
         start, spread = unknowns.from_unit(np.full(len(unknowns), 0.5)), np.full(len(unknowns), 0.05)
-        best = getattr(target, "best", None)
-        if best is not None:
-            start[: len(best)] = best
-        if self.start == "middle" or best is not None:
+        if self.start == "middle":
             return start, spread
         found = find("methods", "least-squares")()._fit(problem, run)
         if self.over == "parameters":
@@ -132,7 +134,7 @@ class Posterior(Estimator):
             start[: len(family.unknowns)] = family.phi(found.mean)
         return start, spread
 
-    def _summary(self, problem: Problem, run: Run, family: Family, target: _Target, draws: Draws) -> Fit:
+    def _summary(self, problem: Problem, run: Run, family: Family, target: Target, draws: Draws, notes: list[str]) -> Fit:
         flat, m = draws.flat(), len(family.unknowns)
         centre = target.unknowns.from_unit(target.unknowns.to_unit(flat).mean(axis=0))
         if self.over == "parameters":
@@ -143,30 +145,38 @@ class Posterior(Estimator):
             mean_se, scale_se = (np.array([sd.get(f"{kind}.{n}", np.nan) for n in problem.space.names]) for kind in ("mean", "scale"))
         with run.counting(evaluations=1):
             value, predicted = float(target.many(centre[None])[0]), target.mean(centre)
-        notes, diagnostics = judge(draws)
+        targets = problem.simulator.targets(problem.segments)
+        judged, diagnostics = judge(draws)
+        notes = [*draws.notes, *judged, *notes]
         return Fit(
             method=self.name, problem=problem.name, space=problem.space, family="full" if self.over == "parameters" else self.family,
             phi=phi, mean=family.mean(phi), scale=family.scale(phi), sd=family.sd(phi), mean_se=mean_se, scale_se=scale_se,
             correlation=family.correlation(phi), epsilon=target.epsilon(centre), log_likelihood=value,
-            mse=float(np.mean((predicted - problem.simulator.targets(problem.segments)) ** 2)),
+            mse=float(np.mean((predicted - targets) ** 2)),
             transitions=int(problem.segments.lengths.sum()), simulator_steps=0, failed_simulations=0, objective_evaluations=0,
             status=Status.OUT_OF_BUDGET if notes else Status.CONVERGED,
-            message=f"{len(flat)} draws: {'too few, see the warnings.' if notes else 'the walkers agree.'}",
+            message=f"{len(flat)} draws: {'see the warnings.' if notes else 'the walkers agree.'}",
             warnings=(*problem.warnings, *notes, *at_bounds(family.unknowns, phi)),
-            arrays={"chain": draws.chain, "log_density": draws.log_density}, details={"over": self.over, "posterior": diagnostics},
+            arrays={**_arrays(draws, target, len(targets)), "observed": targets},
+            details={"over": self.over, "unknowns": list(draws.names), "posterior": diagnostics},
         )  # fmt: skip
 
 
-def around_the_maximum(
-    problem: Problem, run: Run, family: Family, family_name: str, likelihood: LocalLikelihood, epsilon: Any
-) -> tuple[LocalLogLikelihood, Array]:
-    """The local likelihood where DROPO finds its maximum, wide enough for eight standard errors of the means; and that maximum."""
-    found = DROPO(likelihood=likelihood, family=family_name, epsilon=None if isinstance(epsilon, Noise) else epsilon)._fit(problem, run)
-    box = problem.space.high - problem.space.low
-    width = np.clip(np.maximum(2 * found.sd, 4 * np.nan_to_num(found.mean_se)), NARROWEST * box, box / 6)
-    with run.counting(evaluations=1):
-        local = likelihood.around(problem.simulator, problem.segments, family, epsilon, found.mean, width, run.rng.spawn(1)[0])
-    return local, found.phi
+def _sample(run: Run, sampler: Sampler, target: Target, prior: LogPrior, start: Array, spread: Array) -> Draws:
+    unit = np.clip(target.unknowns.to_unit(start), 0.0, 1.0)
+    evaluate = _Evaluate(run, sampler.evaluations(len(unit)))
+    return sampler.sample(log_posterior(target, prior), target.unknowns, rng=run.rng, evaluate=evaluate, start=unit, spread=spread)
+
+
+def _arrays(draws: Draws, target: Target, rows: int) -> dict[str, Array]:
+    """What a fit keeps of the draws; the rows' log-likelihoods (S, W, R) where a local model gives them and they are few."""
+    out: dict[str, Any] = {"chain": draws.chain, "log_density": draws.log_density}
+    if draws.diverging is not None:
+        out["diverging"] = draws.diverging
+    count = draws.log_density.size
+    if isinstance(target, Local) and count <= KEPT[0] and count * rows <= KEPT[1]:
+        out["row_log_likelihood"] = target.rows(draws.flat()).reshape(*draws.log_density.shape, -1)
+    return out
 
 
 class _Evaluate:
@@ -178,7 +188,9 @@ class _Evaluate:
     def __call__(self, points: Array, function: Density) -> Array:
         answers = self.run.evaluate(points, function)
         self.done += len(points)
-        self.run.progress(min(1.0, self.done / self.planned), f"{self.done} points, highest here {answers.max():.6g}")
+        self.run.progress(
+            min(1.0, self.done / self.planned), f"{self.done} points, highest here {answers.reshape(len(points), -1)[:, 0].max():.6g}"
+        )
         return answers
 
 

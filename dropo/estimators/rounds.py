@@ -19,7 +19,8 @@ from dropo.core.optimizer import Optimizer
 from dropo.core.problem import Problem
 from dropo.core.search import SearchResult, maximise
 
-FIRST, COARSE, EARLY = 1 / 6, 100, 4  # first width as a share of the box; 100 segments in up to 4 rounds
+FIRST = 1 / 6  # first width as a share of the box
+COARSE, EACH, EARLY = 60, 5, 6  # a first, rough look: 60 segments, or 5 for each parameter, in up to 6 rounds
 MOVED, SETTLED = 0.7, 0.15  # a width follows 0.7 of the last move; rounds end when widths change by less than 15 %
 NARROW = 5e-5  # the least width, as a share of the box
 SHRINK, GROW = 20.0, 4.0  # a width changes by at most these factors in a round, and stays within the first one
@@ -35,7 +36,7 @@ MakeOptimizer = Callable[[int, Array], Optimizer]
 
 @dataclass(frozen=True)
 class _Region:
-    """Where a local likelihood is built: centre and width (d,), and whether from some of the segments only."""
+    """Where a local likelihood is built: centre and width (d,), and whether it is a rough one from some of the segments."""
 
     centre: Array
     width: Array
@@ -44,8 +45,8 @@ class _Region:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """A round's maximum phi (m,) with its value, the standard errors (d,) of its means by the Fisher information, and whether
-    the search for it came to its own end."""
+    """A round's maximum phi (m,) with its value, the standard errors (d,) of its means, and whether the search for it came
+    to its own end."""
 
     region: _Region
     phi: Array
@@ -72,10 +73,9 @@ class Rounds:
         self.design = int(self.rng.spawn(1)[0].integers(2**63))  # one scramble, so that rounds can settle
         self._built: tuple[_Region, LocalLogLikelihood] | None = None
 
-    def fit(self, start: Array) -> tuple[LocalLogLikelihood, SearchResult]:
-        """The likelihood built around its own maximum, and that maximum, from means (d,)."""
-        thin = self._segments(True) is not self.problem.segments
-        region = _Region(start, FIRST * self.box, thin)
+    def fit(self, start: Array, width: Array | None = None) -> tuple[LocalLogLikelihood, SearchResult]:
+        """The likelihood built around its own maximum, and that maximum, from means (d,); width: (d,), where they are nearly right."""
+        region = _Region(start, FIRST * self.box, True) if width is None else _Region(start, width, False)
         done: list[_Outcome] = []
         status, reason = Status.OUT_OF_BUDGET, UNSETTLED.format(self.most)
         try:
@@ -84,14 +84,14 @@ class Rounds:
                 done.append(outcome)
                 self.run.progress(min(0.95, len(done) / 8), f"round {len(done)}, log-likelihood {outcome.value:.6g}")
                 following = self._following(outcome)
-                settled = bool(np.all(np.abs(following.width / outcome.region.width - 1) < SETTLED))
-                if not outcome.region.coarse and settled and self._still(outcome):
+                settled = self._still(outcome) and bool(np.all(np.abs(following.width / outcome.region.width - 1) < SETTLED))
+                if not outcome.region.coarse and settled:
                     status, reason = Status.CONVERGED, SETTLED_IN.format(len(done))
                     break
                 if self._stalled(done):
                     status, reason = Status.CONVERGED, STOPPED.format(len(done))
                     break
-                region = replace(following, coarse=thin and not settled and len(done) < EARLY)
+                region = replace(following, coarse=outcome.region.coarse and not settled and len(done) < EARLY)
         except KeyboardInterrupt:
             if not done:
                 raise
@@ -155,7 +155,7 @@ class Rounds:
 
     def _segments(self, coarse: bool) -> Segments:
         every = self.problem.segments
-        chosen = every.spread_out(COARSE)
+        chosen = every.spread_out(max(COARSE, EACH * len(self.box)))
         return every.take(chosen) if coarse and len(chosen) < len(every) else every
 
     def _first(self, local: LocalLogLikelihood, region: _Region, last: Array | None) -> Array:
@@ -184,9 +184,11 @@ class Rounds:
         return result.point, result.status is Status.CONVERGED
 
     def _errors(self, local: LocalLogLikelihood, phi: Array) -> Array:
+        """Of the sandwich: on data without noise far below those of the information, so that rounds end on narrow designs."""
         d = len(self.box)
-        information = local.expand(phi)[2][:d, :d]
-        return np.sqrt(np.abs(np.diagonal(np.linalg.pinv(information, hermitian=True))))
+        _, scores, information = local.expand(phi)
+        inverse = np.linalg.pinv(information[:d, :d], hermitian=True)
+        return np.sqrt(np.sum((scores[:, :d] @ inverse) ** 2, axis=0))
 
     def _following(self, outcome: _Outcome) -> _Region:
         """The region around the outcome's mean; wide enough for its spread, its last move and its standard error."""

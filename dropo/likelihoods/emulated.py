@@ -1,19 +1,20 @@
 """The Gaussian likelihood with exact moments of a polynomial emulator: no draws, with gradient and Fisher information."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
+from dropo.core.backend import constant, namespace
 from dropo.core.checks import Array
 from dropo.core.data import Segments
 from dropo.core.errors import Incompatible
 from dropo.core.family import Family
 from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
-from dropo.core.noise import Epsilon, NoiseModel
-from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.noise import Epsilon
 from dropo.core.simulator import Simulator
+from dropo.likelihoods.gaussian_rows import Columns, GaussianRows, Parts, parts_of_matrices
 from dropo.likelihoods.polynomials import Emulator, build, orders_for, products
 
 
@@ -40,109 +41,52 @@ class Emulated(LocalLikelihood):
         logarithmic = family.logarithmic
         c, h = (np.log(centre), width / centre) if logarithmic else (centre, width)
         emulator = build(simulator, segments, c, h, orders, rng, logarithmic=logarithmic)
-        return _EmulatedLogLikelihood(emulator, simulator, segments, family, epsilon, centre, width)
+        return EmulatedRows(emulator, simulator, segments, family, epsilon, centre, width)
 
 
-class _EmulatedLogLikelihood(LocalLogLikelihood):
-    has_gradients = True
+class EmulatedRows(GaussianRows):
+    """Moments from the polynomials expanded in the orthonormal ones of the member."""
 
     def __init__(
         self, emulator: Emulator, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array
     ):
-        self.emulator, self.family = emulator, family
-        self.targets = simulator.targets(segments)
-        self.noise = NoiseModel(epsilon, len(simulator.signals)).positive("Emulated")
-        self.unknowns = ParameterSpace((*trusted(family, centre, width), *self.noise.unknowns))
         assert family.standard is not None
-        base = qmc.Sobol(len(centre), rng=np.random.default_rng(0)).random_base2(int(np.ceil(np.log2(2 * len(emulator.indices)))) + 1)
+        terms, p, m = len(emulator.indices), len(simulator.signals), len(family.unknowns) + len(simulator.signals)
+        super().__init__(simulator, segments, family, epsilon, centre, width, 3 * m * p * p + 4 * terms * p)
+        self.emulator = emulator
+        base = qmc.Sobol(len(centre), rng=np.random.default_rng(0)).random_base2(int(np.ceil(np.log2(2 * terms))) + 1)
         self._base = np.clip(base, 1e-6, 1 - 1e-6)
         self._inverse = np.linalg.pinv(products(family.standard.quantile(self._base), emulator.indices, family.standard))
-
-    def _expansion(self, phi: Array) -> Array:
-        """A (M, M): the emulator's polynomials in the orthonormal ones of the member, psi_j(x) = sum_k A_kj phi_k."""
-        return self._inverse @ self.emulator.basis(self.family.map(phi, self._base))
-
-    def _expansion_slopes(self, phi: Array) -> Array:
-        """dA / dphi (m, M, M), by central differences: A is a polynomial of a low order in phi."""
-        n = len(self.family.unknowns)
-        step = 1e-5 * np.maximum(np.abs(phi[:n]), 1e-3 * (self.family.unknowns.high - self.family.unknowns.low)) * np.eye(n)
-        return np.stack([(self._expansion(phi[:n] + s) - self._expansion(phi[:n] - s)) / (2 * s.sum()) for s in step])
-
-    def _moments(self, phi: Array) -> tuple[Array, Array, Array]:
-        """Mean (R, p), factor F (R, p, M - 1) and covariance (R, p, p) of the measurement."""
-        a, c = self._expansion(phi[: len(self.family.unknowns)]), self.emulator.coefficients
-        expanded = np.tensordot(a, c, axes=1)  # (M, R, p)
-        factor = np.moveaxis(expanded[1:], 0, 2)
-        sigma = factor @ factor.swapaxes(1, 2) + self.emulator.residual
-        diagonal = np.arange(c.shape[2])
-        sigma[:, diagonal, diagonal] += self.epsilon(phi)
-        return expanded[0], factor, sigma
-
-    def _rows(self, phi: Array) -> Array:
-        mean, _, sigma = self._moments(phi)
-        return log_normal_density(self.targets - mean, sigma)[0]
-
-    def mean(self, phi: Array) -> Array:
-        return self._moments(phi)[0]
-
-    def epsilon(self, phi: Array) -> Array:
-        return self.noise.epsilon(phi[len(self.family.unknowns) :])
-
-    def gradient(self, phi: ArrayLike) -> Array:
-        return self.expand(np.asarray(phi, dtype=float))[1].sum(axis=0)
 
     def predict(self, values: Array) -> Array:
         return self.emulator.predict(values)
 
-    def expand(self, phi: Array) -> tuple[float, Array, Array]:
-        mean, factor, sigma = self._moments(phi)
-        rows, whiten = log_normal_density(self.targets - mean, sigma)
-        left = np.einsum("rpq,rq->rp", whiten, self.targets - mean)  # L^-1 r
-        white_factor = whiten @ factor
-        by_mean, by_cov = [], []
-        for slope in self._expansion_slopes(phi):
-            moved = np.tensordot(slope, self.emulator.coefficients, axes=1)
-            by_mean.append(np.einsum("rpq,rq->rp", whiten, moved[0]))
-            half = whiten @ np.moveaxis(moved[1:], 0, 2) @ white_factor.swapaxes(1, 2)
-            by_cov.append(half + half.swapaxes(1, 2))
-        for own in self.noise.slopes():
-            by_mean.append(np.zeros_like(left))
-            by_cov.append(whiten * own @ whiten.swapaxes(1, 2))
-        return float(rows.sum()), *_scores_and_information(left, np.stack(by_mean), np.stack(by_cov))
+    def _member(self, own: Any) -> Any:
+        """A (M, M): the emulator's polynomials in the orthonormal ones of the member, psi_j(x) = sum_k A_kj phi_k."""
+        return constant(self._inverse, own) @ self.emulator.basis(self.family.map(own, constant(self._base, own)))
 
+    def _member_slopes(self, own: Array) -> Array:
+        """dA / dphi (n, M, M), by central differences: A is a polynomial of a low order in phi."""
+        step = 1e-5 * np.maximum(np.abs(own), 1e-3 * (self.family.unknowns.high - self.family.unknowns.low)) * np.eye(len(own))
+        return np.stack([(self._member(own + s) - self._member(own - s)) / (2 * s.sum()) for s in step])
 
-def trusted(family: Family, centre: Array, width: Array) -> list[Parameter]:
-    """The family's unknowns, means kept within two widths of the centre and scales within two widths."""
-    relative = width / centre if family.logarithmic else width
-    bounds = {}
-    for name, c, h, s in zip(family.space.names, centre, width, relative, strict=True):
-        bounds[f"mean.{name}"] = (c - 2 * h, c + 2 * h)
-        bounds[f"scale.{name}"] = (0.0, 2 * s)
-    out = []
-    for p in family.unknowns:
-        low, high = bounds.get(p.name, (p.low, p.high))
-        low, high = max(p.low, low), min(p.high, high)
-        if not low < high:  # the whole trusted interval lies beyond a bound: stay on it
-            low, high = (p.low, p.low + 1e-9 * p.width) if high <= p.low else (p.high - 1e-9 * p.width, p.high)
-        out.append(Parameter(p.name, low, high, p.unit, p.lower if p.lower <= low else low, p.upper, p.scale))
-    return out
+    def _expanded(self, member: Any, rows: slice) -> tuple[Any, Any]:
+        """Mean (r, p) and factor F (r, p, M - 1) of the predictions: their covariance is F F'."""
+        c = constant(self.emulator.coefficients[:, rows], member)
+        expanded = (member @ c.reshape(len(c), -1)).reshape(c.shape)
+        return expanded[0], namespace(expanded).permute_dims(expanded[1:], (1, 2, 0))
 
+    def _spread(self, member: Any, rows: slice) -> tuple[Any, Any]:
+        mean, factor = self._expanded(member, rows)
+        return mean, factor @ namespace(factor).matrix_transpose(factor) + constant(self.emulator.residual[rows], mean)
 
-def log_normal_density(residual: Array, sigma: Array) -> tuple[Array, Array]:
-    """(R,) log N(residual; 0, sigma), and L^-1 (R, p, p)."""
-    whiten = np.linalg.inv(np.linalg.cholesky(sigma))
-    z = np.einsum("rpq,rq->rp", whiten, residual)
-    log_root = -np.log(np.diagonal(whiten, axis1=1, axis2=2)).sum(axis=1)
-    return -0.5 * (residual.shape[1] * np.log(2 * np.pi) + (z**2).sum(axis=1)) - log_root, whiten
-
-
-def _scores_and_information(left: Array, by_mean: Array, by_cov: Array) -> tuple[Array, Array]:
-    """Scores (R, m) and Fisher information (m, m) of Gaussian rows, in whitened terms.
-
-    left: L^-1 r (R, p); by_mean: L^-1 dm (m, R, p); by_cov: L^-1 dSigma L^-T (m, R, p, p).
-    """
-    quadratic = np.einsum("mrpq,rp,rq->rm", by_cov, left, left, optimize=True)
-    scores = np.einsum("rp,mrp->rm", left, by_mean) + 0.5 * (quadratic - np.einsum("mrpp->rm", by_cov))
-    m = len(by_mean)
-    flat_mean, flat_cov = by_mean.reshape(m, -1), by_cov.reshape(m, -1)
-    return scores, flat_mean @ flat_mean.T + 0.5 * flat_cov @ flat_cov.T
+    def _parts(self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns) -> Parts:
+        white_factor = (whiten @ self._expanded(member, rows)[1]).swapaxes(1, 2)
+        by_mean, by_spread = [], []
+        for slope in slopes:
+            mean, factor = self._expanded(slope, rows)
+            by_mean.append((whiten @ mean[:, :, None])[:, :, 0])
+            half = whiten @ factor @ white_factor
+            by_spread.append(half + half.swapaxes(1, 2))
+        own_mean, own_spread = noise.whole()
+        return parts_of_matrices(z, np.concatenate([by_mean, own_mean]), np.concatenate([by_spread, own_spread]))

@@ -1,11 +1,12 @@
 """An unbiased estimate of a Gaussian density from few simulations."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.special import gammaln
 
+from dropo.core.backend import namespace
 from dropo.core.checks import Array, require
 from dropo.core.data import Segments
 from dropo.core.family import Family
@@ -38,16 +39,16 @@ class GhuryeOlkin(SampledLikelihood):
         return super().bind(simulator, segments, family, epsilon, rng)
 
     def _log_density(self, predictions: Array, targets: Array, epsilon: Array, noise: Array | None) -> Array:
-        n, _, p = predictions.shape
+        xp, (n, _, p) = namespace(predictions), predictions.shape
         _require_draws(n, p)
         if (epsilon > 0).any():
             require(noise is not None, "noise", "given where epsilon is not 0", None, "GhuryeOlkin.log_density")
-            predictions = predictions + np.sqrt(epsilon) * noise
+            predictions = predictions + xp.sqrt(epsilon) * noise
         mean, covariance = sample_moments(predictions)
         factor = cholesky_rows((n - 1) * covariance)  # of M
         q = square_distance(factor, targets - mean) / (1 - 1 / n)
-        constant = gammaln((n - 1) / 2) - gammaln((n - p - 1) / 2) - 0.5 * p * np.log(np.pi * (1 - 1 / n))
-        density: Array = constant - 0.5 * log_determinant(factor) + 0.5 * (n - p - 3) * np.log(np.maximum(1 - q, 0))
+        constant = math.lgamma((n - 1) / 2) - math.lgamma((n - p - 1) / 2) - 0.5 * p * math.log(math.pi * (1 - 1 / n))
+        density: Array = constant - 0.5 * log_determinant(factor) + 0.5 * (n - p - 3) * xp.log(xp.where(q < 1, 1 - q, 0.0))
         return density
 
 

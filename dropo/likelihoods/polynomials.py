@@ -8,16 +8,19 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from dropo.core.checks import Array
+from dropo.core.backend import constant, namespace
+from dropo.core.checks import Array, require
 from dropo.core.data import Segments
-from dropo.core.errors import SimulationFailed
+from dropo.core.errors import BadArgument, SimulationFailed
 from dropo.core.parameters import ParameterSpace
 from dropo.core.simulator import Simulator, describe_failures
 from dropo.core.standard_law import NORMAL
+from dropo.likelihoods.blocks import segment_blocks
 
 POINTS, SPARE = 1.7, 6  # design points for M polynomials: 1.7 M + 6
 ROUGH = 2  # the highest order for a first look
 ORDERS = ((0.002, 1), (0.013, 2), (0.033, 3), (np.inf, 4))  # polynomial order by width / search interval
+SINGULAR = 1e-10  # the least share of the largest diagonal entry of the design's R
 FULL_QUADRATIC = 10  # up to so many parameters all pairs are crossed; beyond, only their squares are kept
 
 
@@ -61,9 +64,9 @@ class Emulator:
     failed: int
 
     def basis(self, values: Array) -> Array:
-        """The polynomials (K, M) at parameter vectors (K, d)."""
-        x = np.log(values) if self.logarithmic else values
-        return products((x - self.centre) / self.width, self.indices)
+        """The polynomials (K, M) at parameter vectors (K, d), array or tensor."""
+        x = namespace(values).log(values) if self.logarithmic else values
+        return products((x - constant(self.centre, x)) / constant(self.width, x), self.indices)
 
     def slopes(self, values: Array) -> Array:
         """d basis / d value (K, M, d) at parameter vectors (K, d), where the coordinates are the values themselves."""
@@ -81,11 +84,11 @@ class Emulator:
 
 
 def products(u: Array, indices: NDArray[np.int64], law=NORMAL) -> Array:  # type: ignore[no-untyped-def]
-    """Products of the law's orthonormal polynomials: u (K, d), indices (M, d) -> (K, M)."""
+    """Products of the law's orthonormal polynomials: u (K, d), array or tensor, indices (M, d) -> (K, M)."""
     single = law.orthonormal(u, max(1, int(indices.max())))  # (K, d, degree + 1)
-    out = np.ones((len(u), len(indices)))
-    for i in range(u.shape[1]):
-        out *= single[:, i, indices[:, i]]
+    out = single[:, 0, indices[:, 0]]
+    for i in range(1, u.shape[1]):
+        out = out * single[:, i, indices[:, i]]
     return out
 
 
@@ -93,29 +96,63 @@ def build(
     simulator: Simulator, segments: Segments, centre: Array, width: Array, orders: NDArray[np.int64], rng: np.random.Generator,
     *, logarithmic: bool = False,
 ) -> Emulator:  # fmt: skip
-    """Simulates a scrambled Sobol design around the centre and regresses every row's signals on it at once."""
+    """Simulates a scrambled Sobol design around the centre and regresses every row's signals on it.
+
+    A design point that diverges in one segment is left out of all. Predictions are held for a block of segments at a time;
+    the blocks before the one in which a point first diverged are simulated again without it.
+    """
+    require(bool((width > 0).all()), "width", "positive for every parameter", width.tolist(), "an emulator")
     indices = index_set(orders)
     count = int(np.ceil(POINTS * len(indices))) + SPARE
     design = design_points(simulator, centre, width, count, rng, logarithmic)
-    predictions = simulator.predict(design, segments)  # (N, R, p)
-    good = np.isfinite(predictions).all(axis=(1, 2))
-    if good.sum() < len(indices) + SPARE:
-        raise SimulationFailed(f"{describe_failures(predictions, design, simulator.space)} The design around the estimate cannot be used.")
-    x = np.log(design[good]) if logarithmic else design[good]
+    x = np.log(design) if logarithmic else design
     basis = products((x - centre) / width, indices)
+    rows, p = len(segments.rows[0]), len(simulator.signals)
+    coefficients, residual = np.empty((len(indices), rows, p)), np.empty((rows, p, p))
+    blocks = list(segment_blocks(segments, 8 * count * p))
+    good = np.ones(count, dtype=bool)
+    used = [0] * len(blocks)  # design points behind each block's regression
+    for k in [*range(len(blocks)), *range(len(blocks))]:
+        if used[k] == good.sum():
+            continue
+        part, own, _ = blocks[k]
+        predictions = simulator.predict(design[good], part)  # (N, r, p)
+        whole = np.isfinite(predictions).all(axis=(1, 2))
+        if whole.sum() < len(indices) + SPARE:
+            sentence = describe_failures(predictions, design[good], simulator.space, first=own.start)
+            raise SimulationFailed(f"{sentence} The design around the estimate cannot be used.")
+        good[good] = whole
+        coefficients[:, own], residual[own] = _regress(basis[good], predictions[whole], indices, simulator.space)
+        used[k] = int(good.sum())
+    return Emulator(centre, width, indices, coefficients, residual, logarithmic, int((~good).sum()))
+
+
+def _regress(basis: Array, predictions: Array, indices: NDArray[np.int64], space: ParameterSpace) -> tuple[Array, Array]:
+    """Coefficients (M, r, p) and the residuals' covariance (r, p, p) of predictions (N, r, p) on a basis (N, M)."""
     q, r = np.linalg.qr(basis)
-    flat = predictions[good].reshape(int(good.sum()), -1)
+    size = np.abs(np.diagonal(r))
+    if size.min() < SINGULAR * size.max():
+        name = space.names[int(indices[size.argmin()].argmax())]
+        raise BadArgument(
+            f"The design around the estimate is singular: its points do not vary enough in {name!r} to tell {len(indices)} polynomials"
+            f" apart. Move the mean away from the bounds of {name!r}, or take a lower order."
+        )
+    flat = predictions.reshape(len(predictions), -1)
     projected = q.T @ flat
-    coefficients = np.linalg.solve(r, projected).reshape(len(indices), *predictions.shape[1:])
-    left = (flat - q @ projected).reshape(-1, *predictions.shape[1:])
-    return Emulator(centre, width, indices, coefficients, _residual_covariance(left, len(indices)), logarithmic, int((~good).sum()))
+    shape = predictions.shape[1:]
+    coefficients = np.linalg.solve(r, projected).reshape(len(indices), *shape)
+    return coefficients, _residual_covariance((flat - q @ projected).reshape(-1, *shape), len(indices))
 
 
 def design_points(simulator: Simulator, centre: Array, width: Array, count: int, rng: np.random.Generator, logarithmic: bool) -> Array:
-    """(N, d) quasi-random normal points around the centre, put on the bound where they are not physically possible."""
+    """(N, d) quasi-random normal points around the centre; where physically impossible, mirrored at the bound, so that they stay apart."""
     sobol = qmc.Sobol(len(centre), rng=rng).random_base2(int(np.ceil(np.log2(count))))[:count]
     x = centre + width * ndtri(np.clip(sobol, 1e-12, 1 - 1e-12))
-    return simulator.space.feasible(np.exp(x) if logarithmic else x)
+    values = np.exp(x) if logarithmic else x
+    space = simulator.space
+    values = np.where(values < space.lower, 2 * space.lower - values, values)
+    values = np.where(values > space.upper, 2 * space.upper - values, values)
+    return space.feasible(values)
 
 
 def _residual_covariance(left: Array, terms: int) -> Array:

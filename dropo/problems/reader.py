@@ -11,17 +11,22 @@ import numpy as np
 from dropo.core.catalogue import find, names
 from dropo.core.checks import Array, known
 from dropo.core.data import Reset, Trajectories
+from dropo.core.prior import read_prior
 from dropo.core.problem import Problem
 from dropo.core.simulator import Simulator
 from dropo.data.check import outside_control_range, quaternion_norms, times
 from dropo.data.entries import BadEntry, Entries, read_yaml
 from dropo.data.reader import MINARI, read
+from dropo.problems.effect_entries import read_effects
 from dropo.simulators.fields import PREFIXES, Binding, FieldParameter, element_names, model_fields, option_fields
 from dropo.simulators.mujoco import MujocoSimulator, action_columns, load_model
 from dropo.simulators.observation import Layout
 
-KEYS = ("model", "frame_skip", "data", "observation", "action", "parameters", "epsilon", "lambda", "reset", "held_out", "transitions")
-PARAMETER_KEYS = ("field", "name", "index", "low", "high", "unit", "target", "derived")
+KEYS = (
+    "model", "frame_skip", "data", "observation", "action", "parameters", "epsilon", "start_noise", "student_t", "lambda", "reset",
+    "held_out", "transitions", "effects",
+)  # fmt: skip
+PARAMETER_KEYS = ("field", "name", "index", "low", "high", "unit", "target", "derived", "prior")
 MODELS = {"hopper": "dropo.problems.hopper_model:hopper_spec"}
 """Models of built-in problems, by the name that `model:` takes: functions that return an MjSpec."""
 RESETS = "'transition', 'start', or {set: [observation items]}"
@@ -53,10 +58,12 @@ def _from_file(path: Path, threads: int, checked: bool) -> Problem:
         _refuse_errors(entries, key, trajectories, simulator)
     reset, set_columns = _reset(entries, simulator)
     epsilon, warnings = _epsilon(entries, simulator), _warnings(fitted, simulator)
+    start_noise, degrees = _start_noise(entries), _degrees(entries)
     with entries.blaming("lambda"):
         return Problem(
             path.stem, simulator, fitted, length=cast(int, length), reset=reset, set_columns=set_columns,
-            epsilon=epsilon, held_out=held_out, warnings=warnings,
+            epsilon=epsilon, start_noise=start_noise, noise_degrees=degrees, held_out=held_out, warnings=warnings,
+            priors=_priors(entries, simulator),
         )  # fmt: skip
 
 
@@ -78,7 +85,9 @@ def _simulator(entries: Entries, frame_skip: int, threads: int) -> MujocoSimulat
         raise entries.bad("observation", "each column once", f"{twice!r} twice")
     with entries.blaming("action"):
         action_columns(model, action)
-    return MujocoSimulator(source, parameters, observation=observation, action=action, frame_skip=frame_skip, threads=threads)
+    simulator = MujocoSimulator(source, parameters, observation=observation, action=action, frame_skip=frame_skip, threads=threads)
+    fixed = read_effects(entries, simulator.robot)
+    return simulator.with_effects((), fixed) if fixed else simulator
 
 
 def _model(entries: Entries) -> str | mujoco.MjSpec:
@@ -111,6 +120,18 @@ def _parameter(entry: Entries, name: str) -> FieldParameter:
     return FieldParameter(
         name, low, high, unit, field=field, element=element, index=entry.whole("index", 0, None), relative=relative, derived=derived
     )
+
+
+def _priors(entries: Entries, simulator: Simulator) -> dict[str, str]:
+    """The priors of the parameters that name one."""
+    out = {}
+    for parameter in simulator.space:
+        entry = entries.level("parameters").level(parameter.name)
+        if "prior" in entry:
+            out[parameter.name] = entry.text("prior", "a text such as 'normal(3.5, 0.2)'")
+            with entry.blaming("prior"):
+                read_prior(out[parameter.name], parameter)
+    return out
 
 
 def _check_parameters(entries: Entries, parameters: Iterable[FieldParameter], model: mujoco.MjModel) -> None:
@@ -234,3 +255,20 @@ def _epsilon(entries: Entries, simulator: MujocoSimulator) -> float | Array | No
             raise entries.bad("epsilon", f"one number, or one for each of the {len(signals)} signals", f"{len(value)} numbers")
         return np.array([entries.variance("epsilon", number) for number in value])
     return entries.variance("epsilon", value)
+
+
+def _start_noise(entries: Entries) -> bool:
+    value = entries.content.get("start_noise", False)
+    if not isinstance(value, bool):
+        raise entries.bad("start_noise", "true, where the measured start states carry the noise too, or false")
+    return value
+
+
+def _degrees(entries: Entries) -> float | None:
+    """nu of the Student t."""
+    if "student_t" not in entries:
+        return None
+    value = entries.content["student_t"]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 2 < value < np.inf:
+        raise entries.bad("student_t", "degrees of freedom, a number above 2")
+    return float(value)

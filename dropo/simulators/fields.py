@@ -45,7 +45,7 @@ class Binding:
             valid = [*model_fields(model), *option_fields(model)]
             raise UnknownName(f"No field of MjModel or mjOption called {parameter.field!r}. {nearest(parameter.field, valid)}")
         self._where = _entries(parameter, model, self._array(model))
-        self._nominal = np.array(self._read(model), dtype=float)
+        self._nominal = np.array(self.read(model), dtype=float)
 
     def nominal(self) -> float:
         """The parameter's value in the model as loaded."""
@@ -63,7 +63,8 @@ class Binding:
     def _array(self, model: mujoco.MjModel) -> Any:
         return getattr(model.opt if self._in_option else model, self.parameter.field)
 
-    def _read(self, model: mujoco.MjModel) -> Any:
+    def read(self, model: mujoco.MjModel) -> Any:
+        """The numbers that it stands for, in a copy of the model."""
         array = self._array(model)
         return array[self._where] if isinstance(array, np.ndarray) else array
 

@@ -1,5 +1,6 @@
 """MuJoCo in C batches on threads: any MJCF, any number of the model as a parameter."""
 
+import copy
 import os
 import queue
 import threading
@@ -11,17 +12,19 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.checks import Array, require
 from dropo.core.data import Ints, Segments
+from dropo.core.effect import Atom, Robot, sizes_of
 from dropo.core.errors import BadArgument, BadFile
 from dropo.core.parameters import ParameterSpace
 from dropo.core.simulator import Simulator
 from dropo.simulators.fields import MOVES_FRAMES, Binding, FieldParameter, element_names, item_columns
+from dropo.simulators.layers import changes_commands, commands_of, lateness, seen_late, sensed, slopes_of, true_starts
 from dropo.simulators.observation import Layout
+from dropo.simulators.worker import Present, Worker, clamps_itself
 
 BUFFER = 1 << 25  # bytes of states that one call into C may return
 HUGE = 1e10  # mjMAXVAL: beyond it MuJoCo itself calls a state divergent
@@ -32,30 +35,61 @@ class MujocoSimulator(Simulator):
 
     model: the path of an MJCF file, an MjSpec or an MjModel; parameters: FieldParameters; observation, action: the columns
     of the data's rows as slices of MuJoCo's fields; frame_skip: physics steps for which an action is held; threads:
-    0 for all cores. State components that are not observed start at the model's qpos0 or zero. Results do not depend on
-    the number of threads, bit for bit. Warm starts are off, since they make a result depend on what ran before it.
+    0 for all cores; effects: what the model may lack, whose sizes are parameters behind the fields; fixed: effects that it
+    has, with their sizes. State components that are not observed start at the model's qpos0 or zero. Results do not depend
+    on the number of threads, bit for bit. Warm starts are off, since they make a result depend on what ran before it.
     """
 
     def __init__(
         self, model: str | Path | mujoco.MjSpec | mujoco.MjModel, parameters: Sequence[FieldParameter], *,
         observation: Sequence[str] = ("qpos", "qvel"), action: Sequence[str] = ("ctrl",), frame_skip: int = 1, threads: int = 0,
+        effects: Sequence[Atom] = (), fixed: Present = (),
     ):  # fmt: skip
         require(frame_skip >= 1, "frame_skip", "at least 1", frame_skip, "MujocoSimulator")
         require(threads >= 0, "threads", "0 (all cores) or a number of threads", threads, "MujocoSimulator")
-        self.space = ParameterSpace(tuple(parameters))
+        self._source, self.observation, self.action = model, tuple(observation), tuple(action)
         self.model = load_model(model, [p.field for p in parameters])
         self.bindings = [Binding(p, self.model) for p in parameters]
-        self.nominal = np.array([binding.nominal() for binding in self.bindings])
+        self._take(effects, fixed)
         self.layout = Layout(self.model, observation)
         self.signals = self.layout.signals
         self.controls = action_columns(self.model, action)
         self.frame_skip = self.steps_per_action = frame_skip
         self.threads = threads or os.cpu_count() or 1
-        self._workers: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
+        self._hire()
+
+    def _take(self, effects: Sequence[Atom], fixed: Present) -> None:
+        self.effects, self.fixed = tuple(effects), tuple(fixed)
+        own = [binding.parameter for binding in self.bindings]
+        self.space = ParameterSpace((*own, *(p for atom in effects for p in atom.parameters)))
+        self.nominal = np.concatenate([[b.nominal() for b in self.bindings], np.zeros(len(self.space) - len(own))])
+
+    def with_effects(self, effects: Sequence[Atom] = (), fixed: Present = ()) -> "MujocoSimulator":
+        """The same simulator with other effects: free ones, whose sizes are parameters, and fixed ones beside those it has."""
+        out = copy.copy(self)
+        out._source, out.steps, out.failures = self._source, 0, 0
+        out._take(effects, (*self.fixed, *fixed))
+        return out
+
+    def spec(self) -> mujoco.MjSpec:
+        """The model as an editable specification, without parameters and effects written into it."""
+        return specification(self._source)
+
+    def _hire(self) -> None:
+        """What lives in one process alone: threads, their own copies of the model, and commands already made."""
+        self._workers: queue.SimpleQueue[Worker] = queue.SimpleQueue()
         for _ in range(self.threads):
-            self._workers.put(_Worker(self.model, self.bindings))
+            self._workers.put(Worker(self.model, self.bindings))
         self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="mujoco")
         self._commands: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in ("_workers", "_pool", "_commands", "_source")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._source = self.model
+        self._hire()
 
     @property
     def control_step(self) -> float:
@@ -65,20 +99,31 @@ class MujocoSimulator(Simulator):
     def targets(self, segments: Segments) -> Array:
         return self.layout.coordinates(segments.targets, segments.targets)
 
+    @property
+    def robot(self) -> Robot:
+        """What effects are offered for."""
+        return Robot(self.model, tuple((signal.name, signal.unit) for signal in self.signals), self.control_step)
+
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         require(segments.starts.shape[1] == len(self.layout), "segments", f"of {len(self.layout)} observed columns",
                 segments.starts.shape[1], "MujocoSimulator.predict")  # fmt: skip
         out = np.empty((len(values), len(segments.rows[0]), len(self.signals)))
-        commands, targets = self._command(segments), segments.targets
+        held, targets = self._command(segments), segments.targets
+        slopes = slopes_of(segments, self.layout, self.control_step) if self.effects or self.fixed else None
         row_of = np.concatenate([[0], np.cumsum(np.bincount(segments.rows[0], minlength=len(segments)))])
+        fields = len(self.bindings)
 
         def job(k: int, part: Ints) -> None:
+            present = [*self.fixed, *sizes_of(self.effects, values[k, fields:])]
             starts = segments.starts[part]
             if offsets is not None:
                 starts = self.layout.move(starts, offsets[k, part])
-            observed = self._replay(values[k], segments, part, starts, commands)  # one row a compared row of the part
+            if slopes is not None:
+                starts = true_starts(starts, slopes[part], self.layout, present)
+            commands = self._changed_commands(segments, present) if changes_commands(present) or clamps_itself(present) else held
+            observed = self._replay(values[k, :fields], present, segments, part, starts, commands)  # one row a compared row of the part
             rows = np.concatenate([np.arange(row_of[i], row_of[i + 1]) for i in part]) if segments.every_step else part
-            out[k, rows] = self.layout.coordinates(observed, targets[rows])
+            out[k, rows] = sensed(self.layout.coordinates(observed, targets[rows]), present)
 
         parts = self._parts(segments, len(values))
         with quiet():
@@ -98,31 +143,35 @@ class MujocoSimulator(Simulator):
     def _command(self, segments: Segments) -> Array:
         """(N, L, nu) commands, made once for each set of segments."""
         if segments not in self._commands:
-            actions = segments.actions
-            require(
-                actions.shape[2] == len(self.controls),
-                "segments",
-                f"of {len(self.controls)} action columns",
-                actions.shape[2],
-                "MujocoSimulator",
-            )
-            commands = np.zeros((*actions.shape[:2], self.model.nu))
-            commands[..., self.controls] = actions
-            self._commands[segments] = commands
+            self._commands[segments] = self._controls(segments.actions)
         return self._commands[segments]
 
-    def _replay(self, value: Array, segments: Segments, part: Ints, starts: Array, commands: Array) -> Array:
-        """Observations at the compared rows of a part of the segments, in their order."""
+    def _changed_commands(self, segments: Segments, present: Present) -> Array:
+        """(N, L frame_skip, nu) commands as the effects leave them."""
+        return commands_of(segments, self._controls(segments.trajectories.actions), self.model, self.frame_skip, present)
+
+    def _controls(self, actions: Array) -> Array:
+        """Commands (..., nu) from actions (..., q)."""
+        require(actions.shape[-1] == len(self.controls), "segments", f"of {len(self.controls)} action columns", actions.shape[-1],
+                "MujocoSimulator")  # fmt: skip
+        commands = np.zeros((*actions.shape[:-1], self.model.nu))
+        commands[..., self.controls] = actions
+        return commands
+
+    def _replay(self, value: Array, present: Present, segments: Segments, part: Ints, starts: Array, commands: Array) -> Array:
+        """Observations at the compared rows of a part of the segments, in their order; commands (N, L or L frame_skip, nu)."""
         worker = self._workers.get()
+        per_action = commands.shape[1] // segments.steps.shape[1]
         try:
-            worker.set(value)
+            worker.set(value, present)
             ends: dict[int, Array] = {}
             found: dict[int, Array] = {}
             for level in segments.levels if len(segments.levels) > 1 else [part]:
                 for length in np.unique(segments.lengths[level]):
                     block = level[segments.lengths[level] == length]
                     states = self._start_states(segments, block, starts[np.searchsorted(part, block)], ends)
-                    observed, last = self._roll(worker, states, commands[block, :length], segments.every_step)
+                    held = np.repeat(commands[block, : length * per_action], self.frame_skip // per_action, axis=1)
+                    observed, last = self._roll(worker, present, states, held, segments.every_step)
                     found.update(zip(block.tolist(), observed, strict=True))
                     if len(segments.levels) > 1:
                         ends.update(zip(block.tolist(), last, strict=True))
@@ -142,58 +191,33 @@ class MujocoSimulator(Simulator):
         self.layout.write_start(states, starts, every, self.model)
         return states
 
-    def _roll(self, worker: "_Worker", states: Array, commands: Array, every: bool) -> tuple[Array, Array]:
-        """Observations (n, L or 1, P) after every action or the last, and the last states (n, s); NaN where MuJoCo stopped early."""
-        trace, _ = worker.roll(states, np.repeat(commands, self.frame_skip, axis=1))
-        first = 0 if every else commands.shape[1] - 1
+    def _roll(self, worker: Worker, present: Present, states: Array, commands: Array, every: bool) -> tuple[Array, Array]:
+        """Observations (n, L or 1, P) after every action or the last, and the last states (n, s); NaN where MuJoCo stopped early.
+
+        commands: (n, L frame_skip, nu), one a physics step.
+        """
+        trace, _ = worker.roll(states, commands, present)
+        actions = commands.shape[1] // self.frame_skip
+        first = 0 if every else actions - 1
         after = trace[:, self.frame_skip - 1 :: self.frame_skip][:, first:]
-        sensors = self._sensors(worker, after, commands[:, first:]) if self.layout.needs_sensors else None
+        sensors = self._sensors(worker, present, after, commands[:, :: self.frame_skip][:, first:]) if self.layout.needs_sensors else None
         observed = self.layout.observe(after, sensors, self.model)
+        late = self.layout.by_column(lateness(present, len(self.signals))) / worker.model.opt.timestep
+        if late.any():
+            whole = self.layout.observe(np.concatenate([states[:, None], trace], axis=1), None, self.model)[:, :, late > 0]
+            observed[:, :, late > 0] = seen_late(whole, late[late > 0])[:, self.frame_skip - 1 :: self.frame_skip][:, first:]
         # MuJoCo halts a rollout at its first warning and repeats the state: its clock stands still.
-        late = after[:, :, 0] < (np.arange(first + 1, commands.shape[1] + 1) * self.frame_skip - 0.5) * worker.model.opt.timestep
-        bad = late | ~(np.abs(after) < HUGE).all(axis=2)
+        stopped = after[:, :, 0] < (np.arange(first + 1, actions + 1) * self.frame_skip - 0.5) * worker.model.opt.timestep
+        bad = stopped | ~(np.abs(after) < HUGE).all(axis=2)
         observed[bad] = np.nan
         last = after[:, -1].copy()
         last[bad[:, -1]] = np.nan
         return observed, last
 
-    def _sensors(self, worker: "_Worker", after: Array, commands: Array) -> Array:
+    def _sensors(self, worker: Worker, present: Present, after: Array, commands: Array) -> Array:
         """Sensor data (n, J, m) of the states after an action, still under it: a step reports those of the state before it."""
         states = after.reshape(-1, after.shape[2])
-        return worker.roll(states, commands.reshape(len(states), 1, self.model.nu))[1].reshape(*after.shape[:2], -1)
-
-
-class _Worker:
-    """One thread's own copy of the model and its data."""
-
-    def __init__(self, model: mujoco.MjModel, bindings: Sequence[Binding]):
-        self.model = _copy(model)
-        self.data = mujoco.MjData(self.model)
-        self.bindings = bindings
-
-    def set(self, value: Array) -> None:
-        """Writes a parameter vector (d,); mj_setConst follows those that want it, and leaves the others as written."""
-        follow = [(b, v) for b, v in zip(self.bindings, value, strict=True) if b.parameter.derived]
-        keep = [(b, v) for b, v in zip(self.bindings, value, strict=True) if not b.parameter.derived]
-        for binding, _ in keep:  # else derived constants would depend on what this copy simulated before
-            binding.set(self.model, binding.nominal())
-        for binding, number in follow:
-            binding.set(self.model, number)
-        if follow:
-            mujoco.mj_setConst(self.model, self.data)
-        for binding, number in keep:
-            binding.set(self.model, number)
-
-    def roll(self, states: Array, controls: Array) -> tuple[Array, Array]:
-        """States (n, steps, s) and sensor data (n, steps, m) from start states (n, s) under controls (n, steps, nu)."""
-        control = controls if self.model.nu else None
-        return mujoco.rollout.rollout(self.model, [self.data], states, control, nstep=controls.shape[1])
-
-
-def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
-    import copy
-
-    return copy.copy(model)
+        return worker.roll(states, commands.reshape(len(states), 1, self.model.nu), present)[1].reshape(*after.shape[:2], -1)
 
 
 def load_model(model: str | Path | mujoco.MjSpec | mujoco.MjModel, fields: Sequence[str] = ()) -> mujoco.MjModel:
@@ -201,29 +225,45 @@ def load_model(model: str | Path | mujoco.MjSpec | mujoco.MjModel, fields: Seque
     if isinstance(model, mujoco.MjModel):
         moved = sorted(set(fields) & set(MOVES_FRAMES))
         require(not moved, "model", f"an MJCF file or an MjSpec where {moved} is fitted", "an MjModel", "MujocoSimulator")
-        compiled = _copy(model)
+        compiled = copy.copy(model)
     else:
         compiled = _compile(model, fields)
     compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return compiled
 
 
-def _compile(model: str | Path | mujoco.MjSpec, fields: Sequence[str]) -> mujoco.MjModel:
-    spec = model
+def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.MjSpec:
+    """An MjSpec of its own from where a model came; the paths of its files are absolute."""
+    if isinstance(model, mujoco.MjSpec):
+        return model.copy()
+    if isinstance(model, mujoco.MjModel):
+        raise BadArgument("A compiled MjModel has no MJCF. Make the simulator from an MJCF file or an MjSpec.")
+    if not Path(model).is_file():
+        raise BadFile(model, "", "an MJCF file", "no such file")
     try:
-        if not isinstance(spec, mujoco.MjSpec):
-            if not Path(spec).is_file():
-                raise BadFile(spec, "", "an MJCF file", "no such file")
-            spec = mujoco.MjSpec.from_file(str(spec))
+        spec = mujoco.MjSpec.from_file(str(model))
+    except ValueError as error:
+        raise _broken(model, error) from None
+    for name in ("meshdir", "texturedir"):
+        if getattr(spec.compiler, name):
+            setattr(spec.compiler, name, str((Path(model).parent / getattr(spec.compiler, name)).resolve()))
+    return spec
+
+
+def _compile(model: str | Path | mujoco.MjSpec, fields: Sequence[str]) -> mujoco.MjModel:
+    spec = model if isinstance(model, mujoco.MjSpec) else specification(model)
+    try:
         if set(fields) & set(MOVES_FRAMES):
             for body in spec.bodies:
                 body.simple = False
         return spec.compile()
     except (ValueError, RuntimeError) as error:
-        if isinstance(error, BadFile):
-            raise
-        source = "the model" if isinstance(model, mujoco.MjSpec) else model
-        raise BadFile(source, "", "a model that compiles", str(error).strip().replace("\n", "; ")) from None
+        raise _broken(model, error) from None
+
+
+def _broken(model: str | Path | mujoco.MjSpec, error: Exception) -> BadFile:
+    source = "the model" if isinstance(model, mujoco.MjSpec) else model
+    return BadFile(source, "", "a model that compiles", str(error).strip().replace("\n", "; "))
 
 
 def action_columns(model: mujoco.MjModel, items: Sequence[str]) -> NDArray[np.int64]:

@@ -86,13 +86,12 @@ class Layout:
         return np.array([(column.field, column.place) in named for column in self.columns])
 
     def observe(self, states: Array, sensors: Array | None, model: mujoco.MjModel) -> Array:
-        """Observation rows (..., P) from full physics states (..., 1 + nq + nv + na + ...) and sensor data."""
+        """Observation rows (..., P) from full physics states (..., 1 + nq + nv + na + ...) and sensor data; NaN without."""
         first = {"qpos": 1, "qvel": 1 + model.nq, "act": 1 + model.nq + model.nv}
         out = np.empty((*states.shape[:-1], len(self)))
         for i, column in enumerate(self.columns):
             if column.field == "sensordata":
-                assert sensors is not None
-                out[..., i] = sensors[..., column.place]
+                out[..., i] = np.nan if sensors is None else sensors[..., column.place]
             else:
                 out[..., i] = states[..., first[column.field] + column.place]
         return out
@@ -121,6 +120,12 @@ class Layout:
         for quat, places in zip(self.quaternions, rotations, strict=True):
             conjugate = measured[..., quat] * np.array([1.0, -1.0, -1.0, -1.0])
             out[..., places] = logarithm(multiply(conjugate, rows[..., quat]))
+        return out
+
+    def by_column(self, per_signal: Array) -> Array:
+        """Numbers of the signals (p,) for the observation columns (P,); 0 for a quaternion's."""
+        out = np.zeros(len(self))
+        out[self._plain] = per_signal[self._signal_places()[0]]
         return out
 
     def _signal_places(self) -> tuple[list[int], list[list[int]]]:

@@ -1,8 +1,11 @@
 """What every simulator must keep to."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dropo.core.backend import constant, is_tensor, plain
 from dropo.core.checks import Array
 from dropo.core.data import Segments
 from dropo.core.errors import Incompatible
@@ -26,6 +29,8 @@ def check_simulator(
     _check_groups(simulator, segments, design)
     _check_offsets(simulator, segments, design, predictions)
     _check_sensitivities(simulator, segments, design[0], predictions[0], rtol)
+    if simulator.has_gradients:
+        _check_gradients(simulator, segments, design, predictions, rtol)
     if diverging is not None:
         _check_failures(simulator, segments, design, predictions, np.asarray(diverging, dtype=float))
 
@@ -115,6 +120,26 @@ def _check_sensitivities(simulator: Simulator, segments: Segments, centre: Array
         row, signal, i = (int(index[0]) for index in np.nonzero(off))
         where = f"d {simulator.signals[signal].name} / d {simulator.space.names[i]} at row {row}"
         raise AssertionError(f"{name}: {where} is {slopes[row, signal, i]:.6g}, differences give {differences[row, signal, i]:.6g}")
+
+
+def _check_gradients(simulator: Simulator, segments: Segments, values: Array, predictions: Array, rtol: float) -> None:
+    import torch
+
+    name, leaf = type(simulator).__name__, torch.tensor(values, requires_grad=True)
+    given: Any = leaf
+    found: Any = simulator.predict(given, segments)
+    keeps = is_tensor(found) and found.requires_grad
+    assert keeps, f"{name} has gradients, but of a tensor its predict gives no tensor with a history"
+    near = np.allclose(plain(found), predictions, rtol=1e-10, atol=1e-12)
+    assert near, f"{name}.predict gives other numbers for a tensor than for an array: {_gap(predictions, plain(found))}"
+    weights = np.random.default_rng(1).standard_normal(predictions.shape)
+    slopes = plain(torch.autograd.grad((found * constant(weights, found)).sum(), leaf)[0])
+    exact = simulator.sensitivities(values[0], segments)
+    expected, size = (np.einsum("rp,rpd->d", w, s) for w, s in ((weights[0], exact), (np.abs(weights[0]), np.abs(exact))))
+    i = int(np.argmax(np.abs(slopes[0] - expected) / (size + 1e-300)))
+    where = f"of a weighted sum of predictions by {simulator.space.names[i]}"
+    same = abs(slopes[0, i] - expected[i]) <= rtol * size[i]
+    assert same, f"{name}: the gradient {where} is {slopes[0, i]:.6g}, its sensitivities give {expected[i]:.6g}"
 
 
 def _check_failures(simulator: Simulator, segments: Segments, values: Array, predictions: Array, diverging: Array) -> None:

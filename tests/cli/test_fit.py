@@ -80,6 +80,31 @@ def test_options_reach_the_problem(problem: Path, tmp_path: Path) -> None:
     assert (record["lambda"], record["transitions"], record["settings"]["epsilon"]) == (3, 30, 1e-6)
 
 
+def test_lambda_auto(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It says what it chose, keeps the table, and is told apart from a run with that lambda."""
+    out = problem.parent / "out"
+    arguments = ["fit", str(problem), "--epsilon", "1e-8", "--out", str(out), "--lambda"]
+    assert main([*arguments, "auto"]) == 0
+    found = result(out)
+    chosen = next(row["lambda"] for row in found["lambda_choice"] if row["chosen"])
+    assert f"lambda = {chosen} predicts held-out data best, of " in capsys.readouterr().out
+    assert main([*arguments, "auto", "--quiet"]) == 0
+    assert result(out) == found
+    assert main([*arguments, str(chosen)]) == 2
+    assert "run.json: lambda: expected the settings of this run" in capsys.readouterr().err
+
+
+def test_the_kind_of_noise_reaches_the_fit(problem: Path) -> None:
+    """--start-noise, --student-t, --start and --starts are recorded, and change the likelihood."""
+    options = ("--epsilon", "1e-6", "--start", "random", "--quiet", "--out")
+    assert main(["fit", str(problem), *options, str(problem.parent / "plain")]) == 0
+    noisy = ("--start-noise", "--student-t", "8", "--starts", "measured")
+    assert main(["fit", str(problem), *noisy, *options, str(problem.parent / "noisy")]) == 0
+    settings = json.loads((problem.parent / "noisy" / "run.json").read_text())["settings"]
+    assert (settings["start_noise"], settings["degrees"], settings["starts"], settings["start"]) == (True, 8.0, "measured", "random")
+    assert result(problem.parent / "noisy")["log_likelihood"] != result(problem.parent / "plain")["log_likelihood"]
+
+
 @pytest.mark.parametrize("method", ["least-squares", "droid", "uniform-randomization"])
 def test_other_methods(problem: Path, method: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A method that evaluates nothing is saved, and asked for again, like the others."""
@@ -114,11 +139,14 @@ REFUSALS = {
     "unknown family": (["--family", "uniforn"], "No family called 'uniforn'. Did you mean 'uniform'?"),
     "unknown likelihood": (["--likelihood", "monte"], "No likelihood called 'monte'. Did you mean 'monte-carlo'?"),
     "a setting of another method": (
-        ["--method", "least-squares", "--family", "full"], "method 'least-squares' takes no family. It takes weights, budget.",
+        ["--method", "least-squares", "--family", "full"], "method 'least-squares' takes no family. It takes weights, budget, step.",
     ),
-    "lambda auto": (
-        ["--lambda", "auto"],
-        "Argument --lambda: 'auto' is not available yet: choose a whole number of control steps, such as 1. See `dropo fit --help`.",
+    "too few degrees": (
+        ["--student-t", "2"], "Argument --student-t: expected degrees of freedom, a number above 2, got '2'. See `dropo fit --help`.",
+    ),
+    "noise that a likelihood does not know": (
+        ["--likelihood", "random-effects", "--student-t", "8"],
+        "RandomEffects knows no Student t: its integral is Gaussian. Leave degrees out, or use 'emulated'.",
     ),
     "lambda below 1": (["--lambda", "0"], "Argument --lambda: expected a whole number of at least 1, got '0'. See `dropo fit --help`."),
     "lambda too long": (

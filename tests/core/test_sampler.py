@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from dropo.core.draws import ChainTooShort, Draws
 from dropo.core.errors import BadArgument
 from dropo.core.estimator import Run
 from dropo.core.journal import Journal
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.problem import Problem
-from dropo.core.sampler import ChainTooShort, Draws, Sampler, first_positions
+from dropo.core.sampler import Sampler, first_positions
 from dropo.optimizers.emcee import Emcee
 from dropo.simulators.toy import LinearSimulator, simulate
 

@@ -7,13 +7,19 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from dropo.core.catalogue import names
 from dropo.core.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
+from dropo.core.estimator import Run
 from dropo.core.fit import Status
 from dropo.core.journal import Journal
+from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.problem import Problem
 from dropo.distributions.truncated_gaussian import SD as CUT_SD
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.tuning import noise_scale
+from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.gaussian import Gaussian
 from dropo.problems.hopper import hopper, hopper_noisy, hopper_problem
 from dropo.problems.hopper_data import simulate as simulate_hopper
@@ -101,7 +107,7 @@ SKIPPED = {
     "nlopt-direct-l": "divides rectangles at thirds, and is 0.17 nat short of a bound after 3000 evaluations a round",
     "scipy-differential-evolution": "reaches 0.01 nat with 3000 evaluations a round, ten times as long as all others together",
 }
-BUDGETS = {"cma-es": 1000, "nlopt-crs2": 1000}
+BUDGETS = {"cma-es": 1000, "nlopt-crs2": 1500}
 
 
 @pytest.mark.parametrize("optimizer", names("optimizers"))
@@ -154,7 +160,76 @@ def test_least_squares_as_a_start_ends_at_the_same_place():
     np.testing.assert_allclose(fit.mean, slide_fit().mean, atol=0.02 * slide_fit().mean_se.min())
 
 
-# --- epsilon
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_random_starts_end_at_the_same_place(seed):
+    """The clean hopper from a mean drawn from the box: within 1e-7 of the truth and of the other starts, for 1.2e5 steps."""
+    fit = DROPO(start="random").fit(hopper(), rng=seed)
+    assert fit.status is Status.CONVERGED
+    np.testing.assert_allclose(fit.mean, MASSES, atol=1e-7)
+    assert fit.details["certified"] == list(TRUTH)
+    assert fit.simulator_steps < 1.2e5
+
+
+def test_random_starts_are_drawn_from_the_box():
+    """Uniformly, in logarithms where a parameter is searched so; another seed draws another one."""
+    space = ParameterSpace((Parameter("a", -1.0, 3.0), Parameter("b", 1e-4, 1.0, scale="log")))
+    problem = Problem("drawn", SlidingBlock(), slide().trajectories)
+    problem.simulator.space = space
+    drawn = np.array([DROPO(start="random")._centre(problem, None, np.random.default_rng(seed)) for seed in range(400)])
+    unit = np.stack([(drawn[:, 0] + 1) / 4, np.log(drawn[:, 1] / 1e-4) / np.log(1e4)])
+    assert all(kstest(u, "uniform").pvalue > 1e-4 for u in unit)
+    assert kstest(drawn[:, 1], "uniform").pvalue < 1e-4
+
+
+def test_scales_are_certified_where_the_score_says_so():
+    """None of `slide`, whose parameters vary; both of clean pushes of one block."""
+    assert slide_fit().details["certified"] == []
+    assert DROPO().fit(pushes(3, sd=0.0, noise=0.0, count=10, epsilon=1e-8)).details["certified"] == ["mass", "damping"]
+
+
+# --- noise
+
+
+def test_the_problem_says_what_the_noise_is_like():
+    """start_noise and noise_degrees of the problem reach the likelihood; what DROPO is given goes before them."""
+    seen = []
+
+    class Spy(Emulated):
+        def around(self, simulator, segments, family, epsilon, *rest, **more):
+            seen.append((epsilon.start, epsilon.degrees))
+            return super().around(simulator, segments, family, epsilon, *rest, **more)
+
+    problem = replace(slide(), start_noise=True, noise_degrees=8.0)
+    for settings in ({}, {"start_noise": False, "degrees": 5.0}):
+        DROPO(likelihood=Spy(), **settings).fit(problem)
+    DROPO(likelihood=Spy()).fit(slide())
+    assert list(dict.fromkeys(seen)) == [(True, 8.0), (False, 5.0), (False, None)]
+
+
+def test_a_likelihood_that_cannot_refuses_long_tails():
+    with pytest.raises(Incompatible, match=r"GhuryeOlkin knows no noise with long tails. Leave out degrees = 5, or use 'monte-carlo'"):
+        DROPO(likelihood="ghurye-olkin", draws=10, degrees=5.0).fit(slide())
+
+
+def test_learned_epsilon_stays_above_a_share_of_the_signal():
+    """A signal that the model explains exactly: its epsilon ends on (1e-4 sd)^2, where the other's is its noise; masses are right."""
+    noise = np.array([0.0, 4e-6])
+    problem = pushes(3, noise=noise, sd=0.0, count=100)
+    fit = DROPO(epsilon="learn").fit(problem)
+    floor = 1e-8 * np.var(problem.segments.targets, axis=0)
+    assert fit.epsilon[0] == pytest.approx(floor[0], rel=1e-6)
+    assert fit.epsilon[1] == pytest.approx(4e-6, rel=4.5 * np.sqrt(2 / 2000))
+    assert (np.abs(fit.mean - MEAN) < 1e-3).all()
+
+
+def test_signals_that_do_not_vary_have_a_noise_scale():
+    """By the misfit in the middle of the box; the others by their own variance."""
+    problem = slide()
+    constant = problem.trajectories.next_observations * [1.0, 0.0] + [0.0, 0.3]
+    still = replace(problem, trajectories=replace(problem.trajectories, next_observations=constant))
+    scale = noise_scale(still, Run(still, np.random.default_rng(0)))
+    assert scale[0] == pytest.approx(np.var(constant[:, 0]), rel=1e-12)
+    assert scale[1] > 0
 
 
 def test_learned_epsilon_is_the_noise_of_each_signal():
@@ -321,7 +396,8 @@ def test_a_simulator_that_diverges_at_the_start_is_refused():
     (BadArgument, {"likelihood": Gaussian(10), "draws": 100},
      "The 'draws' of DROPO must be left out where the likelihood brings its own. Got 100 instead."),
     (BadArgument, {"budget": 0}, "The 'budget' of DROPO must be at least 1. Got 0 instead."),
-    (UnknownName, {"start": "center"}, "No start called 'center'. There is least-squares, middle."),
+    (UnknownName, {"start": "center"}, "No start called 'center'. There is least-squares, middle, random."),
+    (BadArgument, {"degrees": 2.0}, "The 'degrees' of DROPO must be above 2, to have a variance. Got 2.0 instead."),
     (UnknownName, {"likelihood": "emulate"}, "No likelihood called 'emulate'. Did you mean 'emulated'?"),
 ])  # fmt: skip
 def test_unusable_settings_are_refused(error, settings, message):
@@ -336,8 +412,8 @@ def test_unusable_settings_are_refused(error, settings, message):
     (BadArgument, {"epsilon": (1e-6, 1e-6, 1e-6)},
      "The 'epsilon' of Likelihood must be one number, or one for each of 2 signals. Got (3,) instead."),
     (Incompatible, {"likelihood": "monte-carlo", "optimizer": "nlopt-lbfgs"},
-     "Lbfgs needs gradients and _Sampled gives none. Use an optimizer without gradients, such as 'cma-es' or 'nlopt-sbplx', or a likelihood"
-     " with them."),
+     "Lbfgs needs gradients, and SlidingBlock gives none. Use likelihood 'emulated', which has gradients whatever the simulator, or"
+     " an optimizer without, such as 'cma-es'."),
 ])  # fmt: skip
 def test_parts_that_do_not_fit_are_refused(error, settings, message):
     with pytest.raises(error) as refusal:

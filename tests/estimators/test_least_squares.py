@@ -5,8 +5,10 @@ import pytest
 
 from dropo.core.errors import BadArgument, SimulationFailed, UnknownName
 from dropo.core.fit import Status
+from dropo.core.parameters import Parameter
 from dropo.estimators.least_squares import LeastSquares
 from dropo.problems.slide import MEAN, slide
+from dropo.simulators.general import FunctionSimulator
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from tests.reference.pushes import Problem, pushes, z_of_mean
 
@@ -103,7 +105,24 @@ def test_a_divergence_is_refused(limits, message):
     assert str(refusal.value) == message
 
 
+def test_steps_of_differences():
+    """Over a saw of 1e-4 kg, differences of a thousandth of the interval see the line and find its end; those of 3e-6 kg see the teeth."""
+
+    def saw(value, starts, actions):
+        return starts[:, None] + actions * (value[0] + 1e-4 * np.sin(value[0] / 1e-5))
+
+    simulator = FunctionSimulator(saw, [Parameter("mass", 0.5, 4.0)], ["y"])
+    rng = np.random.default_rng(0)
+    data = simulate(simulator, np.full((100, 1), 1.7), rng.normal(size=(100, 1, 1)), np.zeros(1), noise_variance=1e-4, rng=rng)
+    fit = LeastSquares().fit(Problem("saw", simulator, data))
+    assert abs(fit.mean[0] - 1.7) < 4.5 * fit.mean_se[0]
+    assert fit.mean_se[0] == pytest.approx(1e-3, rel=0.35)
+    assert abs(LeastSquares(step=1e-6).fit(Problem("saw", simulator, data)).mean[0] - 1.7) > 4.5 * fit.mean_se[0]
+
+
 def test_refusals():
+    with pytest.raises(BadArgument, match=r"'step' of LeastSquares must be a share of the interval in \(0, 0.5\]"):
+        LeastSquares(step=0.0)
     with pytest.raises(BadArgument) as refusal:
         LeastSquares(budget=0)
     assert str(refusal.value) == "The 'budget' of LeastSquares must be at least 1. Got 0 instead."

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from dropo.core.catalogue import find
-from dropo.core.errors import BadArgument, UnknownName
+from dropo.core.draws import Draws
+from dropo.core.errors import BadArgument, Incompatible, UnknownName
 from dropo.core.fit import Fit, Status
 from dropo.core.journal import Journal
+from dropo.core.noise import Noise
 from dropo.core.problem import Problem
-from dropo.core.sampler import Draws
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.posterior import PointLikelihood, Posterior, judge
 from dropo.optimizers.emcee import Emcee
+from dropo.optimizers.pyro_nuts import PyroNuts
+from dropo.optimizers.pyro_svi import PyroSvi
 from dropo.problems.slide import slide
 from dropo.simulators.toy import LinearSimulator, simulate
 
@@ -29,12 +32,13 @@ def problem(rows=30, **settings):
     return Problem("line", simulator, data, **settings)
 
 
-def conjugate(problem):
-    """Mean and covariance of the posterior under a flat prior: (H' H / epsilon)^-1 and least squares."""
+def conjugate(problem, prior_mean=0.0, prior_precision=0.0):
+    """Mean and covariance of the posterior: (H' H / epsilon + P)^-1 and least squares; P the precision of the first parameter's prior."""
     design = np.concatenate([a * MATRICES[0] for a in problem.trajectories.actions[:, 0]])  # (R p, d)
     change = (problem.trajectories.next_observations - problem.trajectories.observations).ravel()
-    covariance = np.linalg.inv(design.T @ design) * NOISE
-    return covariance @ design.T @ change / NOISE, covariance
+    known = np.diag([prior_precision, 0.0])
+    covariance = np.linalg.inv(design.T @ design / NOISE + known)
+    return covariance @ (design.T @ change / NOISE + known @ [prior_mean, 0.0]), covariance
 
 
 def z_of_means(fit, mean, covariance):
@@ -151,10 +155,116 @@ def test_unusable_settings_are_refused():
         Posterior(epsilon=0.0).fit(problem())
 
 
+NUTS = PyroNuts(draws=250, warmup=120, chains=2)
+
+
+@pytest.mark.parametrize("sampler", [NUTS, PyroSvi(draws=500, steps=500, particles=4)], ids=["nuts", "svi"])
+def test_gradient_samplers_give_the_conjugate_posterior(sampler):
+    """Mean within 4.5 standard errors, sds within 4.5 of theirs, sd / sqrt(2 ESS); a mean half a sd away must fail."""
+    pytest.importorskip("pyro")
+    one = problem(epsilon=NOISE)
+    mean, covariance = conjugate(one)
+    fit = Posterior(sampler=sampler).fit(one, rng=1)
+    sd = np.sqrt(np.diagonal(covariance))
+    assert (z_of_means(fit, mean, covariance) < 4.5).all()
+    assert (z_of_means(fit, mean + 0.5 * sd, covariance) > 4.5).all()
+    assert fit.sd == pytest.approx(sd, rel=4.5 / np.sqrt(2 * 400))
+    assert fit.simulator_steps < 5000
+    assert not any("local model" in text for text in fit.warnings)
+
+
+@pytest.mark.parametrize(
+    ("sampler", "away"), [(Emcee(steps=500, burn_in=200), 2.0), (PyroNuts(draws=150, warmup=80, chains=1), 15.0)], ids=["emcee", "nuts"]
+)
+def test_a_prior_pulls_by_the_right_amount(sampler, away):
+    """A normal prior, as wide as the posterior without it and some sds away; NUTS' lies beyond its first local model.
+
+    The mean is the conjugate one within 4.5 standard errors, and not the one without a prior.
+    """
+    if sampler.needs_gradients:
+        pytest.importorskip("pyro")
+    one = problem(epsilon=NOISE)
+    alone, wide = conjugate(one)
+    sd = float(np.sqrt(wide[0, 0]))
+    prior = float(alone[0] + away * sd)
+    mean, covariance = conjugate(one, prior, 1 / sd**2)
+    fit = Posterior(sampler=sampler, priors={"x0": f"normal({prior!r}, {sd!r})"}).fit(one, rng=1)
+    assert (z_of_means(fit, mean, covariance) < 4.5).all()
+    assert z_of_means(fit, alone, covariance)[0] > 4.5
+    assert fit.sd == pytest.approx(np.sqrt(np.diagonal(covariance)), rel=0.3)
+    assert not any("local model" in text for text in fit.warnings)
+
+
+def test_a_problem_brings_its_priors():
+    """Over parameters as they are, over a distribution on the mean; the estimator's own come first."""
+    one = problem(epsilon=NOISE, priors={"x0": "normal(1.5, 1e-4)"})
+    fit = Posterior(sampler=Emcee(steps=200, burn_in=200)).fit(one, rng=1)
+    assert fit.mean[0] == pytest.approx(1.5, abs=1e-3)
+    assert fit.sd[0] < 2e-4
+    own = Posterior(sampler=Emcee(steps=200, burn_in=200), priors={"x0": "normal(1.6, 1e-4)"}).fit(one, rng=1)
+    assert own.mean[0] == pytest.approx(1.6, abs=1e-3)
+    with pytest.raises(UnknownName, match="No parameter called 'x2'"):
+        problem(priors={"x2": "uniform"})
+    with pytest.raises(UnknownName, match=r"No unknown with a prior called 'x0'. There is mean\.x0"):
+        Posterior(over="distribution", priors={"x0": "uniform"}).fit(problem(epsilon=NOISE))
+
+
+def test_a_distribution_by_nuts_with_learned_noise():
+    """Means, scales, a correlation and each signal's noise: all within 4.5 sds of what the data were drawn with."""
+    pytest.importorskip("pyro")
+    rng, simulator, rows = np.random.default_rng(8), LinearSimulator(np.eye(2)[None], low=-4.0, high=4.0), 25
+    chol = np.linalg.cholesky(0.09 * np.array([[1.0, 0.6], [0.6, 1.0]]))
+    values = TRUTH + rng.standard_normal((rows, 2)) @ chol.T
+    actions = rng.uniform(-2, 2, (rows, 3, 1))
+    one = Problem("spread", simulator, simulate(simulator, values, actions, np.zeros(2), noise_variance=0.01, rng=rng))
+    fit = Posterior(over="distribution", family="full", epsilon="learn", sampler=PyroNuts(draws=60, warmup=60, chains=1)).fit(one, rng=2)
+    draws = fit.arrays["chain"].reshape(-1, 7)
+    names = fit.details["unknowns"]
+    assert names[-2:] == ["epsilon[0]", "epsilon[1]"]
+    true = [*TRUTH, 0.3, 0.3, 0.6]
+    assert (np.abs(draws[:, :5].mean(axis=0) - true) < 4.5 * draws[:, :5].std(axis=0)).all()
+    assert (np.abs(draws[:, :4].mean(axis=0)) > 4.5 * draws[:, :4].std(axis=0)).all()  # the control: they are not 0
+    assert fit.epsilon == pytest.approx([0.01, 0.01], rel=0.5)
+    assert fit.arrays["row_log_likelihood"].shape == (60, 1, 75)
+
+
+def test_draws_that_reach_the_edge_of_a_local_model_are_told():
+    """Noise that hides the parameters: the posterior is as wide as the box, and no local model is."""
+    pytest.importorskip("pyro")
+    fit = Posterior(likelihood="emulated", sampler=Emcee(steps=60, burn_in=30, walkers=8), epsilon=1e4).fit(problem(), rng=1)
+    assert any("reach the edge of where the local model is trusted" in text for text in fit.warnings)
+
+
+def test_inference_data_of_a_fit(tmp_path):
+    """Groups, sizes and values, after saving and loading too; a fit without draws has none."""
+    arviz = pytest.importorskip("arviz")
+    fit = Posterior(likelihood="emulated", sampler=Emcee(steps=30, burn_in=10, walkers=8)).fit(problem(epsilon=NOISE), rng=3)
+    fit.save(tmp_path)
+    for one in (fit, Fit.load(tmp_path)):
+        data = one.to_inference_data()
+        assert set(data.groups()) == {"posterior", "sample_stats", "log_likelihood", "observed_data"}
+        assert dict(data.posterior.sizes) == {"chain": 8, "draw": 30}
+        assert {"method": "posterior", "seed": 3}.items() <= data.attrs.items()
+        np.testing.assert_array_equal(data.posterior["x1"].values, fit.arrays["chain"][..., 1].T)
+        np.testing.assert_allclose(data.log_likelihood["measured"].sum("measured_dim_0"), fit.arrays["log_density"].T, rtol=1e-9)
+        np.testing.assert_allclose(arviz.summary(data, round_to="none")["mean"], fit.mean, rtol=1e-9)
+    with pytest.raises(BadArgument, match="which alone keeps draws"):
+        find("methods", "least-squares")().fit(problem()).to_inference_data()
+
+
+def test_pairs_that_do_not_work_are_refused():
+    with pytest.raises(Incompatible, match=r"PyroNuts needs the gradient .* Use likelihood 'emulated' or 'linear', or sampler 'emcee'"):
+        Posterior(over="distribution", likelihood="monte-carlo", sampler=NUTS).fit(problem(epsilon=NOISE))
+    with pytest.raises(Incompatible, match=r"Leave it out, or use 'emulated' or 'linear'\. Got 'monte-carlo'"):
+        Posterior(likelihood="monte-carlo").fit(problem(epsilon=NOISE))
+    with pytest.raises(BadArgument, match="'epsilon' of Posterior must be Gaussian and on the next states alone"):
+        Posterior(epsilon=Noise(NOISE, start=True)).fit(problem())
+
+
 def test_posterior_on_a_local_likelihood_is_around_its_maximum():
     """Random effects on `slide`: the posterior's mean and its errors are those of DROPO's fit, the errors within a third."""
     problem = slide()
-    fit = Posterior(over="distribution", likelihood="random-effects", sampler=Emcee(walkers=16, steps=400, burn_in=100)).fit(problem)
+    fit = Posterior(over="distribution", likelihood="random-effects", sampler=Emcee(walkers=10, steps=120, burn_in=40)).fit(problem)
     best = DROPO(likelihood="random-effects").fit(problem)
     assert (np.abs(fit.mean - best.mean) < 0.5 * best.mean_se).all()
     np.testing.assert_allclose(fit.mean_se, best.mean_se, rtol=1 / 3)

@@ -1,7 +1,7 @@
 """From a member of a family to a Fit: standard errors that hold over many data sets, warnings, files, text."""
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
@@ -9,24 +9,26 @@ import pytest
 from scipy import stats
 
 from dropo.core.catalogue import names
-from dropo.core.errors import BadFile
+from dropo.core.dependence import independent
+from dropo.core.errors import BadArgument, BadFile
 from dropo.core.fit import Fit
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.problem import Problem
+from dropo.estimators import summary
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
-from dropo.estimators.summary import at_bounds, clusters
+from dropo.estimators.summary import at_bounds
 from dropo.estimators.uniform_randomization import UniformRandomization
 from dropo.problems.slide import slide
-from dropo.simulators.toy import LinearSimulator, simulate
+from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from tests.reference.pushes import MEAN, SD, pushes, z_of_mean, z_of_sd
 
 # --- standard errors
 
 
-def mean_squares(estimator, count, *, grouped=True):
+def mean_squares(estimator, count):
     """The mean square of the means' z-scores, and of the sds', over so many data sets of 50 pushes."""
-    fits = [estimator.fit(pushes(seed, epsilon=1e-6, grouped=grouped)) for seed in range(count)]
+    fits = [estimator.fit(pushes(seed, epsilon=1e-6)) for seed in range(count)]
     means = np.array([z_of_mean(fit, MEAN) for fit in fits])
     sds = np.array([z_of_sd(fit, SD) for fit in fits]) if isinstance(estimator, DROPO) else np.zeros((1, 1))
     return float(np.mean(means**2)), float(np.nanmean(sds**2))
@@ -46,20 +48,54 @@ def test_standard_errors_of_means_are_right(estimator):
 
 
 @pytest.mark.parametrize("estimator", [LeastSquares(), DROPO()], ids=["least-squares", "dropo"])
-def test_dependent_rows_without_groups_have_errors_that_are_too_small(estimator):
-    """The control: where the data do not say which rows share a draw, the mean square is beyond 3."""
-    assert mean_squares(estimator, 10, grouped=False)[0] > 3
+def test_dependent_rows_taken_as_independent_have_errors_that_are_too_small(estimator, monkeypatch):
+    """The control: where every row counts as a unit of its own, the mean square is beyond 3."""
+    monkeypatch.setattr(summary, "units_of", lambda segments: independent(len(segments.rows[0])))
+    assert mean_squares(estimator, 10)[0] > 3
 
 
-def test_errors_are_clustered_by_group_where_there_are_many():
-    """20 groups and more are the clusters; with fewer, or none named, segments are."""
-    many, few, none = pushes(0, count=20), pushes(0, count=19), pushes(0, count=30, grouped=False)
-    assert len(np.unique(clusters(many.segments))) == 20
-    assert len(np.unique(clusters(few.segments))) == 19 * 20
-    assert len(np.unique(clusters(none.segments))) == 30 * 20
-    whole = Problem("rollouts", none.simulator, none.trajectories, reset="start")
-    assert len(np.unique(clusters(whole.segments))) == 30
-    assert len(clusters(whole.segments)) == 600
+def test_few_units_give_wide_intervals():
+    """20 trajectories: Student t with 19 degrees, 2.093 standard errors to either side; on a bound there is no interval."""
+    fit = LeastSquares().fit(pushes(0, count=20))
+    assert fit.degrees.tolist() == [19.0, 19.0]
+    np.testing.assert_allclose(fit.interval(), np.stack([fit.mean - 2.0930 * fit.mean_se, fit.mean + 2.0930 * fit.mean_se], 1), rtol=1e-4)
+    assert fit.to_json()["parameters"]["mass"]["mean_interval"] == fit.interval()[0].tolist()
+    assert (fit.interval(0.99)[:, 1] > fit.interval()[:, 1]).all()
+    above = LeastSquares().fit(pushes(0, mean=np.array([5.0, 0.8]), sd=0.0))
+    assert np.isnan(above.interval()[0]).all()
+    assert above.to_json()["parameters"]["mass"]["mean_interval"] == [None, None]
+    with pytest.raises(BadArgument, match=r"'level' of Fit\.interval must be between 0 and 1"):
+        fit.interval(95)
+
+
+def test_an_interval_ends_where_the_search_does():
+    """A standard error of 1 around 0.6 kg, searched from 0.5 to 4 kg: from 0.5 kg."""
+    fit = replace(fitted("point"), mean=np.array([0.6, 0.8]), mean_se=np.array([1.0, 0.01]), degrees=None)
+    np.testing.assert_allclose(fit.interval()[0], [0.5, 0.6 + 1.959964], rtol=1e-6)
+
+
+def test_one_trajectory_is_looked_along():
+    """One push of 400 steps has standard errors and an interval for each parameter."""
+    fit = LeastSquares().fit(long_push())
+    assert np.isfinite(fit.interval()).all()
+    assert (fit.degrees < 400).all()
+
+
+def long_push():
+    """One trajectory of 400 transitions."""
+    rng = np.random.default_rng(3)
+    forces = np.repeat(rng.normal(0, 3, (1, 80, 1)), 5, axis=1)
+    data = simulate(SlidingBlock(), MEAN[None], forces, np.zeros(2), noise_variance=1e-6, rng=rng)
+    return Problem("push", SlidingBlock(), data)
+
+
+def test_equal_weights_have_errors_of_their_own():
+    """Weighted equally where one signal is 100 times noisier, the errors are those of 30 fits, and beyond those of noise weights."""
+    found = [LeastSquares(weights="equal").fit(pushes(seed, sd=0.0, noise=[1e-4, 1e-8], count=25)) for seed in range(30)]
+    spread = np.std([fit.mean for fit in found], axis=0, ddof=1)
+    np.testing.assert_allclose(np.mean([fit.mean_se for fit in found], axis=0), spread, rtol=4.5 / np.sqrt(58))
+    efficient = LeastSquares().fit(pushes(0, sd=0.0, noise=[1e-4, 1e-8], count=25)).mean_se
+    assert (efficient < spread / (1 + 4.5 / np.sqrt(58))).all()
 
 
 def test_what_the_data_do_not_tell_has_no_error():

@@ -1,5 +1,6 @@
 """The emulated likelihood against closed forms, quadrature and brute force; its standard laws and its inner solver."""
 
+from dataclasses import replace
 from itertools import product
 from math import erf, exp, pi, sqrt
 
@@ -9,13 +10,16 @@ import scipy.optimize
 from scipy import integrate, stats
 
 from dropo.core.catalogue import find
-from dropo.core.errors import Incompatible, SimulationFailed
+from dropo.core.errors import BadArgument, Incompatible, SimulationFailed
 from dropo.core.fisher_scoring import maximise_locally
 from dropo.core.local_likelihood import LocalLogLikelihood
 from dropo.core.noise import Noise
 from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.problem import Problem
 from dropo.core.standard_law import NORMAL, TRUNCATED_NORMAL, UNIFORM
 from dropo.distributions.truncated_gaussian import SD, TruncatedGaussian
+from dropo.estimators.dropo import DROPO
+from dropo.likelihoods import blocks
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.polynomials import POINTS, SPARE, build, design_points, index_set, orders_for
 from dropo.simulators.general import FunctionSimulator
@@ -123,7 +127,7 @@ def test_moments_of_a_polynomial_are_exact(name):
     data = simulate(simulator, np.full((6, 2), 1.1), rng.uniform(0.5, 2, (6, 1, 2)), np.zeros(2))
     segments, family = data.segments(), find("families", name)(simulator.space)
     local = Emulated(order=3).around(simulator, segments, family, 1e-12, np.array([1.1, 1.0]), np.array([0.2, 0.1]), rng)
-    found, _, sigma = local._moments(member(family, mean, scale))
+    found, sigma = local.moments(member(family, mean, scale))
     nodes, weights = quadrature(name, mean, scale)
     exact = np.stack([cubic(x, np.zeros((len(segments), 2)), segments.actions)[:, 0] for x in nodes])  # (Q, R, p)
     first = np.einsum("q,qrp->rp", weights, exact)
@@ -136,7 +140,7 @@ def z_of_moments(local, family, phi, simulator, segments, draws=20_000):
     """How many standard errors the means, variances and covariances of emulator and simulations are apart, (R, 5)."""
     values = family.map(phi, np.random.default_rng(3).random((draws, 2)))
     simulated = simulator.predict(values, segments)
-    mean, _, sigma = local._moments(phi)
+    mean, sigma = local.moments(phi)
     centred = simulated - simulated.mean(axis=0)
     products = np.stack([centred[..., 0] ** 2, centred[..., 1] ** 2, centred[..., 0] * centred[..., 1]], axis=-1)
     claimed = np.stack([sigma[:, 0, 0], sigma[:, 1, 1], sigma[:, 0, 1]], axis=-1) - [*local.epsilon(phi), 0.0]
@@ -218,7 +222,7 @@ def test_information_is_the_covariance_of_the_score(name):
     family = find("families", name)(simulator.space)
     local = built(Emulated(), simulator, segments, family, EPSILONS["each"], [0.2, 0.1])
     phi, count, rng = np.append(member(family, [1.5, 0.8], [0.2, 0.1]), [1.0, 1.0]), 4000, np.random.default_rng(7)
-    mean, _, sigma = local._moments(phi)
+    mean, sigma = local.moments(phi)
     root = np.linalg.cholesky(sigma)
     away = phi + 0.1 * np.eye(len(phi))[0]
     scores, others = np.empty((count, len(phi))), np.empty((count // 10, len(phi)))
@@ -280,6 +284,77 @@ def test_a_design_with_too_few_points_is_refused():
         f"{4 * bad.sum()} of {4 * count} simulated rows diverged, the first at row 0 with x0 = {first[0]:.6g}, x1 = {first[1]:.6g}."
         " The design around the estimate cannot be used."
     )
+
+
+def late_failures(monkeypatch, size):
+    """A design of two parameters on five segments, of which the last diverges at high x0; blocks of `size` bytes."""
+
+    def function(value, starts, actions):
+        out = starts[:, None] + np.exp(0.3 * value) * actions
+        return np.where((starts[:, None, :1] > 3.5) & (value[0] > 1.0), np.nan, out)
+
+    monkeypatch.setattr(blocks, "DESIGN_BYTES", size)
+    simulator = FunctionSimulator(function, [Parameter("x0", -9, 9), Parameter("x1", -9, 9)], ["a", "b"])
+    data = simulate(simulator, np.zeros((5, 2)), np.ones((5, 1, 1)), np.zeros(2))
+    segments = replace(data, observations=np.repeat(np.arange(5.0)[:, None], 2, axis=1)).segments()
+    return simulator, build(simulator, segments, np.zeros(2), np.ones(2), np.array([2, 2]), np.random.default_rng(0))
+
+
+def test_a_point_that_diverges_in_a_late_block_is_left_out_of_all(monkeypatch):
+    """One segment a block gives what a single block gives, to rounding; the first four are simulated again, without it."""
+    whole, one = late_failures(monkeypatch, 1 << 30)
+    pieces, other = late_failures(monkeypatch, 1)
+    assert one.failed == other.failed > 0
+    np.testing.assert_allclose(other.coefficients, one.coefficients, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(other.residual, one.residual, rtol=1e-10, atol=1e-14)
+    points = int(np.ceil(POINTS * 6)) + SPARE
+    assert whole.steps == 5 * points
+    assert pieces.steps == 5 * points + 4 * (points - other.failed)
+
+
+def test_points_beyond_what_is_possible_are_mirrored():
+    """A mean near the bound of 0: the design stays inside and apart, and the regression exact; put on the bound, many points coincide."""
+    simulator = FunctionSimulator(
+        lambda value, starts, actions: starts[:, None] + actions * (2 * value + value**2), [Parameter("x", 0.0, 4.0)], ["a"]
+    )
+    segments = simulate(simulator, np.ones((3, 1)), np.ones((3, 1, 1)), np.zeros(1)).segments()
+    centre, width = np.array([0.05]), np.array([0.4])
+    points = design_points(simulator, centre, width, 64, np.random.default_rng(0), False)
+    assert points.min() > 0
+    assert len(np.unique(points)) == 64
+    emulator = build(simulator, segments, centre, width, np.array([3]), np.random.default_rng(0))
+    values = np.linspace(0, 1, 7)[:, None]
+    np.testing.assert_allclose(emulator.predict(values), simulator.predict(values, segments), atol=1e-10)
+
+
+def test_a_singular_design_is_refused():
+    """A parameter that can hardly vary, and a width of 0: named, with a way out."""
+    simulator = FunctionSimulator(
+        lambda value, starts, actions: starts[:, None] + actions * value.sum(),
+        [Parameter("x", 0.0, 1.0), Parameter("y", 0.0, 1e-9, lower=0.0, upper=1e-9)], ["a"],
+    )  # fmt: skip
+    segments = simulate(simulator, np.zeros((3, 2)), np.ones((3, 1, 1)), np.zeros(1)).segments()
+    centre = np.array([0.5, 5e-10])
+    with pytest.raises(
+        BadArgument, match="design around the estimate is singular: its points do not vary enough in 'y' to tell 6 polynomials"
+    ):
+        build(simulator, segments, centre, np.array([0.1, 1e3]), np.array([2, 2]), np.random.default_rng(0))
+    with pytest.raises(BadArgument, match=r"The 'width' of an emulator must be positive for every parameter. Got \[0.1, 0.0\]"):
+        build(simulator, segments, centre, np.array([0.1, 0.0]), np.array([2, 2]), np.random.default_rng(0))
+
+
+def test_draws_that_would_leave_what_is_possible_are_told():
+    """A law that reaches below 0, where no draw may go, is named with its share; one well above 0 is not."""
+    simulator = FunctionSimulator(lambda value, starts, actions: starts[:, None] + actions * value, [Parameter("x", 0.0, 4.0)], ["a"])
+
+    def warnings(mean, sd):
+        rng = np.random.default_rng(0)
+        values = np.abs(rng.normal(mean, sd, (200, 1)))
+        data = simulate(simulator, values, np.ones((200, 1, 1)), np.zeros(1), noise_variance=1e-4, rng=rng)
+        return [w for w in DROPO(epsilon=1e-4).fit(Problem("x", simulator, data)).warnings if w.startswith("draws of x (")]
+
+    assert len(warnings(0.0, 1.0)) == 1
+    assert warnings(2.0, 0.2) == []
 
 
 def test_what_the_polynomials_leave_is_an_unbiased_covariance():

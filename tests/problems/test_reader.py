@@ -126,6 +126,13 @@ def test_further_keys(folder: Path) -> None:
     assert problem.set_columns.tolist() == [True, True, False, False]
 
 
+def test_the_kind_of_noise(folder: Path) -> None:
+    problem = load(written(folder, new="start_noise: true\nstudent_t: 8\n"), threads=1)
+    assert (problem.start_noise, problem.noise_degrees) == (True, 8.0)
+    plain = load(written(folder), threads=1)
+    assert (plain.start_noise, plain.noise_degrees) == (False, None)
+
+
 def test_epsilon_by_signal(folder: Path) -> None:
     keys = "epsilon: {qvel.hinge: 4, qpos.slide: 1, qpos.hinge: 2, qvel.slide: 3e0}\n"
     np.testing.assert_array_equal(load(written(folder, new=keys), threads=1).epsilon, [1, 2, 3, 4])
@@ -145,6 +152,15 @@ def test_relative_and_kept_parameters(folder: Path) -> None:
     parameter = load(path, threads=1).space["cart_mass"]
     assert parameter.relative
     assert not parameter.derived
+
+
+def test_a_prior_is_read_and_refused(folder: Path) -> None:
+    """Kept as its text; a bad one is refused with its key, the rule and the nearest name."""
+    assert load(written(folder, "unit: kg}", 'unit: kg, prior: "normal(2, 0.1)"}'), threads=1).priors == {"cart_mass": "normal(2, 0.1)"}
+    assert load(written(folder), threads=1).priors == {}
+    wrong = refusal(written(folder, "unit: kg}", 'unit: kg, prior: "norml(2, 0.1)"}'))
+    assert wrong == "problem.yaml: parameters.cart_mass.prior: No prior called 'norml'. Did you mean 'normal'?"
+    assert "mass in the search interval [1, 4]" in refusal(written(folder, "unit: kg}", 'unit: kg, prior: "normal(9, 0.1)"}'))
 
 
 def test_parameters_may_be_left_out(folder: Path) -> None:
@@ -261,6 +277,9 @@ def test_refusals(folder: Path, old: str, new: str, message: str) -> None:
 
 
 ADDED = {
+    "start_noise: 1": "start_noise: expected true, where the measured start states carry the noise too, or false, got 1.",
+    "student_t: 2": "student_t: expected degrees of freedom, a number above 2, got 2.",
+    "student_t: .inf": "student_t: expected degrees of freedom, a number above 2, got inf.",
     "epsilon: -1": "epsilon: expected a variance, 0 or more, got -1.",
     "epsilon: small": "epsilon: expected a variance, 0 or more, got 'small'.",
     "epsilon: .nan": "epsilon: expected a variance, 0 or more, got nan.",

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dropo.core.catalogue import find
+from dropo.core.fit import Status
 from dropo.core.recipe import fit as fit_as_commanded
 from dropo.estimators.dropo import DROPO
 from dropo.problems.outside import find_data
@@ -57,3 +58,39 @@ def test_tuning_epsilon_on_noisy_data_chooses_the_noise():
     assert fit.epsilon.tolist() == [1e-5] * 11
     assert table[0]["total_variance"] > 100 * table[3]["total_variance"]
     assert table[0]["mse"] > table[3]["mse"]
+
+
+@pytest.fixture(scope="module", params=["clean", "noisy-1e-5"])
+def random_starts(request):
+    """The published hopper from 20 means drawn from the box: which, and the fits."""
+    needs(f"hopper-published/{request.param}.npz")
+    problem = find("problems", "hopper-published" if request.param == "clean" else "hopper-published-noisy")()
+    return request.param, problem, [DROPO(start="random").fit(problem, rng=seed) for seed in range(20)]
+
+
+def test_the_published_hopper_from_20_random_starts(random_starts):
+    """Clean: every mean within 1e-7 kg, every scale certified at its bound, for 1.2e5 steps. Noisy: one log-likelihood, and
+    errors within 2.5 standard errors; masses 0.05 kg off would be rejected."""
+    which, problem, fits = random_starts
+    truth = np.array(list(problem.truth.values()))
+    means = np.array([fit.mean for fit in fits])
+    assert {fit.status for fit in fits} == {Status.CONVERGED}
+    if which == "clean":
+        np.testing.assert_allclose(means, np.tile(truth, (20, 1)), atol=1e-7, rtol=0)
+        assert all(fit.details["certified"] == list(problem.space.names) for fit in fits)
+        assert max(fit.simulator_steps for fit in fits) < 1.2e5
+        return
+    np.testing.assert_allclose([fit.log_likelihood for fit in fits], 47716.1, atol=0.5)
+    errors = np.array([0.0035, 0.0065, 0.0061, 0.0070])
+    assert (np.abs(means - truth) < 2.5 * errors).all()
+    assert (np.abs(means - truth - 0.05) > 2.5 * errors).all()
+
+
+def test_the_published_noise_is_learned():
+    """Its mean over the 11 signals within 3 % of 1e-5; over all 10,000 transitions errors are within 2.5 standard errors."""
+    needs("hopper-published/noisy-1e-5.npz")
+    problem = find("problems", "hopper-published-noisy")()
+    assert DROPO(epsilon="learn").fit(problem).epsilon.mean() == pytest.approx(1e-5, rel=0.03)
+    every = DROPO().fit(problem.using(transitions=10_000))
+    errors = every.mean - np.array(list(problem.truth.values()))
+    assert (np.abs(errors) < 2.5 * np.array([0.0011, 0.0021, 0.0019, 0.0022])).all(), str(every)

@@ -1,0 +1,81 @@
+"""Which data to add next: trajectories, or commands to try, by what they would tell about chosen parameters."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.checks import Array, float_array, known, require
+from dropo.core.data import Segments, Trajectories
+from dropo.core.errors import Incompatible
+from dropo.core.fit import Fit
+from dropo.core.linear_gaussian import scores_and_information
+from dropo.core.problem import Problem
+
+Candidate = Trajectories | tuple[Array, Array]
+"""Given trajectories; or a start observation (p,) and the actions (T, q) to try from there."""
+
+PRIOR = 12.0  # 1 / variance of a uniform law on [0, 1]: what the search interval itself tells
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate, by its place in the list that was given. gain: how much it lowers the entropy of the chosen parameters [nats],
+    half the fall of the logarithm of their covariance's determinant; standard_errors: (d,) that the means would have with it."""
+
+    index: int
+    gain: float
+    standard_errors: Array
+
+
+def rank_next(problem: Problem, fit: Fit, candidates: Sequence[Candidate], about: Sequence[str] | None = None) -> list[Ranked]:
+    """The candidates, the most informative first (D-optimal, Fedorov 1972), given what the problem's data tell already.
+
+    about: names of the parameters that matter, all by default; the others count as unknown too. Commands are simulated open loop
+    at the fitted means. By the linear-Gaussian model at the fit, with its noise and the parameters' spread.
+    """
+    require(len(candidates) >= 1, "candidates", "at least one", 0, "rank_next")
+    names = problem.space.names
+    chosen = [names.index(known("parameter", name, names)) for name in (names if about is None else about)]
+    require(len(chosen) >= 1, "about", "at least one parameter", about, "rank_next")
+    width = problem.space.high - problem.space.low
+    before = np.diag(PRIOR / width**2) + _information(problem, fit, problem.segments)
+    out = []
+    for index, candidate in enumerate(candidates):
+        data = candidate if isinstance(candidate, Trajectories) else simulated(problem, fit, *candidate)
+        after = before + _information(problem, fit, problem.cut(data))
+        errors = np.sqrt(np.diagonal(_inverse(after, width)))
+        out.append(Ranked(index, _entropy(before, width, chosen) - _entropy(after, width, chosen), errors))
+    return sorted(out, key=lambda ranked: -ranked.gain)
+
+
+def simulated(problem: Problem, fit: Fit, start: Array, actions: Array) -> Trajectories:
+    """The trajectory that the fitted means predict, from a start observation (p,) under actions (T, q)."""
+    seen = problem.trajectories
+    p, q = seen.observations.shape[1], seen.actions.shape[1]
+    if len(problem.simulator.signals) != p:
+        raise Incompatible("Predictions of this simulator are no observations (a rotation is compared by 3 numbers). Give trajectories.")
+    start, actions = float_array("start", start, (p,), "rank_next"), float_array("actions", actions, (None, q), "rank_next")
+    t = len(actions)
+    blank = np.tile(start, (t, 1))
+    whole = Trajectories(blank, actions, blank, np.arange(t) == t - 1).segments(reset="start")
+    after = problem.simulator.predict(fit.mean[None], whole)[0]
+    return Trajectories(np.concatenate([start[None], after[:-1]]), actions, after, np.arange(t) == t - 1)
+
+
+def _information(problem: Problem, fit: Fit, segments: Segments) -> Array:
+    """(d, d) of the means."""
+    _, jacobian = problem.simulator.linearise(fit.mean, segments)
+    spread = fit.correlation * np.outer(fit.sd, fit.sd)
+    d = len(fit.mean)
+    return scores_and_information(np.zeros(jacobian.shape[:2]), jacobian, spread, fit.epsilon)[1][:d, :d]
+
+
+def _inverse(information: Array, width: Array) -> Array:
+    return np.linalg.inv(information * np.outer(width, width)) * np.outer(width, width)
+
+
+def _entropy(information: Array, width: Array, chosen: list[int]) -> float:
+    """Of the chosen parameters in units of their intervals, up to a constant [nats]."""
+    covariance = (_inverse(information, width) / np.outer(width, width))[np.ix_(chosen, chosen)]
+    return 0.5 * float(np.linalg.slogdet(covariance)[1])

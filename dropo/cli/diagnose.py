@@ -1,0 +1,58 @@
+"""`dropo diagnose`: shows what the simulation gets wrong, names the cause, extends the model, measures the gain."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dropo.cli.output import Progress, printing_options, show, whole
+
+if TYPE_CHECKING:
+    from dropo.core.problem import Problem
+
+
+def add(commands: Any) -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("diagnose", help="show what the simulation gets wrong", description=__doc__, allow_abbrev=False)
+    parser.set_defaults(run=run)
+    parser.add_argument("problem", metavar="PROBLEM", help="a problem file or a built-in name (see `dropo list problems`)")
+    parser.add_argument("--effects", nargs="+", metavar="NAME", help="look for these alone, or EFFECT:PLACE (see `dropo list effects`)")
+    parser.add_argument(
+        "--hide", action="append", default=[], metavar="EFFECT:TARGET=VALUE", help="hide an effect in a built-in problem's simulated data"
+    )
+    parser.add_argument("--steps", type=whole(1), default=5, metavar="N", help="control steps in a window; 5 by default")
+    parser.add_argument("--seed", type=whole(0), default=0, metavar="S", help="0 by default")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write diagnosis.json here, and the extended problem")
+    parser.add_argument("--threads", type=whole(0), default=0, metavar="N", help="0, the default: all cores; results do not depend on it")
+    printing_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Diagnoses, prints and saves; 0."""
+    from dropo.core.errors import BadFile
+    from dropo.diagnosis.diagnose import Diagnose
+
+    if arguments.out is not None and arguments.out.exists() and not arguments.out.is_dir():
+        raise BadFile(arguments.out, "--out", "a folder", "a file")
+    problem = _problem(arguments)
+    progress = Progress(silent=arguments.quiet)
+    try:
+        found = Diagnose(arguments.effects, arguments.steps).run(problem, rng=arguments.seed, progress=progress)
+    finally:
+        progress.close()
+    if arguments.out is not None:
+        from dropo.problems.writer import write_problem
+
+        if found.causes:
+            write_problem(found.problem, arguments.out / "extended")
+        found.save(arguments.out)
+    show(arguments, str(found), found.to_json())
+    return 0
+
+
+def _problem(arguments: argparse.Namespace) -> "Problem":
+    from dropo.problems.hidden import hide
+    from dropo.problems.reader import load
+
+    if not arguments.hide:
+        return load(arguments.problem, threads=arguments.threads)
+    return hide(arguments.problem, arguments.hide, seed=arguments.seed, threads=arguments.threads)

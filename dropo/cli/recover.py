@@ -1,0 +1,41 @@
+"""`dropo recover`: runs a study and prints its tables."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from dropo.cli.fit import terminable
+from dropo.cli.output import Progress, printing_options, show, whole
+
+
+def add(commands: Any) -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("recover", help="run a recovery study", description=__doc__, allow_abbrev=False)
+    parser.set_defaults(run=run)
+    parser.add_argument("study", metavar="STUDY", help="see `dropo list studies`")
+    parser.add_argument("--seeds", type=whole(1), metavar="N", help="data sets or repetitions; each study has a number of its own")
+    parser.add_argument("--published", action="store_true", help="also the method as published, where a study has it: minutes more")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write <study>.md, .json and .svg here; the same command resumes")
+    parser.add_argument("--threads", type=whole(0), default=0, metavar="N", help="0, the default: all cores; results do not depend on it")
+    printing_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Runs the study, prints and saves it; 0, or 1 where it was interrupted."""
+    from dropo.core.errors import DropoError
+    from dropo.studies.recover import recover
+
+    progress = Progress(silent=arguments.quiet)
+    try:
+        with terminable():
+            study = recover(
+                arguments.study, seeds=arguments.seeds, published=arguments.published, out=arguments.out, threads=arguments.threads,
+                progress=progress,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        kept = "Interrupted: the same command goes on from here." if arguments.out else "Interrupted: with --out, a study can be resumed."
+        raise DropoError(kept) from None
+    finally:
+        progress.close()
+    show(arguments, str(study), study.to_json())
+    return 0

@@ -1,0 +1,44 @@
+"""Every effect that a problem's robot may have, but for those that its declared parameters already are."""
+
+import copy
+from collections.abc import Sequence
+
+import numpy as np
+
+from dropo.core.catalogue import find, names
+from dropo.core.checks import known
+from dropo.core.effect import Atom
+from dropo.core.errors import BadArgument, Incompatible
+from dropo.core.problem import Problem
+from dropo.core.simulator import Simulator
+
+
+def atoms_for(problem: Problem, effects: Sequence[str] | None = None) -> list[Atom]:
+    """The atoms of the named effects, of all where None is named. "joint_damping:elbow" names one at one place.
+
+    Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
+    """
+    robot = getattr(problem.simulator, "robot", None)
+    if robot is None:
+        raise Incompatible(f"{type(problem.simulator).__name__} offers no effects. A diagnosis needs a MuJoCo model.")
+    wanted = [text.partition(":") for text in effects] if effects is not None else [(name, "", "") for name in names("effects")]
+    found: list[Atom] = []
+    for name, _, place in wanted:
+        every = list(find("effects", name)(robot))
+        if place:
+            known(f"place for {name}", place, sorted({atom.label.partition(":")[2] for atom in every}))
+            every = [atom for atom in every if atom.label.partition(":")[2] == place]
+        found += [atom for atom in every if not declared(problem.simulator, atom)]
+    if not found:
+        raise BadArgument("No effect is left to look for: all that were named are declared as parameters.")
+    return found
+
+
+def declared(simulator: Simulator, atom: Atom) -> bool:
+    """Whether the atom changes a number of the model that a declared parameter stands for, at that place alone."""
+    bindings = getattr(simulator, "bindings", ())
+    if atom.model is None or atom.target is None or not bindings:
+        return False
+    changed = copy.copy(simulator.model)  # type: ignore[attr-defined]
+    atom.model(changed, np.array(atom.trials[0][0]))
+    return any(not np.array_equal(binding.read(changed), binding.read(simulator.model)) for binding in bindings)  # type: ignore[attr-defined]

@@ -1,0 +1,105 @@
+"""Windows with a noisy start state, integrated out: whitened residuals, their likelihood, and the noise by expectation-maximisation.
+
+A window's residual (n,) is r = B z + e, with e ~ N(0, diag(sigma^2)) in every step and latent z ~ N(0, diag(scale^2)): the
+error of the measured start, and where wanted unexplained forces. With the loadings A = diag(1 / sigma) B diag(scale), the
+covariance is diag(sigma) (I + A A') diag(sigma).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import gammaln
+
+from dropo.core.checks import Array
+
+DEGREES = 8.0  # of freedom of the Student t that keeps windows across an impact from ruling
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """loadings: B (W, n, m); scale: (m,) standard deviations of the latent numbers; sigma: (p,) of the signals, p divides n."""
+
+    loadings: Array
+    scale: Array
+    sigma: Array
+
+    @cached_property
+    def rows(self) -> Array:
+        """(n,) the standard deviation of each entry of a window."""
+        return np.tile(self.sigma, self.loadings.shape[1] // len(self.sigma))
+
+    @cached_property
+    def scaled(self) -> Array:
+        """A (W, n, m)."""
+        return self.loadings * self.scale / self.rows[:, None]
+
+    @cached_property
+    def inner(self) -> Array:
+        """(I + A' A)^-1 (W, m, m): the covariance of z / scale given the window."""
+        m = self.scaled.shape[2]
+        return np.asarray(np.linalg.inv(np.eye(m) + self.scaled.swapaxes(1, 2) @ self.scaled), dtype=float)
+
+    @cached_property
+    def log_root(self) -> Array:
+        """(W,) half the logarithm of the covariance's determinant."""
+        return np.asarray(np.log(self.rows).sum() - 0.5 * np.linalg.slogdet(self.inner)[1], dtype=float)
+
+    def latent(self, residuals: Array) -> Array:
+        """The mean of z / scale given residuals (..., W, n): (..., W, m)."""
+        return np.einsum("wij,wnj,...wn->...wi", self.inner, self.scaled, residuals / self.rows, optimize=True)
+
+    def __call__(self, residuals: Array) -> Array:
+        """Whitened residuals (..., W, n + m) of (..., W, n), with the Mahalanobis length of the originals."""
+        z = self.latent(residuals)
+        left = residuals / self.rows - np.einsum("wnj,...wj->...wn", self.scaled, z, optimize=True)
+        return np.concatenate([left, z], axis=-1)
+
+    def distances(self, residuals: Array) -> Array:
+        """Squared Mahalanobis lengths (..., W)."""
+        return (self(residuals) ** 2).sum(axis=-1)
+
+    def log_likelihood(self, residuals: Array) -> Array:
+        """(..., W) log densities of residuals (..., W, n) by the multivariate t with the covariance as its scale matrix [nats]."""
+        n = residuals.shape[-1]
+        constant = gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
+        return constant - 0.5 * (DEGREES + n) * np.log1p(self.distances(residuals) / DEGREES) - self.log_root
+
+    def weights(self, residuals: Array) -> Array:
+        """(W,) how much each window counts: (nu + n) / (nu + d^2)."""
+        n = residuals.shape[-1]
+        return np.asarray((DEGREES + n) / (DEGREES + self.distances(residuals)))
+
+    def moments(self, residuals: Array) -> tuple[Array, Array]:
+        """Expected squares given residuals (W, n), weighted and summed over windows and steps: of e by signal (p,), of z (m,)."""
+        w, p = self.weights(residuals), len(self.sigma)
+        z = self.latent(residuals)
+        error = residuals / self.rows - np.einsum("wnj,wj->wn", self.scaled, z)
+        spread = np.einsum("wni,wij,wnj->wn", self.scaled, self.inner, self.scaled, optimize=True)
+        errors = (w[:, None] * error**2 + spread).sum(axis=0) * self.rows**2
+        latents = ((w[:, None] * z**2) + np.einsum("wii->wi", self.inner)).sum(axis=0) * self.scale**2
+        return errors.reshape(-1, p).sum(axis=0), latents
+
+
+def learn_noise(
+    loadings: Array, residuals: Array, sigma: Array, floor: Array, forces: Array | None = None, *, rounds: int = 60, tolerance: float = 1e-3
+) -> tuple[Array, Array]:
+    """sigma (p,), tied between the start and all steps, and the sd of unexplained forces (nv,), by over-relaxed EM.
+
+    loadings: (W, n, p + k), the first p columns the start's; forces: (nv,) first guesses, where the last k = L nv columns are
+    impulses, nv of each step in turn. floor: (p,) the least sigma.
+    """
+    p, steps = len(sigma), residuals.shape[1] // len(sigma)
+    forces = np.zeros(0) if forces is None else forces
+    for _ in range(rounds):
+        scale = np.concatenate([sigma, np.tile(forces, steps)])
+        errors, latents = Whitener(loadings, scale, sigma).moments(residuals)
+        count = len(residuals) * (steps + 1)
+        ratio = np.sqrt((errors + latents[:p]) / count) / sigma
+        new = np.maximum(sigma * ratio**1.5, floor)
+        pushed = np.sqrt(latents[p:].reshape(steps, -1).sum(axis=0) / (len(residuals) * steps)) if len(forces) else forces
+        moved = np.max(np.abs(np.log(np.concatenate([new, pushed]) / np.concatenate([sigma, forces]))))
+        sigma, forces = new, forces * (pushed / forces) ** 1.5 if len(forces) else forces
+        if moved < tolerance:
+            break
+    return sigma, forces

@@ -1,0 +1,92 @@
+"""Windows of several steps, every step compared, and how they are split into those that a fit sees and those that judge it."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from dropo.core.checks import Array, require
+from dropo.core.data import Ints, Segments, Trajectories
+from dropo.core.errors import BadArgument
+from dropo.core.problem import Problem
+from dropo.core.simulator import Simulator
+
+BLOCKS = 24  # blocks of time where there are too few trajectories to split
+FEWEST = 8  # windows on each side, below which nothing can be confirmed
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """W windows of L steps: what was measured (W, L p), and the trajectory or block of time (W,) that each belongs to."""
+
+    segments: Segments
+    measured: Array
+    block: Ints
+    length: int
+
+    def __len__(self) -> int:
+        return len(self.block)
+
+    def take(self, index: Ints) -> "Windows":
+        """Some of the windows."""
+        return Windows(self.segments.take(index), self.measured[index], self.block[index], self.length)
+
+    @property
+    def steps(self) -> int:
+        """Control steps in all windows."""
+        return len(self) * self.length
+
+
+def split(problem: Problem, length: int, most: int) -> tuple[Windows, Windows]:
+    """Windows to fit and windows held out, about `most` of each, evenly spread.
+
+    Held out are the problem's own held-out trajectories where it has such, else every other trajectory, else every other
+    block of time of the few there are. Windows have a step between them, so that no measurement is used twice.
+    """
+    data = problem.trajectories
+    if problem.held_out is not None:
+        sides = [_cut(data, length, _blocks(data)), _cut(problem.held_out, length, _blocks(problem.held_out))]
+    else:
+        blocks = _blocks(data)
+        whole = _cut(data, length, blocks)
+        even = whole[1] % 2 == 0
+        sides = [(whole[0][even], whole[1][even]), (whole[0][~even], whole[1][~even])]
+    datas = [data, data if problem.held_out is None else problem.held_out]
+    for name, (steps, _) in zip(("fit", "hold out"), sides, strict=True):
+        if len(steps) < FEWEST:
+            raise BadArgument(
+                f"A diagnosis needs at least {FEWEST} windows of {length} steps to {name}. Got {len(steps)} from {len(data)} transitions in"
+                f" {len(data.spans)} trajectories. Give more data, about {4 * FEWEST * (length + 1)} transitions, or shorter windows."
+            )
+    first, second = (_windows(problem.simulator, d, *side, length, most) for d, side in zip(datas, sides, strict=True))
+    return first, second
+
+
+def _blocks(data: Trajectories) -> Ints:
+    """(N,) what is held out together: trajectories, or blocks of time within them where there are fewer than four."""
+    if len(data.spans) >= 4:
+        return data.trajectory
+    out = np.empty(len(data), dtype=np.int64)
+    each, first = BLOCKS // len(data.spans), 0
+    for start, stop in data.spans:
+        out[start:stop] = first + np.arange(stop - start) * each // (stop - start)
+        first += each
+    return out
+
+
+def _cut(data: Trajectories, length: int, blocks: Ints) -> tuple[Ints, Ints]:
+    """Rows (W, L) of windows with a step between them, none across the end of a trajectory or block; and their blocks (W,)."""
+    require(length >= 1, "length", "at least 1 step", length, "windows")
+    edges = np.flatnonzero(np.diff(blocks) != 0) + 1
+    ends = sorted({0, len(data), *edges.tolist(), *(stop for _, stop in data.spans)})
+    firsts = [np.arange(a, b - length + 1, length + 1) for a, b in pairwise(ends)]
+    begin = np.concatenate(firsts).astype(np.int64)
+    return begin[:, None] + np.arange(length), blocks[begin]
+
+
+def _windows(simulator: Simulator, data: Trajectories, steps: Ints, block: Ints, length: int, most: int) -> Windows:
+    stride = max(1, len(steps) // most)
+    steps, block = steps[::stride], block[::stride]
+    nothing_before = np.full(len(steps), -1, dtype=np.int64)
+    segments = Segments(data, steps, nothing_before, np.ones(data.observations.shape[1], dtype=bool), every_step=True)
+    return Windows(segments, simulator.targets(segments).reshape(len(steps), -1), block, length)

@@ -1,0 +1,24 @@
+"""A constant force on a body."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dropo.core.checks import Array
+from dropo.core.effect import Atom, Quantity, Robot
+from dropo.effects.places import bodies
+
+
+def external_force(robot: Robot) -> Iterator[Atom]:
+    """A constant force at a body's centre of mass, along one of the world's axes."""
+    weight = float(robot.model.body_mass.sum() * max(np.linalg.norm(robot.model.opt.gravity), 1.0))
+    for body, name in bodies(robot.model):
+        for axis, letter in enumerate("xyz"):
+
+            def wrench(sizes: Array, body: int = body, axis: int = axis) -> tuple[int, Array]:
+                push = np.zeros(6)
+                push[axis] = sizes[0]
+                return body, push
+
+            probes = tuple(share * weight for share in (-0.02, -0.002, 0.002, 0.02))
+            yield Atom("external_force", name, (Quantity(letter, "N", -weight, weight, probes),), letter, wrench=wrench)

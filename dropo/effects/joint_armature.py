@@ -1,0 +1,16 @@
+"""Reflected inertia."""
+
+from collections.abc import Iterator
+
+from dropo.core.effect import Atom, Robot
+from dropo.effects.fields import Entry, Field, by_kind
+from dropo.effects.places import joints
+
+FIELD = Field("joint_armature", "dof_armature", "armature")
+
+
+def joint_armature(robot: Robot) -> Iterator[Atom]:
+    """The reflected inertia of a joint's rotor and gear, or of all of them alike."""
+    for kind, same in by_kind(joints(robot.model)):
+        entries = [Entry(joint.name, (joint.velocity,), 0.1 * float(robot.model.dof_M0[joint.velocity])) for joint in same]
+        yield from FIELD.atoms(robot.model, entries, same[0].inertia, kind)

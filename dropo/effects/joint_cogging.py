@@ -1,0 +1,29 @@
+"""Torque that repeats with the angle."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dropo.core.checks import Array
+from dropo.core.effect import Atom, Moment, Quantity, Robot
+from dropo.effects.places import Joint, actuators, torque_scale
+
+PERIODS = (6, 7, 8, 10, 12, 14, 16, 18, 20, 21, 24, 28, 30, 36, 42, 48)  # cogs a turn
+
+
+def joint_cogging(robot: Robot) -> Iterator[Atom]:
+    """Torque a sin(n q) + b cos(n q) of a driven hinge, for each of some numbers n of cogs a turn; the variant names n."""
+    driven = {actuator.joint.id: actuator.joint for actuator in actuators(robot.model) if actuator.joint is not None}
+    for joint in driven.values():
+        if joint.length != "rad":
+            continue
+        scale = torque_scale(robot.model, joint)
+        for cogs in PERIODS:
+
+            def force(moment: Moment, sizes: Array, joint: Joint = joint, cogs: int = cogs) -> Array:
+                out, angle = np.zeros_like(moment.qvel), cogs * moment.qpos[:, joint.position]
+                out[:, joint.velocity] = sizes[0] * np.sin(angle) + sizes[1] * np.cos(angle)
+                return out
+
+            parts = tuple(Quantity(name, joint.force, -scale, scale, (0.01 * scale,)) for name in ("sine", "cosine"))
+            yield Atom("joint_cogging", joint.name, parts, f"{cogs}-a-turn", force=force)

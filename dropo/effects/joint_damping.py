@@ -1,0 +1,16 @@
+"""Viscous damping."""
+
+from collections.abc import Iterator
+
+from dropo.core.effect import Atom, Robot
+from dropo.effects.fields import Entry, Field, by_kind
+from dropo.effects.places import joints
+
+FIELD = Field("joint_damping", "dof_damping", "damping")
+
+
+def joint_damping(robot: Robot) -> Iterator[Atom]:
+    """Viscous damping of a joint, or of all of them alike."""
+    for kind, same in by_kind(joints(robot.model)):
+        entries = [Entry(joint.name, (joint.velocity,), 0.5 * float(robot.model.dof_M0[joint.velocity])) for joint in same]
+        yield from FIELD.atoms(robot.model, entries, same[0].damping, kind)

@@ -1,0 +1,16 @@
+"""Coulomb friction."""
+
+from collections.abc import Iterator
+
+from dropo.core.effect import Atom, Robot
+from dropo.effects.fields import Entry, Field, by_kind
+from dropo.effects.places import joints, torque_scale
+
+FIELD = Field("joint_friction", "dof_frictionloss", "frictionloss", reach=50.0)
+
+
+def joint_friction(robot: Robot) -> Iterator[Atom]:
+    """Coulomb (dry) friction of a joint, or of all of them alike."""
+    for kind, same in by_kind(joints(robot.model)):
+        entries = [Entry(joint.name, (joint.velocity,), 0.01 * torque_scale(robot.model, joint)) for joint in same]
+        yield from FIELD.atoms(robot.model, entries, same[0].force, kind)

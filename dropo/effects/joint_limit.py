@@ -1,0 +1,23 @@
+"""Where a joint's stops are."""
+
+from collections.abc import Iterator
+
+from dropo.core.effect import Atom, Quantity, Robot
+from dropo.effects.fields import Entry, Field
+from dropo.effects.places import joints
+
+FIELD = Field("joint_limit", "jnt_range", "stop")
+
+
+def joint_limit(robot: Robot) -> Iterator[Atom]:
+    """The position of a joint's lower or upper stop."""
+    for joint in joints(robot.model):
+        if not robot.model.jnt_limited[joint.id]:
+            continue
+        width = float(robot.model.jnt_range[joint.id, 1] - robot.model.jnt_range[joint.id, 0])
+        for side, name in enumerate(("lower", "upper")):
+            probes = tuple(share * width for share in (-0.05, -0.005, 0.005, 0.05))
+            base = float(robot.model.jnt_range[joint.id, side])
+            shift = Quantity(name, joint.length, -0.5 * width, 0.5 * width, probes, smooth=False, base=base)
+            change = FIELD.change([Entry(joint.name, (joint.id, side), width)])
+            yield Atom("joint_limit", joint.name, (shift,), name, model=change)

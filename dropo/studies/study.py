@@ -1,0 +1,76 @@
+"""What a study finds: tables to read, the same numbers for machines, remarks, and a picture.
+
+A study is a function `study(work, seeds=None) -> Study`, in the catalogue under "studies". It gives its tasks to
+`work.map(task, items)`, which spreads them over cores and keeps finished ones on disk; `seeds` is how many data sets (or
+repetitions) it takes, None for its own choice.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from dropo.core.table import text_table
+from dropo.studies.work import Work
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as they are printed; rows as long as the header."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __str__(self) -> str:
+        return f"{self.title}\n{text_table(list(self.header), [list(row) for row in self.rows])}"
+
+
+@dataclass(frozen=True)
+class Study:
+    """A finished study.
+
+    name: as in the catalogue; title: a line that says what was done, and how often; remarks: sentences that follow from the
+    numbers; data: every number unrounded, by names (dicts, lists, numbers and strings; NaN becomes null); draw:
+    draw(figure) on a matplotlib Figure, or None.
+    """
+
+    name: str
+    title: str
+    tables: tuple[Table, ...]
+    remarks: tuple[str, ...] = ()
+    data: dict[str, Any] = field(default_factory=dict)
+    draw: Callable[[Any], None] | None = None
+
+    def __str__(self) -> str:
+        return "\n\n".join(
+            [self.title, *map(str, self.tables), *(["\n".join(f"- {text}" for text in self.remarks)] if self.remarks else [])]
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The study for machines: name, title, remarks and data."""
+        from dropo import __version__
+
+        return {"study": self.name, "version": __version__, "title": self.title, "remarks": list(self.remarks), "data": _plain(self.data)}
+
+
+class StudyFunction(Protocol):
+    """A study: a function of what runs its tasks, and of how many data sets to take (None: its own choice)."""
+
+    def __call__(self, work: Work, seeds: int | None = None) -> Study: ...
+
+
+def _plain(value: Any) -> Any:
+    """For JSON: arrays as lists, numbers that are not finite as null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value

@@ -1,0 +1,11 @@
+"""Table 6.3."""
+
+from dropo.studies.distribution_recovery import recovered
+from dropo.studies.hopper_sets import FULL, Size
+from dropo.studies.study import Study
+from dropo.studies.work import Work
+
+
+def table_6_3(work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL) -> Study:
+    """The spread of three masses recovered from 1000 transitions, without and with noise (thesis, table 6.3)."""
+    return recovered("table-6.3", "6.3", work, seeds, published, size)

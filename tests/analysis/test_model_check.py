@@ -1,0 +1,88 @@
+"""The model check: silent where the model is right, loud where friction is missing, and it names what the residuals follow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from dropo.core.problem import Problem
+from dropo.estimators.dropo import DROPO
+from dropo.estimators.least_squares import LeastSquares
+from dropo.simulators.toy import LinearSimulator, simulate
+from dropo.studies.coverage import FEW, MANY, data_set
+from tests.reference.pushes import pushes
+
+SETS = 15
+
+
+def fitted(noise, seed, size=MANY, estimator=None, **settings):
+    problem, truth = data_set("block", noise, *size, np.random.default_rng([7, seed]))
+    return (estimator or LeastSquares()).fit(replace(problem, **settings)), truth
+
+
+def test_limits_are_those_of_chance():
+    """At 2 % false alarms, 3 of 15 come in 1 of 300 cases; at 95 % detection, 11 of 15 or fewer in 1 of 180."""
+    assert stats.binom.sf(2, SETS, 0.02) < 1 / 300
+    assert stats.binom.cdf(11, SETS, 0.95) < 1 / 180
+
+
+@pytest.mark.parametrize("noise", ["independent", "autocorrelated"])
+@pytest.mark.parametrize("size", [MANY, FEW])
+def test_a_right_model_is_not_accused(noise, size):
+    """Fewer than 3 of 15 data sets, with many short trajectories and with two long ones."""
+    assert sum(not fitted(noise, seed, size)[0].trusted for seed in range(SETS)) < 3
+
+
+def test_start_noise_that_is_modelled_is_not_accused():
+    """Fewer than 2 of 5."""
+    estimator = DROPO(family="point", epsilon="learn")
+    assert sum(not fitted("start", seed, estimator=estimator)[0].trusted for seed in range(5)) < 2
+
+
+def test_draws_that_differ_between_groups_are_not_accused():
+    """Mass and damping that differ from push to push are no missing physics: what a draw for each group explains is left out."""
+    assert sum(not LeastSquares().fit(pushes(seed)).trusted for seed in range(SETS)) < 3
+
+
+@pytest.mark.parametrize("size", [MANY, FEW])
+def test_missing_friction_is_told(size):
+    """In more than 11 of 15 data sets; the sentence names velocity and its sign, and the intervals are not shown as if they held."""
+    fits = [fitted("dry friction", seed, size)[0] for seed in range(SETS)]
+    assert sum(not fit.trusted for fit in fits) > 11
+    named = [w for fit in fits for w in fit.warnings if w.startswith("the model is wrong: residuals of velocity follow sign(velocity) (z ")]
+    assert len(named) > 7
+    assert "(95 % if the model were right)" in str(fits[0])
+    assert fits[0].to_json()["model_check"]["passed"] is False
+
+
+def test_epsilon_that_is_too_small_is_told():
+    """Half the true standard deviation: residuals twice as large as the fit allows; at the true one nothing is said."""
+    estimator = lambda variance: DROPO(family="point", epsilon=variance)
+    right, wrong = (fitted("independent", 0, estimator=estimator(v))[0] for v in (2.5e-5, 2.5e-5 / 4))
+    assert right.trusted
+    assert right.details["model_check"]["size"]["mean_square"] == pytest.approx(1, abs=4.5 * np.sqrt(1 / 1000))
+    assert wrong.details["model_check"]["size"]["mean_square"] == pytest.approx(4, abs=4 * 4.5 * np.sqrt(1 / 1000))
+    assert any(text.startswith("the model is wrong or epsilon too small: residuals are ") for text in wrong.warnings)
+
+
+def test_noise_far_above_the_stated_one_is_told():
+    """Stated at a fifth of what it is; at half of it, within the allowance of 3.5, nothing is said."""
+    loud, fine = (fitted("independent", 0, epsilon=2.5e-5 / factor**2)[0] for factor in (5, 2))
+    assert any("times the stated noise" in text for text in loud.warnings)
+    assert fine.trusted
+
+
+def test_signals_that_do_not_move_and_single_trajectories():
+    """A signal of zero variance beside another one, and one trajectory of 30 rows: no alarm, no failure."""
+    rng = np.random.default_rng(0)
+    simulator = LinearSimulator(np.array([[[1.0], [0.0]]]))
+    data = simulate(simulator, np.ones((1, 1)), rng.normal(size=(1, 30, 1)), np.zeros(2), noise_variance=np.array([0.01, 0.0]), rng=rng)
+    fit = LeastSquares().fit(Problem("half blind", simulator, data))
+    assert fit.trusted
+    assert "y1 does not move" in fit.details["identifiability"]
+
+
+def test_perfect_data_are_no_evidence():
+    """Without noise the residuals are rounding, and their structure says nothing."""
+    assert LeastSquares().fit(pushes(0, sd=0.0, noise=0.0, count=5)).trusted

@@ -1,0 +1,68 @@
+"""Simulation-based calibration, on posteriors that are right and on ones that are not."""
+
+import numpy as np
+import pytest
+
+from dropo.core.errors import BadArgument
+from dropo.core.noise import Noise
+from dropo.core.problem import Problem
+from dropo.estimators.posterior_targets import PointLikelihood
+from dropo.optimizers.emcee import Emcee
+from dropo.simulators.toy import LinearSimulator, simulate
+from dropo.studies.calibration import SAMPLERS, calibration, ranks, replication, uniformity
+from dropo.studies.work import Work
+
+
+def test_ranks_by_hand():
+    """Three of nine draws lie below 3.5, all below 20, none below -1."""
+    draws = np.tile(np.arange(1.0, 10.0)[:, None], (1, 3))
+    assert ranks(draws, np.array([3.5, 20.0, -1.0]), levels=9).tolist() == [3, 9, 0]
+    with pytest.raises(BadArgument, match="'draws' of ranks must be at least 99"):
+        ranks(draws, np.zeros(3))
+
+
+def test_uniformity_by_hand():
+    """Ten ranks in each of ten bins have a chi-square of 0, p = 1; all hundred in one bin p = 0."""
+    even = np.arange(100)[:, None]
+    p = uniformity(np.concatenate([even, np.full((100, 1), 55)], axis=1))
+    assert p[0] == 1.0
+    assert p[1] < 1e-100
+    with pytest.raises(BadArgument, match="'bins' of uniformity must be a divisor of 100"):
+        uniformity(even, bins=7)
+
+
+def test_a_conjugate_posterior_is_calibrated_and_a_narrower_one_is_not():
+    """150 truths of a linear simulator, each with its posterior by emcee: p > 0.01, and below it 1.5 times too narrow."""
+    simulator, noise, found, narrow = LinearSimulator(np.ones((1, 1, 1)), low=-1.0, high=1.0), 0.5, [], []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        truth = rng.uniform(-1, 1, 1)
+        problem = Problem(
+            "line", simulator, simulate(simulator, truth[None], np.ones((1, 5, 1)), np.zeros(1), noise_variance=noise, rng=rng)
+        )
+        target = PointLikelihood(problem, Noise(noise))
+        draws = Emcee(walkers=16, steps=40, burn_in=30).sample(target.many, target.unknowns, rng=rng, spread=0.2).flat()
+        found.append(ranks(draws, truth))
+        narrow.append(ranks(draws.mean(axis=0) + (draws - draws.mean(axis=0)) / 1.5, truth))
+    assert uniformity(np.array(found))[0] > 0.01
+    assert uniformity(np.array(narrow))[0] < 0.01
+
+
+def test_a_replication_ranks_every_parameter():
+    answer = replication(["sliding block", "emcee", 3])
+    assert len(answer["ranks"]) == len(answer["control"]) == 2
+    assert all(0 <= rank <= 99 for rank in answer["ranks"])
+    assert answer["ranks"] == replication(["sliding block", "emcee", 3])["ranks"]
+    with pytest.raises(BadArgument, match="'seeds' of calibration must be at least 50"):
+        calibration(Work(), 10)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("case", ["sliding block", "hopper"])
+def test_posteriors_are_calibrated(case, sampler):
+    """100 replications: the least p-value of d parameters is above 0.01 / d, and below it where posteriors are 1.5 times too narrow."""
+    answers = Work().map(replication, [[case, sampler, seed] for seed in range(100)])
+    p, control = (uniformity(np.array([answer[kind] for answer in answers])) for kind in ("ranks", "control"))
+    assert len(p) * p.min() > 0.01
+    assert len(control) * control.min() < 0.01

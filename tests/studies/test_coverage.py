@@ -1,0 +1,57 @@
+"""The coverage study in small: its table, and the friction that it simulates."""
+
+import numpy as np
+import pytest
+
+from dropo.core.errors import BadArgument
+from dropo.simulators.toy import SlidingBlock
+from dropo.studies.coverage import CASES, DRY, MANY, DryBlock, autocorrelated, coverage, data_set
+from dropo.studies.work import Work
+
+
+def test_intervals_cover_and_missing_friction_is_told():
+    """20 data sets of each: with a right model at least 32 of 40 intervals hold the truth (1 in 10^6 falls below); without the
+    friction no damping's does, and the fit says so in at least 15."""
+    cases = (CASES[0], CASES[3], CASES[10])
+    study = coverage(Work(), 20, cases=cases)
+    independent, autocorrelated, dry = study.data.values()
+    for found in (independent, autocorrelated):
+        assert np.sum(20 * found["coverage"]) >= 32
+        assert found["flagged"] <= 0.1
+    assert dry["coverage"][1] < 0.2
+    assert dry["flagged"] >= 0.75
+    assert [row[0] for row in study.tables[0].rows] == ["block, independent", "block, autocorrelated", "block, dry friction"]
+
+
+def test_friction_stops_and_holds_the_block():
+    """A block at rest stays under less than the friction; a sliding one stops; far above it, it slides as under a weaker push."""
+    values, starts = np.array([1.5, 0.8]), np.array([[0.0, 0.0], [0.0, 0.005], [0.0, 3.0]])
+    actions = np.array([[[0.9 * DRY]], [[0.0]], [[2.0]]])
+    after = DryBlock()._replay(values, starts, actions)[:, 0]
+    assert after[0].tolist() == [0.0, 0.0]
+    assert after[1, 1] == 0.0
+    assert 0 < after[1, 0] < 0.005 * 0.05
+    np.testing.assert_allclose(after[2], SlidingBlock()._replay(values, starts[2:], actions[2:] - DRY)[0, 0], rtol=1e-12)
+
+
+def test_autocorrelated_noise_is_so():
+    """Of variance NOISE^2 and correlation 0.9 from step to step, within 4.5 standard errors."""
+    errors = autocorrelated((2000, 30, 1), np.random.default_rng(0))[:, :, 0] / 5e-3
+    assert np.var(errors[:, -1]) == pytest.approx(1, abs=4.5 * np.sqrt(2 / 2000))
+    assert np.corrcoef(errors[:, -1], errors[:, -2])[0, 1] == pytest.approx(0.9, abs=4.5 * 0.19 / np.sqrt(2000))
+
+
+def test_start_noise_is_that_of_the_step_before():
+    """The measured end of a step is the measured start of the next one."""
+    problem, _ = data_set("block", "start", *MANY, np.random.default_rng(0))
+    data = problem.trajectories
+    inner = np.flatnonzero(~data.terminals)
+    np.testing.assert_array_equal(data.next_observations[inner], data.observations[inner + 1])
+    assert problem.start_noise
+
+
+def test_refusals():
+    with pytest.raises(BadArgument, match="'seeds' of coverage must be at least 2"):
+        coverage(Work(), 1)
+    with pytest.raises(BadArgument, match="'noise' of data_set must be one of"):
+        data_set("block", "pink", *MANY, np.random.default_rng(0))

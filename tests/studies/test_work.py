@@ -1,0 +1,96 @@
+"""Tasks: the same answers on any executor, finished ones kept, unfinished ones made."""
+
+import json
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from dropo.estimators.dropo import DROPO
+from dropo.estimators.least_squares import LeastSquares
+from dropo.problems.slide import slide
+from dropo.studies.work import Work
+
+CALLS: list[int] = []
+
+
+def square(item):
+    """A task that counts its calls, and fails for 13."""
+    CALLS.append(item)
+    if item == 13:
+        raise ValueError("thirteen")
+    return {"square": item**2, "tenth": item / 10, "nothing": float("nan")}
+
+
+def fit_slide(seed):
+    """A whole fit."""
+    fit = DROPO().fit(slide(), rng=seed)
+    return {"phi": fit.phi.tolist(), "se": fit.mean_se.tolist(), "log_likelihood": fit.log_likelihood}
+
+
+def point_of_slide(seed):
+    """A quicker fit."""
+    fit = LeastSquares().fit(slide(), rng=seed)
+    return {"mean": fit.mean.tolist(), "se": fit.mean_se.tolist()}
+
+
+@pytest.fixture(autouse=True)
+def _no_calls():
+    CALLS.clear()
+
+
+def test_in_order_and_with_progress():
+    """Answers come in the order of the items, whichever finished first; progress ends at 1."""
+    shares = []
+    work = Work(threads=3, progress=lambda share, text: shares.append((share, text)))
+    found = work.map(square, range(10))
+    assert [row["square"] for row in found] == [i**2 for i in range(10)]
+    assert np.isnan(found[0]["nothing"])
+    assert shares[-1] == (1.0, "square, 10 of 10")
+
+
+def test_what_is_finished_is_not_done_again(tmp_path):
+    """A study that failed, or was killed in the middle of a line, goes on with what is missing alone."""
+    path = tmp_path / "kept.jsonl"
+    with pytest.raises(ValueError, match="thirteen"):
+        Work(threads=1, path=path).map(square, [1, 2, 13])
+    kept = [json.loads(line)[0] for line in path.read_text().splitlines()]
+    assert len(kept) == 2
+    path.write_text(path.read_text() + '["half a li')
+    CALLS.clear()
+    again = Work(threads=1, path=path).map(square, [1, 2, 3])
+    assert CALLS == [3]
+    fresh = Work().map(square, [1, 2, 3])
+    assert json.dumps(again) == json.dumps(fresh)
+    assert len(path.read_text().splitlines()) == 3
+
+
+def test_an_own_executor_does_the_work():
+    """The tasks run on the executor that is given, and it stays open."""
+    with ThreadPoolExecutor(1, thread_name_prefix="mine") as pool:
+        assert Work(pool).map(square, [3])[0]["square"] == 9
+        assert pool.submit(square, 2).result()["square"] == 4
+
+
+def test_the_same_numbers_on_threads_and_processes():
+    """Fits on threads, and on spawned processes, bit for bit; the control: seeds differ."""
+    on_threads = Work(threads=2).map(fit_slide, [0, 1])
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        assert Work(pool).map(fit_slide, [0, 1]) == on_threads
+    assert on_threads[0] != on_threads[1]
+
+
+def test_the_same_numbers_on_a_dask_cluster():
+    """Two workers of a local cluster: a study's tasks, and a fit whose simulations go there."""
+    distributed = pytest.importorskip("distributed")
+    alone = LeastSquares().fit(slide(), rng=0)
+    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
+        executor = client.get_executor()
+        tasks = Work(executor).map(point_of_slide, [0, 1])
+        spread = LeastSquares().fit(slide().using(executor=executor), rng=0)
+    assert tasks == Work(threads=1).map(point_of_slide, [0, 1])
+    assert tasks[0] == {"mean": alone.mean.tolist(), "se": alone.mean_se.tolist()}
+    np.testing.assert_array_equal(alone.mean, spread.mean)
+    np.testing.assert_array_equal(alone.mean_se, spread.mean_se)
