@@ -1,19 +1,26 @@
-"""Makes robot simulators honest: fits the distribution of a simulator's parameters to measured motion."""
+"""Makes robot simulators honest: fits the distribution of their parameters to measured motion, and names what they get wrong."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dropo.analysis.bootstrap import bootstrap
+    from dropo.analysis.identifiability import identify
+    from dropo.analysis.next_data import rank_next
+    from dropo.analysis.profile import profile
     from dropo.core.data import Segments, Signal, Trajectories
     from dropo.core.fit import Fit, Status
     from dropo.core.parameters import Parameter, ParameterSpace
     from dropo.core.problem import Problem
     from dropo.core.recipe import fit
     from dropo.data.reader import read
+    from dropo.diagnosis.diagnose import Diagnose, diagnose
+    from dropo.diagnosis.result import Diagnosis
     from dropo.estimators.droid import DROID
     from dropo.estimators.dropo import DROPO
     from dropo.estimators.least_squares import LeastSquares
     from dropo.estimators.posterior import Posterior
+    from dropo.estimators.random_effects import RandomEffects
     from dropo.estimators.uniform_randomization import UniformRandomization
     from dropo.problems.reader import load
     from dropo.simulators.fields import FieldParameter
@@ -26,6 +33,8 @@ __version__ = "0.1.0"
 _HOME = {
     "DROID": "dropo.estimators.droid",
     "DROPO": "dropo.estimators.dropo",
+    "Diagnose": "dropo.diagnosis.diagnose",
+    "Diagnosis": "dropo.diagnosis.result",
     "EnvSimulator": "dropo.simulators.general",
     "FieldParameter": "dropo.simulators.fields",
     "Fit": "dropo.core.fit",
@@ -37,20 +46,27 @@ _HOME = {
     "ParameterSpace": "dropo.core.parameters",
     "Posterior": "dropo.estimators.posterior",
     "Problem": "dropo.core.problem",
+    "RandomEffects": "dropo.estimators.random_effects",
     "Segments": "dropo.core.data",
     "Signal": "dropo.core.data",
     "Status": "dropo.core.fit",
     "Trajectories": "dropo.core.data",
     "UniformRandomization": "dropo.estimators.uniform_randomization",
+    "bootstrap": "dropo.analysis.bootstrap",
+    "diagnose": "dropo.diagnosis.diagnose",
     "fit": "dropo.core.recipe",
+    "identify": "dropo.analysis.identifiability",
     "load": "dropo.problems.reader",
+    "profile": "dropo.analysis.profile",
+    "rank_next": "dropo.analysis.next_data",
     "read": "dropo.data.reader",
 }
 
 __all__ = [
-    "DROID", "DROPO", "EnvSimulator", "FieldParameter", "Fit", "FunctionSimulator", "GymnasiumSimulator", "LeastSquares",
-    "MujocoSimulator", "Parameter", "ParameterSpace", "Posterior", "Problem", "Segments", "Signal", "Status", "Trajectories",
-    "UniformRandomization", "fit", "load", "read",
+    "DROID", "DROPO", "Diagnose", "Diagnosis", "EnvSimulator", "FieldParameter", "Fit", "FunctionSimulator", "GymnasiumSimulator",
+    "LeastSquares", "MujocoSimulator", "Parameter", "ParameterSpace", "Posterior", "Problem", "RandomEffects", "Segments", "Signal",
+    "Status", "Trajectories", "UniformRandomization", "bootstrap", "diagnose", "fit", "identify", "load", "profile", "rank_next",
+    "read",
 ]  # fmt: skip
 
 

@@ -26,7 +26,7 @@ MAY_IMPORT = {
     "problems": {"core", "simulators", "data"},
     "studies": {"core", "data", "distributions", "estimators", "likelihoods", "problems", "simulators", "analysis", ""},
     "cli": {"core", "data", "diagnosis", "estimators", "problems", "studies", ""},
-    "": {"cli", "core", "data", "diagnosis", "estimators", "problems", "simulators"},
+    "": {"analysis", "cli", "core", "data", "diagnosis", "estimators", "problems", "simulators"},
 }  # fmt: skip
 HEAVY = {"torch", "pyro", "arviz", "matplotlib", "cma", "nlopt", "emcee", "pooch", "gymnasium", "minari"}
 UNAVOIDABLE = {"simulators/gymnasium.py": {"gymnasium"}}  # it does nothing without; imported where one is asked for

@@ -25,16 +25,14 @@ def run(arguments: argparse.Namespace) -> int:
     entries = sentences(known("kind", arguments.kind, KINDS))
     width = max(map(len, entries), default=0)
     lines = [f"{name:<{width}}  {sentence}" for name, sentence in entries.items()]
-    show(arguments, "\n".join(lines) or f"There are no {arguments.kind} yet.", entries)
+    show(arguments, "\n".join(lines), entries)
     return 0
 
 
 def sentences(kind: str) -> dict[str, str]:
     """Every name of a kind, with the first sentence of its docstring; the plug-ins are imported for it."""
-    from dropo.core.catalogue import find, kinds, names
+    from dropo.core.catalogue import find, names
 
-    if kind not in kinds():
-        return {}
     return {name: _sentence(kind, name, find) for name in names(kind)}
 
 

@@ -18,7 +18,7 @@ _EFFECTS = (
     "joint_limit", "actuator_gain", "actuator_bias", "actuator_delay", "actuator_lag",
     "actuator_coupling", "actuator_torque_speed", "actuator_saturation", "actuator_deadband", "gravity_tilt",
     "external_force", "air_drag", "wind", "contact_friction", "contact_stiffness",
-    "sensor_bias", "sensor_gain", "sensor_delay",
+    "sensor_bias", "sensor_gain", "sensor_delay", "gear_lash", "parameter_drift",
 )  # fmt: skip
 BUILT_IN: dict[str, dict[str, str]] = {
     "methods": {
@@ -90,6 +90,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "figure-6.4": "dropo.studies.figure_6_4:figure_6_4",
         "calibration": "dropo.studies.calibration:calibration",
         "coverage": "dropo.studies.coverage:coverage",
+        "hidden-effects": "dropo.studies.hidden_effects:hidden_effects",
     },
 }
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.checks import Array
+from dropo.core.data import Segments
 from dropo.core.parameters import Parameter
 
 Model = Any  # a mujoco.MjModel
@@ -35,20 +36,26 @@ class Quantity:
 class Moment:
     """Many simulations at one physics step, for effects that depend on the state: qpos (n, nq), qvel (n, nv), ctrl (n, nu).
 
-    step: physics steps since the segments' start.
+    step: physics steps since the segments' start; act (n, na): states of actuators that have one; model: as it is simulated, with
+    all parameters and effects written into it.
     """
 
     qpos: Array
     qvel: Array
     ctrl: Array
     step: int
+    act: Array
+    model: Model
 
 
 @dataclass(frozen=True, eq=False)
 class Atom:
     """One effect at one place: what is added to a simulation, with the numbers to be found.
 
-    A hook takes the sizes (q,) of the quantities last; it is not called where all of them are 0. In the order in which they act:
+    A hook takes the sizes (q,) of the quantities last; it is not called where all of them are 0. It leaves what it is given as it
+    is, the model but one. Hooks made of functions of a module (functools.partial) can be sent to another process. In the order in
+    which they act:
+    declared(values (d,), sizes): the declared parameters' values;
     start(rows (n, p), slopes (n, p) [1/s], sizes) -> offsets (n, p): from measured start signals to true ones;
     command(commands (T, nu), sizes): a trajectory's commands, one a control step, before they are clamped;
     actuation(commands (T, nu), step [s], sizes): the same, one a physics step, after they were clamped;
@@ -57,6 +64,8 @@ class Atom:
     wrench(sizes) -> (body, (6,)): a constant force and torque at a body's centre of mass, in the world's axes;
     model(model, sizes): changes the fields of a copy of the model; mj_setConst follows;
     sense(signals (n, L, p), sizes): measured signals from true ones; `late` [s] (sizes) -> (p,): how much later they are seen.
+    gate(segments, sizes) -> (N,): the share of the sizes that holds in each of N segments; left out, it is 1. In a segment it is constant.
+    general: whether `model` needs bodies compiled with simple="false", without which MuJoCo ties a body's frame to its centre of mass.
     variant: which of an effect's several forms; alike: labels of atoms that no recorded data can tell from this one;
     trials: sizes (q,) that a screening tries, in sets that are tried together: by default each probe alone, of several
     quantities the largest probes together.
@@ -75,6 +84,9 @@ class Atom:
     start: Callable[[Array, Array, Array], Array] | None = None
     sense: Callable[[Array, Array], Array] | None = None
     late: Callable[[Array], Array] | None = None
+    declared: Callable[[Array, Array], Array] | None = None
+    gate: Callable[[Segments, Array], Array] | None = None
+    general: bool = False
     alike: tuple[str, ...] = ()
     trials: tuple[tuple[tuple[float, ...], ...], ...] = ()
 
@@ -103,11 +115,16 @@ def _trials(quantities: tuple[Quantity, ...]) -> tuple[tuple[tuple[float, ...], 
 
 @dataclass(frozen=True)
 class Robot:
-    """What effects are offered for: the model, the compared signals by name and unit, and how long a command is held [s]."""
+    """What effects are offered for: the model, the compared signals by name and unit, and how long a command is held [s].
+
+    parameters: those that the simulator declares; source: whether the model can be compiled anew (see `Atom.general`).
+    """
 
     model: Model
     signals: tuple[tuple[str, str], ...]
     control_step: float
+    parameters: tuple[Parameter, ...] = ()
+    source: bool = True
 
 
 Effect = Callable[[Robot], Iterable[Atom]]

@@ -6,9 +6,14 @@ from typing import Any
 import numpy as np
 
 from dropo.core.checks import Array
+from dropo.core.problem import Problem
 from dropo.core.simulator import Simulator
 from dropo.diagnosis.model import Library, look
-from dropo.diagnosis.windows import Windows
+from dropo.diagnosis.selection import State
+from dropo.diagnosis.windows import FEWEST, held_out_windows
+
+HORIZONS = (1, 5, 20)
+WINDOWS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,19 +33,33 @@ class Horizon:
         return {"steps": self.steps, "seconds": self.seconds, "rmse": self.rmse, "noise": self.noise, "units": units}
 
 
-def horizon(library: Library, windows: Windows, theta: Array, sigma: Array) -> Horizon:
-    """The errors at the windows' last step. Medians of squares over windows would hide impacts: these are means."""
-    seen = look(library, windows, theta, sigma)
-    good, p = ~seen.lost, len(sigma)
-    errors = (windows.measured - library.predict(theta[None], windows)[0])[good, -p:]
-    squares = np.mean(errors**2, axis=0)
-    reach = seen.whiten.loadings[good, -p:]
-    noise = sigma**2 + np.mean(np.sum((reach * sigma) ** 2, axis=2), axis=0)
-    spread = np.maximum(np.var(library.simulator.targets(windows.segments), axis=0) - sigma**2, 1e-300)
-    seconds = getattr(library.simulator, "control_step", None)
+def horizons(problem: Problem, library: Library, first: State, last: State) -> tuple[list[Horizon], list[Horizon]]:
+    """The errors of the model as it is, and of the extended one, at each horizon for which the data held out are long enough."""
+    before: list[Horizon] = []
+    after: list[Horizon] = []
+    sigma = last.train.whiten.sigma
+    for steps in HORIZONS:
+        windows = held_out_windows(problem, steps, WINDOWS)
+        if len(windows) < FEWEST:
+            break
+        seen = look(library, windows, last.theta, sigma)
+        reach = seen.whiten.loadings[~seen.lost, -len(sigma) :]
+        noise = sigma**2 + np.mean(np.sum((reach * seen.whiten.scale) ** 2, axis=2), axis=0)
+        base = seen.predicted if last is first else library.predict(first.theta[None], windows)[0]
+        for out, predicted in ((before, base), (after, seen.predicted)):
+            out.append(_horizon(library.simulator, steps, windows.measured - predicted, noise, library.simulator.targets(windows.segments)))
+    return before, after
+
+
+def _horizon(simulator: Simulator, steps: int, errors: Array, noise: Array, measured: Array) -> Horizon:
+    """Errors (W, n) of which the last step counts. Medians over windows would hide impacts: these are means; NaN windows are left out."""
+    last = errors[:, -len(noise) :]
+    squares = np.mean(last[np.isfinite(last).all(axis=1)] ** 2, axis=0)
+    spread = np.maximum(np.var(measured, axis=0) - noise, 1e-3 * np.var(measured, axis=0))
+    seconds = getattr(simulator, "control_step", None)
     return Horizon(
-        windows.length, None if seconds is None else windows.length * seconds, float(np.sqrt(np.mean(squares / spread))),
-        float(np.sqrt(np.mean(noise / spread))), by_unit(library.simulator, squares, noise),
+        steps, None if seconds is None else steps * seconds, float(np.sqrt(np.mean(squares / spread))),
+        float(np.sqrt(np.mean(noise / spread))), by_unit(simulator, squares, noise),
     )  # fmt: skip
 
 

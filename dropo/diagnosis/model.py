@@ -41,7 +41,7 @@ class Library:
         return self.simulator.predict(values, windows.segments, offsets=offsets).reshape(len(values), len(windows), -1)
 
     def slopes(self, theta: Array, free: np.ndarray, windows: Windows) -> Array:
-        """d prediction / d theta (f, W, n) in the free numbers, by differences within the bounds."""
+        """d prediction / d theta (f, W, n) in the free numbers, by central differences within the bounds."""
         space = self.simulator.space
         width = self.steps[free]
         up, down = (np.clip(theta[free] + sign * width, space.low[free], space.high[free]) for sign in (1, -1))
@@ -62,6 +62,11 @@ class Look:
     shift: Array
     whiten: Whitener
     lost: np.ndarray
+
+    @property
+    def predicted(self) -> Array:
+        """(W, n) what was simulated from the measured starts; of lost windows nothing."""
+        return np.where(self.lost[:, None], np.nan, self.windows.measured - self.residuals - self.shift)
 
     @property
     def log_likelihood(self) -> Array:
@@ -88,7 +93,8 @@ class Look:
 def look(library: Library, windows: Windows, theta: Array, sigma: Array) -> Look:
     """Simulates the windows from their measured starts and, for the noise's way, from starts moved by sigma either way.
 
-    The mean of the moved starts' predictions less the measured start's is how curvature shifts them (Julier and Uhlmann 1997).
+    To second order in each signal's error z, f + J z + H z^2 / 2 (without mixed terms): the mean of the last part shifts the
+    predictions, and its spread, of variance (H sigma^2)^2 / 2, is a column of its own. So windows that begin close to an impact count less.
     """
     p = len(sigma)
     offsets = np.zeros((2 * p + 1, len(windows), p))
@@ -97,11 +103,13 @@ def look(library: Library, windows: Windows, theta: Array, sigma: Array) -> Look
     found = library.predict(np.repeat(theta[None], 2 * p + 1, axis=0), windows, offsets)
     lost = np.asarray(~np.isfinite(found).all(axis=(0, 2)))
     found[:, lost] = 0.0
-    loadings = np.moveaxis((found[1 : p + 1] - found[p + 1 :]) / (2 * sigma[:, None, None]), 0, 2)
-    shift = 0.5 * (found[1:] - found[0]).sum(axis=0)
+    curved = 0.5 * (found[1 : p + 1] + found[p + 1 :]) - found[0]  # (p, W, n), half the second derivative times sigma^2
+    linear = 0.5 * (found[1 : p + 1] - found[p + 1 :])
+    loadings = np.moveaxis(np.concatenate([linear, np.sqrt(2) * curved]) / np.tile(sigma, 2)[:, None, None], 0, 2)
+    shift = curved.sum(axis=0)
     residuals = windows.measured - found[0] - shift
     residuals[lost] = LOST * np.tile(sigma, windows.length)
-    return Look(windows, theta, residuals, shift, Whitener(loadings, sigma, sigma), lost)
+    return Look(windows, theta, residuals, shift, Whitener(loadings, np.tile(sigma, 2), sigma), lost)
 
 
 def moved(library: Library, seen: Look, theta: Array, sigma: Array) -> Look:
@@ -110,7 +118,7 @@ def moved(library: Library, seen: Look, theta: Array, sigma: Array) -> Look:
     lost = np.logical_or(seen.lost, ~np.isfinite(predictions).all(axis=1))
     residuals = seen.windows.measured - predictions - seen.shift
     residuals[lost] = LOST * np.tile(sigma, seen.windows.length)
-    return Look(seen.windows, theta, residuals, seen.shift, Whitener(seen.whiten.loadings, sigma, sigma), lost)
+    return Look(seen.windows, theta, residuals, seen.shift, Whitener(seen.whiten.loadings, np.tile(sigma, 2), sigma), lost)
 
 
 def noise_of(seen: Look, sigma: Array, floor: Array) -> Array:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm, t
 
 from dropo.core.checks import Array
 from dropo.diagnosis.model import Look
@@ -43,8 +44,9 @@ def omnibus(train: Look, test: Look, rng: np.random.Generator) -> Omnibus:
 
 
 def _z(blocks: Array) -> float:
+    """Standard errors of the sum, as many as a normal variable would need to be as unlikely."""
     error = blocks.std(ddof=1) * np.sqrt(len(blocks)) if len(blocks) > 1 else 0.0
-    return float(blocks.sum() / error) if error > 0 else 0.0
+    return float(norm.isf(max(t.sf(blocks.sum() / error, len(blocks) - 1), 1e-300))) if error > 0 else 0.0
 
 
 def _rows(seen: Look) -> Array:

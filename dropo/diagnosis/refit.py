@@ -6,43 +6,104 @@ from dropo.core.checks import Array
 from dropo.core.data import Ints
 from dropo.diagnosis.model import Library, Look, look, moved, noise_of
 
-LENGTHS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # shares of a step that are tried at once
+SHORTER = np.array([0.5, 0.25, 0.1, 0.02])  # shares of a step that are tried where the whole of it does not keep its promise
+KEPT = 0.2  # share of the promised gain that a whole step must bring
 SETTLED = 0.1  # [nats] below which a round of steps gains nothing more
+RENEWED, MATTERS = 4, 1.0  # times at most that the start noise's way is found anew in a fit; nats from which that changes something
+OTHER = 1.3  # times a noise, from which its way through the simulation is found anew
 NONE = np.zeros(0, dtype=np.int64)
 SCAN = np.array([0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 1.15, 1.4, 1.8, 2.5, 4.0])  # multiples of a size where steps cannot be trusted
 
 
-def refit(library: Library, seen: Look, free: np.ndarray, floor: Array, *, rounds: int = 2, rough: Ints = NONE, renew: bool = True) -> Look:
+def refit(
+    library: Library, seen: Look, free: np.ndarray, floor: Array, *, rounds: int = 4, rough: Ints = NONE, renewals: int = RENEWED
+) -> Look:
     """The windows of a look at the theta that they are most likely under in the free numbers, and under the noise that fits it.
 
-    rough: which numbers a line scan looks for first, since predictions are not smooth in them. renew: find the start noise's
-    way anew in each round; else it stays as it is in `seen`, which a comparison of candidates can do with.
+    rough: which numbers a line scan looks for at first, since predictions are not smooth in them. The start noise's way is found anew at
+    the new theta, and where that matters the fit goes on.
     """
+    seen = settle(library, seen, free, floor, rounds=rounds, rough=rough)
+    for _ in range(renewals):
+        renewed = look(library, seen.windows, seen.theta, seen.whiten.sigma)
+        if abs(float(renewed.log_likelihood.sum() - seen.log_likelihood.sum())) < MATTERS:
+            return renewed
+        seen = settle(library, renewed, free, floor, rounds=2)
+    return seen
+
+
+def with_noise(library: Library, seen: Look, floor: Array) -> Look:
+    """The look under the noise that its residuals have; its way through the simulation is found anew where it is quite another."""
+    sigma = noise_of(seen, seen.whiten.sigma, floor)
+    other = np.any(np.abs(np.log(sigma / seen.whiten.sigma)) > np.log(OTHER))
+    return look(library, seen.windows, seen.theta, sigma) if other else moved(library, seen, seen.theta, sigma)
+
+
+def settle(
+    library: Library, seen: Look, free: np.ndarray, floor: Array, *, rounds: int = 2, rough: Ints = NONE, known: Array | None = None
+) -> Look:
+    """The same with the start noise's way as it is in `seen`, which a comparison of candidates can do with.
+
+    known: slopes (k, W, n) of the first k free numbers that may stand for those at any theta near.
+    """
+    slopes = None
     for _ in range(rounds):
         before = float(seen.log_likelihood.sum())
         for number in rough:
-            seen = _scan(library, seen, int(number))
-        seen = _steps(library, seen, free)
+            seen, slopes = _scan(library, seen, int(number)), None
+        rough = NONE
+        seen, slopes = _steps(library, seen, free, known, slopes)
         sigma = noise_of(seen, seen.whiten.sigma, floor)
-        seen = look(library, seen.windows, seen.theta, sigma) if renew else moved(library, seen, seen.theta, sigma)
+        seen = moved(library, seen, seen.theta, sigma)
         if abs(float(seen.log_likelihood.sum()) - before) < SETTLED:
             break
     return seen
 
 
-def _steps(library: Library, seen: Look, free: np.ndarray, most: int = 4) -> Look:
-    """Gauss-Newton steps with the noise as it is, each as long as gains most of the lengths tried; in bounds."""
-    space = library.simulator.space
+def _steps(
+    library: Library, seen: Look, free: np.ndarray, known: Array | None, slopes: Array | None, most: int = 5
+) -> tuple[Look, Array | None]:
+    """Gauss-Newton steps with the noise as it is, whole ones where they do what they promise, else shorter ones; in bounds.
+
+    The slopes are found anew where a step does not keep its promise, or where there are none yet; they come back too.
+    """
+    fresh = slopes is None
     for _ in range(most if len(free) else 0):
-        slopes, target = seen.flat(library.slopes(seen.theta, free, seen.windows)), seen.flat(seen.residuals)
-        scale = np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)
-        step = np.linalg.lstsq((slopes / scale[:, None]).T, target, rcond=1e-6)[0] / scale
-        tried = np.repeat(seen.theta[None], len(LENGTHS), axis=0)
-        tried[:, free] = np.clip(seen.theta[free] + LENGTHS[:, None] * step, space.low[free], space.high[free])
-        seen, gain = _best(library, seen, tried)
-        if gain < SETTLED:
-            break
-    return seen
+        slopes = _slopes(library, seen, free, known) if slopes is None else slopes
+        step, promised = _step(seen, slopes)
+        seen, gain = _along(library, seen, free, step[None])
+        if gain > KEPT * promised:
+            fresh = False
+            if gain < SETTLED:
+                break
+        elif not fresh:
+            slopes, fresh = None, True
+        else:
+            seen, more = _along(library, seen, free, SHORTER[:, None] * step)
+            slopes, fresh = None, False
+            if gain + more < SETTLED:
+                break
+    return seen, slopes
+
+
+def _slopes(library: Library, seen: Look, free: np.ndarray, known: Array | None) -> Array:
+    first = 0 if known is None else len(known)
+    own = library.slopes(seen.theta, free[first:], seen.windows)
+    return own if known is None else np.concatenate([known, own])
+
+
+def _step(seen: Look, slopes: Array) -> tuple[Array, float]:
+    """The step (f,) and the nats that it promises."""
+    rows, target = seen.flat(slopes), seen.flat(seen.residuals)
+    scale = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
+    step = np.linalg.lstsq((rows / scale[:, None]).T, target, rcond=1e-6)[0] / scale
+    return step, 0.5 * float(step @ rows @ target)
+
+
+def _along(library: Library, seen: Look, free: np.ndarray, steps: Array) -> tuple[Look, float]:
+    space, tried = library.simulator.space, np.repeat(seen.theta[None], len(steps), axis=0)
+    tried[:, free] = np.clip(seen.theta[free] + steps, space.low[free], space.high[free])
+    return _best(library, seen, tried)
 
 
 def _scan(library: Library, seen: Look, number: int) -> Look:

@@ -68,10 +68,7 @@ class Diagnosis:
 
     def headline(self) -> str:
         """The finding in a few sentences."""
-        judged = self.before[min(1, len(self.before) - 1)]
-        unit, (off, noise) = next(iter(judged.units.items()))
-        error = f"off by {number(off, 3)} {unit} after {judged.steps} steps"
-        parts = [f"On held-out data the simulation is {error}; sensor noise explains {number(noise, 3)}."]
+        parts = [self._error()] if self.before else []
         for cause in self.causes:
             start = "Acts like" if cause.acts_like else "Cause"
             parts.append(f"{start}: {cause.sentence}." + (f" Its size differs with {cause.acts_like}." if cause.acts_like else ""))
@@ -80,6 +77,15 @@ class Diagnosis:
                 parts.append(f"These data cannot tell it from {others}.")
         where = self.remaining.get("where") if self.verdict in ("partly", "unexplained") else None
         return " ".join([*parts, VERDICTS[self.verdict], *([f"It shows in {'; '.join(where)}."] if where else [])])
+
+    def _error(self) -> str:
+        """How far the simulation is off, at the horizon and in the unit where that stands out most from the noise."""
+        every = [(off / max(noise, 1e-300), h.steps, unit, off, noise) for h in self.before for unit, (off, noise) in h.units.items()]
+        _, steps, unit, off, noise = max(every)
+        scale, shown = (1e3, f"m{unit}") if unit in ("m", "rad", "m/s", "rad/s") and off < 0.1 else (1.0, unit)
+        after = f"{steps} step{'s' if steps > 1 else ''}"
+        error = f"off by {number(scale * off, 3)} {shown} after {after}"
+        return f"On held-out data the simulation is {error}; sensor noise explains {number(scale * noise, 3)}."
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json."""

@@ -1,7 +1,7 @@
 """Which effects the residuals look like: a score test at finite probes, with what is fitted anyway projected out."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,68 +10,104 @@ from dropo.core.effect import Atom
 from dropo.diagnosis.model import Library, Look
 
 BATCH = 64  # probes simulated at once
-FINALISTS, THIRD = 24, 12  # atoms that are looked at on all windows; the least number of windows for a first choice
+FINALISTS = 18  # atoms that are looked at on all windows
+COARSE, LEAST = 3, 12  # a first choice takes one window in so many, where that leaves at least so many
+
+LEAST_NOISE = 0.5  # variance of whitened residuals: about 1 but where the noise is held at its least
+
+Trial = tuple[Atom, tuple[tuple[float, ...], ...]]
+"""An atom with sizes that are tried together."""
+Known = dict[tuple[str, tuple[tuple[float, ...], ...]], Array]
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """An atom with the sizes (q,) that the residuals suggest, and what the score test promises.
 
-    gain: [nats] of the windows' log-likelihood; z: of the score, windows taken as independent; signature: the whitened,
-    weighted response (W (n + m),), of length 1.
+    gain: [nats] of the windows' log-likelihood; signature: the whitened, weighted response (W (n + m),), of length 1.
     """
 
     atom: Atom
     sizes: Array
     gain: float
-    z: float
     signature: Array
 
 
-def screen(library: Library, seen: Look, free: np.ndarray, atoms: Sequence[Atom]) -> list[Candidate]:
-    """The atoms by what they promise, most first: all of them on a third of the windows, the best of these on all windows.
+@dataclass(eq=False)
+class Screening:
+    """A screening that remembers how the first choice's windows answered to each probe: a later effect changes that little.
 
-    free: the numbers of theta that are fitted with any of them.
+    free: the numbers of theta that are fitted with any of the atoms.
     """
-    if len(atoms) > FINALISTS and len(seen.windows) >= 3 * THIRD:
-        first = score(library, seen.take(np.arange(0, len(seen.windows), 3)), free, atoms)
-        atoms = [candidate.atom for candidate in first[:FINALISTS]]
-    return score(library, seen, free, atoms)
 
+    library: Library
+    remembered: Known = field(default_factory=dict)
 
-def score(library: Library, seen: Look, free: np.ndarray, atoms: Sequence[Atom]) -> list[Candidate]:
-    """The atoms that the windows answer to, by what the score test promises, most first."""
-    basis = np.linalg.qr(seen.flat(library.slopes(seen.theta, free, seen.windows)).T)[0] if len(free) else None
-    target = _rest(seen.flat(seen.residuals), basis)
-    size = float(target @ target) / seen.residuals[~seen.lost].size
-    sets = [(atom, np.array(trial)) for atom in atoms for trial in atom.trials]
-    base = library.predict(seen.theta[None], seen.windows)[0]
-    best: dict[str, Candidate] = {}
-    for first in range(0, len(sets), BATCH):
-        part = sets[first : first + BATCH]
-        responses = _rest(seen.flat(np.nan_to_num(_responses(library, seen, part) - base)), basis)
-        ends = np.cumsum([len(trial) for _, trial in part])
-        for (atom, trial), response in zip(part, np.split(responses, ends[:-1]), strict=True):
-            found = _score(library, seen, atom, trial, response, target, size)
+    def __call__(self, seen: Look, free: np.ndarray, atoms: Sequence[Atom]) -> list[Candidate]:
+        """The atoms by what they promise, most first: all of them on a third of the windows, the best of these on all windows."""
+        if len(atoms) > FINALISTS and len(seen.windows) >= COARSE * LEAST:
+            some = seen.take(np.arange(0, len(seen.windows), COARSE))
+            first = self._score(some, free, [(atom, trial) for atom in atoms for trial in few(atom)], self.remembered)
+            atoms = [candidate.atom for candidate in first[:FINALISTS]]
+        return self._score(seen, free, [(atom, trial) for atom in atoms for trial in thorough(atom)], {})
+
+    def _score(self, seen: Look, free: np.ndarray, trials: Sequence[Trial], known: Known) -> list[Candidate]:
+        """The atoms that the windows answer to, by what the score test promises, most first."""
+        basis = np.linalg.qr(seen.flat(self.library.slopes(seen.theta, free, seen.windows)).T)[0] if len(free) else None
+        target = _rest(seen.flat(seen.residuals), basis)
+        size = max(float(target @ target) / max(seen.residuals[~seen.lost].size, 1), LEAST_NOISE)
+        best: dict[str, Candidate] = {}
+        for (atom, trial), response in self._responses(seen, trials, known):
+            found = _score(self.library, seen, atom, np.array(trial), _rest(seen.flat(response), basis), target, size)
             if found is not None and (atom.label not in best or found.gain > best[atom.label].gain):
                 best[atom.label] = found
-    return sorted(best.values(), key=lambda candidate: -candidate.gain)
+        return sorted(best.values(), key=lambda candidate: -candidate.gain)
+
+    def _responses(self, seen: Look, trials: Sequence[Trial], known: Known) -> Iterator[tuple[Trial, Array]]:
+        """Each trial with how far its sizes move the predictions (t, W, n); `known` is taken where it has them, and filled."""
+        missing = [(atom, trial) for atom, trial in trials if (atom.label, trial) not in known]
+        for first in range(0, len(missing), BATCH):
+            part = missing[first : first + BATCH]
+            moved = np.nan_to_num(self._predictions(seen, part) - seen.predicted)
+            ends = np.cumsum([len(trial) for _, trial in part])
+            for (atom, trial), response in zip(part, np.split(moved, ends[:-1]), strict=True):
+                known[atom.label, trial] = response
+        for atom, trial in trials:
+            yield (atom, trial), known[atom.label, trial]
+
+    def _predictions(self, seen: Look, trials: Sequence[Trial]) -> Array:
+        """(sum of sizes tried, W, n)."""
+        rows = np.repeat(seen.theta[None], sum(len(trial) for _, trial in trials), axis=0)
+        tried = [(self.library.places[atom.label], sizes) for atom, trial in trials for sizes in trial]
+        for row, (place, sizes) in zip(rows, tried, strict=True):
+            row[place] += sizes
+        return self.library.predict(np.clip(rows, self.library.simulator.space.low, self.library.simulator.space.high), seen.windows)
+
+
+def few(atom: Atom) -> list[tuple[tuple[float, ...], ...]]:
+    """What a first choice tries: where predictions are smooth, the smallest probe; else one of each sign, or several sizes."""
+    tried = sorted(atom.trials, key=_length)
+    if all(quantity.smooth for quantity in atom.quantities):
+        return tried[:1]
+    if atom.gate is not None:  # the largest size, from every moment on that is tried
+        return tried[-3:]
+    upwards = [trial for trial in tried if trial[0][0] > 0]
+    downwards = [trial for trial in tried if trial[0][0] < 0]
+    return [upwards[-1], downwards[-1]] if upwards and downwards else tried[1::2] or tried
+
+
+def thorough(atom: Atom) -> list[tuple[tuple[float, ...], ...]]:
+    """What the best are tried at: every probe, but a single smooth number at its smallest alone."""
+    return few(atom) if len(atom.quantities) == 1 and atom.quantities[0].smooth else list(atom.trials)
+
+
+def _length(trial: tuple[tuple[float, ...], ...]) -> float:
+    return float(np.abs(trial).sum())
 
 
 def _rest(rows: Array, basis: Array | None) -> Array:
     """Rows (..., N) without what an orthonormal basis (N, f) explains."""
     return rows if basis is None else rows - (rows @ basis) @ basis.T
-
-
-def _responses(library: Library, seen: Look, sets: Sequence[tuple[Atom, Array]]) -> Array:
-    """Predictions under every trial of the sets (sum of trials, W, n)."""
-    rows = []
-    for atom, trials in sets:
-        for trial in trials:
-            theta = seen.theta.copy()
-            theta[library.places[atom.label]] += trial
-            rows.append(theta)
-    return library.predict(np.clip(rows, library.simulator.space.low, library.simulator.space.high), seen.windows)
 
 
 def _score(library: Library, seen: Look, atom: Atom, trials: Array, responses: Array, target: Array, size: float) -> Candidate | None:
@@ -83,19 +119,20 @@ def _score(library: Library, seen: Look, atom: Atom, trials: Array, responses: A
     place, space = library.places[atom.label], library.simulator.space
     wanted = seen.theta[place] + share @ trials
     sizes = np.clip(wanted, space.low[place], space.high[place])
-    if np.allclose(sizes, seen.theta[place], atol=1e-12):
+    moves = sizes - seen.theta[place]
+    if not np.any(moves * (share @ trials) > 0):  # it would have to leave its bounds
         return None
     fitted = share @ responses
-    each = (fitted * target).reshape(len(seen.windows), -1).sum(axis=1)
-    z = float(each.sum() / np.sqrt((each**2).sum())) if np.any(each) else 0.0
-    return Candidate(atom, sizes, float(fitted @ target) / (2 * size), z, fitted / np.linalg.norm(fitted))
+    return Candidate(atom, sizes, float(fitted @ target) / (2 * size), fitted / np.linalg.norm(fitted))
 
 
-def shortlist(candidates: Sequence[Candidate], most: int, each: int = 2, least: float = 3.0) -> list[Candidate]:
-    """The first few that promise at least so many nats, no more than `each` of one effect."""
+def shortlist(candidates: Sequence[Candidate], most: int, least: float, each: int = 2) -> list[Candidate]:
+    """The first few that promise at least so many nats, no more than `each` of one effect; none that sets in or grows where the effect
+    that is always there promises more."""
     chosen: list[Candidate] = []
     for candidate in candidates:
         same = sum(other.atom.effect == candidate.atom.effect for other in chosen)
-        if candidate.gain > least and same < each and len(chosen) < most:
+        always = any(other.atom.label == candidate.atom.target for other in chosen)
+        if candidate.gain > least and same < each and len(chosen) < most and not always:
             chosen.append(candidate)
     return chosen

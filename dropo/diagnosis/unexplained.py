@@ -11,13 +11,17 @@ from dropo.core.effect import Atom, Moment, Quantity
 from dropo.diagnosis.model import Library, Look
 from dropo.diagnosis.whitening import Whitener, learn_noise
 
+GAINED, CERTAIN = 9.0, 2.5  # nats and standard errors on windows held out, from which the forces are there
+FREE, BALL, SLIDE, HINGE = range(4)
+
 
 def impulses(model: Any, length: int, physics_steps: int) -> list[Atom]:
-    """An atom for each degree of freedom and step of a window: a generalised force in that step alone."""
-    return [_impulse(model, dof, k, physics_steps) for k in range(length) for dof in range(model.nv)]
+    """An atom for each step of a window and degree of freedom: a generalised force in that step alone. Its target is the joint."""
+    names = [_name(model, dof) for dof in range(model.nv)]
+    return [_impulse(model, dof, k, physics_steps, *names[dof]) for k in range(length) for dof in range(model.nv)]
 
 
-def _impulse(model: Any, dof: int, k: int, physics_steps: int) -> Atom:
+def _impulse(model: Any, dof: int, k: int, physics_steps: int, name: str, unit: str) -> Atom:
     scale = 10.0 * max(float(model.dof_M0[dof]), 1e-9)  # what moves it by 10 rad/s^2 (m/s^2)
 
     def force(moment: Moment, sizes: Array) -> Array:
@@ -25,21 +29,35 @@ def _impulse(model: Any, dof: int, k: int, physics_steps: int) -> Atom:
         out[:, dof] = sizes[0] * (moment.step // physics_steps == k)
         return out
 
-    return Atom("unexplained_force", str(dof), (Quantity("force", "N m", -1e3 * scale, 1e3 * scale, (scale,)),), str(k), force=force)
+    return Atom("unexplained_force", name, (Quantity("force", unit, -1e3 * scale, 1e3 * scale, (scale,)),), str(k), force=force)
+
+
+def _name(model: Any, dof: int) -> tuple[str, str]:
+    """The joint of a degree of freedom, or its body where it has no name, with the number of the axis where there are several."""
+    joint = int(model.dof_jntid[dof])
+    body = model.body(int(model.jnt_bodyid[joint]))
+    number = f" {joint - int(body.jntadr[0])}" if int(body.jntnum[0]) > 1 else ""
+    name = model.joint(joint).name or f"{body.name or f'body {body.id}'}{number}"
+    kind, axis = int(model.jnt_type[joint]), dof - int(model.jnt_dofadr[joint])
+    straight = kind == SLIDE or (kind == FREE and axis < 3)
+    return (f"{name}[{axis}]" if kind in (FREE, BALL) else name), "N" if straight else "N m"
 
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
-    """sd: (nv,) of the forces [N m, N], each control step anew; gain, z: of allowing for them on windows held out [nats]."""
+    """sd: (nv,) of the forces [N m, N], each control step anew; scale: (nv,) 1 / what moves each as far; gain, z: of allowing for them
+    on windows held out [nats]; excess: (W,) that gain by window."""
 
     sd: Array
+    scale: Array
     gain: float
     z: float
+    excess: Array
 
     @property
     def present(self) -> bool:
         """Whether the windows held out are better explained with them."""
-        return self.gain > 9.0 and self.z > 2.5
+        return self.gain > GAINED and self.z > CERTAIN
 
 
 def unexplained_force(
@@ -48,19 +66,20 @@ def unexplained_force(
     """Random forces w ~ N(0, diag(sd^2)) in every step beside the noise, found by expectation-maximisation on the windows to fit."""
     atoms = [atom for atom in library.atoms if atom.effect == "unexplained_force"]
     looks = [replace(seen, whiten=_with_forces(library, seen, atoms)) for seen in (train, test)]
-    p, nv = len(train.whiten.sigma), len(atoms) // train.windows.length
-    first = np.array([atom.quantities[0].probes[0] for atom in atoms[:nv]]) * 1e-2
-    good = ~train.lost
-    sigma, sd = learn_noise(looks[0].whiten.loadings[good], train.residuals[good], train.whiten.sigma, floor, first)
-    scale = np.concatenate([sigma, np.tile(sd, train.windows.length)])
+    nv, good = len(atoms) // train.windows.length, ~train.lost
+    unit = np.array([atom.quantities[0].probes[0] for atom in atoms[:nv]])
+    sigma, sd = learn_noise(looks[0].whiten.loadings[good], train.residuals[good], train.whiten.sigma, floor, unit)
+    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, train.windows.length)])
     with_forces = replace(looks[1], whiten=Whitener(looks[1].whiten.loadings, scale, sigma))
-    assert len(scale) == p + len(atoms)
-    return Unexplained(sd, *gain_of(test, with_forces))
+    return Unexplained(sd, 1 / unit, *gain_of(test, with_forces), with_forces.log_likelihood - test.log_likelihood)
 
 
 def _with_forces(library: Library, seen: Look, atoms: list[Atom]) -> Whitener:
     """The whitener with the forces' loadings (W, n, L nv) behind the start's; their scale is still 0."""
     free = np.concatenate([library.places[atom.label] for atom in atoms])
-    pushed = np.moveaxis(library.slopes(seen.theta, free, seen.windows), 0, 2)
-    loadings = np.concatenate([seen.whiten.loadings, pushed], axis=2)
-    return Whitener(loadings, np.concatenate([seen.whiten.sigma, np.zeros(len(free))]), seen.whiten.sigma)
+    push = library.steps[free]
+    tried = np.repeat(seen.theta[None], len(free), axis=0)
+    tried[np.arange(len(free)), free] = push
+    answers = np.nan_to_num(library.predict(tried, seen.windows) - seen.predicted)
+    loadings = np.concatenate([seen.whiten.loadings, np.moveaxis(answers / push[:, None, None], 0, 2)], axis=2)
+    return Whitener(loadings, np.concatenate([seen.whiten.scale, np.zeros(len(free))]), seen.whiten.sigma)

@@ -86,18 +86,19 @@ def learn_noise(
 ) -> tuple[Array, Array]:
     """sigma (p,), tied between the start and all steps, and the sd of unexplained forces (nv,), by over-relaxed EM.
 
-    loadings: (W, n, p + k), the first p columns the start's; forces: (nv,) first guesses, where the last k = L nv columns are
-    impulses, nv of each step in turn. floor: (p,) the least sigma.
+    loadings: (W, n, s p + k), the first p columns those of the start's error, others beside it as large as sigma too; forces: (nv,)
+    first guesses, where the last k = L nv columns are impulses, nv of each step in turn. floor: (p,) the least sigma.
     """
     p, steps = len(sigma), residuals.shape[1] // len(sigma)
     forces = np.zeros(0) if forces is None else forces
+    start = (loadings.shape[2] - steps * len(forces)) // p
     for _ in range(rounds):
-        scale = np.concatenate([sigma, np.tile(forces, steps)])
+        scale = np.concatenate([np.tile(sigma, start), np.tile(forces, steps)])
         errors, latents = Whitener(loadings, scale, sigma).moments(residuals)
         count = len(residuals) * (steps + 1)
         ratio = np.sqrt((errors + latents[:p]) / count) / sigma
         new = np.maximum(sigma * ratio**1.5, floor)
-        pushed = np.sqrt(latents[p:].reshape(steps, -1).sum(axis=0) / (len(residuals) * steps)) if len(forces) else forces
+        pushed = np.sqrt(latents[start * p :].reshape(steps, -1).sum(axis=0) / (len(residuals) * steps)) if len(forces) else forces
         moved = np.max(np.abs(np.log(np.concatenate([new, pushed]) / np.concatenate([sigma, forces]))))
         sigma, forces = new, forces * (pushed / forces) ** 1.5 if len(forces) else forces
         if moved < tolerance:

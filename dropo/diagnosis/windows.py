@@ -44,22 +44,30 @@ def split(problem: Problem, length: int, most: int) -> tuple[Windows, Windows]:
     block of time of the few there are. Windows have a step between them, so that no measurement is used twice.
     """
     data = problem.trajectories
-    if problem.held_out is not None:
-        sides = [_cut(data, length, _blocks(data)), _cut(problem.held_out, length, _blocks(problem.held_out))]
-    else:
-        blocks = _blocks(data)
-        whole = _cut(data, length, blocks)
-        even = whole[1] % 2 == 0
-        sides = [(whole[0][even], whole[1][even]), (whole[0][~even], whole[1][~even])]
-    datas = [data, data if problem.held_out is None else problem.held_out]
-    for name, (steps, _) in zip(("fit", "hold out"), sides, strict=True):
+    sides = [_side(problem, length, held_out) for held_out in (False, True)]
+    for name, (_, steps, _) in zip(("fit", "hold out"), sides, strict=True):
         if len(steps) < FEWEST:
             raise BadArgument(
                 f"A diagnosis needs at least {FEWEST} windows of {length} steps to {name}. Got {len(steps)} from {len(data)} transitions in"
                 f" {len(data.spans)} trajectories. Give more data, about {4 * FEWEST * (length + 1)} transitions, or shorter windows."
             )
-    first, second = (_windows(problem.simulator, d, *side, length, most) for d, side in zip(datas, sides, strict=True))
+    first, second = (_windows(problem.simulator, *side, length, most) for side in sides)
     return first, second
+
+
+def held_out_windows(problem: Problem, length: int, most: int) -> Windows:
+    """The windows held out by `split`; there may be few or none."""
+    return _windows(problem.simulator, *_side(problem, length, True), length, most)
+
+
+def _side(problem: Problem, length: int, held_out: bool) -> tuple[Trajectories, Ints, Ints]:
+    """The data, the rows (W, L) and the blocks (W,) of the windows of one side."""
+    data = problem.held_out if held_out and problem.held_out is not None else problem.trajectories
+    steps, block = _cut(data, length, _blocks(data))
+    if problem.held_out is not None:
+        return data, steps, block
+    mine = block % 2 == held_out
+    return data, steps[mine], block[mine]
 
 
 def _blocks(data: Trajectories) -> Ints:
@@ -85,8 +93,9 @@ def _cut(data: Trajectories, length: int, blocks: Ints) -> tuple[Ints, Ints]:
 
 
 def _windows(simulator: Simulator, data: Trajectories, steps: Ints, block: Ints, length: int, most: int) -> Windows:
-    stride = max(1, len(steps) // most)
-    steps, block = steps[::stride], block[::stride]
+    if len(steps) > most:
+        chosen = np.linspace(0, len(steps) - 1, most).round().astype(np.int64)
+        steps, block = steps[chosen], block[chosen]
     nothing_before = np.full(len(steps), -1, dtype=np.int64)
     segments = Segments(data, steps, nothing_before, np.ones(data.observations.shape[1], dtype=bool), every_step=True)
     return Windows(segments, simulator.targets(segments).reshape(len(steps), -1), block, length)

@@ -1,6 +1,7 @@
 """A constant offset of a command."""
 
 from collections.abc import Iterator
+from functools import partial
 
 from dropo.core.checks import Array
 from dropo.core.effect import Atom, Quantity, Robot
@@ -8,14 +9,14 @@ from dropo.effects.places import actuators
 
 
 def actuator_bias(robot: Robot) -> Iterator[Atom]:
-    """A constant that is added to an actuator's command."""
+    """A constant that is added to an actuator's command after it was clamped: u' = u + b."""
     for actuator in actuators(robot.model):
-
-        def actuation(commands: Array, step: float, sizes: Array, place: int = actuator.id) -> Array:
-            out = commands.copy()
-            out[:, place] += sizes[0]
-            return out
-
         reach = actuator.reach
         size = Quantity("bias", "command", -reach, reach, (-0.03 * reach, -0.003 * reach, 0.003 * reach, 0.03 * reach))
-        yield Atom("actuator_bias", actuator.name, (size,), actuation=actuation)
+        yield Atom("actuator_bias", actuator.name, (size,), actuation=partial(_shift, actuator.id))
+
+
+def _shift(place: int, commands: Array, step: float, sizes: Array) -> Array:
+    out = commands.copy()
+    out[:, place] += sizes[0]
+    return out

@@ -1,6 +1,7 @@
 """A command that also acts elsewhere."""
 
 from collections.abc import Iterator
+from functools import partial
 
 from dropo.core.checks import Array
 from dropo.core.effect import Atom, Quantity, Robot
@@ -8,17 +9,18 @@ from dropo.effects.places import actuators
 
 
 def actuator_coupling(robot: Robot) -> Iterator[Atom]:
-    """A share of an actuator's command that also reaches another actuator; the variant names that one."""
+    """A share of an actuator's command that also reaches another one, u_j' = u_j + s u_i; the variant names that one."""
     found = actuators(robot.model)
     for source in found:
         for other in found:
             if source.id == other.id:
                 continue
-
-            def actuation(commands: Array, step: float, sizes: Array, one: int = source.id, two: int = other.id) -> Array:
-                out = commands.copy()
-                out[:, two] += sizes[0] * commands[:, one]
-                return out
-
             size = Quantity("share", "1", -1.0, 1.0, (-0.05, -0.005, 0.005, 0.05))
-            yield Atom("actuator_coupling", source.name, (size,), f"on-{other.name}", actuation=actuation)
+            hook = partial(_leak, source.id, other.id)
+            yield Atom("actuator_coupling", source.name, (size,), f"on-{other.name}", actuation=hook)
+
+
+def _leak(source: int, other: int, commands: Array, step: float, sizes: Array) -> Array:
+    out = commands.copy()
+    out[:, other] += sizes[0] * commands[:, source]
+    return out

@@ -1,6 +1,7 @@
 """A limit below the declared one."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -10,14 +11,23 @@ from dropo.effects.places import actuators
 
 
 def actuator_saturation(robot: Robot) -> Iterator[Atom]:
-    """A limit of the command below the declared one, by a share of it; without a declared limit, of the largest command 1."""
+    """A limit of the command below the declared one, |u| <= (1 - s) u_max; of an actuator without one, |u| <= 1 / s."""
     for actuator in actuators(robot.model):
+        if robot.model.actuator_ctrllimited[actuator.id]:
+            size = Quantity("share", "1", 0.0, 0.99, (0.02, 0.1, 0.3), smooth=False)
+            yield Atom("actuator_saturation", actuator.name, (size,), command=partial(_lower, actuator.id, actuator.reach))
+        else:
+            size = Quantity("1 / limit", "1/command", 0.0, 100.0, (0.5, 1.0, 2.0, 10.0), smooth=False)
+            yield Atom("actuator_saturation", actuator.name, (size,), command=partial(_limit, actuator.id))
 
-        def command(commands: Array, sizes: Array, place: int = actuator.id, reach: float = actuator.reach) -> Array:
-            limit = reach * (1 - sizes[0])
-            out = commands.copy()
-            out[:, place] = np.clip(commands[:, place], -limit, limit)
-            return out
 
-        size = Quantity("share", "1", 0.0, 0.99, (0.02, 0.1, 0.3), smooth=False)
-        yield Atom("actuator_saturation", actuator.name, (size,), command=command)
+def _lower(place: int, reach: float, commands: Array, sizes: Array) -> Array:
+    out = commands.copy()
+    out[:, place] = np.clip(commands[:, place], -reach * (1 - sizes[0]), reach * (1 - sizes[0]))
+    return out
+
+
+def _limit(place: int, commands: Array, sizes: Array) -> Array:
+    out = commands.copy()
+    out[:, place] = np.clip(commands[:, place], -1 / sizes[0], 1 / sizes[0])
+    return out

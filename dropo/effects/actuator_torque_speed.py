@@ -1,25 +1,28 @@
 """Force that falls with speed."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from dropo.core.checks import Array
 from dropo.core.effect import Atom, Moment, Quantity, Robot
-from dropo.effects.places import Joint, actuators
+from dropo.effects.places import Joint, actuators, motor_force, motors
 
 
 def actuator_torque_speed(robot: Robot) -> Iterator[Atom]:
-    """A motor whose force falls with speed while it drives: times 1 - slope |v|, v the joint's speed; never below 0."""
-    for actuator in actuators(robot.model):
-        if actuator.joint is None:
-            continue
+    """A motor whose force falls with speed while it drives: F' = F max(1 - s |v|, 0) where F v > 0, v the joint's speed.
 
-        def drive(moment: Moment, sizes: Array, place: int = actuator.id, joint: Joint = actuator.joint) -> Array:
-            out, speed = moment.ctrl.copy(), moment.qvel[:, joint.velocity]
-            driving = out[:, place] * speed > 0
-            out[:, place] *= np.where(driving, np.maximum(1 - sizes[0] * np.abs(speed), 0.0), 1.0)
-            return out
+    The straight torque-speed line of a motor at constant voltage; its no-load speed is 1 / s.
+    """
+    names = {actuator.id: actuator.name for actuator in actuators(robot.model)}
+    for joint, ids in motors(robot.model):
+        for i in ids:
+            size = Quantity("slope", f"s/{joint.length}", 0.0, 1.0, (2e-3, 0.02))
+            yield Atom("actuator_torque_speed", names[i], (size,), force=partial(_loss, joint, (i,)))
 
-        size = Quantity("slope", f"s/{actuator.joint.length}", 0.0, 1.0, (2e-3, 0.02))
-        yield Atom("actuator_torque_speed", actuator.name, (size,), drive=drive)
+
+def _loss(joint: Joint, ids: Sequence[int], moment: Moment, sizes: Array) -> Array:
+    out, speed, drive = np.zeros_like(moment.qvel), moment.qvel[:, joint.velocity], motor_force(moment, joint, ids)
+    out[:, joint.velocity] = np.where(drive * speed > 0, -np.minimum(sizes[0] * np.abs(speed), 1.0) * drive, 0.0)
+    return out

@@ -1,6 +1,7 @@
 """The medium around the robot."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from dropo.core.checks import Array
@@ -10,12 +11,12 @@ MEDIUM = (("density", "kg/m^3", 100.0), ("viscosity", "Pa s", 5.0))
 
 
 def air_drag(robot: Robot) -> Iterator[Atom]:
-    """The density or the viscosity of the medium (MuJoCo's inertia-box model of drag)."""
+    """The density or the viscosity of the medium: MuJoCo's drag on each body's box of equal inertia."""
     for name, unit, scale in MEDIUM:
         base = float(getattr(robot.model.opt, name))
+        size = Quantity(name, unit, -base, 20 * scale, (0.01 * scale, 0.2 * scale), base=base)
+        yield Atom("air_drag", None, (size,), name, model=partial(_add, name))
 
-        def model(model: Any, sizes: Array, name: str = name) -> None:
-            setattr(model.opt, name, getattr(model.opt, name) + float(sizes[0]))
 
-        probes = tuple(share * scale for share in (0.01, 0.2))
-        yield Atom("air_drag", None, (Quantity(name, unit, -base, 20 * scale, probes, base=base),), name, model=model)
+def _add(name: str, model: Any, sizes: Array) -> None:
+    setattr(model.opt, name, getattr(model.opt, name) + float(sizes[0]))

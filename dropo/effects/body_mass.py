@@ -1,6 +1,7 @@
 """The mass of a body."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from dropo.core.checks import Array
@@ -9,12 +10,12 @@ from dropo.effects.places import bodies
 
 
 def body_mass(robot: Robot) -> Iterator[Atom]:
-    """The mass of a body; its rotational inertia stays."""
+    """The mass of a body; its rotational inertia stays: m' = m + d."""
     for body, name in bodies(robot.model):
         mass = float(robot.model.body_mass[body])
-
-        def model(model: Any, sizes: Array, body: int = body) -> None:
-            model.body_mass[body] += sizes[0]
-
         size = Quantity("mass", "kg", -0.8 * mass, 3 * mass, (-0.1 * mass, -0.02 * mass, 0.02 * mass, 0.1 * mass), base=mass)
-        yield Atom("body_mass", name, (size,), model=model)
+        yield Atom("body_mass", name, (size,), model=partial(_add, body))
+
+
+def _add(body: int, model: Any, sizes: Array) -> None:
+    model.body_mass[body] += sizes[0]

@@ -1,6 +1,7 @@
 """Friction of contacts."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from dropo.core.checks import Array
@@ -9,26 +10,30 @@ from dropo.effects.places import touching
 
 
 def contact_friction(robot: Robot) -> Iterator[Atom]:
-    """Sliding friction of all contacts by one factor, or of one geom's."""
+    """Sliding friction of all contacts by one factor, or of one geom's: mu' = (1 + s) mu.
+
+    A contact takes the larger friction of its two geoms, so that one geom's has no effect below that of the world's geoms; such
+    sizes are not offered.
+    """
     size = Quantity("sliding", "1", -0.95, 5.0, (-0.2, -0.02, 0.02, 0.2), relative=True)
     geoms = touching(robot.model)
     if not geoms:
         return
-
-    def everywhere(model: Any, sizes: Array) -> None:
-        model.geom_friction[:, 0] *= 1 + sizes[0]
-        model.pair_friction[:, :2] *= 1 + sizes[0]
-
-    yield Atom("contact_friction", None, (size,), model=everywhere)
+    yield Atom("contact_friction", None, (size,), model=_scale_all)
     world = robot.model.geom_friction[robot.model.geom_bodyid == 0, 0]
     for geom, name in geoms if len(geoms) > 1 else []:
         own = float(robot.model.geom_friction[geom, 0])
-        least = float(world.max(initial=0.0)) / own - 1  # a contact takes the larger friction of its two geoms
-        if least >= 0:
-            continue
+        least = max(size.low, float(world.max(initial=0.0)) / own - 1) if own > 0 else 0.0
+        if least < 0:
+            probes = tuple(probe for probe in size.probes if probe > least)
+            number = Quantity("sliding", "1", least, size.high, probes, relative=True, base=own)
+            yield Atom("contact_friction", name, (number,), model=partial(_scale, geom))
 
-        def model(model: Any, sizes: Array, geom: int = geom) -> None:
-            model.geom_friction[geom, 0] *= 1 + sizes[0]
 
-        number = Quantity("sliding", "1", least, 5.0, tuple(p for p in size.probes if p > least), relative=True, base=own)
-        yield Atom("contact_friction", name, (number,), model=model)
+def _scale_all(model: Any, sizes: Array) -> None:
+    model.geom_friction[:, 0] *= 1 + sizes[0]
+    model.pair_friction[:, :2] *= 1 + sizes[0]
+
+
+def _scale(geom: int, model: Any, sizes: Array) -> None:
+    model.geom_friction[geom, 0] *= 1 + sizes[0]

@@ -1,6 +1,7 @@
 """A constant force on a body."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -14,11 +15,10 @@ def external_force(robot: Robot) -> Iterator[Atom]:
     weight = float(robot.model.body_mass.sum() * max(np.linalg.norm(robot.model.opt.gravity), 1.0))
     for body, name in bodies(robot.model):
         for axis, letter in enumerate("xyz"):
-
-            def wrench(sizes: Array, body: int = body, axis: int = axis) -> tuple[int, Array]:
-                push = np.zeros(6)
-                push[axis] = sizes[0]
-                return body, push
-
             probes = tuple(share * weight for share in (-0.02, -0.002, 0.002, 0.02))
-            yield Atom("external_force", name, (Quantity(letter, "N", -weight, weight, probes),), letter, wrench=wrench)
+            size = Quantity(letter, "N", -weight, weight, probes)
+            yield Atom("external_force", name, (size,), letter, wrench=partial(_push, body, axis))
+
+
+def _push(body: int, axis: int, sizes: Array) -> tuple[int, Array]:
+    return body, np.eye(6)[axis] * sizes[0]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from dropo.core.checks import Array
@@ -39,11 +40,7 @@ class Field:
     def change(self, entries: Sequence[Entry]) -> Callable[[Any, Array], None]:
         """A model hook that adds sizes[0] to the entries."""
 
-        def model(model: Any, sizes: Array) -> None:
-            for entry in entries:
-                getattr(model, self.field)[entry.place] += sizes[0]
-
-        return model
+        return partial(_add, self.field, tuple(entry.place for entry in entries))
 
     def _number(self, model: Any, entries: Sequence[Entry], unit: str) -> Quantity:
         base = min(float(getattr(model, self.field)[entry.place]) for entry in entries)
@@ -56,3 +53,8 @@ class Field:
 def by_kind(joints: Sequence[Joint]) -> list[tuple[str, list[Joint]]]:
     """Hinges and slides apart, since a sum over metres and radians means nothing."""
     return [(kind, same) for kind in ("hinges", "slides") if (same := [joint for joint in joints if joint.kind == kind])]
+
+
+def _add(field: str, places: Sequence[tuple[int, ...]], model: Any, sizes: Array) -> None:
+    for place in places:
+        getattr(model, field)[place] += sizes[0]

@@ -1,6 +1,7 @@
 """The direction of gravity."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,17 +11,13 @@ from dropo.core.effect import Atom, Quantity, Robot
 
 
 def gravity_tilt(robot: Robot) -> Iterator[Atom]:
-    """The direction of gravity: a base that is tilted about the world's x or y axis."""
-    if not np.any(robot.model.opt.gravity):
-        return
-    for axis, letter in enumerate("xy"):
-
-        def model(model: Any, sizes: Array, axis: int = axis) -> None:
-            model.opt.gravity[:] = _rotation(axis, sizes[0]) @ model.opt.gravity
-
-        yield Atom("gravity_tilt", None, (Quantity(letter, "rad", -0.5, 0.5, (-0.05, -0.005, 0.005, 0.05)),), letter, model=model)
+    """The direction of gravity: g' = R(angle) g, a rotation about the world's x or y axis, as where the base is tilted."""
+    for axis, letter in enumerate("xy") if np.any(robot.model.opt.gravity) else []:
+        size = Quantity(letter, "rad", -0.5, 0.5, (-0.05, -0.005, 0.005, 0.05))
+        yield Atom("gravity_tilt", None, (size,), letter, model=partial(_tilt, axis))
 
 
-def _rotation(axis: int, angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]] if axis == 0 else [[c, 0, s], [0, 1, 0], [-s, 0, c]])
+def _tilt(axis: int, model: Any, sizes: Array) -> None:
+    c, s = np.cos(sizes[0]), np.sin(sizes[0])
+    rotation = [[1, 0, 0], [0, c, -s], [0, s, c]] if axis == 0 else [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    model.opt.gravity[:] = np.array(rotation) @ model.opt.gravity

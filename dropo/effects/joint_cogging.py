@@ -1,6 +1,7 @@
 """Torque that repeats with the angle."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -18,12 +19,12 @@ def joint_cogging(robot: Robot) -> Iterator[Atom]:
         if joint.length != "rad":
             continue
         scale = torque_scale(robot.model, joint)
+        parts = tuple(Quantity(name, joint.force, -scale, scale, (0.01 * scale,)) for name in ("sine", "cosine"))
         for cogs in PERIODS:
+            yield Atom("joint_cogging", joint.name, parts, f"{cogs}-a-turn", force=partial(_cogs, joint, cogs))
 
-            def force(moment: Moment, sizes: Array, joint: Joint = joint, cogs: int = cogs) -> Array:
-                out, angle = np.zeros_like(moment.qvel), cogs * moment.qpos[:, joint.position]
-                out[:, joint.velocity] = sizes[0] * np.sin(angle) + sizes[1] * np.cos(angle)
-                return out
 
-            parts = tuple(Quantity(name, joint.force, -scale, scale, (0.01 * scale,)) for name in ("sine", "cosine"))
-            yield Atom("joint_cogging", joint.name, parts, f"{cogs}-a-turn", force=force)
+def _cogs(joint: Joint, cogs: int, moment: Moment, sizes: Array) -> Array:
+    out, angle = np.zeros_like(moment.qvel), cogs * moment.qpos[:, joint.position]
+    out[:, joint.velocity] = sizes[0] * np.sin(angle) + sizes[1] * np.cos(angle)
+    return out

@@ -1,27 +1,25 @@
 """Friction that grows with the load."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from dropo.core.checks import Array
 from dropo.core.effect import Atom, Moment, Quantity, Robot
-from dropo.effects.places import Joint, actuators
+from dropo.effects.places import Joint, motor_force, motors
 
 ZERO = 1e-2  # [rad/s, m/s] below which the sign of a speed fades out
 
 
 def joint_load_friction(robot: Robot) -> Iterator[Atom]:
-    """Dry friction of a joint that is a share of its motor's force, as in gears under load."""
-    for actuator in actuators(robot.model):
-        if actuator.joint is None:
-            continue
-        full = abs(float(robot.model.actuator_gainprm[actuator.id, 0]) * float(robot.model.actuator_gear[actuator.id, 0]))
-
-        def force(moment: Moment, sizes: Array, place: int = actuator.id, joint: Joint = actuator.joint, full: float = full) -> Array:
-            out, speed = np.zeros_like(moment.qvel), moment.qvel[:, joint.velocity]
-            out[:, joint.velocity] = -sizes[0] * full * np.abs(moment.ctrl[:, place]) * np.tanh(speed / ZERO)
-            return out
-
+    """Dry friction of a joint that is a share of its motors' force, as in gears under load: -s |F| tanh(v / 0.01)."""
+    for joint, ids in motors(robot.model):
         size = Quantity("share", "1", 0.0, 0.9, (5e-3, 0.05))
-        yield Atom("joint_load_friction", actuator.joint.name, (size,), force=force)
+        yield Atom("joint_load_friction", joint.name, (size,), force=partial(_rub, joint, ids))
+
+
+def _rub(joint: Joint, ids: Sequence[int], moment: Moment, sizes: Array) -> Array:
+    out = np.zeros_like(moment.qvel)
+    out[:, joint.velocity] = -sizes[0] * np.abs(motor_force(moment, joint, ids)) * np.tanh(moment.qvel[:, joint.velocity] / ZERO)
+    return out

@@ -1,12 +1,18 @@
 """The places of a robot where effects can be: bodies, joints, actuators."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from dropo.core.checks import Array
+from dropo.core.effect import Moment
+
 FREE, BALL, SLIDE, HINGE = range(4)
+FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
+NO_BIAS, AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
 SENSOR_SIZES = {"m": 0.05, "rad": 0.1, "m/s": 0.5, "rad/s": 1.0}
 """Large errors of a sensor, by its unit."""
 
@@ -62,8 +68,10 @@ def joints(model: Any) -> list[Joint]:
 
 
 def joint_name(model: Any, joint: int) -> str:
-    """The joint's name, else its body's, else its number."""
-    return _name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or body_name(model, int(model.jnt_bodyid[joint]))
+    """The joint's name, else its body's where that has no other joint, else its number."""
+    body = int(model.jnt_bodyid[joint])
+    alone = body_name(model, body) if model.body_jntnum[body] == 1 else str(joint)
+    return _name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or alone
 
 
 def body_name(model: Any, body: int) -> str:
@@ -72,8 +80,8 @@ def body_name(model: Any, body: int) -> str:
 
 
 def bodies(model: Any) -> list[tuple[int, str]]:
-    """Bodies with mass, the world left out."""
-    return [(b, body_name(model, b)) for b in range(1, model.nbody) if model.body_mass[b] > 0]
+    """Bodies with mass that can move."""
+    return [(b, body_name(model, b)) for b in range(1, model.nbody) if model.body_mass[b] > 0 and model.body_weldid[b] > 0]
 
 
 @dataclass(frozen=True)
@@ -100,10 +108,34 @@ def actuators(model: Any) -> list[Actuator]:
 
 
 def _driven_name(model: Any, actuator: int) -> str:
-    """An actuator without a name goes by what it drives."""
-    if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
-        return joint_name(model, int(model.actuator_trnid[actuator, 0]))
-    return str(actuator)
+    """An actuator without a name goes by the joint that it alone drives, else by its number."""
+    same = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == model.actuator_trnid[actuator, 0])
+    return joint_name(model, int(model.actuator_trnid[actuator, 0])) if same[actuator] and same.sum() == 1 else str(actuator)
+
+
+def motors(model: Any) -> list[tuple[Joint, list[int]]]:
+    """The joints that are driven by actuators whose force is known from the state (`motor_force`), and these."""
+    known = np.isin(model.actuator_gaintype, (FIXED, AFFINE)) & np.isin(model.actuator_biastype, (NO_BIAS, AFFINE_BIAS))
+    found: dict[int, tuple[Joint, list[int]]] = {}
+    for actuator in actuators(model):
+        if actuator.joint is not None and known[actuator.id]:
+            found.setdefault(actuator.joint.id, (actuator.joint, []))[1].append(actuator.id)
+    return list(found.values())
+
+
+def motor_force(moment: Moment, joint: Joint, ids: Sequence[int]) -> Array:
+    """(n,) the generalised force of a joint's actuators: gear (gain u + bias), as MuJoCo computes it."""
+    model, total = moment.model, np.zeros(len(moment.ctrl))
+    for i in ids:
+        gear, state = float(model.actuator_gear[i, 0]), int(model.actuator_actadr[i])
+        limit = model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
+        u = np.clip(moment.ctrl[:, i], *limit) if state < 0 else moment.act[:, state + int(model.actuator_actnum[i]) - 1]
+        terms = np.stack([np.ones(len(u)), gear * moment.qpos[:, joint.position], gear * moment.qvel[:, joint.velocity]])
+        gain = model.actuator_gainprm[i, :3] if model.actuator_gaintype[i] == AFFINE else model.actuator_gainprm[i, :3] * (1, 0, 0)
+        bias = model.actuator_biasprm[i, :3] * (model.actuator_biastype[i] == AFFINE_BIAS)
+        most = model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
+        total += gear * np.clip((gain @ terms) * u + bias @ terms, *most)
+    return total
 
 
 def torque_scale(model: Any, joint: Joint) -> float:
@@ -121,6 +153,17 @@ def touching(model: Any) -> list[tuple[int, str]]:
     can = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     found = np.flatnonzero(can & (model.geom_bodyid > 0)).tolist()
     return [(geom, _name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or str(geom)) for geom in found]
+
+
+def each_and_all(found: Sequence[Actuator]) -> list[tuple[str | None, tuple[int, ...]]]:
+    """(target, ids) of every actuator, and of all together where there are several."""
+    each: list[tuple[str | None, tuple[int, ...]]] = [(actuator.name, (actuator.id,)) for actuator in found]
+    return [*each, (None, tuple(actuator.id for actuator in found))] if len(found) > 1 else each
+
+
+def is_rotation(signal: str) -> bool:
+    """Whether a signal is one of the three numbers of an orientation."""
+    return signal.startswith("qpos") and signal.endswith((".rx", ".ry", ".rz"))
 
 
 def _name(model: Any, kind: Any, i: int) -> str:

@@ -1,37 +1,34 @@
 """Measurements that come late."""
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
 from dropo.core.checks import Array
 from dropo.core.effect import Atom, Quantity, Robot
+from dropo.effects.places import is_rotation
 
 
 def sensor_delay(robot: Robot) -> Iterator[Atom]:
-    """A delay of one signal. Of all signals alike it is the same as a delay of all commands, which stands for both."""
+    """A delay of one signal, y'(t) = y(t - T); not of rotations, whose three numbers come together.
+
+    A start is moved on by T times the speed of the measured signal. Of all signals alike a delay is the same as one of all
+    commands, which stands for both.
+    """
     dt, p = robot.control_step, len(robot.signals)
     for place, (name, _) in enumerate(robot.signals):
-        size = Quantity("delay", "s", 0.0, 5 * dt, (0.02 * dt, 0.2 * dt, dt), smooth=False)
-        yield Atom("sensor_delay", name, (size,), start=_ahead([place]), late=_late([place], p))
+        if not is_rotation(name):
+            size = Quantity("delay", "s", 0.0, 5 * dt, (0.02 * dt, 0.2 * dt, dt), smooth=False)
+            yield Atom("sensor_delay", name, (size,), start=partial(_ahead, place), late=partial(_late, place, p))
 
 
-def _ahead(places: Sequence[int]) -> Any:
+def _ahead(place: int, rows: Array, slopes: Array, sizes: Array) -> Array:
     """The signal now, from what was seen late and how fast it moves."""
-
-    def start(rows: Array, slopes: Array, sizes: Array) -> Array:
-        out = 0.0 * rows
-        out[:, places] = sizes[0] * slopes[:, places]
-        return out
-
-    return start
+    out = np.zeros_like(rows)
+    out[:, place] = sizes[0] * slopes[:, place]
+    return out
 
 
-def _late(places: Sequence[int], p: int) -> Any:
-    def late(sizes: Array) -> Array:
-        out = np.zeros(p)
-        out[places] = sizes[0]
-        return out
-
-    return late
+def _late(place: int, p: int, sizes: Array) -> Array:
+    return np.eye(p)[place] * sizes[0]

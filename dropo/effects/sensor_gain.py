@@ -1,26 +1,30 @@
 """The scale of a measurement."""
 
 from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
 
 from dropo.core.checks import Array
 from dropo.core.effect import Atom, Quantity, Robot
+from dropo.effects.places import is_rotation
 
 
 def sensor_gain(robot: Robot) -> Iterator[Atom]:
-    """The scale of a signal; not of rotations, which have none."""
+    """The scale of a signal, y' = (1 + g) y; not of rotations, which have none."""
     for place, (name, _) in enumerate(robot.signals):
-        if name.endswith((".rx", ".ry", ".rz")):
-            continue
+        if not is_rotation(name):
+            size = Quantity("gain", "1", -0.9, 4.0, (-0.05, -0.005, 0.005, 0.05), relative=True)
+            yield Atom("sensor_gain", name, (size,), start=partial(_back, place), sense=partial(_scale, place))
 
-        def start(rows: Array, slopes: Array, sizes: Array, place: int = place) -> Array:
-            out = 0.0 * rows
-            out[:, place] = rows[:, place] * (1 / (1 + sizes[0]) - 1)
-            return out
 
-        def sense(signals: Array, sizes: Array, place: int = place) -> Array:
-            out = signals.copy()
-            out[..., place] *= 1 + sizes[0]
-            return out
+def _back(place: int, rows: Array, slopes: Array, sizes: Array) -> Array:
+    out = np.zeros_like(rows)
+    out[:, place] = rows[:, place] * (1 / (1 + sizes[0]) - 1)
+    return out
 
-        size = Quantity("gain", "1", -0.9, 4.0, (-0.05, -0.005, 0.005, 0.05), relative=True)
-        yield Atom("sensor_gain", name, (size,), start=start, sense=sense)
+
+def _scale(place: int, signals: Array, sizes: Array) -> Array:
+    out = signals.copy()
+    out[..., place] *= 1 + sizes[0]
+    return out

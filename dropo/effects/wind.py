@@ -1,6 +1,7 @@
 """A moving medium."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from dropo.core.checks import Array
@@ -8,15 +9,15 @@ from dropo.core.effect import Atom, Quantity, Robot
 
 
 def wind(robot: Robot) -> Iterator[Atom]:
-    """Wind along one of the world's axes, in a medium of a density to be found with it."""
+    """Wind along one of the world's axes, in a medium of a density to be found with it (MuJoCo's drag, see air_drag)."""
+    base = float(robot.model.opt.density)
     for axis, letter in enumerate("xyz"):
-        base = float(robot.model.opt.density)
-
-        def model(model: Any, sizes: Array, axis: int = axis) -> None:
-            model.opt.density += float(sizes[0])
-            model.opt.wind[axis] += sizes[1]
-
         trials = tuple((pair,) for pair in ((1.2, -5.0), (1.2, 5.0), (20.0, -5.0), (20.0, 5.0)))
         density = Quantity("density", "kg/m^3", -base, 2000.0, (1.2, 20.0), base=base)
         speed = Quantity("speed", "m/s", -30.0, 30.0, (-5.0, 5.0), base=float(robot.model.opt.wind[axis]))
-        yield Atom("wind", None, (density, speed), letter, model=model, trials=trials)
+        yield Atom("wind", None, (density, speed), letter, model=partial(_blow, axis), trials=trials)
+
+
+def _blow(axis: int, model: Any, sizes: Array) -> None:
+    model.opt.density += float(sizes[0])
+    model.opt.wind[axis] += sizes[1]

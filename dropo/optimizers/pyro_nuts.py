@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from dropo.core.checks import Array, require
 from dropo.core.sampler import Chains, Density, Sampler
-from dropo.optimizers.real_line import RealLine
+from dropo.optimizers.real_line import RealLine, alone
 
 LEAPS = 8  # gradients a draw, about
 
@@ -53,8 +53,7 @@ class PyroNuts(Sampler):
         import torch
         from pyro.infer import NUTS
 
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        with alone(seed):
             kernel = NUTS(potential_fn=lambda at: -line.log_density(at["w"]), full_mass=True, target_accept_prob=self.target_acceptance)
             state = {"w": torch.as_tensor(first, dtype=torch.float64)}
             kernel.initial_params = state

@@ -8,7 +8,7 @@ import numpy as np
 from dropo.core.checks import Array, require
 from dropo.core.errors import Refused
 from dropo.core.sampler import Chains, Density, Sampler
-from dropo.optimizers.real_line import RealLine
+from dropo.optimizers.real_line import RealLine, alone
 
 ROWS = 4  # the draws come as so many walkers, so that diagnostics of chains apply
 SLOWEST = 0.005  # the learning rate falls to this share of itself
@@ -54,8 +54,7 @@ class PyroSvi(Sampler):
         import torch
         from pyro.infer import SVI, Trace_ELBO
 
-        with torch.random.fork_rng(devices=[]), pyro.get_param_store().scope():
-            torch.manual_seed(seed)
+        with alone(seed), pyro.get_param_store().scope():
             model, guide = _model_and_guide(line, first)
             adam = pyro.optim.ClippedAdam({"lr": self.learning_rate, "lrd": SLOWEST ** (1 / self.steps)})
             svi = SVI(model, guide, adam, Trace_ELBO(num_particles=self.particles, vectorize_particles=True, max_plate_nesting=0))

@@ -57,13 +57,13 @@ def _from_file(path: Path, threads: int, checked: bool) -> Problem:
     for key, trajectories in (("data", fitted), ("held_out", held_out)) if checked else ():
         _refuse_errors(entries, key, trajectories, simulator)
     reset, set_columns = _reset(entries, simulator)
-    epsilon, warnings = _epsilon(entries, simulator), _warnings(fitted, simulator)
+    epsilon, warnings, priors = _epsilon(entries, simulator), _warnings(fitted, simulator), _priors(entries, simulator)
     start_noise, degrees = _start_noise(entries), _degrees(entries)
     with entries.blaming("lambda"):
         return Problem(
             path.stem, simulator, fitted, length=cast(int, length), reset=reset, set_columns=set_columns,
             epsilon=epsilon, start_noise=start_noise, noise_degrees=degrees, held_out=held_out, warnings=warnings,
-            priors=_priors(entries, simulator),
+            priors=priors,
         )  # fmt: skip
 
 

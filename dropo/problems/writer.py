@@ -35,7 +35,7 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
         content["epsilon"] = np.asarray(problem.epsilon, dtype=float).tolist()
     if problem.start_noise:
         content["start_noise"] = True
-    beside = [effect_entry(atom, sizes) for atom, sizes in simulator.fixed if atom.model is None]
+    beside = [effect_entry(atom, sizes) for atom, sizes in simulator.fixed if atom.model is None or atom.gate is not None]
     if beside:
         content["effects"] = beside
     _save(problem.trajectories, folder / "data.npz")
@@ -74,7 +74,7 @@ def model_xml(simulator: MujocoSimulator) -> str:
     spec.compile()
     changed = copy.copy(simulator.model)
     for atom, sizes in simulator.fixed:
-        if atom.model is not None:
+        if atom.model is not None and atom.gate is None:
             atom.model(changed, sizes)
     _write_bodies(spec, changed)
     _write_joints(spec, changed)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dropo.core.checks import Array, check_shape, require
 from dropo.core.data import Ints
-from dropo.simulators.mujoco import HUGE, quiet
+from dropo.simulators.mujoco import HUGE
+from dropo.simulators.quiet import quiet
 
 Policy = Callable[[Array, Ints, int], Array]
 """Actions (m, nu) at a control step, from the states (m, nq + nv) of the simulations `ids` (m,): policy(states, ids, step)."""

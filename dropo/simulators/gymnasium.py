@@ -8,7 +8,8 @@ import gymnasium
 from dropo.core.checks import nearest
 from dropo.core.errors import Incompatible, UnknownName
 from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator, quiet
+from dropo.simulators.mujoco import MujocoSimulator
+from dropo.simulators.quiet import quiet
 
 
 class GymnasiumSimulator(MujocoSimulator):

@@ -4,19 +4,45 @@ import mujoco
 import numpy as np
 
 from dropo.core.checks import Array
-from dropo.core.data import Segments
+from dropo.core.data import Ints, Segments
+from dropo.core.errors import Incompatible
 from dropo.simulators.observation import Layout
 from dropo.simulators.worker import Present, clamps_itself
 
 
-def commands_of(segments: Segments, actions: Array, model: mujoco.MjModel, frame_skip: int, present: Present) -> Array:
-    """(N, L frame_skip, nu) commands, one a physics step, as the effects leave them; actions (T, nu) of all transitions.
+def by_gate(present: Present, segments: Segments, part: Ints) -> list[tuple[Ints, Present]]:
+    """A part of the segments in sets that have the same effects, with the sizes that hold there."""
+    if all(atom.gate is None for atom, _ in present):
+        return [(part, present)]
+    if len(segments.levels) > 1:
+        chained = next(atom.label for atom, _ in present if atom.gate is not None)
+        raise Incompatible(f"{chained} changes from segment to segment, and with reset='partial' one goes on where another ended."
+                           " Use reset='transition' or 'start'.")  # fmt: skip
+    shares = np.ones((len(part), len(present)))
+    for i, (atom, sizes) in enumerate(present):
+        if atom.gate is not None:
+            shares[:, i] = atom.gate(segments, sizes)[part]
+    rows, which = np.unique(shares, axis=0, return_inverse=True)
+    sets = [[(atom, share * sizes) for (atom, sizes), share in zip(present, row, strict=True) if share != 0] for row in rows]
+    return [(part[which.ravel() == i], those) for i, those in enumerate(sets)]
 
-    Effects see a trajectory's commands from its beginning, so that delays, lags and play know what came before a segment.
+
+def declared_values(values: Array, present: Present) -> Array:
+    """The declared parameters' values (d,) as the effects leave them."""
+    for atom, sizes in present:
+        values = values if atom.declared is None else atom.declared(values, sizes)
+    return values
+
+
+def commands_of(segments: Segments, part: Ints, actions: Array, model: mujoco.MjModel, frame_skip: int, present: Present) -> Array:
+    """(N, L frame_skip, nu) commands, one a physics step, as the effects leave them, 0 in trajectories that the part is not of.
+
+    actions (T, nu) of all transitions. Effects see a trajectory's commands from its beginning, so that delays, lags and play know
+    what came before a segment.
     """
-    whole = np.empty((len(actions), frame_skip, model.nu))
-    step = float(model.opt.timestep)
-    for first, last in segments.trajectories.spans:
+    whole = np.zeros((len(actions), frame_skip, model.nu))
+    step, data = float(model.opt.timestep), segments.trajectories
+    for first, last in (data.spans[i] for i in np.unique(data.trajectory[segments.steps[part, 0]])):
         commands = actions[first:last]
         for atom, sizes in present:
             commands = commands if atom.command is None else atom.command(commands, sizes)

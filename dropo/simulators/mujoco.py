@@ -3,10 +3,9 @@
 import copy
 import os
 import queue
-import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -18,12 +17,24 @@ from numpy.typing import NDArray
 from dropo.core.checks import Array, require
 from dropo.core.data import Ints, Segments
 from dropo.core.effect import Atom, Robot, sizes_of
-from dropo.core.errors import BadArgument, BadFile
+from dropo.core.errors import BadArgument, BadFile, Incompatible
 from dropo.core.parameters import ParameterSpace
 from dropo.core.simulator import Simulator
+from dropo.simulators.contacts import touching
 from dropo.simulators.fields import MOVES_FRAMES, Binding, FieldParameter, element_names, item_columns
-from dropo.simulators.layers import changes_commands, commands_of, lateness, seen_late, sensed, slopes_of, true_starts
+from dropo.simulators.layers import (
+    by_gate,
+    changes_commands,
+    commands_of,
+    declared_values,
+    lateness,
+    seen_late,
+    sensed,
+    slopes_of,
+    true_starts,
+)
 from dropo.simulators.observation import Layout
+from dropo.simulators.quiet import quiet
 from dropo.simulators.worker import Present, Worker, clamps_itself
 
 BUFFER = 1 << 25  # bytes of states that one call into C may return
@@ -60,6 +71,10 @@ class MujocoSimulator(Simulator):
 
     def _take(self, effects: Sequence[Atom], fixed: Present) -> None:
         self.effects, self.fixed = tuple(effects), tuple(fixed)
+        tied = [atom.label for atom in (*effects, *(atom for atom, _ in fixed)) if atom.general]
+        if tied and self.general is None:
+            raise Incompatible(f"{tied[0]} needs a model whose bodies are compiled with simple='false', and a compiled MjModel was given."
+                               " Make the simulator from an MJCF file or an MjSpec, or leave that effect out.")  # fmt: skip
         own = [binding.parameter for binding in self.bindings]
         self.space = ParameterSpace((*own, *(p for atom in effects for p in atom.parameters)))
         self.nominal = np.concatenate([[b.nominal() for b in self.bindings], np.zeros(len(self.space) - len(own))])
@@ -77,13 +92,26 @@ class MujocoSimulator(Simulator):
 
     def _hire(self) -> None:
         """What lives in one process alone: threads, their own copies of the model, and commands already made."""
-        self._workers: queue.SimpleQueue[Worker] = queue.SimpleQueue()
-        for _ in range(self.threads):
-            self._workers.put(Worker(self.model, self.bindings))
+        self._workers: tuple[queue.SimpleQueue[Worker], ...] = (queue.SimpleQueue(), queue.SimpleQueue())
         self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="mujoco")
         self._commands: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
 
+    @cached_property
+    def general(self) -> mujoco.MjModel | None:
+        """The model for effects that need bodies compiled as not simple; None where that takes a source which is not there."""
+        if not self.model.body_simple[1:].any():
+            return self.model
+        return None if isinstance(self._source, mujoco.MjModel) else load_model(self.spec(), MOVES_FRAMES)
+
+    def _worker(self, general: bool) -> Worker:
+        """A worker that is free, else a new one; there are never more of them than threads."""
+        try:
+            return self._workers[general].get_nowait()
+        except queue.Empty:
+            return Worker(self.general if general else self.model, self.bindings)
+
     def __getstate__(self) -> dict[str, Any]:
+        self.general  # noqa: B018 - compiled while the source is at hand
         return {name: value for name, value in vars(self).items() if name not in ("_workers", "_pool", "_commands", "_source")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -99,10 +127,16 @@ class MujocoSimulator(Simulator):
     def targets(self, segments: Segments) -> Array:
         return self.layout.coordinates(segments.targets, segments.targets)
 
+    def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
+        """(N,) whether bodies overlap in each segment's measured start."""
+        return touching(self.model, self._start_states(segments, np.arange(len(segments)), segments.starts, {}))
+
     @property
     def robot(self) -> Robot:
         """What effects are offered for."""
-        return Robot(self.model, tuple((signal.name, signal.unit) for signal in self.signals), self.control_step)
+        signals = tuple((signal.name, signal.unit) for signal in self.signals)
+        source = not isinstance(self._source, mujoco.MjModel) or self.general is not None
+        return Robot(self.model, signals, self.control_step, tuple(b.parameter for b in self.bindings), source)
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         require(segments.starts.shape[1] == len(self.layout), "segments", f"of {len(self.layout)} observed columns",
@@ -113,21 +147,24 @@ class MujocoSimulator(Simulator):
         row_of = np.concatenate([[0], np.cumsum(np.bincount(segments.rows[0], minlength=len(segments)))])
         fields = len(self.bindings)
 
-        def job(k: int, part: Ints) -> None:
-            present = [*self.fixed, *sizes_of(self.effects, values[k, fields:])]
+        def job(k: int, part: Ints, present: Present) -> None:
             starts = segments.starts[part]
             if offsets is not None:
                 starts = self.layout.move(starts, offsets[k, part])
             if slopes is not None:
                 starts = true_starts(starts, slopes[part], self.layout, present)
-            commands = self._changed_commands(segments, present) if changes_commands(present) or clamps_itself(present) else held
-            observed = self._replay(values[k, :fields], present, segments, part, starts, commands)  # one row a compared row of the part
+            commands = self._changed_commands(segments, part, present) if changes_commands(present) or clamps_itself(present) else held
+            observed = self._replay(
+                declared_values(values[k, :fields], present), present, segments, part, starts, commands
+            )  # one row a compared row of the part
             rows = np.concatenate([np.arange(row_of[i], row_of[i + 1]) for i in part]) if segments.every_step else part
             out[k, rows] = sensed(self.layout.coordinates(observed, targets[rows]), present)
 
+        there = [[*self.fixed, *sizes_of(self.effects, value[fields:])] for value in values]
         parts = self._parts(segments, len(values))
+        tasks = [(k, own, now) for k in range(len(values)) for part in parts for own, now in by_gate(there[k], segments, part)]
         with quiet():
-            for _ in self._pool.map(lambda task: job(*task), [(k, part) for k in range(len(values)) for part in parts]):
+            for _ in self._pool.map(lambda task: job(*task), tasks):
                 pass
         return out
 
@@ -146,9 +183,9 @@ class MujocoSimulator(Simulator):
             self._commands[segments] = self._controls(segments.actions)
         return self._commands[segments]
 
-    def _changed_commands(self, segments: Segments, present: Present) -> Array:
-        """(N, L frame_skip, nu) commands as the effects leave them."""
-        return commands_of(segments, self._controls(segments.trajectories.actions), self.model, self.frame_skip, present)
+    def _changed_commands(self, segments: Segments, part: Ints, present: Present) -> Array:
+        """(N, L frame_skip, nu) commands as the effects leave them, for a part of the segments."""
+        return commands_of(segments, part, self._controls(segments.trajectories.actions), self.model, self.frame_skip, present)
 
     def _controls(self, actions: Array) -> Array:
         """Commands (..., nu) from actions (..., q)."""
@@ -160,7 +197,8 @@ class MujocoSimulator(Simulator):
 
     def _replay(self, value: Array, present: Present, segments: Segments, part: Ints, starts: Array, commands: Array) -> Array:
         """Observations at the compared rows of a part of the segments, in their order; commands (N, L or L frame_skip, nu)."""
-        worker = self._workers.get()
+        general = any(atom.general for atom, _ in present)
+        worker = self._worker(general)
         per_action = commands.shape[1] // segments.steps.shape[1]
         try:
             worker.set(value, present)
@@ -176,7 +214,7 @@ class MujocoSimulator(Simulator):
                     if len(segments.levels) > 1:
                         ends.update(zip(block.tolist(), last, strict=True))
         finally:
-            self._workers.put(worker)
+            self._workers[general].put(worker)
         return np.concatenate([found[i] for i in part.tolist()])
 
     def _start_states(self, segments: Segments, block: Ints, starts: Array, ends: dict[int, Array]) -> Array:
@@ -204,7 +242,9 @@ class MujocoSimulator(Simulator):
         observed = self.layout.observe(after, sensors, self.model)
         late = self.layout.by_column(lateness(present, len(self.signals))) / worker.model.opt.timestep
         if late.any():
-            whole = self.layout.observe(np.concatenate([states[:, None], trace], axis=1), None, self.model)[:, :, late > 0]
+            whole, held = np.concatenate([states[:, None], trace], axis=1), np.concatenate([commands[:, :1], commands], axis=1)
+            sensors = self._sensors(worker, present, whole, held) if self.layout.needs_sensors else None
+            whole = self.layout.observe(whole, sensors, self.model)[:, :, late > 0]
             observed[:, :, late > 0] = seen_late(whole, late[late > 0])[:, self.frame_skip - 1 :: self.frame_skip][:, first:]
         # MuJoCo halts a rollout at its first warning and repeats the state: its clock stands still.
         stopped = after[:, :, 0] < (np.arange(first + 1, actions + 1) * self.frame_skip - 0.5) * worker.model.opt.timestep
@@ -273,23 +313,3 @@ def action_columns(model: mujoco.MjModel, items: Sequence[str]) -> NDArray[np.in
     if len(set(places)) < len(places):
         raise BadArgument(f"The action items {list(items)} name an actuator twice.")
     return np.array(places, dtype=np.int64)
-
-
-_LOCK = threading.Lock()
-_handlers: list[Any] = []  # what was set when each `quiet` now open began; the first is the user's own
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT into the working directory; failures are found in the states.
-
-    The handler is the whole process's: of overlapping ones on several threads, the last to end puts the user's own back.
-    """
-    with _LOCK:
-        _handlers.append(mujoco.get_mju_user_warning())
-        mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        with _LOCK:
-            mujoco.set_mju_user_warning(_handlers.pop())

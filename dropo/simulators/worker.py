@@ -47,39 +47,44 @@ class Worker:
 
     def roll(self, states: Array, controls: Array, present: Present = ()) -> tuple[Array, Array]:
         """States (n, steps, s) and sensor data (n, steps, m) from start states (n, s) under commands (n, steps, nu), one a physics step."""
-        wrenches = [atom.wrench(sizes) for atom, sizes in present if atom.wrench is not None]
         acting = [(atom, sizes) for atom, sizes in present if atom.drive is not None or atom.force is not None]
-        if not wrenches and not acting:
+        if not acting and all(atom.wrench is None for atom, _ in present):
             control = controls if self.model.nu else None
             return mujoco.rollout.rollout(self.model, [self.data], states, control, nstep=controls.shape[1])
-        push = np.zeros((self.model.nbody, 6))
-        for body, wrench in wrenches:
-            push[body] += wrench
+        inputs, spec = self._inputs(controls, present)
         if not acting:
-            forces = np.zeros((*controls.shape[:2], self.model.nv))
-            return self._pushed(states, controls, forces, push)
-        parts, now = [], states
+            return mujoco.rollout.rollout(self.model, [self.data], states, inputs, control_spec=spec)
+        trace = np.empty((*controls.shape[:2], states.shape[1]))
+        sensors = np.empty((*controls.shape[:2], self.model.nsensordata))
+        now, one, nu, nv = states, np.empty((len(states), 1, inputs.shape[2])), self.model.nu, self.model.nv
         for step in range(controls.shape[1]):
-            commands, forces = self._reaction(now, controls[:, step], step, acting)
-            parts.append(self._pushed(now, commands[:, None], forces[:, None], push))
-            now = parts[-1][0][:, 0]
-        return np.concatenate([part[0] for part in parts], axis=1), np.concatenate([part[1] for part in parts], axis=1)
+            one[:, 0] = inputs[:, step]
+            one[:, 0, :nu], one[:, 0, nu : nu + nv] = self._reaction(now, controls[:, step], step, acting)
+            state, sensor = mujoco.rollout.rollout(self.model, [self.data], now, one, control_spec=spec)
+            now = trace[:, step] = state[:, 0]
+            sensors[:, step] = sensor[:, 0]
+        return trace, sensors
+
+    def _inputs(self, controls: Array, present: Present) -> tuple[Array, int]:
+        """What MuJoCo is given at every step (n, steps, nu + nv + 6 nbody): commands, no generalised force, and the wrenches."""
+        push = np.zeros((self.model.nbody, 6))
+        for body, wrench in (atom.wrench(sizes) for atom, sizes in present if atom.wrench is not None):
+            push[body] += wrench
+        outside = np.concatenate([np.zeros(self.model.nv), push.ravel()])
+        spec = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
+        return np.concatenate([controls, np.broadcast_to(outside, (*controls.shape[:2], outside.size))], axis=2), int(spec)
 
     def _reaction(self, states: Array, commands: Array, step: int, acting: Present) -> tuple[Array, Array]:
         """Commands (n, nu) and generalised forces (n, nv) that follow from the states."""
-        nq, nv = self.model.nq, self.model.nv
-        forces = np.zeros((len(states), nv))
+        qpos, qvel, act = np.split(
+            states[:, 1 : 1 + self.model.nq + self.model.nv + self.model.na], np.cumsum([self.model.nq, self.model.nv]), axis=1
+        )
+        forces = np.zeros((len(states), self.model.nv))
         for atom, sizes in acting:
-            moment = Moment(states[:, 1 : 1 + nq], states[:, 1 + nq : 1 + nq + nv], commands, step)
+            moment = Moment(qpos, qvel, commands, step, act, self.model)
             commands = commands if atom.drive is None else atom.drive(moment, sizes)
             forces += 0.0 if atom.force is None else atom.force(moment, sizes)
         return commands, forces
-
-    def _pushed(self, states: Array, commands: Array, forces: Array, push: Array) -> tuple[Array, Array]:
-        everywhere = np.broadcast_to(push.ravel(), (*commands.shape[:2], push.size))
-        control = np.concatenate([commands, forces, everywhere], axis=2)
-        spec = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
-        return mujoco.rollout.rollout(self.model, [self.data], states, control, control_spec=int(spec))
 
 
 def clamps_itself(present: Present) -> bool:

@@ -35,7 +35,7 @@ CASES: tuple[tuple[str, str, str, tuple[int, int]], ...] = (
     ("block", "independent", "dropo", MANY),
     ("block", "autocorrelated", "least squares", MANY), ("block", "autocorrelated", "least squares", FEW),
     ("block", "autocorrelated", "dropo", MANY), ("block", "start", "dropo", MANY), ("block", "start", "dropo", FEW),
-    ("hopper", "independent", "least squares", MANY), ("hopper", "autocorrelated", "least squares", MANY),
+    ("hopper", "independent", "dropo", MANY), ("hopper", "autocorrelated", "dropo", MANY),
     ("block", "dry friction", "least squares", MANY), ("block", "dry friction", "least squares", FEW),
     ("block", "dry friction", "dropo", MANY),
 )  # fmt: skip

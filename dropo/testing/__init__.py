@@ -1,5 +1,6 @@
 """The contracts as functions, for authors of plug-ins: each raises AssertionError, with what is wrong, or is silent."""
 
+from dropo.testing.effects import check_effect as check_effect
 from dropo.testing.families import check_family as check_family
 from dropo.testing.likelihoods import check_likelihood as check_likelihood
 from dropo.testing.optimizers import check_optimizer as check_optimizer

@@ -27,7 +27,7 @@ def test_standard_errors_are_those_of_the_sandwich():
     """100 replications of 30 trajectories: within 30 % (4.5 standard errors of a spread, 32 %) of the clustered error."""
     problem, estimator = line(), LeastSquares()
     fit, found = estimator.fit(problem), bootstrap(problem, estimator, replications=100, rng=0)
-    assert found.means.shape == (150, 1)
+    assert found.means.shape == (100, 1)
     assert found.standard_errors[0] == pytest.approx(fit.mean_se[0], rel=0.3)
     low, high = found.interval()[0]
     assert low < fit.mean[0] < high

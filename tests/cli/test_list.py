@@ -9,7 +9,7 @@ from dropo.cli.main import main
 from dropo.core import catalogue
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "effects"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_name_has_a_sentence(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", kind, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -30,8 +30,3 @@ def test_text(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
     assert capsys.readouterr().out == (
         "gone  (cannot be imported: No module named 'dropo.none')\nplug  Does a thing (eq. 3) to e.g. a robot.\n"
     )
-
-
-def test_effects_are_none_yet(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list", "effects"]) == 0
-    assert capsys.readouterr().out == "There are no effects yet.\n"

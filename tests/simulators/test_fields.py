@@ -93,9 +93,8 @@ def simulator_of(xml, parameters, frame_skip=2):
 
 def used_model(simulator, value):
     """The model that the simulator steps under a parameter vector."""
-    worker = simulator._workers.get()
+    worker = simulator._worker(general=False)
     worker.set(np.asarray(value, dtype=float))
-    simulator._workers.put(worker)
     return worker.model
 
 

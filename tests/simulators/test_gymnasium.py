@@ -9,7 +9,7 @@ from dropo.core.data import Trajectories
 from dropo.core.errors import Incompatible, UnknownName
 from dropo.simulators.fields import FieldParameter
 from dropo.simulators.gymnasium import GymnasiumSimulator
-from dropo.simulators.mujoco import quiet
+from dropo.simulators.quiet import quiet
 from dropo.testing import check_simulator
 
 

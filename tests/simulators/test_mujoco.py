@@ -10,7 +10,8 @@ import pytest
 from dropo.core.data import Trajectories
 from dropo.core.errors import BadArgument, BadFile
 from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator, quiet
+from dropo.simulators.mujoco import MujocoSimulator
+from dropo.simulators.quiet import quiet
 from dropo.testing import check_simulator
 from tests.reference.stepping import load, replay_one_by_one
 from tests.simulators.models import BOX, CART, CASES, CUTS, PENDULUM, SENSED, Case, mass, places

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from dropo.studies import distribution_recovery, figure_6_2, hopper_fits
-from dropo.studies.figure_6_4 import figure_6_4
+from dropo.studies import distribution_recovery, figure_6_2, figure_6_4, hopper_fits
 from dropo.studies.hopper_fits import fitted, item
 from dropo.studies.hopper_sets import MEAN, SPREAD, Size, data_set
 from dropo.studies.pages import picture
@@ -70,8 +69,10 @@ def test_figures(monkeypatch):
     monkeypatch.setattr(figure_6_2, "EPSILON", {"clean": 1e-8})
     distributions = figure_6_2.figure_6_2(Work(), size=SMALL)
     assert [table.header[0] for table in distributions.tables] == ["m1", "m2", "m3", "m4"]
-    sweep = figure_6_4(Work(), 1, size=SMALL)
-    assert sweep.data["mse"].shape == (1, 7)
+    monkeypatch.setattr(figure_6_4, "SWEEP", (1e-6, 1e-5, 1e-4))
+    sweep = figure_6_4.figure_6_4(Work(), 1, size=SMALL)
+    assert sweep.data["mse"].shape == (1, 3)
+    assert sweep.data["chosen"].tolist() == [1e-5]
     for study in (distributions, sweep):
         assert "<svg" in picture(study.draw)
 

@@ -1,0 +1,62 @@
+"""`dropo diagnose` from the command line."""
+
+import json
+
+import pytest
+
+from dropo.cli.main import main
+from dropo.problems.reader import load
+from dropo.problems.writer import write_problem
+from tests.diagnosis.arms import problem
+
+SOME = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
+
+
+@pytest.fixture(scope="module")
+def damped(tmp_path_factory):
+    """A problem file whose data have more damping than its model."""
+    return write_problem(problem([("joint_damping:elbow", [0.05])], episodes=16), tmp_path_factory.mktemp("damped"))
+
+
+def test_it_prints_and_writes(damped, tmp_path, capsys):
+    """The headline on standard output, nothing on standard error in a pipe; diagnosis.json; an extended problem that is consistent."""
+    out = tmp_path / "out"
+    assert main(["diagnose", str(damped), *SOME, "--out", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert "Cause: joint damping at elbow" in printed.out
+    assert printed.err == ""
+    kept = json.loads((out / "diagnosis.json").read_text())
+    assert (kept["verdict"], kept["causes"][0]["target"]) == ("explained", "elbow")
+    extended = out / kept["extended_problem"]
+    assert load(extended).simulator.model.dof_damping[1] == pytest.approx(0.1, rel=0.02)
+    assert main(["diagnose", str(extended), *SOME, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "consistent"
+
+
+def test_refusals_end_with_2(damped, tmp_path, capsys):
+    """Unknown names, a file where a folder should be, nothing to hide in: status 2, a sentence, nothing written."""
+    taken = tmp_path / "file"
+    taken.write_text("")
+    for arguments, told in (
+        ([str(damped), "--effects", "joint_dampin"], "Did you mean 'joint_damping'?"),
+        ([str(damped), "--effects", "joint_damping:elbo"], "Did you mean 'elbow'?"),
+        (["hoper"], "hopper"),
+        ([str(damped), "--out", str(taken)], "a folder"),
+        (["slide", "--hide", "joint_damping:elbow=1"], "hopper"),
+        (["hopper", "--hide", "joint_damping:leg=1"], "leg_joint"),
+        (["hopper", "--hide", "joint_damping:leg_joint=much"], "must give a number for damping [N m s/rad]"),
+        (["hopper", "--hide", "joint_damping:leg_joint=1,2"], "must give a number"),
+        (["slide"], "needs a MuJoCo model"),
+    ):
+        assert main(["diagnose", *arguments]) == 2, arguments
+        assert told in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [taken]
+
+
+def test_hidden_in_the_hopper(capsys):
+    """The example of the documentation, with few effects to look for."""
+    command = ["diagnose", "hopper", "--hide", "joint_damping:leg_joint=0.6", "--effects", "joint_damping", "--json"]
+    assert main(command) == 0
+    (cause,) = json.loads(capsys.readouterr().out)["causes"]
+    assert (cause["effect"], cause["target"]) == ("joint_damping", "leg_joint")
+    assert cause["estimate"]["damping"]["value"] == pytest.approx(0.6, rel=0.03)

@@ -1,0 +1,77 @@
+"""A line of masses on which everything is linear, and what may be hidden in it: fast enough for many data sets."""
+
+import numpy as np
+
+from dropo.core.data import Signal, Trajectories
+from dropo.core.effect import Atom, Quantity
+from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.problem import Problem
+from dropo.core.simulator import Simulator
+from dropo.diagnosis.model import Library
+from dropo.diagnosis.selection import Selection
+from dropo.diagnosis.windows import split
+
+DT, GAIN = 0.1, 2.0
+SIGNALS = (Signal("x", "m"), Signal("v", "m/s"))
+EFFECTS = {
+    "damping": lambda x, v, u: -v,
+    "spring": lambda x, v, u: -x,
+    "bias": lambda x, v, u: 1.0 + 0 * x,
+    "gain": lambda x, v, u: u,
+    "friction": lambda x, v, u: -np.tanh(v / 0.05),
+    "drag": lambda x, v, u: -v * np.abs(v),
+}
+"""Accelerations that a size is multiplied with."""
+
+
+class Mass(Simulator):
+    """x'' = gain u + sum of sizes times EFFECTS, by Euler's method; the gain is declared or not."""
+
+    def __init__(self, declared=False, effects=tuple(EFFECTS)):
+        own = [Parameter("gain of the motor", 1.0, 4.0)] if declared else []
+        self.declared, self.effects, self.signals = declared, effects, SIGNALS
+        self.space = ParameterSpace((*own, *(Parameter(f"{name}/size", -20.0, 20.0) for name in effects)))
+        self.nominal = np.array([GAIN] * declared)
+
+    def _predict(self, values, segments, offsets):
+        starts = segments.starts[None] + (0 if offsets is None else offsets)
+        x, v = (np.broadcast_to(part, (len(values), len(segments))).copy() for part in np.moveaxis(starts, 2, 0))
+        gain, sizes = (values[:, :1], values[:, 1:]) if self.declared else (GAIN, values)
+        out = np.empty((*x.shape, segments.actions.shape[1], 2))
+        for t in range(out.shape[2]):
+            u = segments.actions[:, t, 0]
+            force = gain * u + sum(sizes[:, [j]] * EFFECTS[name](x, v, u) for j, name in enumerate(self.effects))
+            x, v = x + DT * v, v + DT * force
+            out[:, :, t] = np.stack([x, v], axis=2)
+        return out.reshape(len(values), -1, 2) if segments.every_step else out[:, :, -1]
+
+
+def atoms(effects=tuple(EFFECTS)):
+    """One atom an effect, found between -20 and 20."""
+    return [Atom(name, "mass", (Quantity("size", "1", -20.0, 20.0, (-0.1, 0.1)),)) for name in effects]
+
+
+def measured(hidden, sigma=1e-3, seed=0, episodes=20, steps=40, shake=0.0):
+    """Data of the mass with sizes hidden, by name; shake: the sd of a random acceleration in each step."""
+    rng = np.random.default_rng(seed)
+    force = np.repeat(rng.normal(size=(episodes, -(-steps // 4))), 4, axis=1)[:, :steps]
+    x, v = rng.normal(size=(2, episodes)) * 0.5
+    states = [np.stack([x, v], axis=1)]
+    for t in range(steps):
+        u = force[:, t]
+        push = GAIN * u + sum(size * EFFECTS[name](x, v, u) for name, size in hidden.items()) + shake * rng.normal(size=episodes)
+        x, v = x + DT * v, v + DT * push
+        states.append(np.stack([x, v], axis=1))
+    seen = np.stack(states, axis=1) + sigma * rng.normal(size=(episodes, steps + 1, 2))
+    ends = np.tile(np.arange(steps) == steps - 1, episodes)
+    return Trajectories(seen[:, :-1].reshape(-1, 2), force.reshape(-1, 1), seen[:, 1:].reshape(-1, 2), ends)
+
+
+def selection(data, declared=False, effects=tuple(EFFECTS), length=5, windows=60):
+    """A search about to begin, and its first state."""
+    simulator = Mass(declared, effects)
+    library = Library(simulator, atoms(effects), int(declared))
+    train, test = split(Problem("mass", simulator, data), length, windows)
+    search = Selection(library, np.full(2, 1e-9))
+    start = np.concatenate([simulator.nominal, np.zeros(len(effects))])
+    return search, search.begin(train, test, start, np.full(2, 2e-3), np.arange(int(declared)))

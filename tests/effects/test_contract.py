@@ -1,0 +1,92 @@
+"""Every effect at every place of several robots keeps to the contract, and is seen where it can be."""
+
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+from dropo.core.catalogue import find, names
+from dropo.testing import check_effect
+from tests.effects.robots import ROBOTS
+
+NOWHERE = {  # what cannot be seen: a plane's third direction, contacts that do not come about, forces that a joint holds
+    "hopper": r"(body_com|external_force).*\.y|joint_limit.*|.*contact_.*",
+    "arm": r"(body_com|external_force).*\.y|.*contact_.*",
+    "cube": r"nothing",
+    "cart": r"(body_com|external_force).*\.y|external_force:cart\.z|body_inertia:cart|.*contact_.*",
+    "strange": r"(body_com|external_force):slider.*|.*contact_.*",
+}
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def name(request):
+    """One robot after the other."""
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def robot(name):
+    """The robot itself."""
+    return ROBOTS[name]()
+
+
+@pytest.fixture(scope="module")
+def atoms(robot):
+    """All its atoms."""
+    return [atom for effect in names("effects") for atom in find("effects", effect)(robot.simulator.robot)]
+
+
+@pytest.mark.parametrize("effect", names("effects"))
+def test_contract(robot, effect):
+    """Size 0 is the base model bit for bit; bounds, probes, continuity, proportion, inputs left alone, no NaN."""
+    check_effect(find("effects", effect), robot.simulator, robot.segments)
+
+
+def largest(simulator, atoms):
+    """(K, d) for each atom its first and last trial, all else 0."""
+    rows, place = [], len(simulator.space) - sum(len(atom.quantities) for atom in atoms)
+    for atom in atoms:
+        for trial in (atom.trials[0][0], atom.trials[-1][-1]):
+            rows.append(simulator.nominal.copy())
+            rows[-1][place : place + len(trial)] = trial
+        place += len(atom.quantities)
+    return np.array(rows)
+
+
+def test_seen_where_they_can_be(name, robot, atoms):
+    """Of each atom a trial changes the predictions, but for those that nothing can show on this robot."""
+    labels = [atom.label for atom in atoms]
+    assert len(set(labels)) == len(labels)
+    extended = robot.simulator.with_effects(atoms)
+    values = largest(extended, atoms)
+    changes = extended.predict(values, robot.segments) != robot.simulator.predict(robot.simulator.nominal[None], robot.segments)
+    unseen = [label for label, pair in zip(labels, changes.reshape(len(atoms), -1), strict=True) if not pair.any()]
+    assert [label for label in unseen if not re.fullmatch(NOWHERE[name], label)] == []
+
+
+def test_any_number_of_threads_and_any_process(name, robot, atoms):
+    """Two threads, and a copy that went through pickle, give what one thread gives, bit for bit; the control: effects did act."""
+    some = atoms[::3]
+    one = robot.simulator.with_effects(some)
+    values = largest(one, some)
+    wanted = one.predict(values, robot.segments)
+    assert not np.array_equal(wanted, one.predict(0 * values + one.nominal, robot.segments))
+    two = ROBOTS[name](threads=2).simulator.with_effects(some)
+    sent = pickle.loads(pickle.dumps(two))
+    assert np.array_equal(two.predict(values, robot.segments), wanted)
+    assert np.array_equal(sent.predict(values, robot.segments), wanted)
+    again = sent.with_effects(pickle.loads(pickle.dumps(some)))
+    assert np.array_equal(again.predict(values, robot.segments), wanted)
+
+
+def test_none_where_there_is_nothing():
+    """Effects of actuators are not offered for a cube, nor rotations' gains and delays; bodies at rest have no mass to be found."""
+    offered = {name: [a.label for a in find("effects", name)(ROBOTS["cube"]().simulator.robot)] for name in names("effects")}
+    assert [name for name in offered if name.startswith(("actuator", "joint", "gear")) and offered[name]] == []
+    assert "sensor_bias:qpos.cube.rx" in offered["sensor_bias"]
+    assert not [label for kind in ("sensor_gain", "sensor_delay") for label in offered[kind] if label.endswith("rx")]
+    strange = ROBOTS["strange"]().simulator.robot
+    assert not [atom for atom in find("effects", "body_mass")(strange) if atom.target == "0"]
+    assert [a.target for a in find("effects", "actuator_gain")(strange)] == ["0", "1", "socket", "3", "speed", None]
+    assert [a.label for a in find("effects", "gear_lash")(strange)] == []

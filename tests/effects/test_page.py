@@ -1,0 +1,34 @@
+"""The page on effects names what there is, with the quantities' own names."""
+
+import re
+from pathlib import Path
+
+from dropo.core.catalogue import find, names
+from tests.effects.robots import ROBOTS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text()
+
+
+def rows():
+    """The cells of the table, by effect."""
+    table = PAGE.split("<!-- names: effects -->\n")[1].split("\n\n")[0]
+    cells = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in table.splitlines()[2:]]
+    return {row[0].strip("`"): row for row in cells}
+
+
+def test_every_effect_has_a_row():
+    """All names of the catalogue and no others, five cells each."""
+    assert sorted(rows()) == names("effects")
+    assert {len(row) for row in rows().values()} == {5}
+
+
+def test_quantities_and_layers_are_named():
+    """Every quantity and every hook of every atom on all robots stands in its effect's row."""
+    hooks = ("start", "command", "actuation", "drive", "force", "wrench", "model", "sense", "late")
+    for robot in (make().simulator.robot for make in ROBOTS.values()):
+        for name in set(names("effects")) - {"parameter_drift"}:
+            for atom in find("effects", name)(robot):
+                for quantity in atom.quantities:
+                    assert quantity.name in rows()[name][2], (atom.label, quantity.name)
+                for hook in hooks:
+                    assert getattr(atom, hook) is None or hook in rows()[name][4], (atom.label, hook)

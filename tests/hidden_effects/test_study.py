@@ -1,0 +1,91 @@
+"""Effects hidden in simulated data are named: a quick part of the study `hidden-effects`."""
+
+import numpy as np
+import pytest
+
+from dropo.core.catalogue import find
+from dropo.problems.machines import MACHINES, machine
+from dropo.studies.hidden_effects import CASES, draw, hidden_effects, interval, judge, run
+from dropo.studies.work import Work
+
+QUICK = [("torque-arm", "one", 0), ("torque-arm", "nothing", 1), ("position-arm", "two", 0)]
+
+
+@pytest.mark.parametrize("item", QUICK, ids=lambda item: "-".join(map(str, item)))
+def test_what_is_hidden_is_named(item):
+    """One effect of random kind, place and size; none; two."""
+    found = run(list(item))
+    assert found["right"], found["said"]
+    assert found["among"]
+    assert found["error"] is None or found["error"] < 0.05
+
+
+def test_hopper():
+    """One effect on the hopper, with its four masses fitted."""
+    found = run(["hopper", "one", 4])
+    assert found["right"], found["said"]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("case", CASES)
+def test_matrix(name, case):
+    """Two runs of each case on each machine; a cause outside the library may be missed."""
+    found = [run([name, case, seed]) for seed in range(2)]
+    assert all(r["right"] for r in found) or case in ("outside", "removed"), [(r["hidden"], r["said"]) for r in found]
+
+
+def test_tables_count_what_was_said(monkeypatch):
+    """Shares, intervals and confusion from runs that are made up: two of three right, the wrong one listed with what it was taken for."""
+    answers = [
+        {"machine": "torque-arm", "case": "one", "seed": i, "noise": 1e-3, "nats": nats, "hidden": "joint_damping:elbow=0.1",
+         "right": right, "among": True, "extra": not right, "error": 0.01, "first": "joint_damping" if right else "air_drag", "said": "x", "seconds": 2.0}
+        for i, (right, nats) in enumerate([(True, 500.0), (True, 200.0), (False, 150.0), (False, 20.0)])
+    ]  # fmt: skip
+    monkeypatch.setattr(Work, "map", lambda self, task, items: answers)
+    study = hidden_effects(Work(threads=1), 4, machines=["torque-arm"], cases=["one"])
+    (row,) = study.tables[0].rows
+    assert row[:4] == ("torque-arm", "one", "3", "2/3")
+    assert ("joint_damping", "air_drag", "1") in study.tables[2].rows
+    assert ("joint_damping", "joint_damping", "2") in study.tables[2].rows
+
+
+def test_intervals():
+    """Clopper and Pearson's: 0 of 70 leaves up to 5.1 % (two-sided), 68 of 68 at least 94.7 %."""
+    assert interval(0, 70) == (0.0, pytest.approx(1 - 0.025 ** (1 / 70)))
+    assert interval(68, 68) == (pytest.approx(0.025 ** (1 / 68)), 1.0)
+
+
+def test_draws_are_within_bounds():
+    """Every kind of effect that an arm can have is drawn within its bounds, and not 0."""
+    arm, rng = machine("torque-arm"), np.random.default_rng(0)
+    for kind in ("joint_damping", "joint_cogging", "actuator_delay", "wind", "sensor_gain", "joint_limit", "parameter_drift"):
+        atom, sizes = draw(arm, kind, rng)
+        assert atom.effect == kind
+        assert sizes[0] != 0
+        assert all(q.low <= size <= q.high for q, size in zip(atom.quantities, sizes, strict=True))
+
+
+def test_judging():
+    """A second name is extra; a name in the ambiguity set is among; nothing hidden wants no name."""
+
+    class Found:
+        def __init__(self, effect, confused=()):
+            self.effect, self.target, self.variant, self.acts_like, self.confused_with = effect, "elbow", "", None, confused
+            self.estimate = {"damping": {"value": 0.11}}
+
+    class Diagnosis:
+        verdict = "explained"
+
+        def __init__(self, *causes):
+            self.causes = causes
+
+    arm = machine("torque-arm")
+    hidden = [(next(a for a in find("effects", "joint_damping")(arm.simulator.robot)
+                    if a.target == "elbow"), np.array([0.1]))]  # fmt: skip
+    right = judge("one", hidden, Diagnosis(Found("joint_damping")))
+    assert (right["right"], right["among"], right["extra"]) == (True, True, False)
+    assert right["error"] == pytest.approx(0.1)
+    other = judge("one", hidden, Diagnosis(Found("joint_friction", ({"effect": "joint_damping", "target": "elbow"},))))
+    assert (other["right"], other["among"], other["extra"]) == (False, True, True)
+    assert not judge("nothing", [], Diagnosis(Found("joint_damping")))["right"]

@@ -1,0 +1,108 @@
+"""Problems written as files are the problems that were written."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from dropo.core.catalogue import find, names
+from dropo.core.errors import BadFile, Incompatible, Refused
+from dropo.diagnosis.library import declared
+from dropo.problems.reader import load
+from dropo.problems.slide import slide
+from dropo.problems.writer import write_problem
+from dropo.simulators.fields import FieldParameter
+from tests.diagnosis.arms import UPPER, atom, problem
+
+DIGITS = 2e-5  # relative: MJCF is written with six digits, and five steps add up
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """An arm with a declared mass, a little data, and data held out."""
+    found = problem([], parameters=[UPPER], episodes=4, steps=24)
+    return replace(found, held_out=problem([], parameters=[UPPER], episodes=2, steps=12, seed=1).trajectories, epsilon=1e-6)
+
+
+def predicted(found):
+    """(R, p) what a problem's simulator gives for its own data, with its parameters a little off."""
+    return found.simulator.predict(np.asarray(found.simulator.nominal)[None] * 1.1, found.trajectories.segments(5))[0]
+
+
+def written(found, folder):
+    """The problem, there and back."""
+    return load(write_problem(found, folder), threads=1)
+
+
+def test_everything_comes_back(arm, tmp_path):
+    """Data bit for bit, parameters, noise, and predictions to the digits of MJCF."""
+    back = written(arm, tmp_path)
+    for name in ("observations", "actions", "next_observations", "terminals"):
+        np.testing.assert_array_equal(getattr(back.trajectories, name), getattr(arm.trajectories, name))
+        np.testing.assert_array_equal(getattr(back.held_out, name), getattr(arm.held_out, name))
+    assert [b.parameter for b in back.simulator.bindings] == [b.parameter for b in arm.simulator.bindings]
+    assert (back.epsilon, back.start_noise, back.length) == (arm.epsilon, arm.start_noise, arm.length)
+    np.testing.assert_allclose(predicted(back), predicted(arm), rtol=DIGITS, atol=DIGITS)
+
+
+@pytest.mark.parametrize("effect", names("effects"))
+def test_effects_come_back(effect, arm, tmp_path):
+    """With each effect at its first and last place: the same predictions, far closer than those without the effect."""
+    every = find("effects", effect)(arm.simulator.robot)
+    plain, atoms = predicted(arm), [one for one in every if not declared(arm.simulator, one)]
+    for i, one in enumerate({atoms[0].label: atoms[0], atoms[-1].label: atoms[-1]}.values()):
+        fixed = [(one, np.sum(one.trials[-1], axis=0))]
+        has = replace(arm, simulator=arm.simulator.with_effects((), fixed))
+        there, back = predicted(has), predicted(written(has, tmp_path / str(i)))
+        np.testing.assert_allclose(back, there, rtol=5 * DIGITS, atol=5 * DIGITS)
+        moved = np.abs(there - plain).max()
+        assert moved < 1e-12 or np.abs(back - there).max() < 0.02 * moved
+
+
+def test_a_relative_parameter_and_one_of_an_option_come_back(arm, tmp_path):
+    """A factor on a mass, with the derived constants kept, and the strength of gravity."""
+    ours = (
+        FieldParameter("share", 0.5, 2.0, field="body_mass", element="fore", relative=True, derived=False),
+        FieldParameter("gravity", -12.0, -8.0, "m/s^2", field="gravity", index=2),
+    )
+    found = problem([], parameters=ours, episodes=4, steps=24)
+    back = written(found, tmp_path)
+    assert [b.parameter for b in back.simulator.bindings] == [b.parameter for b in found.simulator.bindings]
+    np.testing.assert_allclose(predicted(back), predicted(found), rtol=DIGITS, atol=DIGITS)
+
+
+def test_effects_stand_in_mjcf_where_it_has_them(arm, tmp_path):
+    """Damping is a number of the model; a delay stands in the problem file."""
+    has = replace(arm, simulator=arm.simulator.with_effects((), [
+        (atom(arm.simulator, "joint_damping:elbow"), np.array([0.25])), (atom(arm.simulator, "actuator_delay"), np.array([0.007])),
+    ]))  # fmt: skip
+    content = yaml.safe_load(write_problem(has, tmp_path).read_text())
+    assert content["effects"] == [{"effect": "actuator_delay", "target": None, "sizes": {"delay": 0.007}}]
+    assert 'damping="0.3"' in (tmp_path / "model.xml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("entry", "told"),
+    [
+        ({"effect": "joint_dampin"}, "joint_damping"),
+        ({"effect": "joint_damping", "target": "elbo", "sizes": {"damping": 1}}, "elbow"),
+        ({"effect": "joint_damping", "target": "elbow", "sizes": {"dampin": 1}}, "damping"),
+        ({"effect": "joint_damping", "target": "elbow", "variant": "x", "sizes": {"damping": 1}}, "variant"),
+        ("joint_damping", "list of mappings"),
+    ],
+)
+def test_wrong_entries_are_refused(arm, tmp_path, entry, told):
+    """A misspelt effect, place, quantity or variant in `effects` is refused with what was meant."""
+    path = write_problem(arm, tmp_path)
+    path.write_text(path.read_text() + yaml.safe_dump({"effects": [entry]}))
+    with pytest.raises(BadFile, match=told):
+        load(path)
+
+
+def test_other_simulators_cannot_be_written(tmp_path):
+    """Nothing is left behind."""
+    with pytest.raises(Incompatible, match="MuJoCo"):
+        write_problem(slide(), tmp_path / "x")
+    assert not (tmp_path / "x").exists()
+    assert issubclass(Incompatible, Refused)
