@@ -15,6 +15,7 @@ from dropo.diagnosis.model import Library
 from dropo.diagnosis.result import Cause
 from dropo.diagnosis.screening import Candidate
 from dropo.diagnosis.selection import Selection, State, ambiguity, by_block, gain_of
+from dropo.diagnosis.windows import spread_of
 
 LEAST_P = float(np.finfo(float).tiny)
 
@@ -31,17 +32,17 @@ def _cause(library: Library, selection: Selection, states: Sequence[State], last
     held = invariance(library, last.test, atom)
     return Cause(
         atom.effect, atom.target, atom.variant, estimate(library, last, atom), p_of(gain, count), gain / steps,
-        float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps), _rmse(before), _rmse(after), _confused(library, selection, before, atom),
+        float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps), _rmse(library, before), _rmse(library, after),
+        _confused(library, selection, before, atom),
         None if held.constant else held.variable,
     )  # fmt: skip
 
 
-def _rmse(state: State) -> float:
+def _rmse(library: Library, state: State) -> float:
     """The error at the last step of the windows held out, in units of each signal's own spread."""
     seen, p = state.test, len(state.test.whiten.sigma)
     errors = (seen.windows.measured - seen.predicted)[~seen.lost, -p:]
-    spread = np.maximum(np.var(seen.windows.measured[:, -p:], axis=0), 1e-300)
-    return float(np.sqrt(np.mean(np.mean(errors**2, axis=0) / spread)))
+    return float(np.sqrt(np.mean(np.mean(errors**2, axis=0) / spread_of(library.simulator, seen.windows) ** 2)))
 
 
 def _sides(states: Sequence[State], last: State, atom: Atom) -> tuple[State, State]:

@@ -18,7 +18,7 @@ from dropo.diagnosis.remaining import remaining
 from dropo.diagnosis.result import Diagnosis
 from dropo.diagnosis.selection import Progress, Selection, State
 from dropo.diagnosis.unexplained import impulses
-from dropo.diagnosis.windows import Windows, split
+from dropo.diagnosis.windows import Windows, split, spread_of
 
 LEAST = 1e-5  # of a signal's spread: the least noise
 
@@ -46,8 +46,7 @@ class Diagnose:
         library = Library(simulator.with_effects([*atoms, *hidden]), [*atoms, *hidden], len(problem.space))
         train, test = split(problem, self.length, self.windows)
         _refuse_constant(problem, train)
-        spread = simulator.targets(train.segments).std(axis=0)
-        selection = Selection(library, np.maximum(LEAST * spread, 1e-12), progress)
+        selection = Selection(library, np.maximum(LEAST * spread_of(simulator, train), 1e-12), progress)
         progress(0.0, "fitting the model as it is")
         states, last = _search(problem, library, selection, train, test)
         progress(0.9, "what remains")
@@ -98,9 +97,8 @@ def _first_noise(problem: Problem, library: Library, train: Windows, theta: Arra
 
 def _refuse_constant(problem: Problem, train: Windows) -> None:
     """Signals that never change say nothing of a model, and have no scale to judge errors on."""
-    signals = problem.simulator.targets(train.segments)
-    still = [s.name for s, moves in zip(problem.simulator.signals, np.ptp(signals, axis=0) > 0, strict=True) if not moves]
-    if still and not any("." + axis in name for name in still for axis in ("rx", "ry", "rz")):
+    still = [s.name for s, spread in zip(problem.simulator.signals, spread_of(problem.simulator, train), strict=True) if not spread > 0]
+    if still:
         raise BadArgument(f"The signal {still[0]!r} is the same in all the data: a stuck sensor? Leave it out of the observation.")
 
 

@@ -10,7 +10,7 @@ from dropo.core.problem import Problem
 from dropo.core.simulator import Simulator
 from dropo.diagnosis.model import Library, look
 from dropo.diagnosis.selection import State
-from dropo.diagnosis.windows import FEWEST, held_out_windows
+from dropo.diagnosis.windows import FEWEST, held_out_windows, spread_of
 
 HORIZONS = (1, 5, 20)
 WINDOWS = 40
@@ -47,15 +47,15 @@ def horizons(problem: Problem, library: Library, first: State, last: State) -> t
         noise = sigma**2 + np.mean(np.sum((reach * seen.whiten.scale) ** 2, axis=2), axis=0)
         base = seen.predicted if last is first else library.predict(first.theta[None], windows)[0]
         for out, predicted in ((before, base), (after, seen.predicted)):
-            out.append(_horizon(library.simulator, steps, windows.measured - predicted, noise, library.simulator.targets(windows.segments)))
+            out.append(_horizon(library.simulator, steps, windows.measured - predicted, noise, spread_of(library.simulator, windows) ** 2))
     return before, after
 
 
-def _horizon(simulator: Simulator, steps: int, errors: Array, noise: Array, measured: Array) -> Horizon:
+def _horizon(simulator: Simulator, steps: int, errors: Array, noise: Array, variance: Array) -> Horizon:
     """Errors (W, n) of which the last step counts. Medians over windows would hide impacts: these are means; NaN windows are left out."""
     last = errors[:, -len(noise) :]
     squares = np.mean(last[np.isfinite(last).all(axis=1)] ** 2, axis=0)
-    spread = np.maximum(np.var(measured, axis=0) - noise, 1e-3 * np.var(measured, axis=0))
+    spread = np.maximum(variance - noise, 1e-3 * variance)
     seconds = getattr(simulator, "control_step", None)
     return Horizon(
         steps, None if seconds is None else steps * seconds, float(np.sqrt(np.mean(squares / spread))),

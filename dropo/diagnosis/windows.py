@@ -60,6 +60,17 @@ def held_out_windows(problem: Problem, length: int, most: int) -> Windows:
     return _windows(problem.simulator, *_side(problem, length, True), length, most)
 
 
+ROTATIONS = (".rx", ".ry", ".rz")  # ends of the names of a quaternion's signals: 0 at the measurement, by their chart
+
+
+def spread_of(simulator: Simulator, windows: Windows) -> Array:
+    """(p,) the standard deviation of each measured signal; 1 rad for rotations, which are compared in the chart at the measurement."""
+    signals = windows.measured.reshape(len(windows) * windows.length, -1)
+    spread = np.where(np.ptp(signals, axis=0) > 0, signals.std(axis=0), 0.0)
+    turns = np.array([signal.name.endswith(ROTATIONS) for signal in simulator.signals])
+    return np.where(turns, 1.0, spread)
+
+
 def _side(problem: Problem, length: int, held_out: bool) -> tuple[Trajectories, Ints, Ints]:
     """The data, the rows (W, L) and the blocks (W,) of the windows of one side."""
     data = problem.held_out if held_out and problem.held_out is not None else problem.trajectories

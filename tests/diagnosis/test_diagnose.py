@@ -187,7 +187,8 @@ def test_unfit_data_are_refused():
 def test_diverging_model_is_refused():
     """A spring far too stiff for its time step."""
     xml = """<mujoco><option timestep="0.05" integrator="Euler"/><worldbody><body>
-      <joint name="j" type="slide" axis="1 0 0" stiffness="1e9"/><geom size="0.1" mass="1"/></body></worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
+      <joint name="j" type="slide" axis="1 0 0" stiffness="1e9"/><geom size="0.1" mass="1"/></body></worldbody>
+      <actuator><motor joint="j"/></actuator></mujoco>"""
     simulator = MujocoSimulator(mujoco.MjSpec.from_string(xml), [], frame_skip=20, threads=1)
     rng, n = np.random.default_rng(0), 400
     data = Trajectories(rng.normal(size=(n, 2)), rng.normal(size=(n, 1)), rng.normal(size=(n, 2)), np.arange(n) % 40 == 39)

@@ -39,7 +39,8 @@ def test_tables_count_what_was_said(monkeypatch):
     """Shares, intervals and confusion from runs that are made up: two of three right, the wrong one listed with what it was taken for."""
     answers = [
         {"machine": "torque-arm", "case": "one", "seed": i, "noise": 1e-3, "nats": nats, "hidden": "joint_damping:elbow=0.1",
-         "right": right, "among": True, "extra": not right, "error": 0.01, "first": "joint_damping" if right else "air_drag", "said": "x", "seconds": 2.0}
+         "right": right, "among": True, "extra": not right, "error": 0.01, "first": "joint_damping" if right else "air_drag", "said": "x",
+         "seconds": 2.0}
         for i, (right, nats) in enumerate([(True, 500.0), (True, 200.0), (False, 150.0), (False, 20.0)])
     ]  # fmt: skip
     monkeypatch.setattr(Work, "map", lambda self, task, items: answers)
