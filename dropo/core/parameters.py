@@ -118,7 +118,7 @@ class ParameterSpace(Sequence[Parameter]):
         """The inverse of `from_unit`; values outside the box land outside [0, 1]."""
         values = np.asarray(values, dtype=float)
         linear = (values - self.low) / (self.high - self.low)
-        base, ratio = np.where(self.is_log, self.low, 1.0), np.where(self.is_log, self.high / np.where(self.is_log, self.low, 1.0), np.e)
+        base, ratio = np.where(self.is_log, self.low, 1.0), np.where(self.is_log, self.high / np.where(self.is_log, self.low, 1.0), math.e)
         logarithmic = np.log(np.where(self.is_log, values, 1.0) / base) / np.log(ratio)
         return np.where(self.is_log, logarithmic, linear)
 

@@ -1,5 +1,6 @@
 """The contract of samplers: a log density in, draws out."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -121,7 +122,7 @@ def _with_gradients(log_density: Any, space: ParameterSpace, caller: str) -> Den
 def _slopes(space: ParameterSpace, values: Array) -> Array:
     """d value / d unit coordinate of each parameter, at values (..., d)."""
     ratio = space.high / np.where(space.is_log, space.low, 1.0)
-    return np.where(space.is_log, values * np.log(np.where(space.is_log, ratio, np.e)), space.high - space.low)
+    return np.where(space.is_log, values * np.log(np.where(space.is_log, ratio, math.e)), space.high - space.low)
 
 
 def first_positions(
