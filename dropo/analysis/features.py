@@ -7,6 +7,7 @@ import numpy as np
 from dropo.core.checks import Array
 from dropo.core.data import Ints, Segments
 from dropo.core.problem import Problem
+from dropo.core.ridge import fourier_features
 
 FOURIER = 150  # random features
 LONG_TAIL = 5.0  # standard deviations at which a feature is cut
@@ -86,9 +87,9 @@ def _standard(values: Array) -> Array:
 
 
 def _fourier(base: Array, rng: np.random.Generator) -> Array:
-    """Random features of a Gaussian kernel (Rahimi and Recht 2007), of width sqrt(number of columns)."""
+    """Random features of a Gaussian kernel of width sqrt(number of columns)."""
     n = base.shape[1]
     if n == 0:
         return np.zeros((len(base), 0))
     frequencies, phases = rng.standard_normal((n, FOURIER)) / np.sqrt(n), rng.uniform(0, 2 * np.pi, FOURIER)
-    return np.sqrt(2) * np.cos(base @ frequencies + phases)
+    return fourier_features(base, frequencies, phases)

@@ -11,6 +11,7 @@ from dropo.core.checks import Array
 from dropo.core.data import Ints
 from dropo.core.dependence import Units, unit_sums, units_of, variance_of_sum
 from dropo.core.problem import Problem
+from dropo.core.ridge import ridge
 
 LEVEL = 0.001  # false alarms of each test, over all of its signals and features
 LARGE = 1.1  # a size of the residuals (as a variance) from which it is worth telling: 5 % of a standard error
@@ -174,7 +175,7 @@ def _held_out(rest: Array, features: Features, units: Units) -> Array:
         seen = fold != held
         if seen.all() or not seen.any():
             continue
-        gain[~seen] = rest[~seen] ** 2 - (rest[~seen] - design[~seen] @ _ridge(design[seen], rest[seen])) ** 2
+        gain[~seen] = rest[~seen] ** 2 - (rest[~seen] - design[~seen] @ ridge(design[seen], rest[seen], RIDGES)) ** 2
     sums = np.zeros((int(block.max()) + 1, rest.shape[1]))
     np.add.at(sums, block, gain)
     if len(sums) < 3:
@@ -192,19 +193,3 @@ def _blocks(units: Units, rows: Ints) -> Ints:
     place[units.order] = np.arange(len(units.label))
     length = max(10, -(-len(units.label) // BLOCKS))
     return np.unique(np.stack([units.label[rows], place[rows] // length]), axis=1, return_inverse=True)[1].ravel()
-
-
-def _ridge(design: Array, rest: Array) -> Array:
-    """(F, p) ridge coefficients, each signal's penalty by generalised cross-validation (Golub, Heath and Wahba 1979)."""
-    n = len(design)
-    values, vectors = np.linalg.eigh(design.T @ design / n)
-    values = np.maximum(values, 0.0)
-    moments = vectors.T @ (design.T @ rest) / n  # (F, p)
-    best, out = np.full(rest.shape[1], np.inf), np.zeros_like(moments)
-    for ridge in RIDGES:
-        shrunk = moments / (values + ridge)[:, None]
-        error = np.mean(rest**2, axis=0) - 2 * np.sum(shrunk * moments, axis=0) + np.sum(values[:, None] * shrunk**2, axis=0)
-        criterion = error / max(1 - float(np.sum(values / (values + ridge))) / n, 1e-3) ** 2
-        better = criterion < best
-        best, out[:, better] = np.where(better, criterion, best), shrunk[:, better]
-    return np.asarray(vectors @ out)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import norm, t
 
 from dropo.core.checks import Array
+from dropo.core.ridge import fourier_features, ridge
 from dropo.diagnosis.model import Look
 
 FEATURES = 150  # random Fourier features (Rahimi and Recht 2007)
@@ -36,7 +37,7 @@ def omnibus(train: Look, test: Look, rng: np.random.Generator) -> Omnibus:
     phases = rng.uniform(0, 2 * np.pi, FEATURES)
     smooth = [_features(rows[:, moves], mean[moves], sd[moves], frequencies, phases) for rows in base]
     rest = [_rows(seen) for seen in (train, test)]
-    left = rest[1] - smooth[1] @ ridge(smooth[0], rest[0])
+    left = rest[1] - smooth[1] @ ridge(smooth[0], rest[0], RIDGES)
     fall = (rest[1] ** 2 - left**2).reshape(len(test.windows), test.windows.length, -1).sum(axis=1)  # (W, p)
     label = np.unique(test.windows.block, return_inverse=True)[1]
     blocks = np.stack([np.bincount(label, column) for column in fall.T], axis=1)
@@ -69,20 +70,4 @@ def _state_and_command(seen: Look) -> Array:
 
 def _features(rows: Array, mean: Array, sd: Array, frequencies: Array, phases: Array) -> Array:
     scaled = np.clip((rows - mean) / sd, -5, 5)
-    return np.concatenate([np.ones((len(rows), 1)), scaled, np.sqrt(2) * np.cos(scaled @ frequencies + phases)], axis=1)
-
-
-def ridge(design: Array, targets: Array) -> Array:
-    """(F, p) coefficients, each target's penalty by generalised cross-validation (Golub, Heath and Wahba 1979)."""
-    n = len(design)
-    values, vectors = np.linalg.eigh(design.T @ design / n)
-    values = np.maximum(values, 0.0)
-    moments = vectors.T @ (design.T @ targets) / n
-    best, out = np.full(targets.shape[1], np.inf), np.zeros_like(moments)
-    for penalty in RIDGES:
-        shrunk = moments / (values + penalty)[:, None]
-        error = np.mean(targets**2, axis=0) - 2 * np.sum(shrunk * moments, axis=0) + np.sum(values[:, None] * shrunk**2, axis=0)
-        criterion = error / max(1 - float(np.sum(values / (values + penalty))) / n, 1e-3) ** 2
-        better = criterion < best
-        best, out[:, better] = np.where(better, criterion, best), shrunk[:, better]
-    return np.asarray(vectors @ out)
+    return np.concatenate([np.ones((len(rows), 1)), scaled, fourier_features(scaled, frequencies, phases)], axis=1)

@@ -7,12 +7,11 @@ repetitions) it takes, None for its own choice.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from dropo.core.table import text_table
-from dropo.studies.work import Work
 
 
 @dataclass(frozen=True)
@@ -53,12 +52,6 @@ class Study:
         from dropo import __version__
 
         return {"study": self.name, "version": __version__, "title": self.title, "remarks": list(self.remarks), "data": _plain(self.data)}
-
-
-class StudyFunction(Protocol):
-    """A study: a function of what runs its tasks, and of how many data sets to take (None: its own choice)."""
-
-    def __call__(self, work: Work, seeds: int | None = None) -> Study: ...
 
 
 def _plain(value: Any) -> Any:
