@@ -1,38 +1,71 @@
-"""`dropo data`: describes measured data and checks it."""
+"""`dropo data`: imports raw logs, describes measured data and checks it."""
 
 import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import printing_options, show
+from dropo.cli.output import NOTHING, Progress, computing_options, printing_options, show
 
 if TYPE_CHECKING:
     from dropo.core.data import Trajectories
     from dropo.core.problem import Problem
+    from dropo.data.findings import Finding
 
 
 def add(commands: Any) -> None:
     """Adds the command and its own commands to the parser."""
-    parser = commands.add_parser("data", help="describe and check data", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser("data", help="import, describe and check data", description=__doc__, allow_abbrev=False)
     below = parser.add_subparsers(metavar="ACTION", required=True)
-    for name, function, text in (
-        ("describe", run_describe, "transitions, trajectories, and the range of every signal"),
-        ("check", run_check, "what looks odd; status 2 where the data cannot be used"),
-    ):
-        action = below.add_parser(name, help=text, description=text, allow_abbrev=False)
-        action.set_defaults(run=function)
-        action.add_argument("target", metavar="PROBLEM_OR_DATA", help="a problem, an .npz file, a folder of .npy files or minari:NAME")
-        printing_options(action)
+    target = "a problem, an .npz file, a folder of .npy files or minari:NAME"
+    _add_import(below)
+    describe = _action(below, "describe", run_describe, "transitions, trajectories, and the range of every signal")
+    describe.add_argument("target", metavar="PROBLEM_OR_DATA", help=target)
+    check = _action(below, "check", run_check, "what looks odd; status 2 where the data cannot be used")
+    check.add_argument("target", nargs="+", metavar="PROBLEM_OR_DATA", help=f"{target}; with --map, raw logs")
+    check.add_argument("--map", type=Path, metavar="FILE", help="the mapping file, for raw logs")
+    check.add_argument("--model", type=Path, metavar="MJCF", help="the model, for raw logs")
+
+
+def _add_import(below: Any) -> None:
+    text = "turn raw logs into data and a problem file: CSV, Parquet, NPZ, MCAP, ROS bags, episodes"
+    parser = _action(below, "import", run_import, text)
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="a file or folder; each is a recording, or holds several runs")
+    parser.add_argument("--map", type=Path, required=True, metavar="FILE", help="which column is which joint or actuator (YAML)")
+    parser.add_argument("--model", type=Path, required=True, metavar="MJCF", help="the model, an MJCF file")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="the data file, .npz; problem.yaml and import.json beside it"
+    )
+
+
+def _action(below: Any, name: str, function: Any, text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = below.add_parser(name, help=text, description=text, allow_abbrev=False)
+    parser.set_defaults(run=function)
+    computing_options(parser, seed=NOTHING, threads=NOTHING)
+    printing_options(parser)
+    return parser
+
+
+def run_import(arguments: argparse.Namespace) -> int:
+    """Imports logs and prints what was made of them."""
+    from dropo.data.importing import import_logs
+
+    progress = Progress(silent=arguments.quiet)
+    try:
+        found = import_logs(arguments.logs, arguments.map, arguments.model, arguments.out, progress=progress)
+    finally:
+        progress.close()
+    show(arguments, found, found.to_json())
+    return 0
 
 
 def run_describe(arguments: argparse.Namespace) -> int:
     """Prints the table of the data."""
-    from dropo.data.check import columns, controls, describe
+    from dropo.data.describe import columns, controls, describe
 
     trajectories, problem = _target(arguments.target)
     p, q = trajectories.observations.shape[1], trajectories.actions.shape[1]
     description = describe(trajectories, columns(problem, p), controls(problem, q))
-    show(arguments, str(description), description.to_json())
+    show(arguments, description, description.to_json())
     return 0
 
 
@@ -40,13 +73,37 @@ def run_check(arguments: argparse.Namespace) -> int:
     """Prints what looks odd; 2 where a finding is an error."""
     from dataclasses import asdict
 
-    from dropo.data.check import check
-
-    trajectories, problem = _target(arguments.target)
-    findings = check(trajectories, problem)
+    findings = _findings(arguments)
     content = {"findings": [asdict(finding) for finding in findings]}
     show(arguments, "\n".join(map(str, findings)) or "Nothing looks odd.", content)
     return 2 if any(finding.level == "error" for finding in findings) else 0
+
+
+def _findings(arguments: argparse.Namespace) -> "list[Finding]":
+    from dropo.core.errors import BadArgument
+    from dropo.data.check import check
+
+    if (arguments.map is None) != (arguments.model is None):
+        raise BadArgument("Raw logs are checked with both --map and --model. Got one of them alone.")
+    if arguments.map is not None:
+        return _raw_findings(arguments)
+    if len(arguments.target) > 1:
+        raise BadArgument("One problem or data set is checked at a time; several raw logs need --map and --model.")
+    return check(*_target(arguments.target[0]))
+
+
+def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
+    from dropo.data.log_check import check_runs
+    from dropo.data.machine import load_machine
+    from dropo.data.mapping import read_mapping
+    from dropo.data.recordings import read_runs
+
+    machine = load_machine(arguments.model)
+    progress = Progress(silent=arguments.quiet)
+    try:
+        return check_runs(read_runs(arguments.target, read_mapping(arguments.map, machine), progress), machine)
+    finally:
+        progress.close()
 
 
 def _target(target: str) -> tuple["Trajectories", "Problem | None"]:

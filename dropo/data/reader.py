@@ -26,7 +26,7 @@ Source = str | Path
 
 
 def read(source: Source | Sequence[Source]) -> Trajectories:
-    """The trajectories of an .npz file, a folder of .npy files of the same names, a Minari data set, or a list of such.
+    """The trajectories of a source: an .npz file, a folder of .npy files of the same names, a Minari data set, or a list of such.
 
     Arrays: `observations` (N, p), `actions` (N, q), `terminals` (N,) with True on each trajectory's last row; optional
     `next_observations` (N, p), `group` (N,), `time` (N,) [s]; others are ignored. Without `next_observations` the rows of

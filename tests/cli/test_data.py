@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -40,9 +41,11 @@ def test_an_error_is_status_2(problem: Path, capsys: pytest.CaptureFixture[str])
     np.savez(problem.parent / "data.npz", **data, time=np.zeros(40))
     assert main(["data", "check", str(problem), "--json"]) == 2
     sentence = "38 rows are not later than the row before them, the first is row 1."
-    assert json.loads(capsys.readouterr().out)["findings"][0] == {"level": "error", "signal": "time", "sentence": sentence}
+    advice = "Take them out, or set `terminals` where the clock starts anew."
+    finding = {"level": "error", "signal": "time", "sentence": sentence, "advice": advice, "run": None, "row": 1, "time": 0.0}
+    assert json.loads(capsys.readouterr().out)["findings"][0] == finding
     assert main(["fit", str(problem)]) == 2
-    assert capsys.readouterr().err == f"dropo: {problem}: data: time: {sentence}\n"
+    assert capsys.readouterr().err == f"dropo: {problem}: data: time: {sentence} {advice}\n"
 
 
 def test_unknown_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -51,3 +54,57 @@ def test_unknown_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert main(["data", "describe", "none.npz"]) == 2
     wanted = "an .npz file, a folder of .npy files or a Minari data set"
     assert capsys.readouterr().err == f"dropo: none.npz: expected {wanted}, got no such file.\n"
+
+
+MAP = "time: {column: t}\nqpos: {slide: {column: x, unit: m}}\nqvel: {slide: {column: v, unit: m/s}}\nctrl: {push: {column: f, unit: N}}\n"
+
+
+@pytest.fixture
+def log(problem: Path) -> Path:
+    """log.csv beside robot.xml and map.yaml: the cart under a sine, 4 s at 100 Hz, and no problem file."""
+    model = mujoco.MjModel.from_xml_path(str(problem.parent / "robot.xml"))
+    data = mujoco.MjData(model)
+    lines = ["t,x,v,f"]
+    for i in range(400):
+        data.ctrl[0] = np.sin(3 * 0.01 * i)
+        lines.append(f"{0.01 * i:.6f},{data.qpos[0]!r},{data.qvel[0]!r},{data.ctrl[0]!r}".replace("np.float64(", "").replace(")", ""))
+        mujoco.mj_step(model, data)
+    for name in ("problem.yaml", "data.npz"):
+        (problem.parent / name).unlink()
+    (problem.parent / "map.yaml").write_text(MAP)
+    (problem.parent / "log.csv").write_text("\n".join(lines) + "\n")
+    return problem.parent / "log.csv"
+
+
+def test_import_check_and_fit(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A log becomes a problem that passes the check and, once a parameter is declared, is fitted: the true mass is 2 kg."""
+    raw = ["--map", str(log.parent / "map.yaml"), "--model", str(log.parent / "robot.xml")]
+    assert main(["data", "check", str(log), *raw]) == 0
+    assert capsys.readouterr().out == "Nothing looks odd.\n"
+    assert main(["data", "import", str(log), *raw, "--out", str(log.parent / "data.npz")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(
+        "400 rows in 1 trajectories of 1 runs, every 10 ms (1 physics steps); of 400 rows read, 0 were dropped; 0 rows are"
+    )
+    path = log.parent / "problem.yaml"
+    assert main(["data", "check", str(path)]) == 0
+    path.write_text(path.read_text() + "parameters: {mass: {field: body_mass, name: cart, low: 1, high: 4, unit: kg}}\n")
+    assert main(["fit", str(path), "--transitions", "200", "--json"]) == 0
+    captured = capsys.readouterr().out
+    fitted = json.loads(captured[captured.index("{") :])
+    assert fitted["parameters"]["mass"]["mean"] == pytest.approx(2.0, abs=0.01)
+
+
+def test_refused_imports_write_nothing(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Status 2 and one sentence."""
+    raw = ["--map", str(log.parent / "map.yaml"), "--model", str(log.parent / "robot.xml"), "--out", str(log.parent / "out" / "data.npz")]
+    (log.parent / "map.yaml").write_text(MAP.replace("column: v", "column: vel"))
+    assert main(["data", "import", str(log), *raw]) == 2
+    wanted = f"expected a column of {log} (the nearest is 'v'), got 'vel'."
+    assert capsys.readouterr().err == f"dropo: {log.parent / 'map.yaml'}: qvel.slide.column: {wanted}\n"
+    (log.parent / "map.yaml").write_text(MAP.replace("unit: m/s", "unit: m/s, sign: -1"))
+    assert main(["data", "import", str(log), *raw]) == 2
+    assert "qvel.slide: it has the opposite sign of the change of qpos.slide" in capsys.readouterr().err
+    assert main(["data", "check", str(log), *raw[:4]]) == 2
+    assert main(["data", "check", str(log), *raw[:2]]) == 2
+    assert not (log.parent / "out").exists()

@@ -11,7 +11,8 @@ from dropo.core.checks import Array
 from dropo.core.data import Signal, Trajectories
 from dropo.core.errors import BadArgument
 from dropo.core.problem import Problem
-from dropo.data.check import Finding, check, columns, controls, describe
+from dropo.data.check import check
+from dropo.data.describe import columns, controls, describe
 from dropo.simulators.fields import FieldParameter
 from dropo.simulators.mujoco import MujocoSimulator
 
@@ -62,6 +63,11 @@ def spoilt(data: Trajectories, **changes: Callable[[Array], None]) -> Trajectori
     return Trajectories(**arrays)
 
 
+def said(data: Trajectories, source: Any = None) -> list[tuple[str, str, str]]:
+    """Level, signal and sentence of every finding."""
+    return [(finding.level, finding.signal, finding.sentence) for finding in check(data, source)]
+
+
 def put(index: Any, value: Any) -> Callable[[Array], None]:
     return lambda array: array.__setitem__(index, value)
 
@@ -75,8 +81,9 @@ def test_silent_on_clean_data(simulator: MujocoSimulator, clean: Trajectories) -
 def test_actions_outside_the_control_range(simulator: MujocoSimulator, clean: Trajectories) -> None:
     """Of the limited actuator alone; without a simulator nothing is known of ranges."""
     data = spoilt(clean, actions=put(([3, 4], 0), [-1.5, 1.25]))
-    sentence = "2 of 20 actions are outside the control range [-1, 1] and are clipped; the farthest is -1.5."
-    assert check(data, simulator) == [Finding("warning", "ctrl.push", sentence)]
+    sentence = "2 of 20 actions are outside the control range [-1, 1] and are clipped; the farthest is -1.5, row 3 at 0.006 s."
+    assert said(data, simulator) == [("warning", "ctrl.push", sentence)]
+    assert (check(data, simulator)[0].row, check(data, simulator)[0].time) == (3, 0.006)
     assert check(data) == []
     assert check(spoilt(clean, actions=put((3, 1), 9.0)), simulator) == []
 
@@ -84,38 +91,38 @@ def test_actions_outside_the_control_range(simulator: MujocoSimulator, clean: Tr
 def test_quaternions(simulator: MujocoSimulator, clean: Trajectories) -> None:
     """Far from length 1 is an error, near is a warning, rounding is nothing."""
     length = lambda factor: spoilt(clean, observations=lambda a: put((0, slice(3, 7)), a[0, 3:7] * factor)(a))
-    assert check(length(2.0), simulator) == [Finding("error", "qpos.free", "a quaternion must have length 1, and one has 2.")]
-    assert check(length(1.01), simulator) == [Finding("warning", "qpos.free", "a quaternion must have length 1, and one has 1.01.")]
+    assert said(length(2.0), simulator) == [("error", "qpos.free", "a quaternion must have length 1, and one has 2, row 0.")]
+    assert said(length(1.01), simulator) == [("warning", "qpos.free", "a quaternion must have length 1, and one has 1.01, row 0.")]
     assert check(length(1 + 1e-6), simulator) == []
 
 
 def test_a_channel_that_does_not_move(simulator: MujocoSimulator, clean: Trajectories) -> None:
     dead = put((slice(None), 7), 0.25)
     data = spoilt(clean, observations=dead, next_observations=dead, actions=put((slice(None), 1), 0.0))
-    assert check(data, simulator) == [
-        Finding("warning", "qpos.slide", "it does not move: all 20 rows are 0.25."),
-        Finding("warning", "ctrl[1]", "it does not move: all 20 rows are 0."),
+    assert said(data, simulator) == [
+        ("warning", "qpos.slide", "it does not move: all 20 rows are 0.25."),
+        ("warning", "ctrl[1]", "it does not move: all 20 rows are 0."),
     ]
 
 
 def test_copies(clean: Trajectories) -> None:
     keys = ("observations", "actions", "next_observations")
     data = spoilt(clean, **{key: lambda array: put(9, array[19])(array) for key in keys})  # ends of trajectories: no gap
-    assert Finding("warning", "", "1 of 20 transitions are exact copies of others.") in check(data)
+    assert ("warning", "", "1 of 20 transitions are exact copies of others, the first is row 19.") in said(data)
 
 
 def test_gaps_are_information(simulator: MujocoSimulator, clean: Trajectories) -> None:
     """The rms of 18 pairs, one of them off by 3 m."""
     data = spoilt(clean, next_observations=lambda array: put((2, 7), array[2, 7] + 3.0)(array))
-    text = "next_observations differ from the following observations by 0.7071 m (rms): noise, or a gap."
-    assert check(data, simulator) == [Finding("information", "qpos.slide", text)]
+    text = "next_observations differ from the following observations by 0.7071 m (rms), most at row 2: noise, or a gap."
+    assert said(data, simulator) == [("information", "qpos.slide", text)]
 
 
 def test_short_trajectories(simulator: MujocoSimulator, clean: Trajectories) -> None:
     data = spoilt(clean, terminals=put(2, True))
-    assert check(data) == [Finding("warning", "", "1 of 3 trajectories have fewer than 5 transitions: 0.")]
+    assert said(data) == [("warning", "", "1 of 3 trajectories have fewer than 5 transitions: 0.")]
     sentence = "1 of 3 trajectories are shorter than lambda = 6 and are left out."
-    assert Finding("warning", "", sentence) in check(data, Problem("short", simulator, data, length=6))
+    assert ("warning", "", sentence) in said(data, Problem("short", simulator, data, length=6))
 
 
 def test_time_must_go_on(clean: Trajectories) -> None:
@@ -124,13 +131,16 @@ def test_time_must_go_on(clean: Trajectories) -> None:
     time = np.tile(np.arange(10.0), 2)
     assert check(timed(time)) == []
     time[[4, 13]] = time[[3, 12]]
-    assert check(timed(time)) == [Finding("error", "time", "2 rows are not later than the row before them, the first is row 4.")]
+    assert said(timed(time))[0] == ("error", "time", "2 rows are not later than the row before them, the first is row 4.")
 
 
 def test_errors_come_first(simulator: MujocoSimulator, clean: Trajectories) -> None:
     data = spoilt(clean, actions=put((3, 0), 2.0), observations=put((5, slice(3, 7)), 9.0))
     assert [finding.level for finding in check(data, simulator)] == ["error", "warning", *["information"] * 4]
-    assert str(check(data, simulator)[0]) == "error: qpos.free: a quaternion must have length 1, and one has 18."
+    assert (
+        str(check(data, simulator)[0])
+        == "error: qpos.free: a quaternion must have length 1, and one has 18, row 5. The order is w, x, y, z."
+    )
 
 
 def test_names(simulator: MujocoSimulator) -> None:

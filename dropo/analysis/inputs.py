@@ -1,0 +1,106 @@
+"""Which of several logged inputs to trust, the commanded torque or the one from the current: by held-out likelihood."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import t as student_t
+
+from dropo.analysis.disturbances import cut, robust_values
+from dropo.core.checks import Array, require
+from dropo.core.data import Ints, Segments, Trajectories
+from dropo.core.simulator import Simulator
+
+DEGREES = 4.0  # of freedom of the errors' Student t
+BLOCKS = 24  # of time whose gains are taken as independent
+SURE = 2.5  # standard errors of the gain from which one is called better
+
+
+@dataclass(frozen=True)
+class InputChoice:
+    """The candidates, best first. gain, se: of the best over each, in nats per window held out (0 for the best itself), with
+    the standard error; rmse: of each, by signal, over the windows; values: of the parameters, fitted under each."""
+
+    names: tuple[str, ...]
+    gain: tuple[float, ...]
+    se: tuple[float, ...]
+    rmse: dict[str, dict[str, float]]
+    values: dict[str, dict[str, float]]
+
+    @property
+    def best(self) -> str:
+        """The input under which the model predicts best."""
+        return self.names[0]
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is better than the second by more than chance."""
+        return self.gain[1] > SURE * self.se[1]
+
+    def __str__(self) -> str:
+        if not self.sure:
+            return f"The data do not tell {self.names[0]} from {self.names[1]}: {self.gain[1]:.3g} +- {self.se[1]:.2g} nats per window."
+        rest = ", ".join(f"{g:.3g} +- {s:.2g} over {n}" for n, g, s in zip(self.names[1:], self.gain[1:], self.se[1:], strict=True))
+        return f"{self.best} is the input to trust: it gains {rest} [nats per window held out]."
+
+
+def choose_input(
+    simulator: Simulator, candidates: Mapping[str, Trajectories], start: ArrayLike, step: float, *, seconds: float = 0.1
+) -> InputChoice:
+    """The candidate under which the simulator, fitted anew for each, predicts windows best that the fit has not seen.
+
+    candidates: the same trajectories with other actions, by name; start: (d,) where the fits begin; step: of the control [s];
+    seconds: of a window. Fitted on the even blocks (trajectories, or blocks of time where there are fewer than four) and judged on
+    the odd ones, and the other way round. The parameters must be able to make up for a gain where an input is only scaled.
+    """
+    require(len(candidates) >= 2, "candidates", "at least two inputs", list(candidates), "choose_input")
+    first = next(iter(candidates.values()))
+    for name, data in candidates.items():
+        same = np.array_equal(data.observations, first.observations) and np.array_equal(data.terminals, first.terminals)
+        require(same, "candidates", "of the same observations", f"others under {name!r}", "choose_input")
+    length = max(1, round(seconds / step))
+    block = _blocks(first)
+    value = np.asarray(start, dtype=float)
+    judged = {name: _judged(simulator, data, block, value, step, seconds, length) for name, data in candidates.items()}
+    windows = cut(first, length)
+    where = block[windows.steps[:, 0]]
+    whole = where == block[windows.steps[:, -1]]
+    order = sorted(candidates, key=lambda name: -judged[name][0][whole].sum())
+    gains = [judged[order[0]][0] - judged[name][0] for name in order]
+    sums = np.array([[gain[whole & (where == b)].sum() for b in np.unique(where[whole])] for gain in gains])
+    n = int(whole.sum())
+    se = np.sqrt(sums.shape[1]) * sums.std(axis=1, ddof=1) / n
+    signals = [signal.name for signal in simulator.signals]
+    rmse = {name: dict(zip(signals, np.sqrt(np.mean(judged[name][1][whole] ** 2, axis=0)).tolist(), strict=True)) for name in order}
+    values = {name: dict(zip(simulator.space.names, judged[name][2].tolist(), strict=True)) for name in order}
+    return InputChoice(tuple(order), tuple((sums.sum(axis=1) / n).tolist()), tuple(se.tolist()), rmse, values)
+
+
+def _blocks(data: Trajectories) -> Ints:
+    """(N,) trajectories, or blocks of time where there are fewer than four."""
+    if len(data.spans) >= 4:
+        return data.trajectory
+    return np.arange(len(data)) * BLOCKS // len(data)
+
+
+def _judged(
+    simulator: Simulator, data: Trajectories, block: Ints, start: Array, step: float, seconds: float, length: int
+) -> tuple[Array, Array, Array]:
+    """Log densities (W,) and errors (W, p) of all windows, each under the fit to the other half, and the mean of the two fits (d,)."""
+    windows = cut(data, length)
+    odd = block[windows.steps[:, 0]] % 2
+    log, errors, values = np.empty(len(windows)), np.empty((len(windows), len(simulator.signals))), []
+    for half in (0, 1):
+        seen = data.rows(np.flatnonzero(block % 2 != half))
+        value = robust_values(simulator, seen, step, start, seconds=seconds) if len(start) else start
+        rest, mine = _errors(simulator, cut(seen, length), value), np.flatnonzero(odd == half)
+        errors[mine] = _errors(simulator, windows.take(mine), value)
+        scale = np.nanmedian(np.abs(rest), axis=0) / student_t.ppf(0.75, DEGREES)
+        log[mine] = np.asarray(student_t.logpdf(np.nan_to_num(errors[mine], nan=1e6), DEGREES, scale=scale)).sum(axis=1)
+        values.append(value)
+    return log, errors, np.mean(values, axis=0)
+
+
+def _errors(simulator: Simulator, windows: Segments, value: Array) -> Array:
+    return np.asarray(simulator.targets(windows) - simulator.predict(value[None], windows)[0])
