@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from dropo.analysis.next_data import rank_next
     from dropo.analysis.profile import profile
     from dropo.core.data import Segments, Signal, Trajectories
+    from dropo.core.errors import DropoError, Refused
     from dropo.core.fit import Fit, Status
     from dropo.core.parameters import Parameter, ParameterSpace
     from dropo.core.problem import Problem
@@ -35,6 +36,7 @@ _HOME = {
     "DROPO": "dropo.estimators.dropo",
     "Diagnose": "dropo.diagnosis.diagnose",
     "Diagnosis": "dropo.diagnosis.result",
+    "DropoError": "dropo.core.errors",
     "EnvSimulator": "dropo.simulators.general",
     "FieldParameter": "dropo.simulators.fields",
     "Fit": "dropo.core.fit",
@@ -47,6 +49,7 @@ _HOME = {
     "Posterior": "dropo.estimators.posterior",
     "Problem": "dropo.core.problem",
     "RandomEffects": "dropo.estimators.random_effects",
+    "Refused": "dropo.core.errors",
     "Segments": "dropo.core.data",
     "Signal": "dropo.core.data",
     "Status": "dropo.core.fit",
@@ -63,15 +66,17 @@ _HOME = {
 }
 
 __all__ = [
-    "DROID", "DROPO", "Diagnose", "Diagnosis", "EnvSimulator", "FieldParameter", "Fit", "FunctionSimulator", "GymnasiumSimulator",
-    "LeastSquares", "MujocoSimulator", "Parameter", "ParameterSpace", "Posterior", "Problem", "RandomEffects", "Segments", "Signal",
-    "Status", "Trajectories", "UniformRandomization", "bootstrap", "diagnose", "fit", "identify", "load", "profile", "rank_next",
-    "read",
+    "DROID", "DROPO", "Diagnose", "Diagnosis", "DropoError", "EnvSimulator", "FieldParameter", "Fit", "FunctionSimulator",
+    "GymnasiumSimulator", "LeastSquares", "MujocoSimulator", "Parameter", "ParameterSpace", "Posterior", "Problem", "RandomEffects",
+    "Refused", "Segments", "Signal", "Status", "Trajectories", "UniformRandomization", "bootstrap", "diagnose", "fit", "identify",
+    "load", "profile", "rank_next", "read",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Public names are imported when they are asked for, so that `dropo --help` imports none."""
+    if name == "plots":
+        return import_module("dropo.plots")
     if name not in _HOME:
         raise AttributeError(f"module 'dropo' has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

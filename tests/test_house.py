@@ -22,13 +22,28 @@ MAY_IMPORT = {
     "core": {""},  # the version
     "distributions": {"core"}, "likelihoods": {"core"}, "optimizers": {"core"}, "estimators": {"core", "analysis"},
     "analysis": {"core"}, "effects": {"core"}, "diagnosis": {"core", "analysis", ""}, "simulators": {"core"},
-    "data": {"core"}, "testing": {"core"},
+    "data": {"core", ""}, "testing": {"core"},
     "problems": {"core", "simulators", "data"},
     "studies": {"core", "data", "distributions", "estimators", "likelihoods", "problems", "simulators", "analysis", ""},
-    "cli": {"core", "data", "diagnosis", "estimators", "problems", "studies", ""},
+    "plots": {"core"}, "report": {"core", "plots", ""},
+    "cli": {"analysis", "core", "data", "diagnosis", "estimators", "problems", "report", "studies", ""},
     "": {"analysis", "cli", "core", "data", "diagnosis", "estimators", "problems", "simulators"},
 }  # fmt: skip
-HEAVY = {"torch", "pyro", "arviz", "matplotlib", "cma", "nlopt", "emcee", "pooch", "gymnasium", "minari"}
+HEAVY = {
+    "torch",
+    "pyro",
+    "arviz",
+    "matplotlib",
+    "cma",
+    "nlopt",
+    "emcee",
+    "pooch",
+    "gymnasium",
+    "minari",
+    "rich",
+    "pandas",
+    "imageio_ffmpeg",
+}
 UNAVOIDABLE = {"simulators/gymnasium.py": {"gymnasium"}}  # it does nothing without; imported where one is asked for
 FILE_LINES, FUNCTION_LINES = 250, 60
 LARGE_FILES: dict[str, int] = {}

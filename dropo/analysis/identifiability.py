@@ -22,10 +22,11 @@ def identify(problem: Problem, fit: Fit) -> list[str]:
 
 def blind_spots(problem: Problem, mean: Array, jacobian: Array, epsilon: Array) -> list[str]:
     """As `identify`, bounds left out, from the sensitivities (R, p, d) at the mean (d,) and the noise variances (p,)."""
-    return [*_directions(problem.space, mean, jacobian, epsilon), *_signals(problem, jacobian), *_actions(problem)]
+    return [*undetermined(problem.space, mean, jacobian, epsilon), *_signals(problem, jacobian), *_actions(problem)]
 
 
-def _directions(space: ParameterSpace, mean: Array, jacobian: Array, epsilon: Array) -> list[str]:
+def undetermined(space: ParameterSpace, mean: Array, jacobian: Array, epsilon: Array) -> list[str]:
+    """Sentences on parameters (d,), and on combinations of them, that sensitivities (R, p, d) under noise variances (p,) do not tell."""
     width = space.high - space.low
     white = (jacobian * width / np.sqrt(np.maximum(epsilon, 1e-300))[:, None]).reshape(-1, len(space))
     information = white.T @ white  # of the means, in units of their search intervals

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dropo.analysis.open_loop import open_loop
 from dropo.core.checks import Array, float_array, known, require
 from dropo.core.data import Segments, Trajectories
-from dropo.core.errors import Incompatible
 from dropo.core.fit import Fit
 from dropo.core.linear_gaussian import scores_and_information
 from dropo.core.problem import Problem
@@ -53,14 +53,8 @@ def simulated(problem: Problem, fit: Fit, start: Array, actions: Array) -> Traje
     """The trajectory that the fitted means predict, from a start observation (p,) under actions (T, q)."""
     seen = problem.trajectories
     p, q = seen.observations.shape[1], seen.actions.shape[1]
-    if len(problem.simulator.signals) != p:
-        raise Incompatible("Predictions of this simulator are no observations (a rotation is compared by 3 numbers). Give trajectories.")
     start, actions = float_array("start", start, (p,), "rank_next"), float_array("actions", actions, (None, q), "rank_next")
-    t = len(actions)
-    blank = np.tile(start, (t, 1))
-    whole = Trajectories(blank, actions, blank, np.arange(t) == t - 1).segments(reset="start")
-    after = problem.simulator.predict(fit.mean[None], whole)[0]
-    return Trajectories(np.concatenate([start[None], after[:-1]]), actions, after, np.arange(t) == t - 1)
+    return open_loop(problem.simulator, fit.mean, start[None], actions[None])
 
 
 def _information(problem: Problem, fit: Fit, segments: Segments) -> Array:

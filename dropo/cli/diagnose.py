@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import Progress, printing_options, show, whole
+from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
     from dropo.core.problem import Problem
@@ -19,10 +19,11 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--hide", action="append", default=[], metavar="EFFECT:TARGET=VALUE", help="hide an effect in a built-in problem's simulated data"
     )
-    parser.add_argument("--steps", type=whole(1), default=5, metavar="N", help="control steps in a window; 5 by default")
-    parser.add_argument("--seed", type=whole(0), default=0, metavar="S", help="0 by default")
+    parser.add_argument(
+        "--steps", type=whole(1), metavar="N", help="control steps in a window; by default what the problem or its noise asks for"
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write diagnosis.json here, and the extended problem")
-    parser.add_argument("--threads", type=whole(0), default=0, metavar="N", help="0, the default: all cores; results do not depend on it")
+    computing_options(parser)
     printing_options(parser)
 
 
@@ -36,16 +37,19 @@ def run(arguments: argparse.Namespace) -> int:
     problem = _problem(arguments)
     progress = Progress(silent=arguments.quiet)
     try:
-        found = Diagnose(arguments.effects, arguments.steps).run(problem, rng=arguments.seed, progress=progress)
+        found = Diagnose(arguments.effects, length=arguments.steps).run(problem, rng=arguments.seed, progress=progress)
     finally:
         progress.close()
     if arguments.out is not None:
+        from dropo.cli.record import diagnosis_record, keep_for_report, write_json
         from dropo.problems.writer import write_problem
 
         if found.causes:
             write_problem(found.problem, arguments.out / "extended")
         found.save(arguments.out)
-    show(arguments, str(found), found.to_json())
+        write_json(arguments.out / "run.json", diagnosis_record(arguments, problem))
+        keep_for_report(arguments, None)
+    show(arguments, found, found.to_json())
     return 0
 
 

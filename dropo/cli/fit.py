@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import Progress, printing_options, show, whole
+from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
     from dropo.core.estimator import Estimator
@@ -41,15 +41,15 @@ def add(commands: Any) -> None:
     parser.add_argument("--draws", type=whole(2), metavar="K", help="simulations for each transition in one evaluation")
     parser.add_argument("--start", choices=("middle", "least-squares", "random"), help="where the search begins")
     parser.add_argument("--transitions", type=whole(1), metavar="N", help="use the first N transitions alone")
-    parser.add_argument("--seed", type=whole(0), default=0, metavar="S", help="0 by default")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write fit.json here; the same command resumes after any interruption")
-    parser.add_argument("--threads", type=whole(0), default=0, metavar="N", help="0, the default: all cores; results do not depend on it")
+    computing_options(parser)
     printing_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fits, prints and saves; 0, or 1 where it was interrupted."""
-    from dropo.cli.record import run_record
+    from dropo.analysis.predictions import predict
+    from dropo.cli.record import keep_for_report, run_record
     from dropo.core.fit import Status
     from dropo.core.journal import Journal
     from dropo.core.recipe import estimator_for
@@ -66,7 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
     fit = _fit(arguments, estimator, problem, journal)
     if arguments.out:
         _save(arguments.out, fit, record)
-    show(arguments, str(fit), fit.to_json())
+        keep_for_report(arguments, predict(problem, fit))
+    show(arguments, fit, fit.to_json())
     return 1 if fit.status is Status.INTERRUPTED else 0
 
 
@@ -145,10 +146,10 @@ def _check_folder(folder: Path | None, record: dict[str, Any]) -> None:
 
 def _save(folder: Path, fit: "Fit", record: dict[str, Any]) -> None:
     """run.json, then fit.json and fit.npz; each appears whole or not at all."""
+    from dropo.cli.record import write_json
+
     folder.mkdir(parents=True, exist_ok=True)
-    whole_file = folder / ".run.json"
-    whole_file.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
-    whole_file.replace(folder / "run.json")
+    write_json(folder / "run.json", record)
     fit.save(folder)
 
 

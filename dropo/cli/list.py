@@ -5,7 +5,7 @@ import inspect
 import re
 from typing import Any
 
-from dropo.cli.output import show
+from dropo.cli.output import NOTHING, computing_options, printing_options, show
 
 KINDS = ("methods", "optimizers", "families", "likelihoods", "samplers", "simulators", "problems", "studies", "effects")
 
@@ -15,7 +15,8 @@ def add(commands: Any) -> None:
     parser = commands.add_parser("list", help="what can be named", description=__doc__, allow_abbrev=False)
     parser.set_defaults(run=run)
     parser.add_argument("kind", metavar="KIND", help=", ".join(KINDS))
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    computing_options(parser, seed=NOTHING, threads=NOTHING)
+    printing_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,12 +1,13 @@
 """The command line: `dropo COMMAND ...`. A command imports what it needs when it runs, so that `--help` is quick."""
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
 import dropo
-from dropo.cli import data, diagnose, fit, recover
+from dropo.cli import data, diagnose, fit, recover, report
 from dropo.cli import list as list_
 from dropo.core.errors import BadArgument, DropoError, Refused
 
@@ -24,6 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit status: 0 done, 1 failed, 2 refused with nothing written."""
     try:
         arguments = _parser().parse_args(argv)
+        arguments.command_line = shlex.join(["dropo", *(sys.argv[1:] if argv is None else argv)])
         return int(arguments.run(arguments))
     except SystemExit as stop:  # --help and --version
         return int(stop.code or DONE)
@@ -39,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="dropo", description=dropo.__doc__, allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"dropo {dropo.__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (fit, diagnose, recover, data, list_):
+    for command in (fit, diagnose, report, recover, data, list_):
         command.add(commands)
     return parser
 

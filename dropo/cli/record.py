@@ -1,8 +1,13 @@
 """What a run is: everything that decides its result, as JSON; the number of threads is not among it."""
 
+import argparse
 import hashlib
+import json
 import math
+import platform
 from dataclasses import asdict, fields
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -11,6 +16,7 @@ import numpy as np
 from dropo import __version__
 from dropo.core.data import Trajectories
 from dropo.core.estimator import Estimator
+from dropo.core.predictions import Predictions
 from dropo.core.prior import describe
 from dropo.core.problem import Problem
 
@@ -19,6 +25,37 @@ def run_record(command: str, method: str, estimator: Estimator, problem: Problem
     """The header of a journal and the content of run.json."""
     settings = {field.name: plain(getattr(estimator, field.name)) for field in fields(estimator)}  # type: ignore[arg-type]
     return {"command": command, "method": method, "settings": settings, "seed": seed, "version": __version__, **problem_record(problem)}
+
+
+def diagnosis_record(arguments: argparse.Namespace, problem: Problem) -> dict[str, Any]:
+    """The content of a diagnosis' run.json."""
+    settings = {name: plain(getattr(arguments, name)) for name in ("effects", "hide", "steps")}
+    return {"command": "diagnose", "settings": settings, "seed": arguments.seed, "version": __version__, **problem_record(problem)}
+
+
+def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | None) -> None:
+    """What a report says and shows beside the result: predictions.npz, and in made.json the command and the versions behind it."""
+    if predictions is not None:
+        predictions.save(arguments.out)
+    path = Path(arguments.problem)
+    versions = {
+        "Python": platform.python_version(),
+        **{name: version(name) for name in ("mujoco", "numpy", "scipy")},
+        "on": platform.platform(),
+    }
+    made = {
+        "command": arguments.command_line,
+        "problem": str(path.resolve()) if path.is_file() else arguments.problem,
+        "versions": versions,
+    }
+    write_json(arguments.out / "made.json", made)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Writes a file of JSON, whole or not at all."""
+    whole = path.with_name(f".{path.name}")
+    whole.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    whole.replace(path)
 
 
 def problem_record(problem: Problem) -> dict[str, Any]:

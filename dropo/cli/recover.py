@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from dropo.cli.fit import terminable
-from dropo.cli.output import Progress, printing_options, show, whole
+from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 
 def add(commands: Any) -> None:
@@ -16,7 +16,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--seeds", type=whole(1), metavar="N", help="data sets or repetitions; each study has a number of its own")
     parser.add_argument("--published", action="store_true", help="also the method as published, where a study has it: minutes more")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write <study>.md, .json and .svg here; the same command resumes")
-    parser.add_argument("--threads", type=whole(0), default=0, metavar="N", help="0, the default: all cores; results do not depend on it")
+    computing_options(parser, seed="without effect: the data sets of a study have seeds of their own")
     printing_options(parser)
 
 
@@ -37,5 +37,5 @@ def run(arguments: argparse.Namespace) -> int:
         raise DropoError(kept) from None
     finally:
         progress.close()
-    show(arguments, str(study), study.to_json())
+    show(arguments, study, study.to_json())
     return 0

@@ -78,7 +78,13 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "hopper-noisy": "dropo.problems.hopper:hopper_noisy",
         "hopper-published": "dropo.problems.hopper_published:hopper_published",
         "hopper-published-noisy": "dropo.problems.hopper_published:hopper_published_noisy",
+        "hopper-v5": "dropo.problems.hopper_v5:hopper_v5",
         "cube-toss": "dropo.problems.cube_toss:cube_toss",
+        "double-pendulum": "dropo.problems.double_pendulum:double_pendulum",
+        "double-pendulum-c0": "dropo.problems.double_pendulum:double_pendulum_c0",
+        "simple-pendulum": "dropo.problems.simple_pendulum:simple_pendulum",
+        "swinging-pendulum": "dropo.problems.swinging_pendulum:swinging_pendulum",
+        "swinging-pendulum-double": "dropo.problems.swinging_pendulum:swinging_pendulum_double",
         "slide": "dropo.problems.slide:slide",
     },
     "studies": {
@@ -91,6 +97,8 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "calibration": "dropo.studies.calibration:calibration",
         "coverage": "dropo.studies.coverage:coverage",
         "hidden-effects": "dropo.studies.hidden_effects:hidden_effects",
+        "measured": "dropo.studies.measured:measured",
+        "hopper-v5": "dropo.studies.hopper_v5:hopper_v5_study",
     },
 }
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}

@@ -16,7 +16,7 @@ Reset = Literal["transition", "start", "partial"]
 
 @dataclass(frozen=True)
 class Signal:
-    """One compared number: the column's name and unit."""
+    """One compared number: the column's name, and its unit for tables (left out: none)."""
 
     name: str
     unit: str = ""
@@ -214,12 +214,12 @@ class Segments:
         return self if self.every_step else replace(self, every_step=True)
 
     def spread_out(self, count: int) -> Ints:
-        """Which segments to take for about so many, evenly spread; all of them where they form chains, or are fewer."""
+        """Which segments to take for about `count` of them, evenly spread; all where they form chains, or are fewer."""
         stride = len(self) // count if len(self.levels) == 1 else 1
         return np.arange(0, len(self), max(1, stride), dtype=np.int64)
 
     def take(self, index: ArrayLike) -> "Segments":
-        """Some of the segments; of a chain (`partial` resets) only whole beginnings can be taken."""
+        """Some of the segments, by an index of numbers or (N,) bool; of a chain (`partial` resets) only whole beginnings can be taken."""
         index = np.asarray(index)
         index = np.flatnonzero(index) if index.dtype == bool else index.astype(np.int64)
         place = np.full(len(self) + 1, -2, dtype=np.int64)

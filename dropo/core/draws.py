@@ -12,6 +12,7 @@ from scipy.stats import rankdata
 
 from dropo.core.checks import Array, check_shape, float_array, require
 from dropo.core.errors import DropoError
+from dropo.core.extras import need
 from dropo.core.table import number, text_table
 
 
@@ -92,6 +93,7 @@ class Draws:
         log_likelihood: (S, W, R) of each compared row, for model comparison; observed: (R, p) the measured targets;
         attributes: what else to say about the run.
         """
+        need("arviz", extra="posterior", caller="InferenceData")
         stats = {"lp": _by_chain(self.log_density)} | ({} if self.diverging is None else {"diverging": _by_chain(self.diverging)})
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on arviz' own plans

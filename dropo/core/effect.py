@@ -61,6 +61,7 @@ class Atom:
     actuation(commands (T, nu), step [s], sizes): the same, one a physics step, after they were clamped;
     drive(moment, sizes) -> (n, nu): commands that depend on the state, each physics step;
     force(moment, sizes) -> (n, nv): generalised forces that depend on the state, each physics step;
+    push(steps, sizes) -> (steps, nv): generalised forces that are known beforehand, one row a physics step since the segments' start;
     wrench(sizes) -> (body, (6,)): a constant force and torque at a body's centre of mass, in the world's axes;
     model(model, sizes): changes the fields of a copy of the model; mj_setConst follows;
     sense(signals (n, L, p), sizes): measured signals from true ones; `late` [s] (sizes) -> (p,): how much later they are seen.
@@ -80,6 +81,7 @@ class Atom:
     actuation: Callable[[Array, float, Array], Array] | None = None
     drive: Callable[[Moment, Array], Array] | None = None
     force: Callable[[Moment, Array], Array] | None = None
+    push: Callable[[int, Array], Array] | None = None
     wrench: Callable[[Array], tuple[int, Array]] | None = None
     start: Callable[[Array, Array, Array], Array] | None = None
     sense: Callable[[Array, Array], Array] | None = None

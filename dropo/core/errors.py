@@ -30,5 +30,9 @@ class Incompatible(Refused):
     """Two parts that cannot work together; the message gives the reason and the way out."""
 
 
+class MissingPackage(Refused, ImportError):
+    """A package is not installed that only some uses need; the message names it and the extra that brings it."""
+
+
 class SimulationFailed(DropoError, RuntimeError):
     """The simulator diverged where it must not; the message says on which segments."""

@@ -13,12 +13,19 @@ from dropo.core.checks import Array, require
 from dropo.core.fit import Fit
 from dropo.core.journal import Journal
 from dropo.core.problem import Problem
+from dropo.core.simulator import Simulator
 
 Progress = Callable[[float, str], None]
 
 
 def silent(share: float, text: str) -> None:
     """No progress."""
+
+
+def with_cost(progress: Progress, simulator: Simulator) -> Progress:
+    """The same progress, whose text also says how many simulator steps were made from now on."""
+    before = simulator.steps
+    return lambda share, text: progress(share, f"{text}, {simulator.steps - before:,} simulator steps")
 
 
 @dataclass
@@ -67,10 +74,14 @@ class Estimator(ABC):
     def fit(
         self, problem: Problem, *, rng: np.random.Generator | int | None = 0, journal: Journal | None = None, progress: Progress = silent
     ) -> Fit:
-        """Fits the distribution of the problem's parameters. rng: anything that numpy.random.default_rng takes."""
+        """Fits the distribution of the problem's parameters.
+
+        rng: anything that numpy.random.default_rng takes; journal: where evaluations are recorded, for a run that can be resumed;
+        progress: called with the share that is done (0 to 1) and a text.
+        """
         require(len(problem.space) >= 1, "parameters", "at least one", 0, f"Problem {problem.name!r}")
         begun = time.perf_counter()
-        run = Run(problem, np.random.default_rng(rng), journal or Journal(), progress)
+        run = Run(problem, np.random.default_rng(rng), journal or Journal(), with_cost(progress, problem.simulator))
         with threadpool_limits(1, user_api="blas"):  # the simulator's threads use the cores; small products gain nothing
             fit = self._fit(problem, run)
         seed = int(rng) if isinstance(rng, int | np.integer) else None

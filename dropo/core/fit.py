@@ -13,7 +13,7 @@ from dropo.core.catalogue import find
 from dropo.core.checks import Array, require
 from dropo.core.errors import BadFile
 from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.table import number, text_table
+from dropo.core.table import Printed, Table, number
 
 
 class Status(str, Enum):
@@ -25,15 +25,18 @@ class Status(str, Enum):
     DONE = "done"  # nothing was searched (uniform randomization)
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Fit(Printed):
     """A distribution over the parameters, and what it cost to find.
 
-    space: the d parameters; family: the name of the law, phi: (m,) its member; mean, scale, sd: (d,) in the parameters'
-    units, scale the family's own and sd the distribution's; mean_se, scale_se: (d,) standard errors, NaN where there is
-    none; degrees: (d,) of freedom of the Student t behind the means' intervals, None: normal; epsilon: (p,) noise variances.
-    mse: the mean square of (mean prediction - measured) over rows and signals.
-    arrays: whatever else an estimator found, by name; details: further entries of fit.json.
+    method, problem: their names; space: the d parameters; family: the name of the law, phi: (m,) its member; mean, scale, sd: (d,)
+    in the parameters' units, scale the family's own and sd the distribution's; mean_se, scale_se: (d,) standard errors, NaN where
+    there is none; degrees: (d,) of freedom of the Student t behind the means' intervals, None: normal; correlation: (d, d) of the law;
+    epsilon: (p,) noise variances [signal unit^2]. log_likelihood: [nats] of all rows, as the method has it; mse: the mean square of
+    (mean prediction - measured) over rows and signals. transitions: those fitted; simulator_steps, failed_simulations,
+    objective_evaluations, wall_time_s [s], seed: what it cost, and the seed where `rng` was one. status, message: how it ended;
+    warnings: what speaks against it, a sentence each. arrays: whatever else an estimator found, by name; details: further
+    entries of fit.json.
     """
 
     method: str
@@ -64,13 +67,15 @@ class Fit:
     details: dict[str, Any] = field(default_factory=dict)
 
     def sample(self, draws: int, rng: np.random.Generator | int | None = None) -> Array:
-        """Parameter vectors (K, d) from the fitted distribution."""
+        """Parameter vectors (K, d) from the fitted distribution, K = `draws`, all physically possible; without `rng` new ones each time."""
         family = find("families", self.family)(self.space)
         return family.sample(self.phi, draws, np.random.default_rng(rng))
 
     def interval(self, level: float = 0.95) -> Array:
-        """(d, 2) confidence intervals of the means, mean -+ t mean_se, cut at the search interval; NaN without a standard error,
-        as on a bound, where the data speak against one side alone. They cover where `trusted`."""
+        """(d, 2) confidence intervals of the means at a level in (0, 1), mean -+ t mean_se, cut at the search interval.
+
+        NaN without a standard error, as on a bound, where the data speak against one side alone. They cover where `trusted`.
+        """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.interval")
         degrees = np.full(len(self.mean), np.inf) if self.degrees is None else np.nan_to_num(self.degrees, nan=np.inf)
         half = stats.t.ppf((1 + level) / 2, degrees) * self.mean_se
@@ -83,12 +88,28 @@ class Fit:
         return bool(self.details.get("model_check", {}).get("passed", True))
 
     def to_inference_data(self) -> Any:
-        """The draws of a posterior as arviz.InferenceData: posterior, sample_stats, observed_data, and log_likelihood where kept."""
+        """The draws of a posterior as arviz.InferenceData: posterior, sample_stats, observed_data, and log_likelihood where kept.
+
+        BadArgument where the method keeps no draws: only `Posterior` does. Needs the extra `posterior`.
+        """
         from dropo import __version__
         from dropo.core.draws import inference_data
 
         about = {"method": self.method, "problem": self.problem, "seed": self.seed, "version": __version__}
         return inference_data(self.arrays, self.details.get("unknowns", ()), about)
+
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame with a row for each parameter: mean, errors, 95 % interval, scale, sd, unit, search interval."""
+        from dropo.core.frames import frame
+
+        intervals = self.interval()
+        rows = [
+            {"parameter": p.name, "unit": p.unit, "mean": self.mean[i], "mean_se": self.mean_se[i], "mean_low": intervals[i, 0],
+             "mean_high": intervals[i, 1], "scale": self.scale[i], "scale_se": self.scale_se[i], "sd": self.sd[i],
+             "low": p.low, "high": p.high}
+            for i, p in enumerate(self.space)
+        ]  # fmt: skip
+        return frame(rows, "parameter")
 
     def to_json(self) -> dict[str, Any]:
         """The content of fit.json; numbers that do not exist are null."""
@@ -115,7 +136,7 @@ class Fit:
         }  # fmt: skip
 
     def save(self, folder: str | Path) -> None:
-        """Writes fit.json and fit.npz; each appears whole or not at all."""
+        """Writes fit.json and fit.npz into a folder, which is made where it is missing; each appears whole or not at all."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         whole = folder / ".fit.npz"
@@ -129,7 +150,7 @@ class Fit:
 
     @classmethod
     def load(cls, folder: str | Path) -> "Fit":
-        """The fit that `save` wrote into a folder."""
+        """The fit that `save` wrote into a folder; BadFile where there is none, or one that cannot be read."""
         path = Path(folder) / "fit.json"
         if not path.is_file():
             raise BadFile(path, "", "a fit written by `dropo fit --out`", "no such file")
@@ -139,8 +160,9 @@ class Fit:
         except (json.JSONDecodeError, KeyError, OSError) as error:
             raise BadFile(path, "", "a fit written by `dropo fit --out`", f"{type(error).__name__}: {error}") from None
 
-    def __str__(self) -> str:
-        return fit_table(self)
+    def parts(self) -> list[str | Table]:
+        """The fit as a table, with what it cost beneath."""
+        return fit_parts(self)
 
 
 _SAVED = ("method", "problem", "family", "mse", "transitions", "simulator_steps", "failed_simulations",
@@ -157,7 +179,7 @@ def _value(saved: float | None, missing: float = np.nan) -> float:
 
 def _parameter(name: str, row: dict[str, Any]) -> Parameter:
     lower, upper = _value(row["lower"], -np.inf), _value(row["upper"], np.inf)
-    return Parameter(name, row["low"], row["high"], row["unit"], lower, upper, row["search_scale"])
+    return Parameter(name, row["low"], row["high"], row["unit"], lower=lower, upper=upper, scale=row["search_scale"])
 
 
 def _from_json(cls: type[Fit], content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
@@ -197,14 +219,14 @@ def span(low: float, high: float) -> str:
     return f"{low:.{digits}g} .. {high:.{digits}g}"
 
 
-def fit_table(fit: Fit) -> str:
+def fit_parts(fit: Fit) -> list[str | Table]:
     """The fit as a table, with what it cost beneath."""
     truth = fit.details.get("truth", {})
     ends = "95 % interval" if fit.trusted else "(95 % if the model were right)"
-    header = ["parameter", "unit", "mean", "se", ends, "scale", "sd", *(["truth"] if truth else [])]
+    header = ("parameter", "unit", "mean", "se", ends, "scale", "sd", *(["truth"] if truth else []))
     intervals = fit.interval()
-    rows = [
-        [
+    rows = tuple(
+        (
             p.name,
             p.unit,
             number(fit.mean[i], 7),
@@ -212,19 +234,18 @@ def fit_table(fit: Fit) -> str:
             span(*intervals[i]),
             number(fit.scale[i], 4),
             number(fit.sd[i], 4),
-        ]
-        + ([number(truth[p.name], 7)] if truth else [])
+            *([number(truth[p.name], 7)] if truth else []),
+        )
         for i, p in enumerate(fit.space)
-    ]
+    )
     likelihood = f"log-likelihood {fit.log_likelihood:.6g} ({fit.log_likelihood / fit.transitions:.4g} a transition)"
-    lines = [
+    return [
         f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
-        text_table(header, rows),
+        Table("", header, rows),
         *fit.details.get("identifiability", ()),
         f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
         *held_out_lines(fit.details.get("held_out")),
         f"{fit.simulator_steps:,} simulator steps, {fit.objective_evaluations} evaluations, {fit.wall_time_s:.1f} s",
-        f"{fit.status.value}: {fit.message}",
+        *f"{fit.status.value}: {fit.message}".split("\n", 1),  # a method's own table stands alone
         *(f"warning: {text}" for text in fit.warnings),
     ]
-    return "\n".join(lines)

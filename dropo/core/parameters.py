@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -17,8 +17,8 @@ from dropo.core.checks import Array, float_array, known, require
 class Parameter:
     """One number to be found.
 
-    low, high: the search interval, in `unit`. lower, upper: what is physically possible, which a draw never leaves;
-    by default a tenth of `low` where `low` is positive, 0 where it is 0, and no limit otherwise.
+    name: what it is called in tables and files; low, high: the search interval, in `unit`. lower, upper: what is physically
+    possible, which a draw never leaves; by default a tenth of `low` where `low` is positive, 0 where it is 0, and no limit otherwise.
     scale: how a search moves in the interval, "linear" or "log".
     """
 
@@ -26,6 +26,7 @@ class Parameter:
     low: float
     high: float
     unit: str = ""
+    _: KW_ONLY
     lower: float = math.nan
     upper: float = math.inf
     scale: Literal["linear", "log"] = "linear"
@@ -73,22 +74,27 @@ class ParameterSpace(Sequence[Parameter]):
 
     @cached_property
     def names(self) -> tuple[str, ...]:
+        """The d names."""
         return tuple(parameter.name for parameter in self.parameters)
 
     @cached_property
     def low(self) -> Array:
+        """(d,) the lower ends of the search intervals, each in its parameter's unit."""
         return np.array([parameter.low for parameter in self.parameters])
 
     @cached_property
     def high(self) -> Array:
+        """(d,) the upper ends of the search intervals."""
         return np.array([parameter.high for parameter in self.parameters])
 
     @cached_property
     def lower(self) -> Array:
+        """(d,) the least values that are physically possible; -inf where there is no such limit."""
         return np.array([parameter.lower for parameter in self.parameters])
 
     @cached_property
     def upper(self) -> Array:
+        """(d,) the largest values that are physically possible; inf where there is no such limit."""
         return np.array([parameter.upper for parameter in self.parameters])
 
     @cached_property
@@ -97,7 +103,7 @@ class ParameterSpace(Sequence[Parameter]):
         return np.array([parameter.scale == "log" for parameter in self.parameters], dtype=bool)
 
     def vector(self, values: Mapping[str, float] | ArrayLike) -> Array:
-        """(d,) in this order, from a mapping of names or from an array."""
+        """(d,) in this order, from `values`: a mapping of all names, or an array (d,)."""
         if isinstance(values, Mapping):
             for name in values:
                 known("parameter", name, self.names)
@@ -107,7 +113,7 @@ class ParameterSpace(Sequence[Parameter]):
         return float_array("values", values, (len(self),), "ParameterSpace.vector")
 
     def from_unit(self, unit: ArrayLike) -> Array:
-        """Points of the box from points of [0, 1]^d, linear or in logarithms; (..., d) -> (..., d)."""
+        """Points of the box from points of [0, 1]^d, linear or in logarithms; unit: (..., d) -> (..., d)."""
         unit = np.asarray(unit, dtype=float)
         linear = self.low + unit * (self.high - self.low)
         base = np.where(self.is_log, self.low, 1.0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,19 +18,22 @@ from dropo.core.spread import Spread
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Checked once, when it is made. It may have no parameters; an estimator needs at least one.
+    """A simulator, and what was measured: all that a method needs. Checked once, when it is made.
 
-    length: the thesis' lambda, in control steps; reset, set_columns, every_step: as in `Trajectories.segments`;
-    epsilon: the noise variance, one or (p,), where it is known; start_noise: whether the measured start states carry it too;
-    noise_degrees: of freedom of a Student t in the Gaussian noise's place; truth: the parameters' true values, where the data
-    are simulated; held_out: trajectories that no fit sees; everything: the whole data, where `trajectories` are only their
-    first ones; priors: of single parameters, for a posterior, by name; warnings: what looked odd in the data;
-    settings: what a fit of this problem takes where its caller says nothing (for example {"draws": 20}).
+    It may have no parameters; an estimator needs at least one. name: for tables and files; simulator: its parameters are
+    those of the problem; trajectories: what is fitted. length: the thesis' lambda, in control steps; reset, set_columns,
+    every_step: as in `Trajectories.segments`; epsilon: the noise variance, one or (p,), where it is known; start_noise:
+    whether the measured start states carry it too; noise_degrees: of freedom of a Student t in the Gaussian noise's place;
+    truth: the parameters' true values, where the data are simulated; held_out: trajectories that no fit sees; everything: the
+    whole data, where `trajectories` are only their first ones; priors: of single parameters, for a posterior, by name;
+    warnings: what looked odd in the data; settings: what a fit of this problem takes where its caller says nothing (for
+    example {"draws": 20}).
     """
 
     name: str
     simulator: Simulator
     trajectories: Trajectories
+    _: KW_ONLY
     length: int = 1
     reset: Reset = "transition"
     set_columns: NDArray[np.bool_] | None = None
@@ -66,12 +69,12 @@ class Problem:
         return self.cut(self.trajectories)
 
     def cut(self, trajectories: Trajectories, *, every_step: bool | None = None) -> Segments:
-        """Other trajectories (held-out ones, say) as segments of the same kind."""
+        """Other trajectories (held-out ones, say) as segments of the same kind; every_step: compare all steps; None: as here."""
         every = self.every_step if every_step is None else every_step
         return trajectories.segments(self.length, reset=self.reset, set_columns=self.set_columns, every_step=every)
 
     def using(self, *, transitions: int | None = None, length: int | None = None, executor: Executor | None = None) -> "Problem":
-        """The same problem with the first so many transitions, another lambda, or its simulations on an executor's workers.
+        """The same problem with the first so many transitions, another lambda (`length`), or its simulations on an executor's workers.
 
         executor: any concurrent.futures.Executor; the results stay the same, bit for bit.
         """

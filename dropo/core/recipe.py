@@ -16,7 +16,12 @@ NAMED = {"likelihood": "likelihoods", "optimizer": "optimizers", "family": "fami
 
 
 def fit(problem: Problem, method: str = "dropo", *, rng: np.random.Generator | int | None = 0, **settings: Any) -> Fit:
-    """Fits the problem as `dropo fit` does: `fit(problem, "droid", budget=500)` is `dropo fit PROBLEM --method droid --budget 500`."""
+    """Fits the problem as `dropo fit` does: `fit(problem, "droid", budget=500)` is `dropo fit PROBLEM --method droid --budget 500`.
+
+    method: a name of `dropo list methods`; settings: those of the method's class, by name; what is left out is as the problem
+    says, else the method's own default. UnknownName for a name that does not exist, Incompatible for a setting that the method
+    does not take.
+    """
     return estimator_for(problem, method, settings).fit(problem, rng=rng)
 
 

@@ -1,6 +1,57 @@
-"""Plain text tables."""
+"""Tables of text, and results that print themselves."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from html import escape
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as they are printed; rows as long as the header."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __str__(self) -> str:
+        text = text_table(list(self.header), [list(row) for row in self.rows])
+        return f"{self.title}\n{text}" if self.title else text
+
+    def _repr_html_(self) -> str:
+        caption = f"<caption>{escape(self.title)}</caption>" if self.title else ""
+        rows = "".join(_html_row("td", row) for row in self.rows)
+        return f"<table>{caption}<thead>{_html_row('th', self.header)}</thead><tbody>{rows}</tbody></table>"
+
+
+def _html_row(tag: str, cells: tuple[str, ...]) -> str:
+    """The first cell to the left, the others to the right."""
+    sides = ["left", *["right"] * (len(cells) - 1)]
+    shown = (f'<{tag} style="text-align: {side}; padding: 0 0.6em">{escape(cell)}</{tag}>' for side, cell in zip(sides, cells, strict=True))
+    return f"<tr>{''.join(shown)}</tr>"
+
+
+class Printed(ABC):
+    """A result that prints itself: as text, in a notebook as HTML, and on a terminal as the command line draws it."""
+
+    @abstractmethod
+    def parts(self) -> list[str | Table]:
+        """Sentences and tables, in the order in which they are read."""
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.parts()))
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        return "\n".join(part._repr_html_() if isinstance(part, Table) else _html_text(part) for part in self.parts() if part)
+
+
+def _html_text(text: str) -> str:
+    """A sentence as a paragraph; several lines, which may be a table, as they stand."""
+    return f"<pre>{escape(text)}</pre>" if "\n" in text else f'<p style="margin: 0.2em 0">{escape(text)}</p>'
 
 
 def text_table(header: list[str], rows: list[list[str]]) -> str:

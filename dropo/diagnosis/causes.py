@@ -1,7 +1,6 @@
 """What is told of each accepted effect: its size with error, what it gained, what it cannot be told from."""
 
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,31 +9,33 @@ from scipy.stats import norm
 from dropo.core.dependence import Units
 from dropo.core.effect import Atom
 from dropo.core.sandwich import sandwich
+from dropo.core.table import number
+from dropo.diagnosis.experiment import experiment
 from dropo.diagnosis.invariance import invariance, standing_out
 from dropo.diagnosis.model import Library
 from dropo.diagnosis.result import Cause
+from dropo.diagnosis.review import Review, ambiguity
 from dropo.diagnosis.screening import Candidate
-from dropo.diagnosis.selection import Selection, State, ambiguity, by_block, gain_of
+from dropo.diagnosis.selection import Selection, State, by_block, gain_of
 from dropo.diagnosis.windows import spread_of
 
+TOLD_APART, PATIENCE = 2, 600.0  # effects in an ambiguity set for which an experiment is looked for; [s] that it may take
 LEAST_P = float(np.finfo(float).tiny)
 
 
-def causes(library: Library, selection: Selection, states: Sequence[State], last: State, count: int) -> tuple[Cause, ...]:
+def causes(library: Library, last: State, reviews: Mapping[str, Review], count: int) -> tuple[Cause, ...]:
     """The accepted effects of the last state, in the order in which they were found; count: how many effects were looked for."""
-    return tuple(_cause(library, selection, states, last, atom, count) for atom in last.accepted)
+    return tuple(_cause(library, last, atom, reviews[atom.label], count) for atom in last.accepted)
 
 
-def _cause(library: Library, selection: Selection, states: Sequence[State], last: State, atom: Atom, count: int) -> Cause:
-    before, after = _sides(states, last, atom)
-    gain, steps = gain_of(before.test, after.test)[0], after.test.windows.steps
-    blocks = by_block(before.test, after.test)
+def _cause(library: Library, last: State, atom: Atom, found: Review, count: int) -> Cause:
+    gain, steps = gain_of(found.without.test, last.test)[0], last.test.windows.steps
+    blocks = by_block(found.without.test, last.test)
     held = invariance(library, last.test, atom)
     return Cause(
         atom.effect, atom.target, atom.variant, estimate(library, last, atom), p_of(gain, count), gain / steps,
-        float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps), _rmse(library, before), _rmse(library, after),
-        _confused(library, selection, before, atom),
-        None if held.constant else held.variable,
+        float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps), _rmse(library, found.without), _rmse(library, last),
+        _confused(library, last, atom, found), None if held.constant else held.variable,
     )  # fmt: skip
 
 
@@ -45,34 +46,24 @@ def _rmse(library: Library, state: State) -> float:
     return float(np.sqrt(np.mean(np.mean(errors**2, axis=0) / spread_of(library.simulator, seen.windows) ** 2)))
 
 
-def _sides(states: Sequence[State], last: State, atom: Atom) -> tuple[State, State]:
-    """The states before and after an effect came; one that stands for several others: before the first of these, and the last."""
-    for before, after in pairwise(states):
-        if after.accepted[-1].label == atom.label:
-            return before, after
-    return next(b for b, after in pairwise(states) if after.accepted[-1].effect == atom.effect), last
-
-
 def p_of(gain: float, count: int, z: float | None = None) -> float:
     """The p-value of the split likelihood-ratio test for all effects tried, and where that says less, of z by blocks."""
     p = min(1.0, count * float(np.exp(-max(gain, 0.0))))
     return max(p, LEAST_P, 0.0 if z is None else float(norm.sf(z)))
 
 
-def _confused(library: Library, selection: Selection, before: State, atom: Atom) -> tuple[dict[str, Any], ...]:
+def _confused(library: Library, last: State, atom: Atom, found: Review) -> tuple[dict[str, Any], ...]:
     """The other effects that the data cannot tell from it, with why, and where in the data the difference is largest."""
-    same = [i for i, r in enumerate(selection.rounds) if r and r[0].state.accepted[:-1] == before.accepted]
-    trials = [(trial, i) for i in same for trial in selection.rounds[i]]
-    winner, i = next(((trial, i) for trial, i in trials if trial.candidate.atom.label == atom.label), (None, 0))
-    alias = tuple({"effect": name, "target": None, "why": "the same in any recorded data"} for name in atom.alike)
-    if winner is None:
-        return alias
     told = []
-    for other, why in ambiguity(winner, selection.rounds[i], selection.screened[i]):
-        entry = {"effect": other.atom.effect, "target": other.atom.target, "why": why}
-        regime = _difference(library, before, winner.candidate, other)
-        told.append(entry | ({"to_tell": f"record more {regime}"} if regime else {}))
-    return (*told, *alias)
+    for i, (own, other, why) in enumerate(ambiguity(last, atom, found)):
+        told.append({"effect": other.atom.effect, "target": other.atom.target, "variant": other.atom.variant, "why": why})
+        tried = experiment(library, last, atom, other.atom, other.sizes) if i < TOLD_APART else None
+        regime = _difference(library, found.origin.before, own, other) if found.origin else None
+        if tried is not None and tried.seconds < PATIENCE:
+            told[-1]["to_tell"] = f"record {number(tried.seconds, 2)} s of {tried}"
+        elif regime:
+            told[-1]["to_tell"] = f"record more {regime}"
+    return (*told, *({"effect": name, "target": None, "variant": "", "why": "the same in any recorded data"} for name in atom.alike))
 
 
 def _difference(library: Library, before: State, one: Candidate, two: Candidate) -> str | None:
@@ -103,7 +94,7 @@ def estimate(library: Library, last: State, atom: Atom) -> dict[str, dict[str, A
 def suspects(selection: Selection, last: State, count: int) -> tuple[dict[str, Any], ...]:
     """Effects of the last round that seemed to help and were not confirmed."""
     taken = {atom.label for atom in last.accepted}
-    trials = selection.rounds[-1] if selection.rounds else []
+    trials = selection.rounds[-1].trials if selection.rounds else []
     return tuple(
         {
             "effect": trial.candidate.atom.effect, "target": trial.candidate.atom.target,

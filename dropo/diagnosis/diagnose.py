@@ -2,70 +2,87 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 
-from dropo.core.checks import Array, require
+from dropo.core.checks import Array, known, require
+from dropo.core.data import Ints
 from dropo.core.errors import BadArgument
+from dropo.core.estimator import silent, with_cost
 from dropo.core.problem import Problem
 from dropo.diagnosis.causes import causes, suspects
 from dropo.diagnosis.horizons import horizons
+from dropo.diagnosis.length import choose_length, first_noise
 from dropo.diagnosis.library import atoms_for
 from dropo.diagnosis.model import Library
+from dropo.diagnosis.motion import motion
+from dropo.diagnosis.pictures import pictures
 from dropo.diagnosis.remaining import remaining
 from dropo.diagnosis.result import Diagnosis
+from dropo.diagnosis.review import Review, review, together
 from dropo.diagnosis.selection import Progress, Selection, State
+from dropo.diagnosis.undetermined import undetermined
 from dropo.diagnosis.unexplained import impulses
 from dropo.diagnosis.windows import Windows, split, spread_of
 
 LEAST = 1e-5  # of a signal's spread: the least noise
 
 
-def silent(share: float, text: str) -> None:
-    """Shows no progress."""
-
-
 @dataclass(frozen=True)
 class Diagnose:
-    """Settings of a diagnosis. effects: names, or "effect:place"; None for all. length: steps in a window; windows: about how many
-    to fit and how many held out."""
+    """Settings of a diagnosis. effects: names of effects, or "effect:place"; None for all. length: control steps in a window; windows:
+    about how many to fit, and how many to hold out; parameters: the declared ones that are fitted at the same time, the others stay as the
+    model has them. Where None is given, the problem's settings decide, else its horizon (`choose_length`), and all are fitted."""
 
     effects: Sequence[str] | None = None
-    length: int = 5
+    _: KW_ONLY
+    length: int | None = None
     windows: int = 96
+    parameters: Sequence[str] | None = None
 
     def run(self, problem: Problem, *, rng: np.random.Generator | int | None = 0, progress: Progress = silent) -> Diagnosis:
-        """What the problem's simulator gets wrong, judged on data that nothing was fitted to."""
-        require(self.length >= 1, "length", "at least 1", self.length, "Diagnose")
+        """What the problem's simulator gets wrong, judged on data that nothing was fitted to.
+
+        progress: called with the share that is done (0 to 1) and a text. Incompatible where the simulator is no MuJoCo model,
+        UnknownName for an effect or a place that does not exist, BadArgument where the data are too few.
+        """
+        require(self.length is None or self.length >= 1, "length", "at least 1", self.length, "Diagnose")
         begun, generator = time.perf_counter(), np.random.default_rng(rng)
-        atoms = atoms_for(problem, self.effects)
-        simulator: Any = problem.simulator
-        hidden = impulses(simulator.model, self.length, simulator.frame_skip)
+        free = _free(problem, self.parameters)
+        atoms, simulator = atoms_for(problem, self.effects, free), cast(Any, problem.simulator)
+        length = choose_length(problem, self.windows) if self.length is None else self.length
+        hidden = impulses(simulator.model, length)
         library = Library(simulator.with_effects([*atoms, *hidden]), [*atoms, *hidden], len(problem.space))
-        train, test = split(problem, self.length, self.windows)
+        progress = with_cost(progress, library.simulator)
+        train, test = split(problem, length, self.windows)
         _refuse_constant(problem, train)
         selection = Selection(library, np.maximum(LEAST * spread_of(simulator, train), 1e-12), progress)
         progress(0.0, "fitting the model as it is")
-        states, last = _search(problem, library, selection, train, test)
+        first, last, reviews = _search(problem, library, selection, train, test, free)
         progress(0.9, "what remains")
         rest = remaining(problem, library, last, selection.floor, generator)
-        found = causes(library, selection, states, last, len(atoms))
-        before, after = horizons(problem, library, states[0], last)
+        found = causes(library, last, reviews, len(atoms))
+        nominal, before, after = horizons(problem, library, [nominal_of(library), first.theta, last.theta], last)
+        progress(0.95, "what the pictures show")
+        shown, moved = pictures(library, selection, first, last, reviews, rest.force, len(atoms)), motion(problem, library, first, last)
         fixed = [(atom, last.theta[library.places[atom.label]]) for atom in last.accepted]
         return Diagnosis(
             problem.name, _verdict(bool(found), rest.wrong or any(cause.acts_like for cause in found)), found,
-            suspects(selection, last, len(atoms)), per_step(states[0]), per_step(last), before, after, rest.to_json(),
+            suspects(selection, last, len(atoms)), per_step(first), per_step(last), before, after, rest.to_json(),
             replace(problem, simulator=simulator.with_effects((), fixed)),
             dict(zip([s.name for s in simulator.signals], last.train.whiten.sigma.tolist(), strict=True)),
             time.perf_counter() - begun, int(rng) if isinstance(rng, int | np.integer) else None, library.simulator.steps,
-            problem.warnings,
+            problem.warnings, nominal=nominal if len(free) else (), undetermined=undetermined(library, last), pictures=shown, motion=moved,
         )  # fmt: skip
 
 
 def diagnose(problem: Problem, effects: Sequence[str] | None = None, *, rng: np.random.Generator | int | None = 0) -> Diagnosis:
-    """Shows what the simulation gets wrong, names the cause, extends the model and measures the gain."""
+    """Shows what the simulation gets wrong, names the cause, extends the model and measures the gain.
+
+    effects: names of effects to look for, or "effect:place"; None for all of `dropo list effects`. Errors as of `Diagnose.run`.
+    """
     return Diagnose(effects).run(problem, rng=rng)
 
 
@@ -74,25 +91,35 @@ def per_step(state: State) -> float:
     return float(state.test.log_likelihood.sum() / state.test.windows.steps)
 
 
-def _search(problem: Problem, library: Library, selection: Selection, train: Windows, test: Windows) -> tuple[list[State], State]:
-    """The states from the model as it is on, and the last after what has become unnecessary was taken out."""
-    nominal = np.concatenate([problem.simulator.nominal, np.zeros(len(library.simulator.space) - len(problem.space))])
-    start = np.clip(nominal, library.simulator.space.low, library.simulator.space.high)
-    first = selection.begin(
-        train, test, start, _first_noise(problem, library, train, start, selection.floor), np.arange(len(problem.space))
-    )
+def _free(problem: Problem, parameters: Sequence[str] | None) -> Ints:
+    """The places of the declared parameters that are fitted."""
+    wanted = problem.settings.get("parameters", problem.space.names) if parameters is None else parameters
+    chosen = [known("parameter", str(name), problem.space.names) for name in cast(Sequence[str], wanted)]
+    return np.array([problem.space.names.index(name) for name in chosen], dtype=np.int64)
+
+
+def _search(
+    problem: Problem, library: Library, selection: Selection, train: Windows, test: Windows, free: Ints
+) -> tuple[State, State, dict[str, Review]]:
+    """The model as it is, the one that the search ends with, and what became of each of its effects when it was judged again."""
+    start = nominal_of(library)
+    first = selection.begin(train, test, start, first_noise(problem, library, train, start, selection.floor), free)
     atoms = [atom for atom in library.atoms if atom.effect != "unexplained_force"]
-    states = selection.run(first, atoms)
-    return states, selection.together(selection.backward(states[-1]), atoms)
+    found = selection.run(first, first, atoms)
+    last, reviews = review(selection, found)
+    while last is not found:  # after an exchange, others may be confirmed
+        found = selection.run(first, last, atoms)
+        if found is last:
+            break
+        last, reviews = review(selection, found)
+    whole = together(selection, last, atoms)
+    return first, whole, reviews if whole is last else review(selection, whole)[1]
 
 
-def _first_noise(problem: Problem, library: Library, train: Windows, theta: Array, floor: Array) -> Array:
-    """(p,) the stated noise, else the spread of most one-step residuals."""
-    if problem.epsilon is not None:
-        return np.maximum(np.sqrt(np.broadcast_to(np.asarray(problem.epsilon, dtype=float), floor.shape)), floor)
-    residuals = (train.measured - library.predict(theta[None], train)[0])[:, : len(floor)]
-    found = residuals[np.isfinite(residuals).all(axis=1)]
-    return np.maximum(1.4826 * np.median(np.abs(found), axis=0) / np.sqrt(2), floor) if len(found) else floor
+def nominal_of(library: Library) -> Array:
+    """(m,) the declared parameters as the model has them, within their bounds, and no effects."""
+    space, simulator = library.simulator.space, cast(Any, library.simulator)
+    return np.clip(simulator.nominal, space.low, space.high)
 
 
 def _refuse_constant(problem: Problem, train: Windows) -> None:

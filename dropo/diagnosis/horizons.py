@@ -1,5 +1,6 @@
-"""How far predictions are off after 1, 5, 20 steps on data held out, and what share of that the sensors' noise explains."""
+"""How far predictions are off after few and many steps on data held out, and what share of that the sensors' noise explains."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +13,9 @@ from dropo.diagnosis.model import Library, look
 from dropo.diagnosis.selection import State
 from dropo.diagnosis.windows import FEWEST, held_out_windows, spread_of
 
-HORIZONS = (1, 5, 20)
-WINDOWS = 40
+HORIZONS = (1, 5, 20, 100, 400)
+ROWS, WINDOWS = 8000, 100  # of all windows of a horizon together, and windows, at most; but no fewer than LEAST windows
+LEAST = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,22 +35,23 @@ class Horizon:
         return {"steps": self.steps, "seconds": self.seconds, "rmse": self.rmse, "noise": self.noise, "units": units}
 
 
-def horizons(problem: Problem, library: Library, first: State, last: State) -> tuple[list[Horizon], list[Horizon]]:
-    """The errors of the model as it is, and of the extended one, at each horizon for which the data held out are long enough."""
-    before: list[Horizon] = []
-    after: list[Horizon] = []
-    sigma = last.train.whiten.sigma
-    for steps in HORIZONS:
-        windows = held_out_windows(problem, steps, WINDOWS)
+def horizons(problem: Problem, library: Library, thetas: Sequence[Array], last: State) -> list[list[Horizon]]:
+    """The errors under each theta at each horizon, and at that of the windows, for which the data held out are long enough.
+
+    The noise is that of the last state. Windows may overlap.
+    """
+    found: list[list[Horizon]] = [[] for _ in thetas]
+    sigma, variance = last.train.whiten.sigma, spread_of(library.simulator, last.test.windows) ** 2
+    for steps in sorted({*HORIZONS, last.train.windows.length}):
+        windows = held_out_windows(problem, steps, max(LEAST, min(WINDOWS, ROWS // steps)))
         if len(windows) < FEWEST:
             break
         seen = look(library, windows, last.theta, sigma)
         reach = seen.whiten.loadings[~seen.lost, -len(sigma) :]
         noise = sigma**2 + np.mean(np.sum((reach * seen.whiten.scale) ** 2, axis=2), axis=0)
-        base = seen.predicted if last is first else library.predict(first.theta[None], windows)[0]
-        for out, predicted in ((before, base), (after, seen.predicted)):
-            out.append(_horizon(library.simulator, steps, windows.measured - predicted, noise, spread_of(library.simulator, windows) ** 2))
-    return before, after
+        for out, predicted in zip(found, library.predict(np.stack(thetas), windows), strict=True):
+            out.append(_horizon(library.simulator, steps, windows.measured - predicted, noise, variance))
+    return found
 
 
 def _horizon(simulator: Simulator, steps: int, errors: Array, noise: Array, variance: Array) -> Horizon:

@@ -32,11 +32,16 @@ class Invariance:
 
 def invariance(library: Library, seen: Look, atom: Atom) -> Invariance:
     """The test on windows that the effect was not fitted to: one-step estimates of its size in each bin, compared by chi-square."""
+    return differing(seen, response_of(library, seen, atom), regimes(seen.windows, library))
+
+
+def response_of(library: Library, seen: Look, atom: Atom) -> Array:
+    """(W, n) how the predictions change as the effect's size doubles, by their slope."""
     place, space = library.places[atom.label], library.simulator.space
     halves = np.stack([seen.theta, seen.theta])
     halves[:, place] *= np.array([[1.05], [0.95]])
     ends = library.predict(np.clip(halves, space.low, space.high), seen.windows)
-    return differing(seen, np.nan_to_num(ends[0] - ends[1]) / 0.1, regimes(seen.windows, library))  # of the size doubling
+    return np.asarray(np.nan_to_num(ends[0] - ends[1]) / 0.1)
 
 
 def drifting(library: Library, seen: Look, names: tuple[str, ...]) -> list[str]:

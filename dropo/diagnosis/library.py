@@ -7,14 +7,17 @@ import numpy as np
 
 from dropo.core.catalogue import find, names
 from dropo.core.checks import known
+from dropo.core.data import Ints
 from dropo.core.effect import Atom
 from dropo.core.errors import BadArgument, Incompatible
 from dropo.core.problem import Problem
 from dropo.core.simulator import Simulator
 
 
-def atoms_for(problem: Problem, effects: Sequence[str] | None = None) -> list[Atom]:
+def atoms_for(problem: Problem, effects: Sequence[str] | None = None, free: Ints | None = None) -> list[Atom]:
     """The atoms of the named effects, of all where None is named. "joint_damping:elbow" names one at one place.
+
+    free: the places of the declared parameters that are fitted; None: all.
 
     Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
     """
@@ -28,15 +31,15 @@ def atoms_for(problem: Problem, effects: Sequence[str] | None = None) -> list[At
         if place:
             known(f"place for {name}", place, sorted({atom.label.partition(":")[2] for atom in every}))
             every = [atom for atom in every if atom.label.partition(":")[2] == place]
-        found += [atom for atom in every if not declared(problem.simulator, atom)]
+        found += [atom for atom in every if not declared(problem.simulator, atom, free)]
     if not found:
         raise BadArgument("No effect is left to look for: all that were named are declared as parameters.")
     return found
 
 
-def declared(simulator: Simulator, atom: Atom) -> bool:
-    """Whether the atom changes a number of the model that a declared parameter stands for, at that place alone."""
-    bindings = getattr(simulator, "bindings", ())
+def declared(simulator: Simulator, atom: Atom, free: Ints | None = None) -> bool:
+    """Whether the atom changes a number of the model that a declared parameter (one of `free`) stands for, at that place alone."""
+    bindings = [binding for i, binding in enumerate(getattr(simulator, "bindings", ())) if free is None or i in free]
     if atom.model is None or atom.target is None or not bindings:
         return False
     changed = copy.copy(simulator.model)  # type: ignore[attr-defined]

@@ -13,19 +13,22 @@ FEATURES = 150  # random Fourier features (Rahimi and Recht 2007)
 RIDGES = np.logspace(-3, 3, 13)
 BEFORE = 3  # commands that a residual may follow: the present one and those before it
 PRESENT = 3.0  # standard errors by block from which something is there
+NEGLIGIBLE = 1e-3  # of the noise's variance: where predictions are right to rounding, the noise is held at its least
 
 
 @dataclass(frozen=True)
 class Omnibus:
-    """z: of the fall of the squared residuals of all signals by a regression that has not seen them; signals: each one's."""
+    """z: of the fall of the squared residuals of all signals by a regression that has not seen them; signals: each one's; share: the fall
+    as a share of the noise's variance."""
 
     z: float
     signals: tuple[float, ...]
+    share: float
 
     @property
     def present(self) -> bool:
         """Whether structure is left."""
-        return self.z > PRESENT
+        return self.z > PRESENT and self.share > NEGLIGIBLE
 
 
 def omnibus(train: Look, test: Look, rng: np.random.Generator) -> Omnibus:
@@ -41,7 +44,7 @@ def omnibus(train: Look, test: Look, rng: np.random.Generator) -> Omnibus:
     fall = (rest[1] ** 2 - left**2).reshape(len(test.windows), test.windows.length, -1).sum(axis=1)  # (W, p)
     label = np.unique(test.windows.block, return_inverse=True)[1]
     blocks = np.stack([np.bincount(label, column) for column in fall.T], axis=1)
-    return Omnibus(_z(blocks.sum(axis=1)), tuple(_z(column) for column in blocks.T))
+    return Omnibus(_z(blocks.sum(axis=1)), tuple(_z(column) for column in blocks.T), float(fall.mean()) / test.windows.length)
 
 
 def _z(blocks: Array) -> float:

@@ -1,6 +1,7 @@
 """Fitting some of theta to windows: robust Gauss-Newton, with the noise learned in between."""
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from dropo.core.checks import Array
 from dropo.core.data import Ints
@@ -10,6 +11,7 @@ SHORTER = np.array([0.5, 0.25, 0.1, 0.02])  # shares of a step that are tried wh
 KEPT = 0.2  # share of the promised gain that a whole step must bring
 SETTLED = 0.1  # [nats] below which a round of steps gains nothing more
 RENEWED, MATTERS = 4, 1.0  # times at most that the start noise's way is found anew in a fit; nats from which that changes something
+HELD = 0.1  # of the bounds' distance: the width of the prior that holds a step back
 OTHER = 1.3  # times a noise, from which its way through the simulation is found anew
 NONE = np.zeros(0, dtype=np.int64)
 SCAN = np.array([0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 1.15, 1.4, 1.8, 2.5, 4.0])  # multiples of a size where steps cannot be trusted
@@ -70,7 +72,7 @@ def _steps(
     fresh = slopes is None
     for _ in range(most if len(free) else 0):
         slopes = _slopes(library, seen, free, known) if slopes is None else slopes
-        step, promised = _step(seen, slopes)
+        step, promised = _step(library, seen, free, slopes)
         seen, gain = _along(library, seen, free, step[None])
         if gain > KEPT * promised:
             fresh = False
@@ -92,12 +94,21 @@ def _slopes(library: Library, seen: Look, free: np.ndarray, known: Array | None)
     return own if known is None else np.concatenate([known, own])
 
 
-def _step(seen: Look, slopes: Array) -> tuple[Array, float]:
-    """The step (f,) and the nats that it promises."""
+def _step(library: Library, seen: Look, free: np.ndarray, slopes: Array) -> tuple[Array, float]:
+    """The step (f,) within the bounds, and the nats that it promises.
+
+    It is held back as by a prior of a share of the bounds' distance, so that it does not run along what the data do not tell apart
+    (Levenberg 1944).
+    """
+    low, high = (bound[free] for bound in (library.simulator.space.low, library.simulator.space.high))
     rows, target = seen.flat(slopes), seen.flat(seen.residuals)
-    scale = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-    step = np.linalg.lstsq((rows / scale[:, None]).T, target, rcond=1e-6)[0] / scale
-    return step, 0.5 * float(step @ rows @ target)
+    scale = np.maximum(np.linalg.norm(rows, axis=1), 1 / (HELD * (high - low)))
+    q, r = np.linalg.qr((rows / scale[:, None]).T)
+    held = np.concatenate([r, np.diag(1 / (HELD * (high - low) * scale))])
+    reach = (np.minimum(low - seen.theta[free], -1e-12 / scale) * scale, np.maximum(high - seen.theta[free], 1e-12 / scale) * scale)
+    step = lsq_linear(held, np.concatenate([q.T @ target, np.zeros(len(free))]), bounds=reach).x / scale
+    moves = step @ rows
+    return step, float(moves @ target) - 0.5 * float(moves @ moves)
 
 
 def _along(library: Library, seen: Look, free: np.ndarray, steps: Array) -> tuple[Look, float]:

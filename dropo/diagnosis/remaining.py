@@ -13,7 +13,7 @@ from dropo.diagnosis.invariance import drifting, standing_out
 from dropo.diagnosis.model import Library
 from dropo.diagnosis.omnibus import omnibus
 from dropo.diagnosis.selection import State, gain_of
-from dropo.diagnosis.unexplained import unexplained_force
+from dropo.diagnosis.unexplained import Unexplained, unexplained_force
 
 SURPRISE = 3.5  # times the stated noise, as a standard deviation, from which learned noise stands for something else
 
@@ -26,6 +26,7 @@ class Remaining:
     p_value: float
     where: tuple[str, ...]
     forces: dict[str, float]
+    force: Unexplained
 
     def to_json(self) -> dict[str, Any]:
         """As diagnosis.json has it; forces: the sd of what nothing explains, by joint, each control step anew."""
@@ -51,7 +52,7 @@ def remaining(problem: Problem, library: Library, last: State, floor: Array, rng
     z = max(force.z if force.present else 0.0, rest.z)
     p_value = float(max(norm.sf(z), np.finfo(float).tiny))
     forces = {f"{name} [{unit}]": float(sd) for (name, unit), sd in zip(names, force.sd, strict=True)} if force.present else {}
-    return Remaining(bool(where), p_value, tuple(where), forces)
+    return Remaining(bool(where), p_value, tuple(where), forces, force)
 
 
 def force_names(library: Library) -> Sequence[tuple[str, str]]:

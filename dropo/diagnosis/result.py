@@ -1,13 +1,15 @@
 """What a diagnosis found: the verdict, the causes, what they gain, what remains."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dropo.core.pictures import Pictures
+from dropo.core.predictions import Predictions
 from dropo.core.problem import Problem
-from dropo.core.table import number
+from dropo.core.table import Printed, Table, number
 from dropo.diagnosis.horizons import Horizon
 
 VERDICTS = {
@@ -38,16 +40,22 @@ class Cause:
     @property
     def sentence(self) -> str:
         """ "joint damping at leg_joint, damping +0.79 +- 0.01 N m s/rad"."""
-        place = "" if self.target is None else f" at {self.target}"
-        how = f" ({self.variant})" if self.variant else ""
-        told = [f"{name} {e['value']:+.3g} +- {_digits(e['se'])} {e['unit']}" for name, e in self.estimate.items()]
-        return f"{self.effect.replace('_', ' ')}{place}{how}, {', '.join(told)}"
+        told = [f"{name} {e['value']:+.3g} +- {_digits(e['se'])} {e['unit']}".removesuffix(" 1") for name, e in self.estimate.items()]
+        return f"{_place(vars(self))}, {', '.join(told)}"
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """verdict: "consistent", "explained", "partly" or "unexplained"; suspects: effects that looked likely and were not confirmed;
-    before, after: errors on data held out, by horizon; remaining: what the last check found; problem: the extended one."""
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Printed):
+    """What the simulation gets wrong: the verdict, the causes, what they gain, what remains.
+
+    name: the problem's; verdict: "consistent", "explained", "partly" or "unexplained"; causes: the most telling first; suspects:
+    effects that looked likely and were not confirmed; baseline_log_likelihood, extended_log_likelihood: [nats per transition] on
+    data held out, of the model as it is and with the causes; before, after: its errors there, by horizon, and `nominal` those of the model
+    whose declared parameters are not fitted, where it has such; undetermined: what of the numbers that were fitted the data do not
+    tell, in words; remaining: what the last check found; problem: the extended one, to fit or diagnose like any other; noise: the standard deviation of each signal,
+    in its unit; pictures, motion: what pictures are drawn from. wall_time_s [s], seed, simulator_steps: what it cost; warnings:
+    what looked odd in the data; details: further entries of diagnosis.json.
+    """
 
     name: str
     verdict: str
@@ -65,6 +73,10 @@ class Diagnosis:
     simulator_steps: int = 0
     warnings: tuple[str, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
+    nominal: Sequence[Horizon] = ()
+    undetermined: tuple[str, ...] = ()
+    pictures: Pictures | None = None
+    motion: Predictions | None = None
 
     def headline(self) -> str:
         """The finding in a few sentences."""
@@ -73,19 +85,37 @@ class Diagnosis:
             start = "Acts like" if cause.acts_like else "Cause"
             parts.append(f"{start}: {cause.sentence}." + (f" Its size differs with {cause.acts_like}." if cause.acts_like else ""))
             if cause.confused_with:
-                others = ", ".join(f"{c['effect']}" + (f":{c['target']}" if c["target"] else "") for c in cause.confused_with)
-                parts.append(f"These data cannot tell it from {others}.")
+                parts.append(f"These data cannot tell it from {', '.join(dict.fromkeys(map(_place, cause.confused_with)))}.")
+                parts += [f"To tell it from {_place(c)}, {c['to_tell']}." for c in cause.confused_with[:1] if "to_tell" in c]
         where = self.remaining.get("where") if self.verdict in ("partly", "unexplained") else None
         return " ".join([*parts, VERDICTS[self.verdict], *([f"It shows in {'; '.join(where)}."] if where else [])])
 
     def _error(self) -> str:
-        """How far the simulation is off, at the horizon and in the unit where that stands out most from the noise."""
-        every = [(off / max(noise, 1e-300), h.steps, unit, off, noise) for h in self.before for unit, (off, noise) in h.units.items()]
+        """How far the simulation is off, at the horizon and in the unit where that stands out most from the noise, as long as it follows
+        the motion at all."""
+        followed = [h for h in self.before if h.rmse < 1] or self.before
+        every = [(off / max(noise, 1e-300), h.steps, unit, off, noise) for h in followed for unit, (off, noise) in h.units.items()]
         _, steps, unit, off, noise = max(every)
         scale, shown = (1e3, f"m{unit}") if unit in ("m", "rad", "m/s", "rad/s") and off < 0.1 else (1.0, unit)
         after = f"{steps} step{'s' if steps > 1 else ''}"
         error = f"off by {number(scale * off, 3)} {shown} after {after}"
         return f"On held-out data the simulation is {error}; sensor noise explains {number(scale * noise, 3)}."
+
+    def _by_unit(self, i: int) -> str:
+        """The errors at a horizon in physical units: as the model came, with its parameters fitted, extended."""
+        sides = [found[i].units for found in (self.nominal, self.before, self.after) if found]
+        return ", ".join(" -> ".join(number(side[unit][0], 3) for side in sides) + f" {unit}" for unit in sides[0])
+
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame with a row for each quantity of each cause; empty where none was found."""
+        from dropo.core.frames import frame
+
+        rows = [
+            {"effect": c.effect, "target": c.target, "variant": c.variant, "quantity": name, **told, "p_value": c.p_value,
+             "held_out_gain": c.held_out_gain, "held_out_gain_se": c.held_out_gain_se, "acts_like": c.acts_like}
+            for c in self.causes for name, told in c.estimate.items()
+        ]  # fmt: skip
+        return frame(rows, "effect")
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json."""
@@ -108,25 +138,38 @@ class Diagnosis:
         return {
             "verdict": self.verdict, "headline": self.headline(), "problem": self.name, "causes": causes, "suspects": list(self.suspects),
             **sides, "remaining": self.remaining, "noise": self.noise, "extended_problem": "extended/problem.yaml" if self.causes else None,
+            "nominal": {"horizons": [h.to_json() for h in self.nominal]}, "undetermined": list(self.undetermined),
             "warnings": list(self.warnings), "seed": self.seed, "version": __version__, "simulator_steps": self.simulator_steps,
             "wall_time_s": round(self.wall_time_s, 3), **self.details,
+            "pictures": None if self.pictures is None else self.pictures.to_json(),
         }  # fmt: skip
 
     def save(self, folder: str | Path) -> None:
-        """Writes diagnosis.json, whole or not at all, and where something was found the extended problem beside it."""
+        """Writes diagnosis.json and predictions.npz into a folder, each whole or not at all."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
+        if self.motion is not None:
+            self.motion.save(folder)
         text = folder / ".diagnosis.json"
         text.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
         text.replace(folder / "diagnosis.json")
 
-    def __str__(self) -> str:
-        lines = [self.headline()]
-        for before, after in zip(self.before, self.after, strict=True):
+    def parts(self) -> list[str | Table]:
+        """The headline, the errors by horizon, and what else is to be said, a line each."""
+        lines: list[str | Table] = [self.headline()]
+        for i, (before, after) in enumerate(zip(self.before, self.after, strict=True)):
             errors = f"{number(before.rmse, 3)} -> {number(after.rmse, 3)} of the motion (noise {number(after.noise, 3)})"
-            lines.append(f"  error after {before.steps} steps: {errors}")
+            seconds = "" if before.seconds is None else f" ({number(before.seconds, 3)} s)"
+            lines.append(f"  error after {before.steps} steps{seconds}: {errors}; {self._by_unit(i)}")
+        lines += [f"  {text}" for text in self.undetermined]
         lines += [f"  suspect: {s['effect']}" + (f":{s['target']}" if s["target"] else "") for s in self.suspects]
-        return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
+        return [*lines, *(f"warning: {text}" for text in self.warnings)]
+
+
+def _place(entry: Mapping[str, Any]) -> str:
+    """ "joint damping at knee", "contact stiffness (margin)"."""
+    target, variant = entry["target"], entry.get("variant")
+    return entry["effect"].replace("_", " ") + (f" at {target}" if target else "") + (f" ({variant})" if variant else "")
 
 
 def _digits(error: float | None) -> str:

@@ -2,34 +2,39 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from dropo.core.checks import Array
-from dropo.core.effect import Atom, Moment, Quantity
+from dropo.core.effect import Atom, Quantity
 from dropo.diagnosis.model import Library, Look
 from dropo.diagnosis.whitening import Whitener, learn_noise
 
 GAINED, CERTAIN = 9.0, 2.5  # nats and standard errors on windows held out, from which the forces are there
+PIECES = 10  # of a window at most, in each of which a force is drawn anew
 FREE, BALL, SLIDE, HINGE = range(4)
 
 
-def impulses(model: Any, length: int, physics_steps: int) -> list[Atom]:
-    """An atom for each step of a window and degree of freedom: a generalised force in that step alone. Its target is the joint."""
-    names = [_name(model, dof) for dof in range(model.nv)]
-    return [_impulse(model, dof, k, physics_steps, *names[dof]) for k in range(length) for dof in range(model.nv)]
+def impulses(model: Any, length: int) -> list[Atom]:
+    """An atom for each piece of a window and degree of freedom: a generalised force in that piece alone. Its target is the joint.
+
+    A piece is a control step, in long windows several."""
+    names, pieces = [_name(model, dof) for dof in range(model.nv)], min(length, PIECES)
+    return [_impulse(model, dof, k, pieces, *names[dof]) for k in range(pieces) for dof in range(model.nv)]
 
 
-def _impulse(model: Any, dof: int, k: int, physics_steps: int, name: str, unit: str) -> Atom:
+def _impulse(model: Any, dof: int, k: int, pieces: int, name: str, unit: str) -> Atom:
     scale = 10.0 * max(float(model.dof_M0[dof]), 1e-9)  # what moves it by 10 rad/s^2 (m/s^2)
+    force = Quantity("force", unit, -1e3 * scale, 1e3 * scale, (scale,))
+    return Atom("unexplained_force", name, (force,), str(k), push=partial(_push, model.nv, dof, k, pieces))
 
-    def force(moment: Moment, sizes: Array) -> Array:
-        out = np.zeros_like(moment.qvel)
-        out[:, dof] = sizes[0] * (moment.step // physics_steps == k)
-        return out
 
-    return Atom("unexplained_force", name, (Quantity("force", unit, -1e3 * scale, 1e3 * scale, (scale,)),), str(k), force=force)
+def _push(nv: int, dof: int, k: int, pieces: int, steps: int, sizes: Array) -> Array:
+    out = np.zeros((steps, nv))
+    out[np.arange(steps) * pieces // steps == k, dof] = sizes[0]
+    return out
 
 
 def _name(model: Any, dof: int) -> tuple[str, str]:
@@ -45,7 +50,7 @@ def _name(model: Any, dof: int) -> tuple[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
-    """sd: (nv,) of the forces [N m, N], each control step anew; scale: (nv,) 1 / what moves each as far; gain, z: of allowing for them
+    """sd: (nv,) of the forces [N m, N], each piece of a window anew; scale: (nv,) 1 / what moves each as far; gain, z: of allowing for them
     on windows held out [nats]; excess: (W,) that gain by window."""
 
     sd: Array
@@ -63,19 +68,20 @@ class Unexplained:
 def unexplained_force(
     library: Library, train: Look, test: Look, floor: Array, gain_of: Callable[[Look, Look], tuple[float, float]]
 ) -> Unexplained:
-    """Random forces w ~ N(0, diag(sd^2)) in every step beside the noise, found by expectation-maximisation on the windows to fit."""
+    """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, found by expectation-maximisation on the windows to fit."""
     atoms = [atom for atom in library.atoms if atom.effect == "unexplained_force"]
     looks = [replace(seen, whiten=_with_forces(library, seen, atoms)) for seen in (train, test)]
-    nv, good = len(atoms) // train.windows.length, ~train.lost
+    nv, good = len({atom.target for atom in atoms}), ~train.lost
+    pieces = len(atoms) // nv
     unit = np.array([atom.quantities[0].probes[0] for atom in atoms[:nv]])
-    sigma, sd = learn_noise(looks[0].whiten.loadings[good], train.residuals[good], train.whiten.sigma, floor, unit)
-    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, train.windows.length)])
+    sigma, sd = learn_noise(looks[0].whiten.loadings[good], train.residuals[good], train.whiten.sigma, floor, unit, pieces=pieces)
+    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces)])
     with_forces = replace(looks[1], whiten=Whitener(looks[1].whiten.loadings, scale, sigma))
     return Unexplained(sd, 1 / unit, *gain_of(test, with_forces), with_forces.log_likelihood - test.log_likelihood)
 
 
 def _with_forces(library: Library, seen: Look, atoms: list[Atom]) -> Whitener:
-    """The whitener with the forces' loadings (W, n, L nv) behind the start's; their scale is still 0."""
+    """The whitener with the forces' loadings (W, n, pieces nv) behind the start's; their scale is still 0."""
     free = np.concatenate([library.places[atom.label] for atom in atoms])
     push = library.steps[free]
     tried = np.repeat(seen.theta[None], len(free), axis=0)

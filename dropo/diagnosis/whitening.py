@@ -82,23 +82,26 @@ class Whitener:
 
 
 def learn_noise(
-    loadings: Array, residuals: Array, sigma: Array, floor: Array, forces: Array | None = None, *, rounds: int = 60, tolerance: float = 1e-3
-) -> tuple[Array, Array]:
+    loadings: Array, residuals: Array, sigma: Array, floor: Array, forces: Array | None = None, *, pieces: int | None = None,
+    rounds: int = 60, tolerance: float = 1e-3,
+) -> tuple[Array, Array]:  # fmt: skip
     """sigma (p,), tied between the start and all steps, and the sd of unexplained forces (nv,), by over-relaxed EM.
 
     loadings: (W, n, s p + k), the first p columns those of the start's error, others beside it as large as sigma too; forces: (nv,)
-    first guesses, where the last k = L nv columns are impulses, nv of each step in turn. floor: (p,) the least sigma.
+    first guesses, where the last k = pieces nv columns are impulses, nv of each piece of the window in turn (None: of each step).
+    floor: (p,) the least sigma.
     """
     p, steps = len(sigma), residuals.shape[1] // len(sigma)
     forces = np.zeros(0) if forces is None else forces
-    start = (loadings.shape[2] - steps * len(forces)) // p
+    pieces = steps if pieces is None else pieces
+    start = (loadings.shape[2] - pieces * len(forces)) // p
     for _ in range(rounds):
-        scale = np.concatenate([np.tile(sigma, start), np.tile(forces, steps)])
+        scale = np.concatenate([np.tile(sigma, start), np.tile(forces, pieces)])
         errors, latents = Whitener(loadings, scale, sigma).moments(residuals)
         count = len(residuals) * (steps + 1)
         ratio = np.sqrt((errors + latents[:p]) / count) / sigma
         new = np.maximum(sigma * ratio**1.5, floor)
-        pushed = np.sqrt(latents[start * p :].reshape(steps, -1).sum(axis=0) / (len(residuals) * steps)) if len(forces) else forces
+        pushed = np.sqrt(latents[start * p :].reshape(pieces, -1).sum(axis=0) / (len(residuals) * pieces)) if len(forces) else forces
         moved = np.max(np.abs(np.log(np.concatenate([new, pushed]) / np.concatenate([sigma, forces]))))
         sigma, forces = new, forces * (pushed / forces) ** 1.5 if len(forces) else forces
         if moved < tolerance:

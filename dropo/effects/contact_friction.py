@@ -9,13 +9,16 @@ from dropo.core.effect import Atom, Quantity, Robot
 from dropo.effects.places import touching
 
 
+PROBES = (-0.8, -0.5, -0.2, -0.02, 0.02, 0.2)  # contacts that stick feel nothing of a small change
+
+
 def contact_friction(robot: Robot) -> Iterator[Atom]:
     """Sliding friction of all contacts by one factor, or of one geom's: mu' = (1 + s) mu.
 
     A contact takes the larger friction of its two geoms, so that one geom's has no effect below that of the world's geoms; such
     sizes are not offered.
     """
-    size = Quantity("sliding", "1", -0.95, 5.0, (-0.2, -0.02, 0.02, 0.2), relative=True)
+    size = Quantity("sliding", "1", -0.95, 5.0, PROBES, smooth=False, relative=True)
     geoms = touching(robot.model)
     if not geoms:
         return
@@ -26,7 +29,7 @@ def contact_friction(robot: Robot) -> Iterator[Atom]:
         least = max(size.low, float(world.max(initial=0.0)) / own - 1) if own > 0 else 0.0
         if least < 0:
             probes = tuple(probe for probe in size.probes if probe > least)
-            number = Quantity("sliding", "1", least, size.high, probes, relative=True, base=own)
+            number = Quantity("sliding", "1", least, size.high, probes, smooth=False, relative=True, base=own)
             yield Atom("contact_friction", name, (number,), model=partial(_scale, geom))
 
 

@@ -14,12 +14,13 @@ from dropo.core.search import maximise
 from dropo.estimators.summary import rounding, summarise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DROID(Estimator):
     """Least squared distance of simulated to measured states over the means alone, by CMA-ES (thesis, section 6.1).
 
     Its distribution is the final covariance of CMA-ES itself: how far the search had converged, not how much the
-    parameters vary. optimizer: one that ends with a `covariance` (m, m) in the unit box.
+    parameters vary. optimizer: the name of one that ends with a `covariance` (m, m) in the unit box; budget: evaluations of the
+    distance at most, one simulation of all segments each.
     """
 
     optimizer: str = "cma-es"

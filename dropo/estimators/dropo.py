@@ -31,7 +31,7 @@ from dropo.estimators.tuning import noise_scale, noise_shape, tune
 SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DROPO(Estimator):
     """Maximises the log-likelihood of the segments over a family of distributions (Tiboni 2021, chapter 5).
 

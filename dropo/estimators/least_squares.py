@@ -31,12 +31,13 @@ class PointEstimate:
     message: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LeastSquares(Estimator):
     """The parameters with the least weighted squared error, xi* = argmin sum_t |s_{t+1} - s_{t+1}^xi|_W^2 (thesis, eq. 3.1).
 
     weights: "noise", the inverse variance of each signal's residuals, found in a second pass; "equal", as in eq. 3.1; or
-    one number for each signal. By Gauss-Newton in a trust region (scipy's "trf"), Jacobians by central differences. step: half
+    one number for each signal. By Gauss-Newton in a trust region (scipy's "trf"), Jacobians by central differences.
+    budget: evaluations of the residuals in each pass at most. step: half
     the width of the differences, as a share of each parameter's interval; None: a hundredth in a first pass, one standard
     error in a second, but no less than a thousandth: contacts that switch give slopes without bound as differences shrink.
     """

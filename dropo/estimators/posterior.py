@@ -29,7 +29,7 @@ R_HAT, ESS = 1.01, 400  # what Vehtari et al. 2021 ask for before draws are used
 KEPT = 4000, 1_000_000  # row log-likelihoods are kept of at most so many draws, and so many numbers
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Posterior(Estimator):
     """Draws from the posterior. A prior is flat on the box, in the logarithm where a parameter is on a log scale, unless given.
 

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dropo.core.checks import Array, require
+from dropo.core.checks import Array
 from dropo.core.likelihood import LogLikelihood
 from dropo.core.local_likelihood import LocalLogLikelihood
 from dropo.core.noise import Epsilon, NoiseModel
@@ -33,10 +33,7 @@ class PointLikelihood:
     def __init__(self, problem: Problem, epsilon: Epsilon):
         self.simulator, self.segments, self.size = problem.simulator, problem.segments, len(problem.space)
         self.targets = self.simulator.targets(self.segments)
-        self.noise = NoiseModel(epsilon, self.targets.shape[1])
-        require(bool((self.noise.shape > 0).all()), "epsilon", "positive: the errors need a variance", epsilon, "Posterior")
-        plain = not self.noise.noise.start and self.noise.noise.degrees is None
-        require(plain, "epsilon", "Gaussian and on the next states alone, where likelihood is None", epsilon, "Posterior")
+        self.noise = NoiseModel(epsilon, self.targets.shape[1]).positive("a posterior").plain("A posterior without likelihood")
         self.unknowns = ParameterSpace((*problem.space, *self.noise.unknowns))
 
     def many(self, phi: Array) -> Array:

@@ -24,7 +24,7 @@ FEW = 10  # groups below which a spread's relative standard error, 1 / sqrt(2 (G
 UNTOLD = 1e-6  # of the information of the group that tells most about a parameter: below it a group tells nothing
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RandomEffects(Estimator):
     """Each group (the data's, else each trajectory) has one draw of the parameters from a population, which is fitted.
 

@@ -12,7 +12,7 @@ from dropo.core.problem import Problem
 from dropo.estimators.summary import summarise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UniformRandomization(Estimator):
     """Uniform distributions on `count` bounds drawn at random from the search space (thesis, section 6.1); fits nothing.
 

@@ -233,5 +233,5 @@ def trusted(family: Family, centre: Array, width: Array) -> list[Parameter]:
         low, high = max(p.low, low), min(p.high, high)
         if not low < high:  # the whole trusted interval lies beyond a bound: stay on it
             low, high = (p.low, p.low + 1e-9 * p.width) if high <= p.low else (p.high - 1e-9 * p.width, p.high)
-        out.append(Parameter(p.name, low, high, p.unit, p.lower if p.lower <= low else low, p.upper, p.scale))
+        out.append(Parameter(p.name, low, high, p.unit, lower=min(p.lower, low), upper=p.upper, scale=p.scale))
     return out

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.checks import Array, require
+from dropo.core.extras import need
 from dropo.core.sampler import Chains, Density, Sampler
 from dropo.optimizers.real_line import RealLine, alone
 
@@ -27,6 +28,7 @@ class PyroNuts(Sampler):
     needs_gradients: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        need("torch", "pyro", extra="posterior", caller="Sampler pyro-nuts")
         require(self.draws >= 4, "draws", "at least 4", self.draws, "PyroNuts")
         require(self.warmup >= 1, "warmup", "at least 1", self.warmup, "PyroNuts")
         require(self.chains >= 1, "chains", "at least 1", self.chains, "PyroNuts")

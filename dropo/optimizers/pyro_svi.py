@@ -7,6 +7,7 @@ import numpy as np
 
 from dropo.core.checks import Array, require
 from dropo.core.errors import Refused
+from dropo.core.extras import need
 from dropo.core.sampler import Chains, Density, Sampler
 from dropo.optimizers.real_line import RealLine, alone
 
@@ -33,6 +34,7 @@ class PyroSvi(Sampler):
     needs_gradients: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        need("torch", "pyro", extra="posterior", caller="Sampler pyro-svi")
         require(self.draws >= 4 * ROWS, "draws", f"at least {4 * ROWS}", self.draws, "PyroSvi")
         require(self.steps >= 8, "steps", "at least 8", self.steps, "PyroSvi")
         require(self.learning_rate > 0, "learning_rate", "positive", self.learning_rate, "PyroSvi")

@@ -14,17 +14,19 @@ from dropo.core.data import Reset, Trajectories
 from dropo.core.prior import read_prior
 from dropo.core.problem import Problem
 from dropo.core.simulator import Simulator
-from dropo.data.check import outside_control_range, quaternion_norms, times
+from dropo.data.check import blocking, outside_control_range
 from dropo.data.entries import BadEntry, Entries, read_yaml
 from dropo.data.reader import MINARI, read
 from dropo.problems.effect_entries import read_effects
+from dropo.problems.velocities import with_velocities
 from dropo.simulators.fields import PREFIXES, Binding, FieldParameter, element_names, model_fields, option_fields
-from dropo.simulators.mujoco import MujocoSimulator, action_columns, load_model
+from dropo.simulators.motors import motor_of, mount
+from dropo.simulators.mujoco import MujocoSimulator, action_columns, load_model, specification
 from dropo.simulators.observation import Layout
 
 KEYS = (
     "model", "frame_skip", "data", "observation", "action", "parameters", "epsilon", "start_noise", "student_t", "lambda", "reset",
-    "held_out", "transitions", "effects",
+    "held_out", "transitions", "effects", "motors",
 )  # fmt: skip
 PARAMETER_KEYS = ("field", "name", "index", "low", "high", "unit", "target", "derived", "prior")
 MODELS = {"hopper": "dropo.problems.hopper_model:hopper_spec"}
@@ -36,6 +38,8 @@ def load(problem: str | Path, *, threads: int = 0, checked: bool = True) -> Prob
     """A built-in problem by its name, or the one that a YAML file describes; paths in it are relative to it.
 
     threads: of the simulator, 0 for all cores. checked: refuse data in which `dropo.data.check` finds an error.
+    UnknownName for a name that does not exist; BadFile for what is wrong in the file or its data, with the key, what was
+    expected, what came, and the nearest valid name.
     """
     if is_file(problem):
         return _from_file(Path(problem), threads, checked)
@@ -60,11 +64,12 @@ def _from_file(path: Path, threads: int, checked: bool) -> Problem:
     epsilon, warnings, priors = _epsilon(entries, simulator), _warnings(fitted, simulator), _priors(entries, simulator)
     start_noise, degrees = _start_noise(entries), _degrees(entries)
     with entries.blaming("lambda"):
-        return Problem(
+        problem = Problem(
             path.stem, simulator, fitted, length=cast(int, length), reset=reset, set_columns=set_columns,
             epsilon=epsilon, start_noise=start_noise, noise_degrees=degrees, held_out=held_out, warnings=warnings,
             priors=priors,
         )  # fmt: skip
+    return with_velocities(problem)
 
 
 # The model and what is fitted in it
@@ -96,11 +101,22 @@ def _model(entries: Entries) -> str | mujoco.MjSpec:
     name = entries.text("model", expected)
     path = entries.path.parent / name
     if path.is_file():
-        return str(path)
+        return _with_motors(entries, str(path)) if "motors" in entries else str(path)
     if name not in MODELS:
         raise entries.bad("model", expected, f"{name!r}, which is neither (no such file: {path})")
     module, attribute = MODELS[name].split(":")
-    return getattr(importlib.import_module(module), attribute)()
+    return _with_motors(entries, getattr(importlib.import_module(module), attribute)())
+
+
+def _with_motors(entries: Entries, model: str | mujoco.MjSpec) -> mujoco.MjSpec:
+    """The model with the motors that `motors` names by joint, each from the library or with its numbers."""
+    level = entries.level("motors", what="a mapping from joints to motors, such as {shoulder: ak80-6}")
+    with entries.blaming("model"):
+        spec = specification(model)
+    for joint, value in level.content.items():
+        with level.blaming(joint):
+            mount(spec, joint, motor_of(value, joint))
+    return spec
 
 
 def _parameters(entries: Entries) -> list[FieldParameter]:
@@ -205,9 +221,9 @@ def _split(entries: Entries, everything: Trajectories, numbers: list[int]) -> tu
 
 def _refuse_errors(entries: Entries, key: str, trajectories: Trajectories | None, simulator: Simulator) -> None:
     if trajectories is not None:
-        for finding in (*quaternion_norms(trajectories, simulator), *times(trajectories)):
+        for finding in blocking(trajectories, simulator):
             if finding.level == "error":
-                raise BadEntry(entries.path, key, f"{finding.signal}: {finding.sentence}")
+                raise BadEntry(entries.path, key, f"{finding.signal}: {finding.sentence} {finding.advice}".strip())
 
 
 def _warnings(trajectories: Trajectories, simulator: Simulator) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Any number of an MjModel or its mjOption as a parameter."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import mujoco
@@ -16,6 +16,8 @@ PREFIXES = {
     "body": "body", "jnt": "joint", "dof": "joint", "geom": "geom", "site": "site", "cam": "camera", "light": "light", "mesh": "mesh",
     "hfield": "hfield", "pair": "pair", "eq": "equality", "tendon": "tendon", "actuator": "actuator", "sensor": "sensor", "mat": "material",
 }  # fmt: skip
+SERVO = ("actuator_kp", "actuator_kv")
+"""The gains of a position or velocity servo's loop, by name: MuJoCo keeps each in two places of gainprm and biasprm."""
 MOVES_FRAMES = ("body_ipos", "body_iquat")  # mj_setConst refuses these unless the body was compiled as not simple
 
 
@@ -28,6 +30,7 @@ class FieldParameter(Parameter):
     the model's own number (on the whole row, without an index); derived: mj_setConst follows (the thesis leaves it).
     """
 
+    _: KW_ONLY
     field: str = ""
     element: str | None = None
     index: int | None = None
@@ -40,6 +43,10 @@ class Binding:
 
     def __init__(self, parameter: FieldParameter, model: mujoco.MjModel):
         self.parameter = parameter
+        self._servo = _servo_places(parameter, model) if parameter.field in SERVO else []
+        if self._servo:
+            self._nominal = np.array(self.read(model), dtype=float)
+            return
         self._in_option = parameter.field not in model_fields(model)
         if self._in_option and parameter.field not in option_fields(model):
             valid = [*model_fields(model), *option_fields(model)]
@@ -54,6 +61,10 @@ class Binding:
     def set(self, model: mujoco.MjModel, value: float) -> None:
         """Writes the parameter's value into a copy of the model."""
         new = self._nominal * value if self.parameter.relative else value
+        if self._servo:
+            for name, place, sign in self._servo:
+                getattr(model, name)[place] = sign * float(new)
+            return
         array = self._array(model)
         if isinstance(array, np.ndarray):
             array[self._where] = new
@@ -65,8 +76,27 @@ class Binding:
 
     def read(self, model: mujoco.MjModel) -> Any:
         """The numbers that it stands for, in a copy of the model."""
+        if self._servo:
+            name, place, sign = self._servo[0]
+            return sign * getattr(model, name)[place]
         array = self._array(model)
         return array[self._where] if isinstance(array, np.ndarray) else array
+
+
+def _servo_places(parameter: FieldParameter, model: mujoco.MjModel) -> list[tuple[str, tuple[int, int], float]]:
+    """The arrays, places and signs of a servo's gain: of a position servo kp (and kv, its damping), of a velocity servo kv."""
+    rows = _rows(parameter, model)
+    i = 0 if rows is None else rows[0]
+    gain, bias = model.actuator_gainprm[i], model.actuator_biasprm[i]
+    position, velocity = bias[1] == -gain[0] != 0, bias[1] == 0 and bias[2] == -gain[0] != 0
+    if parameter.index is not None or not (position or (velocity and parameter.field == "actuator_kv")):
+        raise BadArgument(
+            f"The field {parameter.field!r} of parameter {parameter.name!r} is a gain of a position servo, or kv of a velocity servo,"
+            f" and has no index: {parameter.element!r} is none."
+        )
+    if parameter.field == "actuator_kp":
+        return [("actuator_gainprm", (i, 0), 1.0), ("actuator_biasprm", (i, 1), -1.0)]
+    return [("actuator_biasprm", (i, 2), -1.0), *([("actuator_gainprm", (i, 0), 1.0)] if velocity else [])]
 
 
 def _float_like(value: Any) -> bool:
@@ -74,11 +104,14 @@ def _float_like(value: Any) -> bool:
 
 
 def model_fields(model: mujoco.MjModel) -> list[str]:
-    """The names of the model's float64 arrays."""
+    """The names of the model's float64 arrays, and of the gains of servos."""
     return [
-        name
-        for name in dir(model)
-        if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray) and _float_like(getattr(model, name))
+        *SERVO,
+        *(
+            name
+            for name in dir(model)
+            if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray) and _float_like(getattr(model, name))
+        ),
     ]
 
 

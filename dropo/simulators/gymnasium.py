@@ -15,6 +15,7 @@ from dropo.simulators.quiet import quiet
 class GymnasiumSimulator(MujocoSimulator):
     """The model and frame skip of a Gymnasium MuJoCo environment, replayed in batches.
 
+    env_id: "Hopper-v5" or another; parameters: FieldParameters; threads: 0 for all cores; options: of `gymnasium.make`.
     observation: the columns of the data's rows. By default those of the environment's own observation that are positions
     and velocities (`qpos[k:]`, `qvel`; velocities not clipped, contact forces and inertias left out). Environments that
     observe something else (Reacher's cosines) need it given, as ["qpos", "qvel"], and data with these columns.

@@ -86,6 +86,13 @@ class MujocoSimulator(Simulator):
         out._take(effects, (*self.fixed, *fixed))
         return out
 
+    def observing(self, observation: Sequence[str]) -> "MujocoSimulator":
+        """The same simulator of data with other observed columns."""
+        out = copy.copy(self)
+        out.observation, out.layout, out.steps, out.failures = tuple(observation), Layout(self.model, observation), 0, 0
+        out.signals = out.layout.signals
+        return out
+
     def spec(self) -> mujoco.MjSpec:
         """The model as an editable specification, without parameters and effects written into it."""
         return specification(self._source)

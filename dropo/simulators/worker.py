@@ -48,7 +48,7 @@ class Worker:
     def roll(self, states: Array, controls: Array, present: Present = ()) -> tuple[Array, Array]:
         """States (n, steps, s) and sensor data (n, steps, m) from start states (n, s) under commands (n, steps, nu), one a physics step."""
         acting = [(atom, sizes) for atom, sizes in present if atom.drive is not None or atom.force is not None]
-        if not acting and all(atom.wrench is None for atom, _ in present):
+        if not acting and all(atom.wrench is None and atom.push is None for atom, _ in present):
             control = controls if self.model.nu else None
             return mujoco.rollout.rollout(self.model, [self.data], states, control, nstep=controls.shape[1])
         inputs, spec = self._inputs(controls, present)
@@ -59,20 +59,23 @@ class Worker:
         now, one, nu, nv = states, np.empty((len(states), 1, inputs.shape[2])), self.model.nu, self.model.nv
         for step in range(controls.shape[1]):
             one[:, 0] = inputs[:, step]
-            one[:, 0, :nu], one[:, 0, nu : nu + nv] = self._reaction(now, controls[:, step], step, acting)
+            one[:, 0, :nu], forces = self._reaction(now, controls[:, step], step, acting)
+            one[:, 0, nu : nu + nv] += forces
             state, sensor = mujoco.rollout.rollout(self.model, [self.data], now, one, control_spec=spec)
             now = trace[:, step] = state[:, 0]
             sensors[:, step] = sensor[:, 0]
         return trace, sensors
 
     def _inputs(self, controls: Array, present: Present) -> tuple[Array, int]:
-        """What MuJoCo is given at every step (n, steps, nu + nv + 6 nbody): commands, no generalised force, and the wrenches."""
+        """What MuJoCo is given at every step (n, steps, nu + nv + 6 nbody): commands, pushes and wrenches."""
         push = np.zeros((self.model.nbody, 6))
         for body, wrench in (atom.wrench(sizes) for atom, sizes in present if atom.wrench is not None):
             push[body] += wrench
-        outside = np.concatenate([np.zeros(self.model.nv), push.ravel()])
+        steps = controls.shape[1]
+        forces = sum((atom.push(steps, sizes) for atom, sizes in present if atom.push is not None), start=np.zeros((steps, self.model.nv)))
+        outside = np.concatenate([forces, np.broadcast_to(push.ravel(), (steps, push.size))], axis=1)
         spec = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
-        return np.concatenate([controls, np.broadcast_to(outside, (*controls.shape[:2], outside.size))], axis=2), int(spec)
+        return np.concatenate([controls, np.broadcast_to(outside, (len(controls), *outside.shape))], axis=2), int(spec)
 
     def _reaction(self, states: Array, commands: Array, step: int, acting: Present) -> tuple[Array, Array]:
         """Commands (n, nu) and generalised forces (n, nv) that follow from the states."""

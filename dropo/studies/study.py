@@ -11,23 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.table import text_table
+from dropo.core.table import Printed
+from dropo.core.table import Table as Table
 
 
-@dataclass(frozen=True)
-class Table:
-    """Cells as they are printed; rows as long as the header."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-    def __str__(self) -> str:
-        return f"{self.title}\n{text_table(list(self.header), [list(row) for row in self.rows])}"
-
-
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, repr=False)
+class Study(Printed):
     """A finished study.
 
     name: as in the catalogue; title: a line that says what was done, and how often; remarks: sentences that follow from the
@@ -42,10 +31,10 @@ class Study:
     data: dict[str, Any] = field(default_factory=dict)
     draw: Callable[[Any], None] | None = None
 
-    def __str__(self) -> str:
-        return "\n\n".join(
-            [self.title, *map(str, self.tables), *(["\n".join(f"- {text}" for text in self.remarks)] if self.remarks else [])]
-        )
+    def parts(self) -> list[str | Table]:
+        """The title, the tables and the remarks, with an empty line between."""
+        remarks = ["", "\n".join(f"- {text}" for text in self.remarks)] if self.remarks else []
+        return [self.title, *(part for table in self.tables for part in ("", table)), *remarks]
 
     def to_json(self) -> dict[str, Any]:
         """The study for machines: name, title, remarks and data."""

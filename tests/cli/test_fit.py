@@ -1,6 +1,5 @@
 """`dropo fit`: one answer however often it is killed and however many threads it has; nothing written on refusal."""
 
-import io
 import json
 import signal
 import subprocess
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.cli.output import Progress
 from dropo.core.fit import Fit
 from dropo.core.problem import Problem
 from dropo.problems.reader import load
@@ -53,7 +51,9 @@ def test_it_prints_and_saves_the_same(problem: Path, capsys: pytest.CaptureFixtu
     assert "mass" in text
     assert f"{found['parameters']['mass']['mean']:.7g}" in text
     assert abs(found["parameters"]["mass"]["mean"] - 2) < 0.2
-    assert sorted(path.name for path in out.iterdir()) == ["evaluations.jsonl", "fit.json", "fit.npz", "run.json"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "evaluations.jsonl", "fit.json", "fit.npz", "made.json", "predictions.npz", "run.json",
+    ]  # fmt: skip
     record = json.loads((out / "run.json").read_text())
     assert (record["problem"], record["seed"], record["settings"]["draws"], record["lambda"]) == ("problem", 0, 10, 1)
     assert "threads" not in json.dumps(record)
@@ -219,7 +219,7 @@ def test_warnings_are_shown(problem: Path, capsys: pytest.CaptureFixture[str]) -
     np.savez(problem.parent / "data.npz", **data)
     assert main(["fit", str(problem), *SMALL, "--lambda", "3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["warnings"][:2] == [
-        "ctrl.push: 1 of 40 actions are outside the control range [-1, 1] and are clipped; the farthest is 1.5.",
+        "ctrl.push: 1 of 40 actions are outside the control range [-1, 1] and are clipped; the farthest is 1.5, row 0 at 0 s.",
         "1 of 3 trajectories are shorter than lambda = 3 and are left out.",
     ]
 
@@ -299,20 +299,7 @@ def test_interruption_saves_the_best_so_far(problem: Path, kind: signal.Signals)
     assert result(out) == result(whole)
 
 
-class _Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_progress_is_for_terminals(problem: Path) -> None:
-    pipe, terminal = io.StringIO(), _Terminal()
-    for stream in (pipe, terminal):
-        progress = Progress(stream=stream)
-        progress(0.5, "60 evaluations")
-        progress(0.6, "too soon")
-        progress.close()
-    assert pipe.getvalue() == ""
-    assert terminal.getvalue() == f"\r\033[K[{'#' * 12}{' ' * 12}]  50%  60 evaluations\r\033[K"
+def test_quiet_is_silent(problem: Path) -> None:
     run = start(problem, *SMALL, "--quiet")
     assert run.communicate() == ("", "")
     assert run.returncode == 0

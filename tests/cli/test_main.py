@@ -10,7 +10,7 @@ import dropo
 from dropo.cli.main import main
 from dropo.core.errors import SimulationFailed
 
-HEAVY = ("numpy", "mujoco", "scipy", "torch", "cma", "emcee", "nlopt", "gymnasium", "yaml")
+HEAVY = ("numpy", "mujoco", "scipy", "torch", "cma", "emcee", "nlopt", "gymnasium", "yaml", "rich")
 
 
 def test_help_imports_nothing_heavy() -> None:

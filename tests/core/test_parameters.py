@@ -63,19 +63,19 @@ def test_vectors_from_names():
         space.vector({"mass": 2.0})
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
-    (("", 0.0, 1.0), "'name' of Parameter must be a word"),
-    (("x", 3.0, 0.5), "'low' of Parameter 'x' must be below high = 0.5. Got 3.0"),
-    (("x", 1.0, np.nan), "'low, high' of Parameter 'x' must be finite"),
-    (("x", 0.0, 1.0, "", np.nan, np.inf, "log"), "'low' of Parameter 'x' must be positive on a log scale"),
-    (("x", 0.0, 1.0, "", np.nan, np.inf, "ln"), "'linear' or 'log'"),
-    (("x", 0.0, 1.0, "", 0.5), "'lower' of Parameter 'x' must be at most low = 0"),
-    (("x", 0.0, 1.0, "", 0.0, 0.5), "'upper' of Parameter 'x' must be at least high = 1"),
+@pytest.mark.parametrize(("arguments", "settings", "words"), [
+    (("", 0.0, 1.0), {}, "'name' of Parameter must be a word"),
+    (("x", 3.0, 0.5), {}, "'low' of Parameter 'x' must be below high = 0.5. Got 3.0"),
+    (("x", 1.0, np.nan), {}, "'low, high' of Parameter 'x' must be finite"),
+    (("x", 0.0, 1.0), {"scale": "log"}, "'low' of Parameter 'x' must be positive on a log scale"),
+    (("x", 0.0, 1.0), {"scale": "ln"}, "'linear' or 'log'"),
+    (("x", 0.0, 1.0), {"lower": 0.5}, "'lower' of Parameter 'x' must be at most low = 0"),
+    (("x", 0.0, 1.0), {"lower": 0.0, "upper": 0.5}, "'upper' of Parameter 'x' must be at least high = 1"),
 ])  # fmt: skip
-def test_refusals(arguments, words):
+def test_refusals(arguments, settings, words):
     """Bounds that make no interval, or do not hold the interval, name parameter and rule."""
     with pytest.raises(BadArgument, match=words):
-        Parameter(*arguments)
+        Parameter(*arguments, **settings)
 
 
 def test_names_differ():

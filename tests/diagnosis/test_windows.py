@@ -39,5 +39,5 @@ def test_held_out_trajectories_of_the_problem_are_taken():
 
 def test_too_few_windows_are_refused_with_the_number_needed():
     """Twelve steps hold two windows."""
-    with pytest.raises(BadArgument, match=r"at least 8 windows of 5 steps to fit. Got 0.* about 192 transitions"):
+    with pytest.raises(BadArgument, match=r"at least 8 windows of 5 steps to fit. Got 1.* about 192 transitions"):
         split(Problem("mass", Mass(), measured({}, episodes=1, steps=12)), 5, 96)

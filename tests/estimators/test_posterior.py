@@ -151,7 +151,7 @@ def test_a_posterior_narrower_than_a_search_keeps_its_width():
 def test_unusable_settings_are_refused():
     with pytest.raises(UnknownName, match="No posterior over called 'params'"):
         Posterior(over="params")
-    with pytest.raises(BadArgument, match="'epsilon' of Posterior must be positive"):
+    with pytest.raises(BadArgument, match="epsilon of a posterior must be positive for every signal"):
         Posterior(epsilon=0.0).fit(problem())
 
 
@@ -257,7 +257,7 @@ def test_pairs_that_do_not_work_are_refused():
         Posterior(over="distribution", likelihood="monte-carlo", sampler=NUTS).fit(problem(epsilon=NOISE))
     with pytest.raises(Incompatible, match=r"Leave it out, or use 'emulated' or 'linear'\. Got 'monte-carlo'"):
         Posterior(likelihood="monte-carlo").fit(problem(epsilon=NOISE))
-    with pytest.raises(BadArgument, match="'epsilon' of Posterior must be Gaussian and on the next states alone"):
+    with pytest.raises(Incompatible, match="knows no noise on the start states and no Student t"):
         Posterior(epsilon=Noise(NOISE, start=True)).fit(problem())
 
 

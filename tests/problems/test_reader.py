@@ -185,7 +185,7 @@ def test_actions_outside_the_control_range_are_warned_of(folder: Path) -> None:
     data = dict(np.load(folder / "data.npz"))
     data["actions"][3] = 1.5
     np.savez(folder / "data.npz", **data)
-    sentence = "1 of 60 actions are outside the control range [-1, 1] and are clipped; the farthest is 1.5."
+    sentence = "1 of 60 actions are outside the control range [-1, 1] and are clipped; the farthest is 1.5, row 3 at 0.06 s."
     assert load(folder / "problem.yaml", threads=1).warnings == (f"ctrl.push: {sentence}",)
 
 
@@ -357,7 +357,7 @@ def test_a_quaternion_must_have_length_one(folder: Path) -> None:
     np.savez(folder / "ball.npz", observations=twice, actions=data.actions, next_observations=twice, terminals=data.terminals)
     path = folder / "problem.yaml"
     path.write_text("model: ball.xml\ndata: ball.npz\nparameters: {mass: {field: body_mass, name: ball, low: 1, high: 2}}\n")
-    assert refusal(path) == "problem.yaml: data: qpos.free: a quaternion must have length 1, and one has 2."
+    assert refusal(path) == "problem.yaml: data: qpos.free: a quaternion must have length 1, and one has 2, row 0. The order is w, x, y, z."
     assert len(load(path, threads=1, checked=False).trajectories) == 60
 
 

@@ -1,0 +1,123 @@
+"""The commands that would tell two effects apart that the data cannot: candidates, simulated under both."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dropo.analysis.open_loop import open_loop
+from dropo.core.checks import Array
+from dropo.core.data import Segments, Trajectories
+from dropo.core.effect import Atom
+from dropo.diagnosis.model import Library
+from dropo.diagnosis.selection import State
+
+LENGTH = 50  # control steps of an experiment
+STARTS = 4  # measured starts from which each is simulated
+PERIODS = (4, 10, 25, 50)  # control steps
+BEYOND = 0.25  # of what was recorded of each signal: the room beyond that
+CLEAR = 10.0  # [nats] that tell two effects apart
+FULL, HALF = 1.0, 0.5  # of the commands that the data hold, about their median
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Commands to record. of: the actuator that moves, None for all; shape: "constant", "sine" or "square"; period [s], 0 for a constant
+    command; amplitude: share of the largest command in the data; step: the control step [s]; nats: what `LENGTH` steps of it tell; now:
+    what as many steps of the data tell."""
+
+    of: str | None
+    shape: str
+    period: float
+    amplitude: float
+    step: float
+    nats: float = 0.0
+    now: float = 0.0
+
+    def __str__(self) -> str:
+        """ "a square wave on leg_joint, period 0.08 s, at half of the largest command recorded"."""
+        where = self.of or "all actuators"
+        shape = f"a {self.shape} wave on {where}, period {self.period:.3g} s" if self.period else f"a constant command on {where}"
+        return f"{shape}, at {'half of ' if self.amplitude == HALF else ''}the largest command recorded"
+
+    @property
+    def seconds(self) -> float:
+        """How much of it would tell the two apart."""
+        return CLEAR / self.nats * LENGTH * self.step if self.nats > 0 else np.inf
+
+
+def experiment(library: Library, last: State, one: Atom, other: Atom, sizes: Array) -> Experiment | None:
+    """Of the candidates the one under which the effect differs most from the other (of sizes (q,)), whatever the other's size: the length
+    of its response without its projection on the other's, in units of the noise, window by window as the data are judged.
+
+    None where there is nothing to command, or where predictions are no observations to start a window from.
+    """
+    windows = last.train.windows
+    data, simulator = windows.segments.trajectories, library.simulator
+    model: Any = simulator
+    if not np.any(np.ptp(data.actions, axis=0) > 0) or len(simulator.signals) != data.observations.shape[1]:
+        return None
+    names = [_name(model.model, int(i)) for i in model.controls]
+    tried = _candidates(names, float(model.control_step))
+    thetas = np.repeat(last.theta[None], 3, axis=0)
+    thetas[1:, library.places[one.label]] = 0.0
+    thetas[2, library.places[other.label]] = sizes
+    recorded = _told(library, thetas, windows.segments, last.train.whiten.sigma).reshape(2, 1, -1)
+    starts = np.tile(data.observations[np.linspace(0, len(data) - 1, STARTS).astype(int)], (len(tried), 1))
+    commands = np.repeat(_commands(data, tried, names, float(model.control_step)), STARTS, axis=0)
+    imagined = _told(library, thetas, _windows(library, last, starts, commands), last.train.whiten.sigma).reshape(2, len(tried), -1)
+    found = _nats(imagined) / STARTS
+    best = int(np.argmax(found))
+    return replace(tried[best], nats=float(found[best]), now=float(_nats(recorded)[0] * LENGTH / windows.steps))
+
+
+def _name(model: Any, actuator: int) -> str:
+    """The actuator's name, else that of the joint that it drives."""
+    return str(model.actuator(actuator).name or model.joint(int(model.actuator_trnid[actuator, 0])).name or f"actuator {actuator}")
+
+
+def _candidates(names: list[str], step: float) -> list[Experiment]:
+    places: list[str | None] = [*names, *([None] if len(names) > 1 else [])]
+    shapes = [("constant", 0.0), *((shape, period * step) for shape in ("sine", "square") for period in PERIODS)]
+    return [Experiment(place, shape, period, size, step) for place in places for shape, period in shapes for size in (HALF, FULL)]
+
+
+def _commands(data: Trajectories, tried: list[Experiment], names: list[str], step: float) -> Array:
+    """(candidates, LENGTH, q) about the median of the data's commands, none larger than theirs."""
+    middle = np.median(data.actions, axis=0)
+    reach = np.abs(data.actions - middle).max(axis=0)
+    return np.stack([middle + reach * _wave(one, names, step) for one in tried])
+
+
+def _wave(one: Experiment, names: list[str], step: float) -> Array:
+    """(LENGTH, q) between -1 and 1; where all actuators move, each a little later than the one before it."""
+    moves = np.array([one.of in (None, name) for name in names], dtype=float)
+    phase = (np.arange(LENGTH)[:, None] + 0.5) * step / (one.period or 1.0) + np.arange(len(names)) / (2 * len(names)) * (one.of is None)
+    turn = np.sin(2 * np.pi * phase)
+    shape = {"constant": np.ones_like(turn), "sine": turn, "square": np.where(turn >= 0, 1.0, -1.0)}[one.shape]
+    return one.amplitude * moves * shape
+
+
+def _windows(library: Library, last: State, starts: Array, commands: Array) -> Segments:
+    """Windows of what the model predicts under the commands, as long as those of the data; those that begin beyond what was recorded
+    begin at the experiment's start instead, where they tell no more than the first."""
+    whole = open_loop(library.simulator, last.theta, starts, commands)
+    seen = last.train.windows.segments.trajectories.observations
+    room = BEYOND * np.ptp(seen, axis=0)
+    inside = (whole.observations >= seen.min(axis=0) - room) & (whole.observations <= seen.max(axis=0) + room)
+    good = np.logical_and.accumulate(inside.all(axis=1).reshape(len(starts), -1), axis=1).reshape(-1, 1)
+    rows = np.where(good, whole.observations, np.repeat(starts, commands.shape[1], axis=0))
+    return replace(whole, observations=rows, next_observations=rows).segments(last.train.windows.length, every_step=True)
+
+
+def _told(library: Library, thetas: Array, segments: Segments, sigma: Array) -> Array:
+    """(2, rows, p) how far each effect moves the predictions, in standard deviations of the noise; what diverges counts nothing."""
+    both, bare, other = library.simulator.predict(thetas, segments) / sigma
+    return np.asarray(np.nan_to_num(np.stack([both - bare, other - bare])))
+
+
+def _nats(responses: Array) -> Array:
+    """(parts,) of responses (2, parts, n): what tells the first effect from the second of any size."""
+    first, second = responses
+    share = np.einsum("kn,kn->k", first, second) / np.maximum(np.einsum("kn,kn->k", second, second), 1e-300)
+    return np.asarray(0.5 * np.sum((first - share[:, None] * second) ** 2, axis=1))

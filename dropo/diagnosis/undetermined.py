@@ -1,0 +1,18 @@
+"""What of the numbers that were fitted the data do not tell."""
+
+import numpy as np
+
+from dropo.analysis.identifiability import undetermined as sentences
+from dropo.core.parameters import ParameterSpace
+from dropo.diagnosis.model import Library
+from dropo.diagnosis.selection import State
+
+
+def undetermined(library: Library, last: State) -> tuple[str, ...]:
+    """Declared parameters and sizes of causes, and combinations of them, that could as well be others, in words."""
+    if not len(last.free):
+        return ()
+    seen, space = last.train, library.simulator.space
+    own = ParameterSpace(tuple(list(space)[i] for i in last.free))
+    slopes = seen.flat(library.slopes(seen.theta, last.free, seen.windows))
+    return tuple(sentences(own, seen.theta[last.free], slopes.T[:, None, :], np.ones(1)))

@@ -1,0 +1,113 @@
+"""Measured motion against what is predicted, before and after."""
+
+from typing import Any
+
+import numpy as np
+
+from dropo.core.checks import Array, known, require
+from dropo.core.predictions import Predictions
+from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, Axes, axes_of, empty, legend, plain_log, with_unit
+
+BINS = 10  # of probabilities
+TOLD = 2.576  # standard errors of a bin's count: beyond it once in a hundred
+
+
+def predictions_of(result: Any) -> Predictions:
+    """Predictions themselves, or those of a diagnosis."""
+    found = getattr(result, "motion", result)
+    require(isinstance(found, Predictions), "result", "Predictions, or a Diagnosis that has such", type(result).__name__, "dropo.plots")
+    return found
+
+
+def telling(result: Any, most: int = 6) -> list[str]:
+    """The signals whose squared errors change most beside their spread, most first; those that never change are left out."""
+    found = predictions_of(result)
+    change = np.abs(found.before.by_signal**2 - found.after.by_signal**2)
+    share = np.nan_to_num(change, nan=np.inf) / np.where(found.spread > 0, found.spread**2, np.inf)
+    share[np.ptp(found.measured, axis=(0, 1)) <= 0] = 0.0  # rotations, which are compared in the chart at the measurement
+    order = np.argsort(-share, kind="stable")
+    return [found.names[i] for i in order[:most] if share[i] > 0]
+
+
+def trajectory(result: Any, signal: str, ax: Axes | None = None) -> Axes:
+    """One signal as measured and as predicted from the measured start of each window, with both models' 90 % bands.
+
+    result: Predictions, or a Diagnosis. signal: its name.
+    """
+    found, ax = predictions_of(result), axes_of(ax)
+    i = found.names.index(known("signal", signal, found.names))
+    step, unit = (1.0, "control steps") if np.isnan(found.seconds) else (found.seconds, "s")
+    for w, begin in enumerate(_side_by_side(found)):
+        time = step * (begin + 1 + np.arange(found.measured.shape[1]))
+        for side, color, style in ((found.before, BEFORE, (0, (4, 2))), (found.after, AFTER, "-")):
+            ax.fill_between(time, *side.band[:, w, :, i], color=color, alpha=0.18, lw=0)
+            ax.plot(time, side.line[w, :, i], color=color, lw=1.5, ls=style, label=side.name if w == 0 else None)
+        label = "measured" if w == 0 else None
+        ax.plot(time, found.measured[w, :, i], ".", color=INK, ms=3.2, label=label, zorder=3)
+    ax.set(xlabel=f"time [{unit}]", title=with_unit(signal, found.units[i]))
+    return ax
+
+
+def _side_by_side(found: Predictions) -> Array:
+    """Where on the axis the windows begin: as in the data where they follow one another, else one behind the other."""
+    length, begins = found.measured.shape[1], found.begins
+    in_order = len(begins) < 2 or int(np.diff(begins).min()) >= length
+    return np.asarray(begins if in_order and np.ptp(begins) < 3 * length * len(begins) else np.arange(len(begins)) * (length + 2))
+
+
+def horizon(result: Any, ax: Axes | None = None) -> Axes:
+    """Root mean square errors by how far ahead is predicted, all signals together, each in units of its own spread."""
+    found, ax = predictions_of(result), axes_of(ax)
+    steps = np.arange(1, len(found.before.by_horizon) + 1)
+    for side, color, mark in ((found.before, BEFORE, "o"), (found.after, AFTER, "s")):
+        ax.plot(steps, 100 * side.by_horizon, color=color, marker=mark, ms=3.5, lw=1.3, label=side.name)
+    if np.isfinite(found.noise).any():
+        ax.plot(steps, 100 * found.noise, color=GREY, lw=1.2, ls=(0, (2, 2)), label="noise of the measurements")
+    ax.set(xlabel="control steps ahead", ylabel="error [% of the motion's spread]")
+    smallest, largest = np.nanmin([s.by_horizon for s in (found.before, found.after)]), np.nanmax(found.before.by_horizon)
+    if smallest < 0.05 * largest:
+        ax.set_yscale("log")
+    else:
+        ax.set_ylim(bottom=0)
+    ax.xaxis.get_major_locator().set_params(integer=True)
+    legend(ax, room=0.25, loc="upper left")
+    return ax
+
+
+def errors(result: Any, ax: Axes | None = None) -> Axes:
+    """Each signal's root mean square error before and after, in the rows that a fit compares, beside the signal's own spread."""
+    found, ax = predictions_of(result), axes_of(ax)
+    place = np.arange(len(found.names))[::-1]
+    unit = np.where(found.spread > 0, found.spread, np.nan)
+    before, after = 100 * found.before.by_signal / unit, 100 * found.after.by_signal / unit
+    ax.hlines(place, np.fmin(before, after), np.fmax(before, after), color=GREY, lw=1.1)
+    ax.plot(before, place, "o", color=BEFORE, ms=4.5, label=found.before.name)
+    ax.plot(after, place, "s", color=AFTER, ms=4.2, label=found.after.name)
+    ax.set(yticks=place, yticklabels=found.names, ylim=(-0.7, len(found.names) + 1.6))
+    ax.set(xscale="log", xlabel=f"error after {found.rows_after} step{'s' * (found.rows_after > 1)} [% of the signal's spread]")
+    plain_log(ax)
+    ax.tick_params(axis="y", labelsize=FONT - 1)
+    legend(ax, loc="upper left", ncols=2, columnspacing=1.0, handletextpad=0.2)
+    return ax
+
+
+def calibration(result: Any, ax: Axes | None = None) -> Axes:
+    """How often measurements fall where they should: the probabilities that were predicted for what lies below them, counted.
+
+    Level at 100 % where predictions are calibrated; raised at both ends where they are too sure, in the middle where too cautious; the
+    grey band holds 99 % of the bins of independent calibrated predictions.
+    """
+    found, ax = predictions_of(result), axes_of(ax)
+    edges = np.linspace(0, 1, BINS + 1)
+    counted = [(side, color) for side, color in ((found.before, BEFORE), (found.after, AFTER)) if len(side.pit)]
+    if not counted:
+        return empty(ax, "No simulation came to its end.")
+    half = 100 * TOLD * np.sqrt((BINS - 1) / len(found.after.pit)) if len(found.after.pit) else 0.0
+    ax.axhspan(max(0.0, 100 - half), 100 + half, color=GREY, alpha=0.25, lw=0)
+    for side, color in counted:
+        share = 100 * BINS * np.histogram(side.pit, edges)[0] / len(side.pit)
+        ax.stairs(share, edges, color=color, lw=1.8, ls="-" if color == AFTER else (0, (4, 2)), label=side.name)
+    ax.set(xlim=(0, 1), xlabel="predicted probability of less", ylabel="measurements [% of the expected]")
+    ax.set_ylim(bottom=0)
+    legend(ax, room=0.22, loc="upper left")
+    return ax

@@ -1,0 +1,57 @@
+"""Colours, sizes, and the axes that a figure is drawn into."""
+
+from typing import Any
+
+from dropo.core.extras import need
+
+Axes = Any
+"""A matplotlib Axes, which has no types of its own."""
+
+INK, GREY, LIGHT = "#222222", "#8A8A8A", "#DDDDDD"
+BEFORE, AFTER, OTHER, PURPLE = "#D55E00", "#0072B2", "#009E73", "#CC79A7"  # of Okabe and Ito's palette
+SIZE = (4.2, 2.9)  # [in] of one figure
+FONT = 8.5  # [pt]
+
+
+def axes_of(ax: Axes | None, *, size: tuple[float, float] = SIZE) -> Axes:
+    """`ax`, or the axes of a new figure; without the frame's upper and right side."""
+    if ax is None:
+        need("matplotlib", extra="plots", caller="A figure")
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots(figsize=size, layout="constrained")[1]
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def empty(ax: Axes, sentence: str) -> Axes:
+    """The axes with a sentence in place of a figure that nothing can be drawn in."""
+    ax.set_axis_off()
+    ax.text(0.5, 0.5, sentence, ha="center", va="center", wrap=True, color=GREY, transform=ax.transAxes, fontsize=FONT)
+    return ax
+
+
+def with_unit(name: str, unit: str) -> str:
+    """ "qvel.leg_joint [rad/s]"."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def plain_log(ax: Axes) -> None:
+    """Few ticks, in plain numbers, on a logarithmic x axis of less than two decades."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = ax.get_xlim()
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    if high < 100 * low:
+        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def legend(ax: Axes, *, room: float = 0.0, **where: Any) -> None:
+    """A legend without a frame. room: the share of the axes' height that is added above the data for it."""
+    low, high = ax.get_ylim()
+    if room and ax.get_yscale() == "log":
+        ax.set_ylim(low, high * (high / low) ** room)
+    elif room:
+        ax.set_ylim(low, high + room * (high - low))
+    ax.legend(frameon=False, fontsize=FONT - 1, **where)

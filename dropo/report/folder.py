@@ -1,0 +1,108 @@
+"""What a run left in its folder, read without its data or model."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dropo import __version__
+from dropo.core.errors import BadFile
+from dropo.core.fit import Fit
+from dropo.core.pictures import Pictures
+from dropo.core.predictions import FILE, Predictions
+from dropo.report.history import History, read_history
+
+RESULT = "a folder that `dropo fit --out` or `dropo diagnose --out` wrote"
+JOURNAL = "evaluations.jsonl"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A fit, a diagnosis, or neither, where a run was interrupted before its end; what is not there is None.
+
+    content: of fit.json or diagnosis.json; record: of run.json, or the journal's header; made: the command, and versions.
+    """
+
+    folder: Path
+    content: dict[str, Any]
+    record: dict[str, Any]
+    made: dict[str, Any]
+    fit: Fit | None = None
+    pictures: Pictures | None = None
+    predictions: Predictions | None = None
+    history: History | None = None
+
+    @property
+    def kind(self) -> str:
+        """ "fit", "diagnosis" or "unfinished"."""
+        return "fit" if self.fit is not None else "diagnosis" if "verdict" in self.content else "unfinished"
+
+    @property
+    def problem(self) -> str:
+        """The problem's name."""
+        return str(self.content.get("problem") or self.record.get("problem") or self.folder.resolve().name)
+
+
+def read_result(folder: str | Path) -> Result:
+    """Raises BadFile for a folder that holds no result, or one that a newer version wrote."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadFile(folder, "", RESULT, "a file" if folder.exists() else "no such folder")
+    record, made = _json(folder / "run.json"), _json(folder / "made.json")
+    predictions = Predictions.load(folder) if (folder / FILE).is_file() else None
+    if (folder / "diagnosis.json").is_file():
+        content = _json(folder / "diagnosis.json")
+        _check(folder / "diagnosis.json", content, ("verdict", "headline", "causes", "remaining"))
+        kept = content.get("pictures")
+        return Result(folder, content, record, made, pictures=_pictures(folder, kept) if kept else None, predictions=predictions)
+    journal = folder / JOURNAL
+    if (folder / "fit.json").is_file():
+        content = _json(folder / "fit.json")
+        _check(folder / "fit.json", content, ("method", "parameters", "status"))
+        fit = Fit.load(folder)
+        history = read_history(journal, len(fit.space))[1] if journal.is_file() else None
+        return Result(folder, content, record, made, fit, None, predictions, history)
+    if not journal.is_file():
+        raise BadFile(folder, "", RESULT, _listing(folder))
+    header, history = read_history(journal, None)
+    _check(journal, header, ())
+    return Result(folder, {}, header, made, history=history)
+
+
+def _json(path: Path) -> dict[str, Any]:
+    """The content of a file, {} where there is none."""
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text())
+    except ValueError as error:
+        raise BadFile(path, "", "JSON", f"{error}") from None
+    if not isinstance(content, dict):
+        raise BadFile(path, "", "an object with keys", type(content).__name__)
+    return content
+
+
+def _check(path: Path, content: dict[str, Any], keys: tuple[str, ...]) -> None:
+    version = str(content.get("version", ""))
+    if _numbers(version) > _numbers(__version__):
+        raise BadFile(path, "version", f"{__version__} or older (a newer dropo reads it: pip install -U dropo)", version)
+    missing = [key for key in keys if key not in content]
+    if missing:
+        raise BadFile(path, missing[0], "what a run writes", "nothing")
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    parts = version.split("+")[0].split(".")
+    return tuple(int(part) for part in parts if part.isdigit())
+
+
+def _pictures(folder: Path, kept: dict[str, Any]) -> Pictures:
+    try:
+        return Pictures.from_json(kept)
+    except (KeyError, TypeError) as error:
+        raise BadFile(folder / "diagnosis.json", "pictures", "what a diagnosis writes", f"{type(error).__name__}: {error}") from None
+
+
+def _listing(folder: Path) -> str:
+    names = sorted(path.name for path in folder.iterdir())[:5]
+    return f"one with {', '.join(names)}" if names else "an empty one"

@@ -1,0 +1,49 @@
+"""How a search went, from the journal of its evaluations."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dropo.core.checks import Array
+from dropo.core.errors import BadFile
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """steps: (n,) simulator steps spent up to each evaluation; values: (n,) the log-likelihood there, NaN where it is not comparable, as
+    in rounds on parts of the data; means: (r, d) the distribution's mean after each round of a local likelihood, None otherwise."""
+
+    steps: Array
+    values: Array
+    means: Array | None
+
+
+def read_history(path: Path, parameters: int | None) -> tuple[dict[str, Any], History]:
+    """The journal's header, and the search. parameters: how many are fitted; None, as the header says."""
+    lines = path.read_text().splitlines()
+    try:
+        entries = [json.loads(line) for line in lines[: len(lines) if path.read_bytes().endswith(b"\n") else -1]]
+        header = dict(entries[0]["header"]) if entries else {}
+        d = len(header.get("parameters", ())) if parameters is None else parameters
+        return header, _history(entries[1:], d)
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise BadFile(path, "", "the evaluations of a run, one JSON line each", f"{type(error).__name__}: {error}") from None
+
+
+def _history(entries: list[dict[str, Any]], d: int) -> History:
+    steps: list[float] = []
+    values: list[float] = []
+    means: list[Array] = []
+    spent = 0
+    for entry in entries:
+        points = np.asarray(entry["points"], dtype=float)
+        answers = np.asarray(entry["answers"], dtype=float).reshape(len(points), -1)
+        before, spent = spent, spent + entry["counts"]["steps"]
+        if len(points) == 1 and points.shape[1] == 2 * d and answers.shape[1] > 2 * d + 2:
+            means.append(answers[0, 2 * d + 2 : 3 * d + 2])
+        steps += np.linspace(before, spent, len(points) + 1)[1:].tolist()
+        values += [np.nan] * len(points) if means else answers[:, 0].tolist()
+    return History(np.array(steps), np.array(values), np.array(means) if means else None)

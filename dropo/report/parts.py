@@ -1,0 +1,130 @@
+"""Sections that a fit's and a diagnosis' page share."""
+
+from html import escape
+
+import numpy as np
+
+from dropo import plots
+from dropo.core.predictions import LEVEL, Predictions, Side
+from dropo.plots.motion import telling
+from dropo.report.folder import Result
+from dropo.report.page import Cell, Section, figure, grid, legend, paragraph, percent, table
+from dropo.report.svg import picture, rows
+
+SMALL = (4.2, 2.3)  # [in] a picture of one signal
+OFTEN = 0.15  # share of the measurements in the outer tenth of predictions from which these are too sure
+WITHOUT = (
+    "predictions.npz is not in the folder: `dropo fit --out` and `dropo diagnose --out` keep it, and in Python"
+    " dropo.analysis.predictions.predict(problem, fit).save(folder) writes it."
+)
+
+
+def motion(found: Predictions | None) -> Section:
+    """Measured against simulated trajectories, before and after."""
+    title = "Measured and simulated motion"
+    if found is None:
+        return Section(title, "", paragraph(f"No motion is shown: {WITHOUT}"))
+    reach = found.measured.shape[1]
+    lead = (
+        f"Each line starts again from a measurement after {reach} control step{'s' * (reach > 1)}; bands should hold {LEVEL:.0%} of the"
+        " dots."
+        f" {'No fit has seen these data.' if found.held_out else 'These data were fitted to.'}"
+    )
+    key = legend(("measured", "ink", True), (found.before.name, "before", False), (found.after.name, "after", False))
+    pictures = [
+        figure(picture(lambda ax, s=signal: plots.trajectory(found, s, ax), _motion_text(found, signal), size=SMALL), "")  # type: ignore[misc]
+        for signal in telling(found)
+    ]
+    rest = len(found.names) - len(pictures)
+    body = key + grid(*pictures) + (paragraph(f"Shown are the signals that change most; {rest} more were measured.") if rest else "")
+    return Section(title, lead, body)
+
+
+def _motion_text(found: Predictions, signal: str) -> str:
+    i = found.names.index(signal)
+    before, after = (inside(found, side, i) for side in (found.before, found.after))
+    return (
+        f"Lines over time: {signal}, measured and simulated. The band of {found.before.name} holds {percent(before)} of the measurements,"
+        f" that of {found.after.name} {percent(after)}."
+    )
+
+
+def inside(found: Predictions, side: Side, i: int) -> float:
+    """The share of the measurements of signal i inside the band."""
+    low, high = side.band[..., i]
+    return float(np.mean((found.measured[..., i] >= low) & (found.measured[..., i] <= high)))
+
+
+def errors(found: Predictions | None) -> Section | None:
+    """Error by horizon and by signal, and calibration."""
+    if found is None:
+        return None
+    last = len(found.before.by_horizon)
+    sides = (
+        f"from {percent(found.before.by_horizon[-1])} to {percent(found.after.by_horizon[-1])} of the motion's spread after {last} steps"
+    )
+    shown = [figure(picture(lambda ax: plots.horizon(found, ax), f"Lines: prediction errors by horizon, {sides}."),
+                    "Error by how far ahead", f"Root mean square over all signals: {sides}.")] if last > 1 else []  # fmt: skip
+    worst = telling(found, 1)
+    i = found.names.index(worst[0]) if worst else 0
+    told = f"{found.names[i]} changes most, from {plain_error(found, found.before, i)} to {plain_error(found, found.after, i)}"
+    svg = picture(lambda ax: plots.errors(found, ax), f"Dots: error of each signal before and after; {told}.", size=rows(len(found.names)))
+    shown.append(figure(svg, "Error by signal", f"{told}."))
+    shown.append(
+        figure(
+            picture(lambda ax: plots.calibration(found, ax), f"Histogram of predicted probabilities. {calibrated(found)}"),
+            "Calibration", calibrated(found),
+        )
+    )  # fmt: skip
+    return Section(
+        "How good predictions are", "Orange before, blue after. Percentages are of each signal's own spread in the data.", grid(*shown)
+    )
+
+
+def plain_error(found: Predictions, side: Side, i: int) -> str:
+    """ "0.0123 rad/s"."""
+    return f"{side.by_signal[i]:.3g} {found.units[i]}".strip()
+
+
+def calibrated(found: Predictions) -> str:
+    """What the probabilities say, in a sentence."""
+    pit, outside = found.after.pit, outer(found)
+    if not len(pit):
+        return "No simulation came to its end."
+    middle = float(np.mean((pit > 0.25) & (pit < 0.75)))
+    said = f"{percent(outside)} of the measurements lie in the outer tenth of the prediction, {percent(middle)} in its inner half"
+    verdict = "too sure" if outside > OFTEN else "more cautious than needed" if middle > 0.6 else "about as sure as they should be"
+    return f"{said}: after, predictions are {verdict}."
+
+
+def outer(found: Predictions) -> float:
+    """The share of the measurements in the outer tenth of the prediction after."""
+    pit = found.after.pit
+    return float(np.mean((pit < 0.05) | (pit > 0.95))) if len(pit) else np.nan
+
+
+def made(result: Result) -> Section:
+    """The command that repeats the run, and everything that it depends on."""
+    record, content, how = result.record, result.content, result.made
+    command = how.get("command")
+    told = {
+        "method": record.get("method"), "seed": content.get("seed", record.get("seed")),
+        "dropo": content.get("version", record.get("version")),
+        **how.get("versions", {}), "data, SHA-256": record.get("data_sha256"), "model, SHA-256": record.get("model_sha256"),
+        "transitions": _count(content.get("transitions", record.get("transitions"))),
+        "simulator steps": _count(content.get("simulator_steps")),
+        "evaluations": _count(content.get("objective_evaluations")), "wall time": _seconds(content.get("wall_time_s")),
+    } | {f"setting: {name}": value for name, value in record.get("settings", {}).items() if value is not None}  # fmt: skip
+    kept = [[Cell(name), Cell(str(value), words=True)] for name, value in told.items() if value is not None]
+    without = "A command is kept when its run ends." if result.kind == "unfinished" else "No command was kept: this was run from Python."
+    repeat = f"<pre><code>{escape(command)}</code></pre>" if command else paragraph(without)
+    lead = "The same command on the same data and model gives the same numbers, whatever the number of threads."
+    return Section("How this was made", lead if command else "", repeat + table(["what", "value"], kept, told=True))
+
+
+def _count(value: int | None) -> str | None:
+    return None if value is None else f"{value:,}"
+
+
+def _seconds(value: float | None) -> str | None:
+    return None if value is None else f"{value:.1f} s"

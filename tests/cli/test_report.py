@@ -1,0 +1,34 @@
+"""`dropo report` from the command line."""
+
+import json
+
+from dropo.cli.main import main
+
+
+def test_a_fit_then_its_report(problem, tmp_path, capsys):
+    """The page lies in the folder unless said otherwise; its path is printed; --json and --quiet; data and model are not needed."""
+    out = tmp_path / "run"
+    assert main(["fit", str(problem), "--out", str(out), "--quiet"]) == 0
+    for name in ("data.npz", "robot.xml", "problem.yaml"):
+        (problem.parent / name).unlink()
+    assert main(["report", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err) == (f"{out / 'report.html'}\n", "")
+    text = (out / "report.html").read_text()
+    assert f"dropo fit {problem} --out {out}" in text
+    assert "damping" in text
+    elsewhere = tmp_path / "new" / "page.html"
+    assert main(["report", str(out), "--out", str(elsewhere), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"report": str(elsewhere)}
+    assert elsewhere.read_bytes() == (out / "report.html").read_bytes()
+    assert main(["report", str(out), "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_refusals(tmp_path, capsys):
+    """Status 2, one line, nothing written."""
+    assert main(["report", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"dropo: {tmp_path}: expected a folder that `dropo fit --out` or `dropo diagnose --out` wrote")
+    assert main(["report", str(tmp_path / "none")]) == 2
+    assert list(tmp_path.iterdir()) == []

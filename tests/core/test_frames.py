@@ -1,0 +1,31 @@
+"""Tables for pandas hold a result's own numbers."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from dropo import LeastSquares
+from dropo.core.errors import DropoError
+from dropo.core.frames import frame
+from dropo.problems.slide import slide
+
+
+def test_a_fits_table():
+    """A row for each parameter, floats as they are."""
+    pytest.importorskip("pandas")
+    fit = LeastSquares().fit(slide(), rng=0)
+    table = fit.to_pandas()
+    assert list(table.index) == ["mass", "damping"]
+    np.testing.assert_array_equal(table["mean"], fit.mean)
+    np.testing.assert_array_equal(table[["mean_low", "mean_high"]], fit.interval())
+    assert table.loc["damping", "unit"] == "N s/m"
+    assert frame([], "effect").empty
+
+
+def test_without_pandas(monkeypatch):
+    """A sentence with the way out."""
+    found = importlib.util.find_spec
+    monkeypatch.setattr("dropo.core.extras.find_spec", lambda name: None if name == "pandas" else found(name))
+    with pytest.raises(DropoError, match=r"pip install 'dropo\[tables\]'"):
+        frame([], "effect")

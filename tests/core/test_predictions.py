@@ -1,0 +1,64 @@
+"""What pictures are drawn from comes back as it was kept."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from dropo.core.errors import BadFile
+from dropo.core.pictures import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
+from dropo.core.predictions import Predictions, Side
+
+
+def side(name, rng):
+    """Numbers of the right shapes: 2 windows of 3 steps, 2 signals."""
+    return Side(name, rng.random((2, 3, 2)), rng.random((2, 2, 3, 2)), rng.random(3), rng.random(2), rng.random(7))
+
+
+def predictions():
+    """Of a state that is observed as three columns and compared as two signals."""
+    rng = np.random.default_rng(0)
+    measured, rows = rng.random((2, 3, 2)), rng.random((2, 3, 3))
+    return Predictions(
+        ("x", "v"), ("m", "m/s"), 0.01, np.array([0, 3]), measured, rows, np.ones(2), np.full(3, np.nan), 1, True,
+        side("before", rng), side("after", rng),
+    )  # fmt: skip
+
+
+def test_predictions_come_back(tmp_path):
+    """Every field of both sides, bit for bit, NaN too."""
+    kept = predictions()
+    kept.save(tmp_path)
+    found = Predictions.load(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["predictions.npz"]
+    assert (found.names, found.units, found.seconds, found.rows_after, found.held_out) == (("x", "v"), ("m", "m/s"), 0.01, 1, True)
+    for name in ("begins", "measured", "rows", "spread", "noise"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(kept, name))
+    for one, other in ((found.before, kept.before), (found.after, kept.after)):
+        assert one.name == other.name
+        for field in fields(Side)[1:]:
+            np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
+
+
+def test_other_files_are_refused(tmp_path):
+    """No file, a file of other arrays, a file that is none: the sentence names it."""
+    with pytest.raises(BadFile, match="no such file"):
+        Predictions.load(tmp_path)
+    np.savez(tmp_path / "predictions.npz", x=1)
+    with pytest.raises(BadFile, match="KeyError"):
+        Predictions.load(tmp_path)
+    (tmp_path / "predictions.npz").write_text("words")
+    with pytest.raises(BadFile, match=r"predictions\.npz"):
+        Predictions.load(tmp_path)
+
+
+def test_pictures_come_back():
+    """From JSON as from memory, to seven digits."""
+    kept = Pictures(
+        9.1, ((Bar("a:x", 20.0, 2.0, True, True), Bar("b", None, None, False, False)),),
+        (AgainstAxis("a:x", "v", "m/s", "x", "m", (1.0, 2.0), (0.1, 0.2), (0.0, 0.0)),),
+        (Sizes("a:x", "v", (1.0, 2.0), (1.0, 1.1), (0.1, 0.1), 0.5),),
+        Forces(("x",), ("N",), (1.0,), (0.1,), True, False), Similarity(("a:x", "b"), ((1.0, 0.9), (0.9, 1.0))),
+        (Sums("a:x", (0.5, 1.0), (0.3, 0.0)),),
+    )  # fmt: skip
+    assert Pictures.from_json(kept.to_json()) == kept

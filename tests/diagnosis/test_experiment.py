@@ -1,0 +1,56 @@
+"""The experiment that would tell two effects apart, on the arm with two joints."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dropo.diagnosis.experiment import LENGTH, experiment
+from dropo.diagnosis.model import Library
+from dropo.diagnosis.selection import Selection
+from dropo.diagnosis.windows import split
+from tests.diagnosis.arms import atom, problem
+
+SIGMA = 3e-3
+PAIR = ("actuator_lag:shoulder_motor", "actuator_delay:shoulder_motor")
+
+
+@pytest.fixture(scope="module")
+def lagging():
+    """An arm with a lag of 2 ms at the shoulder, found, beside the delay that does nearly the same in these data."""
+    data = problem([(PAIR[0], [0.002])], sigma=SIGMA)
+    atoms = [atom(data.simulator, label) for label in PAIR]
+    library = Library(data.simulator.with_effects(atoms), atoms, 0)
+    train, test = split(data, 5, 48)
+    search = Selection(library, np.full(4, 1e-9))
+    first = search.begin(train, test, np.zeros(2), np.full(4, SIGMA), np.arange(0))
+    return library, search.run(first, first, atoms[:1])
+
+
+def test_it_tells_more_than_the_data_do(lagging):
+    """At least five times as much a step, and the time that it asks for is that of ten nats."""
+    library, state = lagging
+    found = experiment(library, state, *library.atoms, np.array([0.002]))
+    assert found.nats > 5 * found.now
+    assert found.seconds == pytest.approx(10 / found.nats * LENGTH * library.simulator.control_step)
+    assert "shoulder" in str(found) or "all actuators" in str(found)
+
+
+def test_an_effect_cannot_be_told_from_itself(lagging):
+    """No command is worth anything then."""
+    library, state = lagging
+    twice = (library.atoms[0], library.atoms[0])
+    assert experiment(library, state, *twice, state.theta[:1]).nats < 1e-9
+
+
+def test_commands_stay_within_the_data(lagging):
+    """No candidate asks for more than the data's largest command; all of them are different."""
+    from dropo.diagnosis.experiment import _candidates, _commands
+
+    library, state = lagging
+    data = state.train.windows.segments.trajectories
+    names = ["shoulder_motor", "elbow_motor"]
+    commands = _commands(data, _candidates(names, 0.01), names, 0.01)
+    middle = np.median(data.actions, axis=0)
+    assert np.all(np.abs(commands - middle) <= np.abs(data.actions - middle).max(axis=0) + 1e-12)
+    assert all(np.any(one != two) for one, two in pairwise(commands))

@@ -1,0 +1,111 @@
+"""The pages in headless Chromium: no errors, nothing fetched, words for every picture, no sideways scrolling, tables that sort."""
+
+import json
+import shutil
+
+import pytest
+
+SIZES, SCHEMES = (1400, 400), ("light", "dark")
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-component-update",
+    "--disable-sync",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """A Chromium with a profile of its own."""
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    program, driver = shutil.which("chromium") or shutil.which("google-chrome"), shutil.which("chromedriver")
+    if program is None or driver is None:
+        pytest.skip("no chromium with its chromedriver is installed")
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    found = webdriver.Chrome(options=options, service=webdriver.ChromeService(executable_path=driver))
+    yield found
+    found.quit()
+
+
+def opened(browser, path, width, scheme):
+    """Opens a file at a width in a color scheme; the addresses requested, and the console's messages."""
+    screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]})
+    for kind in ("performance", "browser"):
+        browser.get_log(kind)
+    browser.get(path.as_uri())
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent" and m["params"]["documentURL"] == path.as_uri()]
+    asked = [one["request"]["url"] for one in sent]  # but for what the browser's own pages ask for
+    return [url for url in asked if not url.startswith("data:")], browser.get_log("browser")
+
+
+@pytest.mark.parametrize("kind", ["fit", "diagnosis", "unfinished"])
+def test_page_in_a_browser(browser, pages, kind):
+    """At 1400 and 400 pixels, in light and dark."""
+    path, backgrounds = pages[kind], set()
+    for width in SIZES:
+        for scheme in SCHEMES:
+            asked, messages = opened(browser, path, width, scheme)
+            assert asked == [path.as_uri()]
+            assert messages == []
+            wide = browser.execute_script("return [document.documentElement.scrollWidth, window.innerWidth]")
+            assert wide[0] <= wide[1] == width
+            pictures = browser.execute_script(
+                "return [...document.querySelectorAll('svg, img')].map(e => [e.getAttribute('role'), e.getAttribute('aria-label'),"
+                " e.getBoundingClientRect().width, e.getBoundingClientRect().height])"
+            )
+            assert pictures
+            assert all(role == "img" and label and w > 200 and h > 40 for role, label, w, h in pictures)
+            backgrounds.add(browser.execute_script("return getComputedStyle(document.body).backgroundColor"))
+    assert len(backgrounds) == 2
+
+
+def test_text_can_be_read_in_both_schemes(browser, pages):
+    """Words in pictures and on the page stand out from their ground by 4.5 to 1 (WCAG 2.1, 1.4.3)."""
+    for scheme in SCHEMES:
+        opened(browser, pages["diagnosis"], 1400, scheme)
+        pairs = browser.execute_script(
+            "const own = (e, p) => getComputedStyle(e)[p];"
+            "const ground = e => { for (; e; e = e.parentElement) { const c = own(e, 'backgroundColor');"
+            "  if (c !== 'rgba(0, 0, 0, 0)') return c; } };"
+            "return [...document.querySelectorAll('p, h1, h2, dt, dd, figcaption, td, svg text')]"
+            "  .map(e => [own(e, e.tagName === 'text' ? 'fill' : 'color'), ground(e.closest('figure') ?? e), e.textContent])"
+        )
+        assert len(pairs) > 50
+        assert min((contrast(a, b), text) for a, b, text in pairs)[0] >= 4.5
+    assert contrast("rgb(150, 150, 150)", "rgb(255, 255, 255)") < 4.5
+
+
+def contrast(one, two):
+    """The ratio of the relative luminances of two CSS colors."""
+    lights = []
+    for color in (one, two):
+        parts = [int(part) / 255 for part in color[color.index("(") + 1 : -1].split(",")[:3]]
+        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+        lights.append(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
+    return (max(lights) + 0.05) / (min(lights) + 0.05)
+
+
+def test_errors_and_requests_are_noticed(browser, tmp_path):
+    """The control: a page that fails and fetches."""
+    (tmp_path / "bad.html").write_text("<img src='other.png'><script>throw new Error('x')</script>")
+    asked, messages = opened(browser, tmp_path / "bad.html", 1400, "light")
+    assert len(asked) == 2
+    assert messages
+
+
+def test_tables_sort(browser, pages):
+    """A click sorts by value, another one the other way round, and says so."""
+    opened(browser, pages["fit"], 1400, "light")
+    script = (
+        "const head = [...document.querySelectorAll('th')].find(e => e.textContent === 'mean'); head.querySelector('button').click();"
+        "return [head.getAttribute('aria-sort'), [...head.closest('table').tBodies[0].rows].map(r => +r.cells[head.cellIndex].textContent)]"
+    )
+    up, down = browser.execute_script(script), browser.execute_script(script)
+    assert up == ["ascending", sorted(up[1])]
+    assert down == ["descending", sorted(up[1], reverse=True)]
+    assert len(set(up[1])) == 4

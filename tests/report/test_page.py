@@ -1,0 +1,177 @@
+"""The page of a folder: complete, self-contained, and true to the folder's numbers."""
+
+import json
+import re
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dropo.core.fit import Fit
+from dropo.core.predictions import Predictions
+from dropo.report.build import write_report
+from dropo.report.page import Cell, percent, table
+
+LARGEST = 1_500_000  # bytes
+VOID = {"meta", "link", "br", "img", "input"}
+
+
+class Seen(HTMLParser):
+    """What a page holds: its tags with attributes, its text, and whether tags close in order."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.text, self.open = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+    def all(self, tag):
+        """The attributes of every such element."""
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(params=["fit", "diagnosis", "unfinished"])
+def page(request, pages):
+    """The page of each kind of folder."""
+    return pages[request.param].read_text()
+
+
+def loads(text):
+    """Whatever a browser would fetch for a text: addresses in attributes and in style sheets; not names of namespaces."""
+    found = re.findall(r"""(?:src|href|srcset|action|poster|data)\s*=\s*["']?([^"'\s>]+)""", text) + re.findall(r"url\(([^)]+)\)", text)
+    return [address for address in found if not address.startswith(("#", "data:,"))] + re.findall(r"@import[^;]+", text)
+
+
+def test_it_is_whole_and_loads_nothing(page):
+    """Every tag closes; no address but within the page; under the limit; control: addresses are noticed."""
+    seen = Seen(page)
+    assert seen.open == []
+    assert len(page.encode()) < LARGEST
+    assert loads(page) == []
+    assert len(loads('<img src="a.png"><link href=x><style>@import "y"; a {b: url(z)}</style>')) == 4
+    assert all("src" not in attributes for attributes in seen.all("script"))
+
+
+def test_every_picture_says_what_it_shows(page):
+    """role and words; identities are used once; colours are the page's, so that they follow light and dark."""
+    seen = Seen(page)
+    pictures = seen.all("svg")
+    assert pictures
+    assert all(p["role"] == "img" and len(p["aria-label"].split()) > 3 for p in pictures)
+    names = [attributes["id"] for _, attributes in seen.tags if "id" in attributes]
+    assert len(names) == len(set(names))
+    used = set(re.findall(r"url\(#([^)]+)\)", page)) | {a["xlink:href"][1:] for a in seen.all("use")}
+    assert used <= set(names)
+    inside = page[page.index("<main>") :]
+    assert set(re.findall(r"#[0-9a-fA-F]{6}\b", inside)) <= {"#ffffff", "#000000"}
+    assert set(re.findall(r"var\(--([\w-]+)\)", page)) <= set(re.findall(r"--([\w-]+):", page)) | {"swatch"}
+
+
+def test_headings_go_down_in_order(page):
+    """One h1, sections with h2, pictures with h3."""
+    levels = [int(tag[1]) for tag, _ in Seen(page).tags if re.fullmatch("h[1-6]", tag)]
+    assert levels.count(1) == 1
+    assert levels[0] == 1
+    assert all(b <= a + 1 for a, b in pairwise(levels))
+
+
+def test_a_fits_page_holds_its_numbers(fit_folder, pages):
+    """Names, means, hashes, the command, errors before and after; a truth where the data are simulated."""
+    text = "".join(Seen(pages["fit"].read_text()).text)
+    fit, record = Fit.load(fit_folder), json.loads((fit_folder / "run.json").read_text())
+    found = Predictions.load(fit_folder)
+    for name, mean in zip(fit.space.names, fit.mean, strict=True):
+        assert name in text
+        assert f"{mean:.7g}" in text
+    for shown in (
+        record["data_sha256"],
+        record["model_sha256"],
+        f"dropo fit hopper --transitions 200 --out {fit_folder}",
+        "mujoco",
+        "seed",
+    ):
+        assert shown in text
+    assert percent(found.before.by_horizon[-1]) in text
+    assert "Nothing in the residuals speaks against the model." in text
+
+
+def test_a_diagnosis_page_names_the_cause_at_once(diagnosis_folder, pages):
+    """In the headline, and in the first picture's words; the table holds size and unit."""
+    seen = Seen(pages["diagnosis"].read_text())
+    text = "".join(seen.text)
+    content = json.loads((diagnosis_folder / "diagnosis.json").read_text())
+    assert content["headline"].replace("+-", "±") in text
+    assert "joint damping at elbow" in content["headline"]
+    assert seen.all("svg")[0]["aria-label"].startswith("Bars: nats that each effect gains on data held out. joint damping at elbow")
+    assert f"{content['causes'][0]['estimate']['damping']['value']:+.4g}" in text
+    assert "N m s/rad" in text
+    for title in ("What was tried", "Causes", "Is it the cause?", "Measured and simulated motion", "What remains unexplained"):
+        assert title in text
+
+
+def test_an_interrupted_run_says_how_far_it_came(unfinished_folder, pages):
+    """Evaluations, best value, how to go on."""
+    text = "".join(Seen(pages["unfinished"].read_text()).text)
+    entries = [json.loads(line) for line in (unfinished_folder / "evaluations.jsonl").read_text().splitlines()[1:5]]
+    values = np.concatenate([np.ravel(entry["answers"]) for entry in entries])
+    assert f"This fit of slide was interrupted after {len(values)} evaluations." in text
+    assert f"{values.max():.6g}" in text
+    assert "goes on from here" in text
+
+
+def test_without_what_pictures_need(fit_folder, diagnosis_folder, copy_of, tmp_path):
+    """A result alone makes a page that says what is missing and how to get it."""
+    folder = copy_of(fit_folder)
+    for name in ("predictions.npz", "made.json", "run.json", "evaluations.jsonl"):
+        (folder / name).unlink()
+    text = "".join(Seen(write_report(folder).read_text()).text)
+    assert "No motion is shown: predictions.npz is not in the folder" in text
+    assert "torso_mass" in text
+    content = json.loads((diagnosis_folder / "diagnosis.json").read_text())
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "diagnosis.json").write_text(json.dumps(content | {"pictures": None}))
+    assert "joint damping at elbow" in write_report(tmp_path / "old").read_text()
+
+
+def test_words_of_others_are_escaped(fit_folder, copy_of):
+    """A problem's name and its warnings are text, whatever they hold."""
+    folder = copy_of(fit_folder)
+    (folder / "predictions.npz").unlink()
+    content = json.loads((folder / "fit.json").read_text())
+    content |= {"problem": "<script>alert(1)</script>", "warnings": ["a < b & c"]}
+    (folder / "fit.json").write_text(json.dumps(content))
+    page = write_report(folder).read_text()
+    assert "<script>alert" not in page
+    assert "a &lt; b &amp; c" in page
+
+
+def test_the_same_folder_makes_the_same_page(unfinished_folder, pages, tmp_path):
+    """Byte for byte."""
+    assert write_report(unfinished_folder, tmp_path / "again.html").read_bytes() == pages["unfinished"].read_bytes()
+
+
+def test_cells_sort_by_value():
+    """A number's own value stands beside what is shown; none beside a dash."""
+    text = table(["x"], [[Cell("1.2e+03", 1234.5)], [Cell("–", np.nan)], [Cell("word")]])
+    assert 'data-value="1234.5"' in text
+    assert text.count("data-value") == 1
+
+
+@pytest.mark.parametrize(("share", "shown"), [(0.5, "50 %"), (0.12345, "12.3 %"), (1e-9, "less than 0.001 %"), (0.0, "0 %"), (np.nan, "–")])
+def test_percent(share, shown):
+    """Three digits, none where they would be noise."""
+    assert percent(share) == shown
