@@ -13,7 +13,7 @@ from dropo.core.problem import Problem
 
 REACH = 20  # control steps that are predicted from one measurement
 SHOWN, JUDGED = 4, 40  # windows that are kept, one after another; and those of the errors by horizon, from all over the data
-ROWS = 120  # control steps, in rows like those of the fit, for the calibration
+ROWS = 240  # control steps, in rows like those of the fit, for the calibration
 DRAWS, REPEATS = 24, 8  # of the parameters; and of the noise, for each of these
 
 

@@ -61,13 +61,14 @@ class Atom:
     actuation(commands (T, nu), step [s], sizes): the same, one a physics step, after they were clamped;
     drive(moment, sizes) -> (n, nu): commands that depend on the state, each physics step;
     force(moment, sizes) -> (n, nv): generalised forces that depend on the state, each physics step;
-    push(steps, sizes) -> (steps, nv): generalised forces that are known beforehand, one row a physics step since the segments' start;
+    push(steps, sizes) -> (steps, nv): generalised forces that are known beforehand, a row for each physics step of a segment;
     wrench(sizes) -> (body, (6,)): a constant force and torque at a body's centre of mass, in the world's axes;
     model(model, sizes): changes the fields of a copy of the model; mj_setConst follows;
     sense(signals (n, L, p), sizes): measured signals from true ones; `late` [s] (sizes) -> (p,): how much later they are seen.
     gate(segments, sizes) -> (N,): the share of the sizes that holds in each of N segments; left out, it is 1. In a segment it is constant.
     general: whether `model` needs bodies compiled with simple="false", without which MuJoCo ties a body's frame to its centre of mass.
     variant: which of an effect's several forms; alike: labels of atoms that no recorded data can tell from this one;
+    order: of a harmonic; several at one place are one periodic effect where all orders are multiples of the lowest, else a shape of its own;
     trials: sizes (q,) that a screening tries, in sets that are tried together: by default each probe alone, of several
     quantities the largest probes together.
     """
@@ -90,6 +91,7 @@ class Atom:
     gate: Callable[[Segments, Array], Array] | None = None
     general: bool = False
     alike: tuple[str, ...] = ()
+    order: int = 0
     trials: tuple[tuple[tuple[float, ...], ...], ...] = ()
 
     def __post_init__(self) -> None:

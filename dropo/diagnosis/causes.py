@@ -35,8 +35,14 @@ def _cause(library: Library, last: State, atom: Atom, found: Review, count: int)
     return Cause(
         atom.effect, atom.target, atom.variant, estimate(library, last, atom), p_of(gain, count), gain / steps,
         float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps), _rmse(library, found.without), _rmse(library, last),
-        _confused(library, last, atom, found), None if held.constant else held.variable,
+        _confused(library, last, atom, found), _shape(last, atom) if held.constant else held.variable,
     )  # fmt: skip
+
+
+def _shape(last: State, atom: Atom) -> str | None:
+    """The angle that harmonics act on which are no multiples of the lowest: together they draw a shape that no effect stands for."""
+    orders = [other.order for other in last.accepted if (other.effect, other.target) == (atom.effect, atom.target)]
+    return f"qpos.{atom.target}" if atom.order and any(order % min(orders) for order in orders) else None
 
 
 def _rmse(library: Library, state: State) -> float:

@@ -50,11 +50,11 @@ class Diagnosis(Printed):
 
     name: the problem's; verdict: "consistent", "explained", "partly" or "unexplained"; causes: the most telling first; suspects:
     effects that looked likely and were not confirmed; baseline_log_likelihood, extended_log_likelihood: [nats per transition] on
-    data held out, of the model as it is and with the causes; before, after: its errors there, by horizon, and `nominal` those of the model
-    whose declared parameters are not fitted, where it has such; undetermined: what of the numbers that were fitted the data do not
-    tell, in words; remaining: what the last check found; problem: the extended one, to fit or diagnose like any other; noise: the standard deviation of each signal,
-    in its unit; pictures, motion: what pictures are drawn from. wall_time_s [s], seed, simulator_steps: what it cost; warnings:
-    what looked odd in the data; details: further entries of diagnosis.json.
+    data held out, of the model as it is and with the causes; before, after: its errors there, by horizon, and `nominal` those of
+    the model whose declared parameters are not fitted, where it has such; undetermined: what of the numbers that were fitted the
+    data do not tell, in words; remaining: what the last check found; problem: the extended one, to fit or diagnose like any other;
+    noise: the standard deviation of each signal, in its unit; pictures, motion: what pictures are drawn from. wall_time_s [s],
+    seed, simulator_steps: what it cost; warnings: what looked odd in the data; details: further entries of diagnosis.json.
     """
 
     name: str

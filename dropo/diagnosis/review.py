@@ -8,7 +8,7 @@ import numpy as np
 from dropo.core.effect import Atom
 from dropo.diagnosis.model import moved
 from dropo.diagnosis.screening import Candidate
-from dropo.diagnosis.selection import ALIKE, Round, Selection, State, Trial, gain_of
+from dropo.diagnosis.selection import ALIKE, Round, Selection, State, Trial, confirmed, gain_of
 
 UNTOLD, DEFICIT = 2.0, 4.0  # another within so many standard errors, or nats, cannot be told from it
 RIVAL, RIVALS = 0.5, 2  # share of the winner's worth from which others of its round are tried in its place, and how many
@@ -58,14 +58,14 @@ def _rivals(origin: Round, state: State, atom: Atom) -> list[Candidate]:
 
 
 def _better(selection: Selection, state: State, found: Review) -> State | None:
-    """The state without the effect, where nothing is lost, or with another in its place, where that gains."""
+    """The state without the effect, where nothing is lost, or with another in its place, where windows held out confirm that it gains."""
     if len(state.accepted) > 1 and gain_of(found.without.test, state.test)[0] < DEFICIT:
         return found.without
     nothing = value(found.without)
     for trial in found.rivals if len(state.accepted) > 1 else ():
         if value(trial.state) - nothing > NEARLY * (value(state) - nothing):
             polished = selection.polish(trial.state)
-            if value(polished) > value(state) + DEFICIT:
+            if value(polished) > value(state) + DEFICIT and confirmed(state.test, polished.test, DEFICIT):
                 return polished
     return None
 

@@ -53,6 +53,7 @@ class Screening:
 
     def _score(self, seen: Look, free: np.ndarray, trials: Sequence[Trial], known: Known) -> list[Candidate]:
         """The atoms that the windows answer to, by what the score test promises, most first."""
+        free = _within(self.library, seen.theta, free)
         basis = np.linalg.qr(seen.flat(self.library.slopes(seen.theta, free, seen.windows)).T)[0] if len(free) else None
         target = _rest(seen.flat(seen.residuals), basis)
         size = max(float(target @ target) / max(seen.residuals[~seen.lost].size, 1), LEAST_NOISE)
@@ -82,6 +83,12 @@ class Screening:
         for row, (place, sizes) in zip(rows, tried, strict=True):
             row[place] += sizes
         return self.library.predict(np.clip(rows, self.library.simulator.space.low, self.library.simulator.space.high), seen.windows)
+
+
+def _within(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:
+    """The free numbers that are on none of their bounds: the others will not make room for an effect."""
+    space = library.simulator.space
+    return free[(theta[free] > space.low[free]) & (theta[free] < space.high[free])]
 
 
 def few(atom: Atom) -> list[tuple[tuple[float, ...], ...]]:

@@ -68,7 +68,7 @@ class Unexplained:
 def unexplained_force(
     library: Library, train: Look, test: Look, floor: Array, gain_of: Callable[[Look, Look], tuple[float, float]]
 ) -> Unexplained:
-    """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, found by expectation-maximisation on the windows to fit."""
+    """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, by expectation-maximisation on the windows to fit."""
     atoms = [atom for atom in library.atoms if atom.effect == "unexplained_force"]
     looks = [replace(seen, whiten=_with_forces(library, seen, atoms)) for seen in (train, test)]
     nv, good = len({atom.target for atom in atoms}), ~train.lost

@@ -8,7 +8,6 @@ from dropo.core.checks import Array
 from dropo.core.effect import Atom, Quantity, Robot
 from dropo.effects.places import touching
 
-
 PROBES = (-0.8, -0.5, -0.2, -0.02, 0.02, 0.2)  # contacts that stick feel nothing of a small change
 
 

@@ -21,7 +21,7 @@ def joint_cogging(robot: Robot) -> Iterator[Atom]:
         scale = torque_scale(robot.model, joint)
         parts = tuple(Quantity(name, joint.force, -scale, scale, (0.01 * scale,)) for name in ("sine", "cosine"))
         for cogs in PERIODS:
-            yield Atom("joint_cogging", joint.name, parts, f"{cogs}-a-turn", force=partial(_cogs, joint, cogs))
+            yield Atom("joint_cogging", joint.name, parts, f"{cogs}-a-turn", force=partial(_cogs, joint, cogs), order=cogs)
 
 
 def _cogs(joint: Joint, cogs: int, moment: Moment, sizes: Array) -> Array:

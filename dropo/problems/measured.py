@@ -63,9 +63,9 @@ def gridded(run: Channels, step: float, command: str | None) -> tuple[Array, Arr
     stamps = np.asarray(run["time"], dtype=float)
     keep = np.concatenate([[True], np.diff(np.maximum.accumulate(stamps)) > 0])
     stamps = stamps[keep] - stamps[0]
-    time = step * np.arange(int(stamps[-1] / step) + 1)
+    time = np.asarray(step * np.arange(int(stamps[-1] / step) + 1), dtype=float)
     positions = resample(stamps, _columns(run["qpos"])[keep], time)
-    velocities = savgol_filter(positions, WIDTH, ORDER, deriv=1, delta=step, axis=0)
+    velocities: Array = savgol_filter(positions, WIDTH, ORDER, deriv=1, delta=step, axis=0)
     actions = np.zeros((len(time), 0)) if command is None else _means(stamps, _columns(run[command])[keep], time, step)
     return time, np.concatenate([positions, velocities], axis=1), actions
 

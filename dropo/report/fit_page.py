@@ -185,7 +185,7 @@ def _remaining(fit: Fit, result: Result) -> Section:
     told = [*fit.details.get("identifiability", ()), *fit.warnings]
     if fit.failed_simulations:
         told.append(f"{fit.failed_simulations:,} simulations did not reach their end.")
-    if result.predictions is not None and parts.outer(result.predictions) > parts.OFTEN:
+    if result.predictions is not None and parts.too_sure(result.predictions):
         told.append(parts.calibrated(result.predictions))
     if "model_check" not in fit.details:
         told.append(CHECKED[None])

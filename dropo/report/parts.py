@@ -12,7 +12,7 @@ from dropo.report.page import Cell, Section, figure, grid, legend, paragraph, pe
 from dropo.report.svg import picture, rows
 
 SMALL = (4.2, 2.3)  # [in] a picture of one signal
-OFTEN = 0.15  # share of the measurements in the outer tenth of predictions from which these are too sure
+FAR, CLOSE = 0.04, 0.09  # by how much a share must be off beside its error for predictions to be too sure, or too cautious
 WITHOUT = (
     "predictions.npz is not in the folder: `dropo fit --out` and `dropo diagnose --out` keep it, and in Python"
     " dropo.analysis.predictions.predict(problem, fit).save(folder) writes it."
@@ -88,19 +88,26 @@ def plain_error(found: Predictions, side: Side, i: int) -> str:
 
 def calibrated(found: Predictions) -> str:
     """What the probabilities say, in a sentence."""
-    pit, outside = found.after.pit, outer(found)
+    pit = found.after.pit
     if not len(pit):
         return "No simulation came to its end."
-    middle = float(np.mean((pit > 0.25) & (pit < 0.75)))
+    outside, middle = shares(found)
     said = f"{percent(outside)} of the measurements lie in the outer tenth of the prediction, {percent(middle)} in its inner half"
-    verdict = "too sure" if outside > OFTEN else "more cautious than needed" if middle > 0.6 else "about as sure as they should be"
+    cautious = middle - 0.5 > CLOSE + 3 * np.sqrt(0.25 / len(pit))
+    verdict = "too sure" if too_sure(found) else "more cautious than needed" if cautious else "about as sure as they should be"
     return f"{said}: after, predictions are {verdict}."
 
 
-def outer(found: Predictions) -> float:
-    """The share of the measurements in the outer tenth of the prediction after."""
+def too_sure(found: Predictions) -> bool:
+    """Whether clearly more than a tenth of the measurements lie in the outer tenth of the prediction after."""
+    return bool(shares(found)[0] - 0.1 > FAR + 3 * np.sqrt(0.09 / max(len(found.after.pit), 1)))
+
+
+def shares(found: Predictions) -> tuple[float, float]:
+    """Of the measurements in the outer tenth, and in the inner half of the prediction after; 0 of none."""
     pit = found.after.pit
-    return float(np.mean((pit < 0.05) | (pit > 0.95))) if len(pit) else np.nan
+    counted = (pit < 0.05) | (pit > 0.95), (pit > 0.25) & (pit < 0.75)
+    return float(counted[0].sum() / max(len(pit), 1)), float(counted[1].sum() / max(len(pit), 1))
 
 
 def made(result: Result) -> Section:

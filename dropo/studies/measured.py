@@ -66,7 +66,7 @@ def _errors(result: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _causes(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for cause, sentence in zip(result["causes"], result["sentences"], strict=True):
         others = dict.fromkeys(c["effect"] + (f":{c['target']}" if c["target"] else "") for c in cause["confused_with"])
         rows.append((result["problem"], sentence, number(cause["held_out_gain"], 3), ", ".join(others) or "-", cause["acts_like"] or "-"))

@@ -129,6 +129,7 @@ def test_one_trajectory_is_split_in_time():
 def test_white_torque_noise_is_said_to_be_forces():
     """Random torques behind the clamp: no effect is named, forces at both joints are unexplained, about as large as they are."""
     drawn = np.random.default_rng(0).standard_normal((200, 2))
+    drawn -= drawn.mean(axis=0)  # else it has a constant load in it, which is named
     push = lambda commands, step, sizes: commands + sizes[0] * np.resize(np.roll(drawn, int(1e6 * commands[0, 0]), axis=0), commands.shape)
     noise = Atom("white", None, (Quantity("sd", "1", 0, 1, (0.1,)),), actuation=push)
     found = FAST.run(problem([(noise, [0.1])]))

@@ -9,7 +9,7 @@ from dropo.diagnosis.omnibus import omnibus
 from dropo.diagnosis.review import ambiguity, review
 from dropo.diagnosis.screening import Screening
 from dropo.diagnosis.selection import Round, gain_of
-from tests.diagnosis.toy import EFFECTS, atoms, measured, selection
+from tests.diagnosis.toy import atoms, measured, selection
 
 SIZES = {"damping": 0.05, "spring": -0.05, "bias": 0.02, "gain": -0.05, "friction": 0.03, "drag": 0.03}
 

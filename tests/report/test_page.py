@@ -152,11 +152,12 @@ def test_words_of_others_are_escaped(fit_folder, copy_of):
     folder = copy_of(fit_folder)
     (folder / "predictions.npz").unlink()
     content = json.loads((folder / "fit.json").read_text())
-    content |= {"problem": "<script>alert(1)</script>", "warnings": ["a < b & c"]}
+    content |= {"problem": "<script>alert(1)</script>", "warnings": ["a < b & c"], "status": "interrupted"}
     (folder / "fit.json").write_text(json.dumps(content))
     page = write_report(folder).read_text()
     assert "<script>alert" not in page
     assert "a &lt; b &amp; c" in page
+    assert "The search was interrupted: this is the best so far." in page
 
 
 def test_the_same_folder_makes_the_same_page(unfinished_folder, pages, tmp_path):
