@@ -68,7 +68,7 @@ class Atom:
     gate(segments, sizes) -> (N,): the share of the sizes that holds in each of N segments; left out, it is 1. In a segment it is constant.
     general: whether `model` needs bodies compiled with simple="false", without which MuJoCo ties a body's frame to its centre of mass.
     variant: which of an effect's several forms; alike: labels of atoms that no recorded data can tell from this one;
-    order: of a harmonic; several at one place are one periodic effect where all orders are multiples of the lowest, else a shape of its own;
+    order: of a harmonic; several at one place are one periodic effect where all are multiples of the lowest, else a shape of its own;
     trials: sizes (q,) that a screening tries, in sets that are tried together: by default each probe alone, of several
     quantities the largest probes together.
     """

@@ -9,6 +9,7 @@ from dropo.analysis.open_loop import open_loop
 from dropo.core.checks import Array
 from dropo.core.data import Segments, Trajectories
 from dropo.core.effect import Atom
+from dropo.diagnosis.library import command_names
 from dropo.diagnosis.model import Library
 from dropo.diagnosis.selection import State
 
@@ -57,7 +58,7 @@ def experiment(library: Library, last: State, one: Atom, other: Atom, sizes: Arr
     model: Any = simulator
     if not np.any(np.ptp(data.actions, axis=0) > 0) or len(simulator.signals) != data.observations.shape[1]:
         return None
-    names = [_name(model.model, int(i)) for i in model.controls]
+    names = command_names(model)
     tried = _candidates(names, float(model.control_step))
     thetas = np.repeat(last.theta[None], 3, axis=0)
     thetas[1:, library.places[one.label]] = 0.0
@@ -69,11 +70,6 @@ def experiment(library: Library, last: State, one: Atom, other: Atom, sizes: Arr
     found = _nats(imagined) / STARTS
     best = int(np.argmax(found))
     return replace(tried[best], nats=float(found[best]), now=float(_nats(recorded)[0] * LENGTH / windows.steps))
-
-
-def _name(model: Any, actuator: int) -> str:
-    """The actuator's name, else that of the joint that it drives."""
-    return str(model.actuator(actuator).name or model.joint(int(model.actuator_trnid[actuator, 0])).name or f"actuator {actuator}")
 
 
 def _candidates(names: list[str], step: float) -> list[Experiment]:

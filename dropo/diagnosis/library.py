@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -45,3 +46,10 @@ def declared(simulator: Simulator, atom: Atom, free: Ints | None = None) -> bool
     changed = copy.copy(simulator.model)  # type: ignore[attr-defined]
     atom.model(changed, np.array(atom.trials[0][0]))
     return any(not np.array_equal(binding.read(changed), binding.read(simulator.model)) for binding in bindings)  # type: ignore[attr-defined]
+
+
+def command_names(simulator: Any) -> list[str]:
+    """The name of each action column: its actuator's, else that of the joint that this one drives."""
+    model = simulator.model
+    given = [(model.actuator(int(i)).name, model.joint(int(model.actuator_trnid[i, 0])).name, int(i)) for i in simulator.controls]
+    return [str(name or joint or f"actuator {i}") for name, joint, i in given]

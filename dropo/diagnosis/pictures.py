@@ -8,6 +8,7 @@ from dropo.core.checks import Array
 from dropo.core.effect import Atom
 from dropo.core.pictures import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
 from dropo.diagnosis.invariance import bins_of, differing, invariance, regimes, response_of
+from dropo.diagnosis.library import command_names
 from dropo.diagnosis.model import Library, Look
 from dropo.diagnosis.remaining import force_names
 from dropo.diagnosis.review import Review, ambiguity
@@ -79,9 +80,8 @@ def own_axis(library: Library, atom: Atom) -> str | None:
     if atom.effect in PLACE:
         return f"qpos.{target}"
     if atom.effect in (*COMMAND, *LATE) and atom.target is not None:
-        model, controls = library.simulator.model, library.simulator.controls  # type: ignore[attr-defined]
-        found = np.flatnonzero(np.asarray(controls) == int(model.actuator(target).id))
-        command = f"command {found[0]}" if len(found) else ""
+        names = command_names(library.simulator)
+        command = f"command {names.index(target)}" if target in names else ""
         return f"the change of {command}" if atom.effect in LATE else command
     if atom.effect in ("sensor_bias", "sensor_gain"):
         return target

@@ -101,10 +101,17 @@ class Diagnosis(Printed):
         error = f"off by {number(scale * off, 3)} {shown} after {after}"
         return f"On held-out data the simulation is {error}; sensor noise explains {number(scale * noise, 3)}."
 
-    def _by_unit(self, i: int) -> str:
-        """The errors at a horizon in physical units: as the model came, with its parameters fitted, extended."""
-        sides = [found[i].units for found in (self.nominal, self.before, self.after) if found]
-        return ", ".join(" -> ".join(number(side[unit][0], 3) for side in sides) + f" {unit}" for unit in sides[0])
+    def _errors(self) -> Table:
+        """For each horizon a row of the errors of all signals, in units of the motion, and one of each physical unit, before and after."""
+        named = [("as it came", self.nominal), ("fitted", self.before)] if self.nominal else [("as it is", self.before)]
+        named += [("with what was found", self.after)] if self.causes else []
+        rows = []
+        for at in zip(*(found for _, found in named), strict=True):
+            seconds = "" if at[0].seconds is None else f", {number(at[0].seconds, 3)} s"
+            label = f"{at[0].steps} step{'s' * (at[0].steps > 1)}{seconds}"
+            rows.append((label, "of the motion", *(f"{h.rmse:.2%}" for h in at), f"{at[-1].noise:.2%}"))
+            rows += [("", unit, *(number(h.units[unit][0], 3) for h in at), number(at[-1].units[unit][1], 3)) for unit in at[0].units]
+        return Table("Errors on held-out data", ("after", "unit", *(name for name, _ in named), "by sensor noise"), tuple(rows))
 
     def to_pandas(self) -> Any:
         """A pandas.DataFrame with a row for each quantity of each cause; empty where none was found."""
@@ -157,10 +164,7 @@ class Diagnosis(Printed):
     def parts(self) -> list[str | Table]:
         """The headline, the errors by horizon, and what else is to be said, a line each."""
         lines: list[str | Table] = [self.headline()]
-        for i, (before, after) in enumerate(zip(self.before, self.after, strict=True)):
-            errors = f"{number(before.rmse, 3)} -> {number(after.rmse, 3)} of the motion (noise {number(after.noise, 3)})"
-            seconds = "" if before.seconds is None else f" ({number(before.seconds, 3)} s)"
-            lines.append(f"  error after {before.steps} steps{seconds}: {errors}; {self._by_unit(i)}")
+        lines += [self._errors()] if self.before else []
         lines += [f"  {text}" for text in self.undetermined]
         lines += [f"  suspect: {s['effect']}" + (f":{s['target']}" if s["target"] else "") for s in self.suspects]
         return [*lines, *(f"warning: {text}" for text in self.warnings)]

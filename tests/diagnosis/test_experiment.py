@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dropo.diagnosis.experiment import LENGTH, experiment
+from dropo.diagnosis.experiment import LENGTH, _candidates, _commands, experiment
 from dropo.diagnosis.model import Library
 from dropo.diagnosis.selection import Selection
 from dropo.diagnosis.windows import split
@@ -45,10 +45,7 @@ def test_an_effect_cannot_be_told_from_itself(lagging):
 
 def test_commands_stay_within_the_data(lagging):
     """No candidate asks for more than the data's largest command; all of them are different."""
-    from dropo.diagnosis.experiment import _candidates, _commands
-
-    library, state = lagging
-    data = state.train.windows.segments.trajectories
+    data = lagging[1].train.windows.segments.trajectories
     names = ["shoulder_motor", "elbow_motor"]
     commands = _commands(data, _candidates(names, 0.01), names, 0.01)
     middle = np.median(data.actions, axis=0)
