@@ -37,16 +37,17 @@ def factor(field: str, element: str, index: int | None = None) -> FieldParameter
 
 
 def hopper_with_18(threads: int) -> MujocoSimulator:
-    """Masses and inertias of the four bodies, damping, armature and gear of the three joints, and the foot's sliding friction."""
+    """Masses and inertias of the four bodies, damping and armature of the three joints, gears of two (one is known, else all forces and
+    inertias could be larger by one factor), the foot's sliding friction and the time constant of its contact."""
     bodies = [factor(field, body) for field in ("body_mass", "body_inertia") for body in BODIES]
     joints = [factor(field, f"{joint}_joint") for field in ("dof_damping", "dof_armature") for joint in JOINTS]
     model = hopper_spec()
     for i, motor in enumerate(model.actuators):
         motor.name = motor.name or f"motor{i}"
-    gears = [factor("actuator_gear", motor.name, 0) for motor in model.actuators]
-    friction = factor("geom_friction", "foot_geom", 0)
+    gears = [factor("actuator_gear", motor.name, 0) for motor in list(model.actuators)[1:]]
+    contact = [factor("geom_friction", "foot_geom", 0), factor("geom_solref", "foot_geom", 0)]
     return MujocoSimulator(
-        model, [*bodies, *joints, *gears, friction], observation=["qpos[1:]", "qvel"], frame_skip=FRAME_SKIP, threads=threads
+        model, [*bodies, *joints, *gears, *contact], observation=["qpos[1:]", "qvel"], frame_skip=FRAME_SKIP, threads=threads
     )
 
 

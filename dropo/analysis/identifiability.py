@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.checks import Array
+from dropo.core.data import Ints
 from dropo.core.fit import Fit
 from dropo.core.parameters import ParameterSpace
 from dropo.core.problem import Problem
@@ -27,12 +28,25 @@ def blind_spots(problem: Problem, mean: Array, jacobian: Array, epsilon: Array) 
 
 def undetermined(space: ParameterSpace, mean: Array, jacobian: Array, epsilon: Array) -> list[str]:
     """Sentences on parameters (d,), and on combinations of them, that sensitivities (R, p, d) under noise variances (p,) do not tell."""
+    return [_name(space, mean, direction) for direction in null_directions(space, jacobian, epsilon)]
+
+
+def determined(space: ParameterSpace, jacobian: Array, epsilon: Array) -> NDArray[np.bool_]:
+    """(d,) the parameters that the data tell: those that no direction without information moves."""
+    out = np.ones(len(space), dtype=bool)
+    for direction in null_directions(space, jacobian, epsilon):
+        out[_moved(space, direction)] = False
+    return out
+
+
+def null_directions(space: ParameterSpace, jacobian: Array, epsilon: Array) -> list[Array]:
+    """Directions (d,) of the parameters that no prediction notices, each of few parameters."""
     width = space.high - space.low
     white = (jacobian * width / np.sqrt(np.maximum(epsilon, 1e-300))[:, None]).reshape(-1, len(space))
     information = white.T @ white  # of the means, in units of their search intervals
     size = np.diagonal(information)
     told = size > max(1 / IGNORANT**2, NOTHING * float(size.max(initial=0.0)))
-    out = [f"the data do not determine {name}" for name, known in zip(space.names, told, strict=True) if not known]
+    out = list(np.eye(len(space))[~told])
     rest = np.flatnonzero(told)
     if len(rest) < 2:
         return out
@@ -41,8 +55,14 @@ def undetermined(space: ParameterSpace, mean: Array, jacobian: Array, epsilon: A
     for direction in _sparse(null.T):
         own = np.zeros(len(space))
         own[rest] = direction * width[rest]
-        out.append(_name(space, mean, own))
+        out.append(own)
     return out
+
+
+def _moved(space: ParameterSpace, direction: Array) -> Ints:
+    """The parameters that a direction moves, as shares of their intervals."""
+    scaled = np.abs(direction) / (space.high - space.low)
+    return np.flatnonzero(scaled > SHARE * scaled.max())
 
 
 def _sparse(rows: Array) -> list[Array]:
@@ -65,16 +85,17 @@ def _name(space: ParameterSpace, mean: Array, direction: Array) -> str:
     Of two positive parameters, equal steps of their logarithms leave the ratio, opposite ones the product; else equal steps
     leave the difference and opposite ones the sum.
     """
-    scaled = np.abs(direction) / (space.high - space.low)
-    which = np.flatnonzero(scaled > SHARE * scaled.max())
+    which = _moved(space, direction)
     names = [space.names[i] for i in which]
+    if len(which) == 1:
+        return f"the data do not determine {names[0]}"
     if len(which) == 2:
         one, two = names
         relative = direction[which] / mean[which] if (space.low[which] > 0).all() else np.array([1.0, 0.0])
         for (a, b), like, unlike in ((relative, "/", "*"), (direction[which], "-", "+")):
             if abs(abs(a) - abs(b)) < SHARE * max(abs(a), abs(b)):
                 return f"only {one} {like if a * b > 0 else unlike} {two} is determined by the data, not each of them"
-    joined = f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
+    joined = f"{', '.join(names[:-1])} and {names[-1]}"
     steps = " : ".join(f"{d:.2g}" for d in direction[which] / np.abs(direction[which]).max())
     return f"the data determine {joined} only together: steps in the proportion {steps} change no prediction"
 

@@ -52,12 +52,15 @@ def linear(matrix, names=("a", "b"), low=0.5, seed=0):
 
 
 def test_gear_and_inertia_of_a_motor():
-    """On a balanced arm only their ratio; where gravity acts on a known bob, both."""
+    """On a balanced arm only their ratio, and neither has a standard error; where gravity acts on a known bob, both are told."""
     balanced, heavy = (driven(arm(bob)) for bob in ("", BOB))
-    assert "only gear / inertia is determined by the data, not each of them" in LeastSquares().fit(balanced).details["identifiability"]
+    fit = LeastSquares().fit(balanced)
+    assert "only gear / inertia is determined by the data, not each of them" in fit.details["identifiability"]
+    assert np.isnan(fit.mean_se).all()
     fit = LeastSquares().fit(heavy)
     assert not any("gear" in sentence or "inertia" in sentence for sentence in fit.details["identifiability"])
     np.testing.assert_allclose(fit.mean, [2.0, 0.05], rtol=0.02)
+    assert np.isfinite(fit.mean_se).all()
 
 
 def test_products_sums_and_differences():
