@@ -54,7 +54,8 @@ def simulated(problem: Problem, fit: Fit, start: Array, actions: Array) -> Traje
     seen = problem.trajectories
     p, q = seen.observations.shape[1], seen.actions.shape[1]
     start, actions = float_array("start", start, (p,), "rank_next"), float_array("actions", actions, (None, q), "rank_next")
-    return open_loop(problem.simulator, fit.mean, start[None], actions[None])
+    states = open_loop(problem.simulator, fit.mean, start[None], actions[None])[0]
+    return Trajectories(states[:-1], actions, states[1:], np.arange(len(actions)) == len(actions) - 1)
 
 
 def _information(problem: Problem, fit: Fit, segments: Segments) -> Array:

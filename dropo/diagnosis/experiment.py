@@ -95,15 +95,17 @@ def _wave(one: Experiment, names: list[str], step: float) -> Array:
 
 
 def _windows(library: Library, last: State, starts: Array, commands: Array) -> Segments:
-    """Windows of what the model predicts under the commands, as long as those of the data; those that begin beyond what was recorded
-    begin at the experiment's start instead, where they tell no more than the first."""
-    whole = open_loop(library.simulator, last.theta, starts, commands)
+    """Windows of what the model predicts under the commands, as long as those of the data, or as the experiment is; those that begin beyond
+    what was recorded, or where the simulation diverges, begin at the experiment's start instead, where they tell no more than the first."""
+    states = open_loop(library.simulator, last.theta, starts, commands)[:, :-1]
     seen = last.train.windows.segments.trajectories.observations
     room = BEYOND * np.ptp(seen, axis=0)
-    inside = (whole.observations >= seen.min(axis=0) - room) & (whole.observations <= seen.max(axis=0) + room)
-    good = np.logical_and.accumulate(inside.all(axis=1).reshape(len(starts), -1), axis=1).reshape(-1, 1)
-    rows = np.where(good, whole.observations, np.repeat(starts, commands.shape[1], axis=0))
-    return replace(whole, observations=rows, next_observations=rows).segments(last.train.windows.length, every_step=True)
+    inside = ((states >= seen.min(axis=0) - room) & (states <= seen.max(axis=0) + room)).all(axis=2)
+    good = np.logical_and.accumulate(inside, axis=1)[:, :, None]
+    rows = np.where(good, states, starts[:, None]).reshape(-1, starts.shape[1])
+    ends = np.tile(np.arange(LENGTH) == LENGTH - 1, len(starts))
+    data = Trajectories(rows, commands.reshape(len(rows), -1), rows, ends)
+    return data.segments(min(last.train.windows.length, LENGTH), every_step=True)
 
 
 def _told(library: Library, thetas: Array, segments: Segments, sigma: Array) -> Array:

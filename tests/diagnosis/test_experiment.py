@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from dropo.analysis.open_loop import open_loop
 from dropo.diagnosis.experiment import LENGTH, _candidates, _commands, experiment
 from dropo.diagnosis.model import Library
 from dropo.diagnosis.selection import Selection
@@ -41,6 +42,31 @@ def test_an_effect_cannot_be_told_from_itself(lagging):
     library, state = lagging
     twice = (library.atoms[0], library.atoms[0])
     assert experiment(library, state, *twice, state.theta[:1]).nats < 1e-9
+
+
+def test_commands_that_make_the_simulation_diverge_tell_nothing(lagging, monkeypatch):
+    """The largest commands throw the model out of its numbers: the experiment is chosen among the others."""
+    library, state = lagging
+    whole = experiment(library, state, *library.atoms, np.array([0.002]))
+
+    def failing(simulator, value, starts, actions):
+        states = open_loop(simulator, value, starts, actions)
+        large = np.abs(actions).max(axis=(1, 2)) > 0.6 * np.abs(actions).max()
+        states[large, 2:] = np.nan
+        return states
+
+    monkeypatch.setattr("dropo.diagnosis.experiment.open_loop", failing)
+    found = experiment(library, state, *library.atoms, np.array([0.002]))
+    assert 0 < found.nats < whole.nats
+
+
+def test_windows_longer_than_the_experiment(lagging):
+    """Where the data are cut into windows of 80 steps, those of the experiment are as long as it is."""
+    library, state = lagging
+    train, test = split(problem([(PAIR[0], [0.002])], sigma=SIGMA, steps=400), 80, 24)
+    search = Selection(library, np.full(4, 1e-9))
+    long = search.begin(train, test, state.theta, np.full(4, SIGMA), np.arange(0))
+    assert experiment(library, long, *library.atoms, np.array([0.002])).nats > 0
 
 
 def test_commands_stay_within_the_data(lagging):
