@@ -1,5 +1,7 @@
 """What the data cannot tell, in words: from the Fisher information of the means."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,29 +20,30 @@ def identify(problem: Problem, fit: Fit) -> list[str]:
     """Sentences on parameters and combinations of them that the data do not determine, parameters on a bound, signals that do
     not move or carry no information, and actions that never change; none where all is well."""
     _, jacobian = problem.simulator.linearise(fit.mean, problem.segments)
-    return [*blind_spots(problem, fit.mean, jacobian, fit.epsilon), *_bounds(problem.space, fit.mean)]
+    directions = null_directions(problem.space, jacobian, fit.epsilon)
+    return [*blind_spots(problem, fit.mean, jacobian, directions), *_bounds(problem.space, fit.mean)]
 
 
-def blind_spots(problem: Problem, mean: Array, jacobian: Array, epsilon: Array) -> list[str]:
-    """As `identify`, bounds left out, from the sensitivities (R, p, d) at the mean (d,) and the noise variances (p,)."""
-    return [*undetermined(problem.space, mean, jacobian, epsilon), *_signals(problem, jacobian), *_actions(problem)]
+def blind_spots(problem: Problem, mean: Array, jacobian: Array, directions: Sequence[Array]) -> list[str]:
+    """As `identify`, bounds left out, from the sensitivities (R, p, d) at the mean (d,) and their null directions (d,)."""
+    return [*undetermined(problem.space, mean, directions), *_signals(problem, jacobian), *_actions(problem)]
 
 
-def undetermined(space: ParameterSpace, mean: Array, jacobian: Array, epsilon: Array) -> list[str]:
-    """Sentences on parameters (d,), and on combinations of them, that sensitivities (R, p, d) under noise variances (p,) do not tell."""
-    return [_name(space, mean, direction) for direction in null_directions(space, jacobian, epsilon)]
+def undetermined(space: ParameterSpace, mean: Array, directions: Sequence[Array]) -> list[str]:
+    """Sentences on the parameters (d,), and on combinations of them, that null directions move."""
+    return [_name(space, mean, direction) for direction in directions]
 
 
-def determined(space: ParameterSpace, jacobian: Array, epsilon: Array) -> NDArray[np.bool_]:
-    """(d,) the parameters that the data tell: those that no direction without information moves."""
+def determined(space: ParameterSpace, directions: Sequence[Array]) -> NDArray[np.bool_]:
+    """(d,) the parameters that the data tell: those that no null direction moves."""
     out = np.ones(len(space), dtype=bool)
-    for direction in null_directions(space, jacobian, epsilon):
+    for direction in directions:
         out[_moved(space, direction)] = False
     return out
 
 
 def null_directions(space: ParameterSpace, jacobian: Array, epsilon: Array) -> list[Array]:
-    """Directions (d,) of the parameters that no prediction notices, each of few parameters."""
+    """Directions (d,) of the parameters, each of few, that no prediction notices: by sensitivities (R, p, d) under noise variances (p,)."""
     width = space.high - space.low
     white = (jacobian * width / np.sqrt(np.maximum(epsilon, 1e-300))[:, None]).reshape(-1, len(space))
     information = white.T @ white  # of the means, in units of their search intervals

@@ -41,6 +41,7 @@ def horizons(problem: Problem, library: Library, thetas: Sequence[Array], last: 
     The noise is that of the last state. Windows may overlap.
     """
     found: list[list[Horizon]] = [[] for _ in thetas]
+    different, which = np.unique(np.stack(thetas), axis=0, return_inverse=True)  # with nothing found, or nothing fitted, some are the same
     sigma, variance = last.train.whiten.sigma, spread_of(library.simulator, last.test.windows) ** 2
     for steps in sorted({*HORIZONS, last.train.windows.length}):
         windows = held_out_windows(problem, steps, max(LEAST, min(WINDOWS, ROWS // steps)))
@@ -49,8 +50,9 @@ def horizons(problem: Problem, library: Library, thetas: Sequence[Array], last: 
         seen = look(library, windows, last.theta, sigma)
         reach = seen.whiten.loadings[~seen.lost, -len(sigma) :]
         noise = sigma**2 + np.mean(np.sum((reach * seen.whiten.scale) ** 2, axis=2), axis=0)
-        for out, predicted in zip(found, library.predict(np.stack(thetas), windows), strict=True):
-            out.append(_horizon(library.simulator, steps, windows.measured - predicted, noise, variance))
+        every = [_horizon(library.simulator, steps, windows.measured - one, noise, variance) for one in library.predict(different, windows)]
+        for out, i in zip(found, which.ravel().tolist(), strict=True):
+            out.append(every[i])
     return found
 
 

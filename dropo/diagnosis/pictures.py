@@ -7,7 +7,7 @@ import numpy as np
 from dropo.core.checks import Array
 from dropo.core.effect import Atom
 from dropo.core.pictures import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
-from dropo.diagnosis.invariance import bins_of, differing, invariance, regimes, response_of
+from dropo.diagnosis.invariance import bins_of, differing, regimes, response_of
 from dropo.diagnosis.library import command_names
 from dropo.diagnosis.model import Library, Look
 from dropo.diagnosis.remaining import force_names
@@ -30,11 +30,12 @@ def pictures(
     """rest: the forces that remain unexplained; count: how many effects were looked for."""
     before = rest if first is last else unexplained_force(library, first.train, first.test, selection.floor, gain_of)
     chosen = {atom.label: (atom, reviews[atom.label]) for atom in last.accepted}
+    responses = [(atom, response_of(library, last.test, atom)) for atom in last.accepted]
     return Pictures(
         float(np.log(count / FALSE_ALARM)), tuple(_bars(tried, last, chosen) for tried in selection.rounds),
-        tuple(_against_axis(library, found.without, last, atom) for atom, found in chosen.values()),
-        tuple(sizes for atom in last.accepted for sizes in _sizes(library, last.test, atom)),
-        _forces(library, before, rest), _similarity(selection), tuple(_sums(library, last.test, atom) for atom in last.accepted),
+        tuple(_against_axis(library, reviews[atom.label].without, last, atom, response) for atom, response in responses),
+        tuple(sizes for atom, response in responses for sizes in _sizes(library, last.test, atom, response)),
+        _forces(library, before, rest), _similarity(selection), tuple(_sums(last.test, atom, response) for atom, response in responses),
     )  # fmt: skip
 
 
@@ -54,10 +55,10 @@ def _bar(trial: Trial, chosen: str | None, alike: Mapping[str, object]) -> Bar:
     return Bar(label, trial.held_out, error, label == chosen, label not in alike)
 
 
-def _against_axis(library: Library, without: State, last: State, atom: Atom) -> AgainstAxis:
+def _against_axis(library: Library, without: State, last: State, atom: Atom, response: Array) -> AgainstAxis:
     before, after = without.test, last.test
     p, simulator = len(after.whiten.sigma), library.simulator
-    response = response_of(library, after, atom)[:, -p:]
+    response = response[:, -p:]
     k = int(np.argmax(np.sum((response / after.whiten.sigma) ** 2, axis=0)))
     axis = own_axis(library, atom)
     found = regimes(after.windows, library)
@@ -88,10 +89,10 @@ def own_axis(library: Library, atom: Atom) -> str | None:
     return {"parameter_drift": "time", "contact_friction": "contact", "contact_stiffness": "contact"}.get(atom.effect)
 
 
-def _sizes(library: Library, seen: Look, atom: Atom) -> list[Sizes]:
+def _sizes(library: Library, seen: Look, atom: Atom, response: Array) -> list[Sizes]:
     """By the effect's own axis, by the variable in which it differs most, and by time."""
-    response, variables = response_of(library, seen, atom), regimes(seen.windows, library)
-    wanted = [own_axis(library, atom), invariance(library, seen, atom).variable, "time"]
+    variables = regimes(seen.windows, library)
+    wanted = [own_axis(library, atom), differing(seen, response, variables).variable, "time"]
     out = []
     for name in dict.fromkeys(one for one in wanted if one in variables):
         assert name is not None
@@ -119,9 +120,9 @@ def _similarity(selection: Selection) -> Similarity:
     return Similarity(tuple(candidate.atom.label for candidate in top), cosines)
 
 
-def _sums(library: Library, seen: Look, atom: Atom) -> Sums:
+def _sums(seen: Look, atom: Atom, response: Array) -> Sums:
     """Of the estimate's share in the residuals, window by window in the data's order."""
-    slope = seen.flat(response_of(library, seen, atom)).reshape(len(seen.windows), -1)
+    slope = seen.flat(response).reshape(len(seen.windows), -1)
     rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
     order = np.argsort(seen.windows.segments.steps[:, 0], kind="stable")
     score, weight = ((slope * one).sum(axis=1)[order] for one in (rest, slope))

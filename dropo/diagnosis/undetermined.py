@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dropo.analysis.identifiability import null_directions
 from dropo.analysis.identifiability import undetermined as sentences
 from dropo.core.parameters import ParameterSpace
 from dropo.diagnosis.model import Library
@@ -15,4 +16,4 @@ def undetermined(library: Library, last: State) -> tuple[str, ...]:
     seen, space = last.train, library.simulator.space
     own = ParameterSpace(tuple(list(space)[i] for i in last.free))
     slopes = seen.flat(library.slopes(seen.theta, last.free, seen.windows))
-    return tuple(sentences(own, seen.theta[last.free], slopes.T[:, None, :], np.ones(1)))
+    return tuple(sentences(own, seen.theta[last.free], null_directions(own, slopes.T[:, None, :], np.ones(1))))

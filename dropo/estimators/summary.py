@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.analysis.identifiability import blind_spots, determined
+from dropo.analysis.identifiability import blind_spots, determined, null_directions
 from dropo.analysis.model_check import ModelCheck, check_model
 from dropo.core.checks import Array
 from dropo.core.dependence import independent, units_of
@@ -47,8 +47,9 @@ def summarise(
             else:
                 noise = epsilon if weighted_by is None else weighted_by
                 mean_se, scale_se, degrees, jacobian = standard_errors(problem, mean, sd, correlation, noise)
-        found["identifiability"] = blind_spots(problem, mean, jacobian, epsilon)
-        mean_se = np.where(determined(problem.space, jacobian, epsilon), mean_se, np.nan)
+        unknown = null_directions(problem.space, jacobian, epsilon)
+        found["identifiability"] = blind_spots(problem, mean, jacobian, unknown)
+        mean_se = np.where(determined(problem.space, unknown), mean_se, np.nan)
         if status in (Status.CONVERGED, Status.OUT_OF_BUDGET):
             check = _check(problem, family, objective, phi, mean_prediction, jacobian, epsilon)
             found["model_check"] = check.found

@@ -12,6 +12,7 @@ from dropo.core.checks import Array
 from dropo.core.data import Trajectories
 from dropo.core.problem import Problem
 from dropo.data.resampling import resample
+from dropo.data.stamps import going_on
 from dropo.problems.outside import find_data, missing
 from dropo.simulators.mujoco import MujocoSimulator
 
@@ -61,7 +62,7 @@ def gridded(run: Channels, step: float, command: str | None) -> tuple[Array, Arr
     the next, as means over the step. Stamps that do not increase are left out.
     """
     stamps = np.asarray(run["time"], dtype=float)
-    keep = np.concatenate([[True], np.diff(np.maximum.accumulate(stamps)) > 0])
+    keep = going_on(stamps)
     stamps = stamps[keep] - stamps[0]
     time = np.asarray(step * np.arange(int(stamps[-1] / step) + 1), dtype=float)
     positions = resample(stamps, _columns(run["qpos"])[keep], time)
