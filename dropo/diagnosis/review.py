@@ -17,8 +17,8 @@ NEARLY = 0.9  # share of what an effect brings, from which another in its place 
 
 @dataclass(frozen=True, eq=False)
 class Review:
-    """An accepted effect beside all others: the state without it, the round in which it was found, and others of that round tried in its
-    place."""
+    """An accepted effect beside all others: the state without it, the round that it was accepted from, and others of that round tried in
+    its place."""
 
     without: State
     origin: Round | None
@@ -41,7 +41,7 @@ def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]
 
 
 def _review(selection: Selection, state: State, atom: Atom) -> Review:
-    origin = next((r for r in selection.rounds if any(t.candidate.atom.label == atom.label for t in r.trials)), None)
+    origin = selection.origins.get(atom.label)
     if origin is not None and len(state.accepted) == 1 and not origin.before.accepted:
         return Review(origin.before, origin, [t for t in origin.trials if t.candidate.atom.label != atom.label])
     bare = _bare(selection, state, atom)
@@ -65,7 +65,8 @@ def _better(selection: Selection, state: State, found: Review) -> State | None:
     for trial in found.rivals if len(state.accepted) > 1 else ():
         if value(trial.state) - nothing > NEARLY * (value(state) - nothing):
             polished = selection.polish(trial.state)
-            if value(polished) > value(state) + DEFICIT and confirmed(state.test, polished.test, DEFICIT):
+            if found.origin and value(polished) > value(state) + DEFICIT and confirmed(state.test, polished.test, DEFICIT):
+                selection.origins[trial.candidate.atom.label] = found.origin
                 return polished
     return None
 
@@ -102,6 +103,8 @@ def together(selection: Selection, state: State, atoms: Sequence[Atom]) -> State
         kept = tuple(atom for atom in state.accepted if atom not in single)
         fewer = selection.polish(replace(state, train=begun, free=free, accepted=(*kept, whole)))
         if -gain_of(state.train, fewer.train)[0] < 0.5 * (len(gone) - 1) * np.log(state.train.windows.steps):
+            tried = (r for r in selection.rounds if any(trial.candidate.atom.label == whole.label for trial in r.trials))
+            selection.origins.update({whole.label: r for r in list(tried)[:1]})
             return fewer
     return state
 

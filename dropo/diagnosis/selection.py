@@ -80,6 +80,7 @@ class Selection:
     floor: Array
     progress: Progress = lambda share, text: None
     rounds: list[Round] = field(default_factory=list)
+    origins: dict[str, Round] = field(default_factory=dict)  # an accepted effect's label -> the round that it was accepted from
     screening: Screening = field(init=False)
 
     def __post_init__(self) -> None:
@@ -118,11 +119,12 @@ class Selection:
         listed = shortlist(screened, BATCHES * TRIED, TRAINED)
         for begin in range(0, max(len(listed), 1), TRIED):  # the next ones only where none of those before is confirmed
             trials = self.tried(state, listed[begin : begin + TRIED])
-            self.rounds.append(Round(state, screened, trials))
+            self.rounds.append(origin := Round(state, screened, trials))
             for trial in trials:
                 if trial.trained > TRAINED and confirmed(state.test, trial.state.test, least):
                     polished = self.polish(trial.state)
                     if confirmed(state.test, polished.test, least):
+                        self.origins[trial.candidate.atom.label] = origin
                         return polished
         return None
 

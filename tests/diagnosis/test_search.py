@@ -58,8 +58,10 @@ def added(search, state, effect):
     """The state with one more effect, whether it is the best or not, and the round that it is of."""
     screened = search.screening(state.train, state.free, atoms())
     chosen = [c for c in screened if c.atom.effect in (effect, "damping") and c.atom not in state.accepted]
-    search.rounds.append(Round(state, screened, search.tried(state, chosen)))
-    return search.polish(next(t.state for t in search.rounds[-1].trials if t.candidate.atom.effect == effect))
+    search.rounds.append(origin := Round(state, screened, search.tried(state, chosen)))
+    trial = next(t for t in origin.trials if t.candidate.atom.effect == effect)
+    search.origins[trial.candidate.atom.label] = origin
+    return search.polish(trial.state)
 
 
 def test_review_takes_out_what_became_unnecessary():
