@@ -137,6 +137,5 @@ Effect = Callable[[Robot], Iterable[Atom]]
 
 def sizes_of(atoms: Sequence[Atom], values: Array) -> list[tuple[Atom, Array]]:
     """The atoms that are present, with their sizes, from all sizes in a row (sum of q,)."""
-    ends = np.cumsum([len(atom.quantities) for atom in atoms])
-    parts = np.split(values, ends[:-1]) if len(atoms) else []
-    return [(atom, sizes) for atom, sizes in zip(atoms, parts, strict=True) if np.any(sizes != 0)]
+    owner = np.repeat(np.arange(len(atoms)), [len(atom.quantities) for atom in atoms])
+    return [(atoms[i], values[owner == i]) for i in np.unique(owner[values != 0]).tolist()]

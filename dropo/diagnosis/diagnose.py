@@ -58,7 +58,7 @@ class Diagnose:
         progress = with_cost(progress, library.simulator)
         train, test = split(problem, length, self.windows)
         _refuse_constant(problem, train)
-        selection = Selection(library, np.maximum(LEAST * spread_of(simulator, train), 1e-12), progress)
+        selection = Selection(library, _floor(library, train), progress)
         progress(0.0, "fitting the model as it is")
         first, last, reviews = _search(problem, library, selection, train, test, free)
         progress(0.9, "what remains")
@@ -74,8 +74,15 @@ class Diagnose:
             replace(problem, simulator=simulator.with_effects((), fixed)),
             dict(zip([s.name for s in simulator.signals], last.train.whiten.sigma.tolist(), strict=True)),
             time.perf_counter() - begun, int(rng) if isinstance(rng, int | np.integer) else None, library.simulator.steps,
-            problem.warnings, nominal=nominal if len(free) else (), undetermined=undetermined(library, last), pictures=shown, motion=moved,
+            problem.warnings, {"window_steps": length}, nominal=nominal if len(free) else (), undetermined=undetermined(library, last),
+            pictures=shown, motion=moved,
         )  # fmt: skip
+
+    def baseline(self, problem: Problem) -> float:
+        """[nats per transition] of the windows held out under the model as it is, its declared parameters fitted; `run` starts there."""
+        library = Library(problem.simulator, (), len(problem.space))
+        train, test = split(problem, choose_length(problem, self.windows) if self.length is None else self.length, self.windows)
+        return per_step(_first(problem, library, Selection(library, _floor(library, train)), train, test, _free(problem, self.parameters)))
 
 
 def diagnose(problem: Problem, effects: Sequence[str] | None = None, *, rng: np.random.Generator | int | None = 0) -> Diagnosis:
@@ -102,8 +109,7 @@ def _search(
     problem: Problem, library: Library, selection: Selection, train: Windows, test: Windows, free: Ints
 ) -> tuple[State, State, dict[str, Review]]:
     """The model as it is, the one that the search ends with, and what became of each of its effects when it was judged again."""
-    start = nominal_of(library)
-    first = selection.begin(train, test, start, first_noise(problem, library, train, start, selection.floor), free)
+    first = _first(problem, library, selection, train, test, free)
     atoms = [atom for atom in library.atoms if atom.effect != "unexplained_force"]
     found = selection.run(first, first, atoms)
     last, reviews = review(selection, found)
@@ -114,6 +120,17 @@ def _search(
         last, reviews = review(selection, found)
     whole = together(selection, last, atoms)
     return first, whole, reviews if whole is last else review(selection, whole)[1]
+
+
+def _first(problem: Problem, library: Library, selection: Selection, train: Windows, test: Windows, free: Ints) -> State:
+    """The model as it is, with its declared parameters and the noise fitted."""
+    start = nominal_of(library)
+    return selection.begin(train, test, start, first_noise(problem, library, train, start, selection.floor), free)
+
+
+def _floor(library: Library, train: Windows) -> Array:
+    """(p,) the least noise."""
+    return np.maximum(LEAST * spread_of(library.simulator, train), 1e-12)
 
 
 def nominal_of(library: Library) -> Array:

@@ -103,8 +103,9 @@ def together(selection: Selection, state: State, atoms: Sequence[Atom]) -> State
         kept = tuple(atom for atom in state.accepted if atom not in single)
         fewer = selection.polish(replace(state, train=begun, free=free, accepted=(*kept, whole)))
         if -gain_of(state.train, fewer.train)[0] < 0.5 * (len(gone) - 1) * np.log(state.train.windows.steps):
-            tried = (r for r in selection.rounds if any(trial.candidate.atom.label == whole.label for trial in r.trials))
-            selection.origins.update({whole.label: r for r in list(tried)[:1]})
+            for tried in reversed(selection.rounds):  # the first that it was tried in stays
+                if any(trial.candidate.atom.label == whole.label for trial in tried.trials):
+                    selection.origins[whole.label] = tried
             return fewer
     return state
 

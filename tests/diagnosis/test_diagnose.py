@@ -24,7 +24,7 @@ CONTRACT = {
     "side": {"held_out_log_likelihood", "rmse"},
     "remaining": {"calibrated", "p_value", "where"},
 }  # fmt: skip
-BESIDE = {"headline", "problem", "noise", "warnings", "simulator_steps", "pictures", "nominal", "undetermined"}
+BESIDE = {"headline", "problem", "noise", "warnings", "simulator_steps", "pictures", "nominal", "undetermined", "window_steps"}
 
 
 @pytest.fixture(scope="module")
