@@ -93,17 +93,12 @@ class Draws:
         log_likelihood: (S, W, R) of each compared row, for model comparison; observed: (R, p) the measured targets;
         attributes: what else to say about the run.
         """
-        need("arviz", extra="posterior", caller="InferenceData")
         stats = {"lp": _by_chain(self.log_density)} | ({} if self.diverging is None else {"diverging": _by_chain(self.diverging)})
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # on arviz' own plans
-            import arviz
-
-            return arviz.from_dict(
-                posterior={name: _by_chain(self.chain[:, :, i]) for i, name in enumerate(self.names)}, sample_stats=stats,
-                log_likelihood=None if log_likelihood is None else {"measured": _by_chain(log_likelihood)},
-                observed_data=None if observed is None else {"measured": observed}, attrs=dict(attributes or {}),
-            )  # fmt: skip
+        return _arviz().from_dict(
+            posterior={name: _by_chain(self.chain[:, :, i]) for i, name in enumerate(self.names)}, sample_stats=stats,
+            log_likelihood=None if log_likelihood is None else {"measured": _by_chain(log_likelihood)},
+            observed_data=None if observed is None else {"measured": observed}, attrs=dict(attributes or {}),
+        )  # fmt: skip
 
 
 def _by_chain(values: NDArray[Any]) -> NDArray[Any]:
@@ -111,12 +106,24 @@ def _by_chain(values: NDArray[Any]) -> NDArray[Any]:
     return np.swapaxes(values, 0, 1)
 
 
-def inference_data(arrays: Mapping[str, Any], names: Sequence[str], attributes: Mapping[str, Any]) -> Any:
+def from_chains(arrays: Mapping[str, Any], names: Sequence[str], attributes: Mapping[str, Any]) -> Any:
     """arviz.InferenceData from what a posterior's Fit keeps of its draws: its arrays, and the names of its unknowns."""
-    require("chain" in arrays, "arrays", "those of a fit by 'posterior', which alone keeps draws", sorted(arrays), "to_inference_data")
     draws = Draws(arrays["chain"], arrays["log_density"], tuple(names), arrays.get("diverging"))
-    known = {name: value for name, value in attributes.items() if value is not None}
-    return draws.to_inference_data(log_likelihood=arrays.get("row_log_likelihood"), observed=arrays.get("observed"), attributes=known)
+    return draws.to_inference_data(log_likelihood=arrays.get("row_log_likelihood"), observed=arrays.get("observed"), attributes=attributes)
+
+
+def from_sample(sample: Array, names: Sequence[str], attributes: Mapping[str, Any]) -> Any:
+    """arviz.InferenceData from independent draws (K, d): one chain."""
+    arviz = _arviz()
+    return arviz.from_dict(posterior={name: sample[None, :, i] for i, name in enumerate(names)}, attrs=dict(attributes))
+
+
+def _arviz() -> Any:
+    need("arviz", extra="posterior", caller="InferenceData")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # on arviz' own plans
+        import arviz
+    return arviz
 
 
 def _integrated_time(x: Array, window: float = 5.0) -> float:

@@ -87,16 +87,20 @@ class Fit(Printed):
         """Whether nothing was found that speaks against the model, on which standard errors and intervals rest."""
         return bool(self.details.get("model_check", {}).get("passed", True))
 
-    def to_inference_data(self) -> Any:
-        """The draws of a posterior as arviz.InferenceData: posterior, sample_stats, observed_data, and log_likelihood where kept.
+    def to_inference_data(self, draws: int = 4000, rng: np.random.Generator | int | None = None) -> Any:
+        """The fit as arviz.InferenceData: of `Posterior` its chains, with sample_stats, observed_data, and log_likelihood where kept.
 
-        BadArgument where the method keeps no draws: only `Posterior` does. Needs the extra `posterior`.
+        Of every other method so many draws from the fitted distribution, as one chain of the group posterior: its attribute `draws_of`
+        says so. They show the spread to train under, and not how well it is known. Needs the extra `posterior`.
         """
         from dropo import __version__
-        from dropo.core.draws import inference_data
+        from dropo.core.draws import from_chains, from_sample
 
         about = {"method": self.method, "problem": self.problem, "seed": self.seed, "version": __version__}
-        return inference_data(self.arrays, self.details.get("unknowns", ()), about)
+        known = {name: value for name, value in about.items() if value is not None}
+        if "chain" in self.arrays:
+            return from_chains(self.arrays, self.details.get("unknowns", ()), known)
+        return from_sample(self.sample(draws, rng), self.space.names, known | {"draws_of": "the fitted distribution"})
 
     def to_pandas(self) -> Any:
         """A pandas.DataFrame with a row for each parameter: mean, errors, 95 % interval, scale, sd, unit, search interval."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dropo.core.draws import Draws, inference_data
+from dropo.core.draws import Draws
 from dropo.core.errors import BadArgument
 
 
@@ -29,11 +29,6 @@ def test_inference_data_has_its_groups_and_agrees_with_the_summary():
     np.testing.assert_allclose(table["sd"], one.flat().std(axis=0), rtol=1e-3)
     np.testing.assert_allclose(table["r_hat"], one.split_r_hat(), atol=1e-6)
     assert not np.allclose(table["mean"], one.chain[:, 0].mean(axis=0), rtol=1e-3)
-
-
-def test_other_fits_have_no_draws():
-    with pytest.raises(BadArgument, match="'posterior', which alone keeps draws"):
-        inference_data({"trace": np.zeros(3)}, (), {})
 
 
 def test_divergences_of_another_shape_are_refused():

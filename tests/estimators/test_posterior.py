@@ -236,7 +236,7 @@ def test_draws_that_reach_the_edge_of_a_local_model_are_told():
 
 
 def test_inference_data_of_a_fit(tmp_path):
-    """Groups, sizes and values, after saving and loading too; a fit without draws has none."""
+    """Groups, sizes and values, after saving and loading too; of a fit without draws, draws from its distribution that are called that."""
     arviz = pytest.importorskip("arviz")
     fit = Posterior(likelihood="emulated", sampler=Emcee(steps=30, burn_in=10, walkers=8)).fit(problem(epsilon=NOISE), rng=3)
     fit.save(tmp_path)
@@ -248,8 +248,10 @@ def test_inference_data_of_a_fit(tmp_path):
         np.testing.assert_array_equal(data.posterior["x1"].values, fit.arrays["chain"][..., 1].T)
         np.testing.assert_allclose(data.log_likelihood["measured"].sum("measured_dim_0"), fit.arrays["log_density"].T, rtol=1e-9)
         np.testing.assert_allclose(arviz.summary(data, round_to="none")["mean"], fit.mean, rtol=1e-9)
-    with pytest.raises(BadArgument, match="which alone keeps draws"):
-        find("methods", "least-squares")().fit(problem()).to_inference_data()
+    plain = DROPO(epsilon=NOISE).fit(problem(), rng=0)
+    data = plain.to_inference_data(500, rng=1)
+    assert data.attrs["draws_of"] == "the fitted distribution"
+    np.testing.assert_array_equal(np.stack([data.posterior[name].values[0] for name in plain.space.names], axis=1), plain.sample(500, 1))
 
 
 def test_pairs_that_do_not_work_are_refused():
