@@ -1,0 +1,27 @@
+"""Windows are as long as it takes for what is wrong to stand out from the noise."""
+
+from dataclasses import replace
+
+import pytest
+
+from dropo.diagnosis.length import LENGTHS, SHORTEST, choose_length
+from tests.diagnosis.arms import problem
+
+
+@pytest.mark.parametrize(("size", "sigma", "expected"), [(0.05, 1e-4, {5}), (0.003, 5e-3, {10, 20, 50}), (0.0, 1e-3, {SHORTEST})])
+def test_small_effects_in_much_noise_need_longer_windows(size, sigma, expected):
+    """Damping that stands out at once, one that must add up over several steps, and none at all, for which nothing is gained by waiting."""
+    hidden = [("joint_damping:elbow", [size])] if size else []
+    assert choose_length(problem(hidden, sigma=sigma, episodes=40, steps=110), 96) in expected
+
+
+def test_the_problems_own_horizon_comes_first():
+    """As stated, but at least SHORTEST."""
+    known = problem([("joint_damping:elbow", [0.003])], steps=40)
+    assert [choose_length(replace(known, length=length), 96) for length in (2, 7, 12)] == [SHORTEST, 7, 12]
+
+
+def test_as_few_data_as_there_are():
+    """Lengths of which too few windows would be left on either side are not tried: the effect that needs more gets the shortest."""
+    few = problem([("joint_damping:elbow", [0.003])], sigma=5e-3, episodes=8, steps=24)
+    assert choose_length(few, 96) == SHORTEST < LENGTHS[1]
