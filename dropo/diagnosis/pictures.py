@@ -28,7 +28,7 @@ def pictures(
     library: Library, selection: Selection, first: State, last: State, reviews: Mapping[str, Review], rest: Unexplained, count: int
 ) -> Pictures:
     """rest: the forces that remain unexplained; count: how many effects were looked for."""
-    before = rest if first is last else unexplained_force(library, first.train, first.test, selection.floor, gain_of)
+    before = rest if first is last else unexplained_force(library, first.train, first.test, selection.floor, gain_of, rest.answers)
     chosen = {atom.label: (atom, reviews[atom.label]) for atom in last.accepted}
     responses = [(atom, response_of(library, last.test, atom)) for atom in last.accepted]
     return Pictures(

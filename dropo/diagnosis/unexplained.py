@@ -51,13 +51,15 @@ def _name(model: Any, dof: int) -> tuple[str, str]:
 @dataclass(frozen=True, eq=False)
 class Unexplained:
     """sd: (nv,) of the forces [N m, N], each piece of a window anew; scale: (nv,) 1 / what moves each as far; gain, z: of allowing for them
-    on windows held out [nats]; excess: (W,) that gain by window."""
+    on windows held out [nats]; excess: (W,) that gain by window; answers: d residual / d force (W, n, pieces nv) of the windows to fit and
+    of those held out."""
 
     sd: Array
     scale: Array
     gain: float
     z: float
     excess: Array
+    answers: tuple[Array, Array]
 
     @property
     def present(self) -> bool:
@@ -66,26 +68,29 @@ class Unexplained:
 
 
 def unexplained_force(
-    library: Library, train: Look, test: Look, floor: Array, gain_of: Callable[[Look, Look], tuple[float, float]]
-) -> Unexplained:
-    """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, by expectation-maximisation on the windows to fit."""
+    library: Library, train: Look, test: Look, floor: Array, gain_of: Callable[[Look, Look], tuple[float, float]],
+    answers: tuple[Array, Array] | None = None,
+) -> Unexplained:  # fmt: skip
+    """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, by expectation-maximisation on the windows to fit.
+
+    answers: those found under another theta, which hardly matters to them.
+    """
     atoms = [atom for atom in library.atoms if atom.effect == "unexplained_force"]
-    looks = [replace(seen, whiten=_with_forces(library, seen, atoms)) for seen in (train, test)]
     nv, good = len({atom.target for atom in atoms}), ~train.lost
     pieces = len(atoms) // nv
     unit = np.array([atom.quantities[0].probes[0] for atom in atoms[:nv]])
-    sigma, sd = learn_noise(looks[0].whiten.loadings[good], train.residuals[good], train.whiten.sigma, floor, unit, pieces=pieces)
-    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces)])
-    with_forces = replace(looks[1], whiten=Whitener(looks[1].whiten.loadings, scale, sigma))
-    return Unexplained(sd, 1 / unit, *gain_of(test, with_forces), with_forces.log_likelihood - test.log_likelihood)
+    answers = answers or (_answers(library, train, atoms), _answers(library, test, atoms))
+    ways = [np.concatenate([seen.whiten.loadings, way], axis=2) for seen, way in zip((train, test), answers, strict=True)]
+    sigma, sd = learn_noise(ways[0][good], train.residuals[good], train.whiten.sigma, floor, unit, pieces=pieces)
+    with_forces = replace(test, whiten=Whitener(ways[1], np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces)]), sigma))
+    return Unexplained(sd, 1 / unit, *gain_of(test, with_forces), with_forces.log_likelihood - test.log_likelihood, answers)
 
 
-def _with_forces(library: Library, seen: Look, atoms: list[Atom]) -> Whitener:
-    """The whitener with the forces' loadings (W, n, pieces nv) behind the start's; their scale is still 0."""
+def _answers(library: Library, seen: Look, atoms: list[Atom]) -> Array:
+    """d residual / d force (W, n, pieces nv)."""
     free = np.concatenate([library.places[atom.label] for atom in atoms])
     push = library.steps[free]
     tried = np.repeat(seen.theta[None], len(free), axis=0)
     tried[np.arange(len(free)), free] = push
-    answers = np.nan_to_num(library.predict(tried, seen.windows) - seen.predicted)
-    loadings = np.concatenate([seen.whiten.loadings, np.moveaxis(answers / push[:, None, None], 0, 2)], axis=2)
-    return Whitener(loadings, np.concatenate([seen.whiten.scale, np.zeros(len(free))]), seen.whiten.sigma)
+    moved = np.nan_to_num(library.predict(tried, seen.windows) - seen.predicted)
+    return np.moveaxis(moved / push[:, None, None], 0, 2)
