@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from dropo.diagnosis import length
 from dropo.diagnosis.length import LENGTHS, SHORTEST, choose_length
 from tests.diagnosis.arms import problem
 
@@ -18,10 +19,19 @@ def test_small_effects_in_much_noise_need_longer_windows(size, sigma, expected):
 def test_the_problems_own_horizon_comes_first():
     """As stated, but at least SHORTEST."""
     known = problem([("joint_damping:elbow", [0.003])], steps=40)
-    assert [choose_length(replace(known, length=length), 96) for length in (2, 7, 12)] == [SHORTEST, 7, 12]
+    assert [choose_length(replace(known, length=steps), 96) for steps in (2, 7, 12)] == [SHORTEST, 7, 12]
 
 
 def test_as_few_data_as_there_are():
     """Lengths of which too few windows would be left on either side are not tried: the effect that needs more gets the shortest."""
     few = problem([("joint_damping:elbow", [0.003])], sigma=5e-3, episodes=8, steps=24)
     assert choose_length(few, 96) == SHORTEST < LENGTHS[1]
+
+
+def test_windows_end_before_the_noise_of_their_start_bends(monkeypatch):
+    """What would stand out after 50 steps is not waited for where the start's noise bends before; an arm's does not, and a limit far below
+    what its does stops it."""
+    slow = problem([("joint_damping:elbow", [0.01])], sigma=0.03, episodes=40, steps=110)
+    assert choose_length(slow, 96) == 50
+    monkeypatch.setattr(length, "CURVED", 0.01)
+    assert choose_length(slow, 96) == SHORTEST
