@@ -14,29 +14,52 @@ if TYPE_CHECKING:
     from dropo.core.parameters import Parameter, ParameterSpace
     from dropo.core.problem import Problem
     from dropo.core.recipe import fit
+    from dropo.core.task import Task
+    from dropo.data.check import check
+    from dropo.data.delays import estimate_clock, estimate_delay
+    from dropo.data.describe import describe
+    from dropo.data.importing import import_logs
     from dropo.data.reader import read
+    from dropo.data.resampling import resample, resample_rotations
+    from dropo.data.smoother import estimate_states
+    from dropo.data.velocities import estimate_velocities
     from dropo.diagnosis.diagnose import Diagnose, diagnose
     from dropo.diagnosis.result import Diagnosis
+    from dropo.estimators.adr import ADR
+    from dropo.estimators.bayrn import BayRn
     from dropo.estimators.droid import DROID
     from dropo.estimators.dropo import DROPO
+    from dropo.estimators.epopt import EPOpt
     from dropo.estimators.least_squares import LeastSquares
+    from dropo.estimators.npe import NPE
     from dropo.estimators.posterior import Posterior
     from dropo.estimators.random_effects import RandomEffects
+    from dropo.estimators.simopt import SimOpt
     from dropo.estimators.uniform_randomization import UniformRandomization
     from dropo.problems.reader import load
     from dropo.simulators.fields import FieldParameter
     from dropo.simulators.general import EnvSimulator, FunctionSimulator
     from dropo.simulators.gymnasium import GymnasiumSimulator
     from dropo.simulators.mujoco import MujocoSimulator
+    from dropo.training.ars import ARS
+    from dropo.training.environments import randomize
+    from dropo.training.evaluate import evaluate
+    from dropo.training.networks import PPO, SAC
+    from dropo.training.policy import load_policy
+    from dropo.training.train import train
 
 __version__ = "0.1.0"
 
 _HOME = {
+    "ADR": "dropo.estimators.adr",
+    "ARS": "dropo.training.ars",
+    "BayRn": "dropo.estimators.bayrn",
     "DROID": "dropo.estimators.droid",
     "DROPO": "dropo.estimators.dropo",
     "Diagnose": "dropo.diagnosis.diagnose",
     "Diagnosis": "dropo.diagnosis.result",
     "DropoError": "dropo.core.errors",
+    "EPOpt": "dropo.estimators.epopt",
     "EnvSimulator": "dropo.simulators.general",
     "FieldParameter": "dropo.simulators.fields",
     "Fit": "dropo.core.fit",
@@ -44,32 +67,52 @@ _HOME = {
     "GymnasiumSimulator": "dropo.simulators.gymnasium",
     "LeastSquares": "dropo.estimators.least_squares",
     "MujocoSimulator": "dropo.simulators.mujoco",
+    "NPE": "dropo.estimators.npe",
+    "PPO": "dropo.training.networks",
     "Parameter": "dropo.core.parameters",
     "ParameterSpace": "dropo.core.parameters",
     "Posterior": "dropo.estimators.posterior",
     "Problem": "dropo.core.problem",
     "RandomEffects": "dropo.estimators.random_effects",
     "Refused": "dropo.core.errors",
+    "SAC": "dropo.training.networks",
     "Segments": "dropo.core.data",
     "Signal": "dropo.core.data",
+    "SimOpt": "dropo.estimators.simopt",
     "Status": "dropo.core.fit",
+    "Task": "dropo.core.task",
     "Trajectories": "dropo.core.data",
     "UniformRandomization": "dropo.estimators.uniform_randomization",
     "bootstrap": "dropo.analysis.bootstrap",
+    "check": "dropo.data.check",
+    "describe": "dropo.data.describe",
     "diagnose": "dropo.diagnosis.diagnose",
+    "estimate_clock": "dropo.data.delays",
+    "estimate_delay": "dropo.data.delays",
+    "estimate_states": "dropo.data.smoother",
+    "estimate_velocities": "dropo.data.velocities",
+    "evaluate": "dropo.training.evaluate",
     "fit": "dropo.core.recipe",
     "identify": "dropo.analysis.identifiability",
+    "import_logs": "dropo.data.importing",
     "load": "dropo.problems.reader",
+    "load_policy": "dropo.training.policy",
     "profile": "dropo.analysis.profile",
+    "randomize": "dropo.training.environments",
     "rank_next": "dropo.analysis.next_data",
     "read": "dropo.data.reader",
+    "resample": "dropo.data.resampling",
+    "resample_rotations": "dropo.data.resampling",
+    "train": "dropo.training.train",
 }
 
 __all__ = [
-    "DROID", "DROPO", "Diagnose", "Diagnosis", "DropoError", "EnvSimulator", "FieldParameter", "Fit", "FunctionSimulator",
-    "GymnasiumSimulator", "LeastSquares", "MujocoSimulator", "Parameter", "ParameterSpace", "Posterior", "Problem", "RandomEffects",
-    "Refused", "Segments", "Signal", "Status", "Trajectories", "UniformRandomization", "bootstrap", "diagnose", "fit", "identify",
-    "load", "profile", "rank_next", "read",
+    "ADR", "ARS", "DROID", "DROPO", "NPE", "PPO", "SAC", "BayRn", "Diagnose", "Diagnosis", "DropoError", "EPOpt", "EnvSimulator",
+    "FieldParameter", "Fit", "FunctionSimulator", "GymnasiumSimulator", "LeastSquares", "MujocoSimulator", "Parameter",
+    "ParameterSpace", "Posterior", "Problem", "RandomEffects", "Refused", "Segments", "Signal", "SimOpt", "Status", "Task",
+    "Trajectories", "UniformRandomization", "bootstrap", "check", "describe", "diagnose", "estimate_clock", "estimate_delay",
+    "estimate_states", "estimate_velocities", "evaluate", "fit", "identify", "import_logs", "load", "load_policy", "profile",
+    "randomize", "rank_next", "read", "resample", "resample_rotations", "train",
 ]  # fmt: skip
 
 

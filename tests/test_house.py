@@ -24,15 +24,19 @@ MAY_IMPORT = {
     "analysis": {"core"}, "effects": {"core"}, "diagnosis": {"core", "analysis", ""}, "simulators": {"core"},
     "data": {"core", ""}, "testing": {"core"},
     "problems": {"core", "simulators", "data"},
-    "studies": {"core", "data", "distributions", "estimators", "likelihoods", "problems", "simulators", "analysis", ""},
+    "studies": {"core", "data", "distributions", "estimators", "likelihoods", "problems", "simulators", "analysis", "training", ""},
+    "training": {"core", "simulators", "problems", "data", ""},
     "plots": {"core"}, "report": {"core", "plots", ""},
-    "cli": {"analysis", "core", "data", "diagnosis", "estimators", "problems", "report", "studies", ""},
-    "": {"analysis", "cli", "core", "data", "diagnosis", "estimators", "problems", "simulators"},
+    "cli": {"analysis", "core", "data", "diagnosis", "estimators", "problems", "report", "studies", "training", ""},
+    "": {"analysis", "cli", "core", "data", "diagnosis", "estimators", "problems", "simulators", "training"},
 }  # fmt: skip
 HEAVY = {
     "torch",
     "pyro",
     "arviz",
+    "sbi",
+    "botorch",
+    "gpytorch",
     "matplotlib",
     "cma",
     "nlopt",
@@ -43,8 +47,9 @@ HEAVY = {
     "rich",
     "pandas",
     "imageio_ffmpeg",
+    "stable_baselines3",
 }
-UNAVOIDABLE = {"simulators/gymnasium.py": {"gymnasium"}}  # it does nothing without; imported where one is asked for
+UNAVOIDABLE = {"simulators/gymnasium.py": {"gymnasium"}, "training/environments.py": {"gymnasium"}}  # nothing goes without it there
 FILE_LINES, FUNCTION_LINES = 250, 60
 LARGE_FILES: dict[str, int] = {}
 

@@ -7,12 +7,14 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
+    from dropo.analysis.disturbances import Span
     from dropo.core.estimator import Estimator
     from dropo.core.fit import Fit
     from dropo.core.journal import Journal
@@ -41,6 +43,11 @@ def add(commands: Any) -> None:
     parser.add_argument("--draws", type=whole(2), metavar="K", help="simulations for each transition in one evaluation")
     parser.add_argument("--start", choices=("middle", "least-squares", "random"), help="where the search begins")
     parser.add_argument("--transitions", type=whole(1), metavar="N", help="use the first N transitions alone")
+    parser.add_argument("--unchecked", action="store_true", help="fit the data even where `dropo data check` finds an error")
+    parser.add_argument(
+        "--disturbances", choices=("auto", "off"), default="auto",
+        help="auto: in logs, which have time stamps, spans in which something pushes are found, listed and left out",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="write fit.json here; the same command resumes after any interruption")
     computing_options(parser)
     printing_options(parser)
@@ -55,15 +62,16 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.core.recipe import estimator_for
     from dropo.estimators.horizon import ChooseHorizon
 
-    problem = _problem(arguments)
+    problem, spans = _undisturbed(arguments, _problem(arguments))
     given = {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
     estimator = estimator_for(problem, arguments.method, given)
     record = run_record("fit", arguments.method, estimator, problem, arguments.seed)
     if arguments.length == AUTO:
         estimator, record = ChooseHorizon(estimator), {**record, "lambda": AUTO}
-    _check_folder(arguments.out, record)
+    check_folder(arguments.out, record)
     journal = Journal(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
     fit = _fit(arguments, estimator, problem, journal)
+    fit = replace(fit, details={**fit.details, "disturbances": [span.to_json() for span in spans]})
     if arguments.out:
         _save(arguments.out, fit, record)
         keep_for_report(arguments, predict(problem, fit))
@@ -107,14 +115,24 @@ def terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _problem(arguments: argparse.Namespace) -> "Problem":
-    from dataclasses import replace
+def _undisturbed(arguments: argparse.Namespace, problem: "Problem") -> "tuple[Problem, tuple[Span, ...]]":
+    """A log's problem without the spans in which something pushes, of which it warns, and the spans."""
+    from dropo.analysis.undisturbed import without_pushes
 
+    searched = arguments.disturbances == AUTO and problem.trajectories.time is not None
+    found = without_pushes(problem) if searched else None
+    if found is None:
+        return problem, ()
+    told = (f"left out, since no command explains it: {span}" for span in found.spans)
+    return replace(found.problem, warnings=(*problem.warnings, *told)), found.spans
+
+
+def _problem(arguments: argparse.Namespace) -> "Problem":
     from dropo.core.errors import BadFile, Incompatible
     from dropo.data.check import shorter_than_lambda
     from dropo.problems.reader import load
 
-    problem = load(arguments.problem, threads=arguments.threads)
+    problem = load(arguments.problem, threads=arguments.threads, checked=not arguments.unchecked)
     if len(problem.space) == 0:
         raise BadFile(arguments.problem, "parameters", "at least one parameter to fit", "none")
     if arguments.length is not None and problem.reset == "start":
@@ -123,7 +141,7 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
     return replace(problem, warnings=(*problem.warnings, *(finding.sentence for finding in shorter_than_lambda(problem))))
 
 
-def _check_folder(folder: Path | None, record: dict[str, Any]) -> None:
+def check_folder(folder: Path | None, record: dict[str, Any]) -> None:
     """Refuses a folder that holds another run's result, and a path that is no folder."""
     from dropo.core.errors import BadFile
 
@@ -154,14 +172,17 @@ def _save(folder: Path, fit: "Fit", record: dict[str, Any]) -> None:
 
 
 def _epsilon(text: str) -> float | str:
-    if text in ("tune", "learn"):
-        return text
+    return text if text in ("tune", "learn") else variance(text, ", 'tune' or 'learn'")
+
+
+def variance(text: str, words: str = "") -> float:
+    """An argparse type: a number of 0 or more; words: what else could stand there."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value >= 0):
-        raise argparse.ArgumentTypeError(f"expected a variance of 0 or more, 'tune' or 'learn', got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a variance of 0 or more{words}, got {text!r}")
     return value
 
 

@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass, field
 from enum import Enum
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,15 @@ class Fit(Printed):
         family = find("families", self.family)(self.space)
         return family.sample(self.phi, draws, np.random.default_rng(rng))
 
+    def randomize(self, target: Any, count: int | None = None, **options: Any) -> Any:
+        """A Gymnasium environment that draws its parameters from the fit at the start of every episode.
+
+        target: the id of a Gymnasium MuJoCo environment ("Hopper-v5"), such an environment, or a Problem with a task. count: so
+        many of them as a gymnasium.vector.VectorEnv, simulated together; None: one gymnasium.Env. The observations carry
+        the noise that the fit learned. options: those of `dropo.randomize`.
+        """
+        return import_module("dropo.training.environments").randomize(target, self, count, **options)
+
     def interval(self, level: float = 0.95) -> Array:
         """(d, 2) confidence intervals of the means at a level in (0, 1), mean -+ t mean_se, cut at the search interval.
 
@@ -121,7 +131,7 @@ class Fit(Printed):
 
         columns = {"mean": self.mean, "scale": self.scale, "sd": self.sd, "mean_se": self.mean_se, "scale_se": self.scale_se}
         columns["degrees"] = np.full(len(self.mean), np.inf) if self.degrees is None else self.degrees
-        intervals = self.interval()
+        intervals, places = self.interval(), {p.name: p.place for p in self.space if p.place}
         parameters = {
             p.name: {**{key: _number(values[i]) for key, values in columns.items()},
                      "mean_interval": [_number(end) for end in intervals[i]], "unit": p.unit, "low": p.low, "high": p.high,
@@ -136,7 +146,7 @@ class Fit(Printed):
             "mse": _number(self.mse), "transitions": self.transitions, "simulator_steps": self.simulator_steps,
             "failed_simulations": self.failed_simulations, "objective_evaluations": self.objective_evaluations,
             "wall_time_s": round(self.wall_time_s, 3), "status": self.status.value, "message": self.message,
-            "warnings": list(self.warnings), **self.details,
+            "warnings": list(self.warnings), **({"places": places} if places else {}), **self.details,
         }  # fmt: skip
 
     def save(self, folder: str | Path) -> None:

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, fields
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +47,11 @@ class Parameter:
     def width(self) -> float:
         """high - low."""
         return self.high - self.low
+
+    @property
+    def place(self) -> dict[str, Any]:
+        """What a kind of parameter says beside this: where in a model it is; empty for a bare one."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in Parameter.__dataclass_fields__}
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dropo.core.parameters import ParameterSpace
 from dropo.core.prior import Prior, read_prior
 from dropo.core.simulator import Simulator
 from dropo.core.spread import Spread
+from dropo.core.task import Task
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,7 @@ class Problem:
     whether the measured start states carry it too; noise_degrees: of freedom of a Student t in the Gaussian noise's place;
     truth: the parameters' true values, where the data are simulated; held_out: trajectories that no fit sees; everything: the
     whole data, where `trajectories` are only their first ones; priors: of single parameters, for a posterior, by name;
+    task: what a policy is to do on the simulator, for training;
     warnings: what looked odd in the data; settings: what a fit of this problem takes where its caller says nothing (for
     example {"draws": 20}).
     """
@@ -45,6 +47,7 @@ class Problem:
     held_out: Trajectories | None = None
     everything: Trajectories | None = None
     priors: Mapping[str, Prior] = field(default_factory=dict)
+    task: Task | None = None
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
 

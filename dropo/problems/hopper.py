@@ -6,6 +6,7 @@ from dropo.core.data import Trajectories
 from dropo.core.problem import Problem
 from dropo.problems.hopper_data import simulate
 from dropo.problems.hopper_model import BODIES, FRAME_SKIP, TRUTH, hopper_spec
+from dropo.problems.hopper_task import hopping
 from dropo.simulators.fields import FieldParameter
 from dropo.simulators.mujoco import MujocoSimulator
 
@@ -26,7 +27,7 @@ def hopper_simulator(threads: int = 0) -> MujocoSimulator:
 def hopper_problem(name: str, data: Trajectories, epsilon: float, threads: int = 0, everything: Trajectories | None = None) -> Problem:
     """The thesis' fit of the four masses to hopper transitions."""
     truth = {parameter: TRUTH[parameter] for parameter in TRUTH}
-    return Problem(name, hopper_simulator(threads), data, epsilon=epsilon, truth=truth, everything=everything)
+    return Problem(name, hopper_simulator(threads), data, epsilon=epsilon, truth=truth, everything=everything, task=hopping())
 
 
 def hopper(threads: int = 0) -> Problem:

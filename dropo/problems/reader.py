@@ -11,13 +11,15 @@ import numpy as np
 from dropo.core.catalogue import find, names
 from dropo.core.checks import Array, known
 from dropo.core.data import Reset, Trajectories
+from dropo.core.errors import BadArgument
 from dropo.core.prior import read_prior
 from dropo.core.problem import Problem
 from dropo.core.simulator import Simulator
-from dropo.data.check import blocking, outside_control_range
+from dropo.data.check import outside_control_range, verdict
 from dropo.data.entries import BadEntry, Entries, read_yaml
 from dropo.data.reader import MINARI, read
 from dropo.problems.effect_entries import read_effects
+from dropo.problems.task_entries import read_task
 from dropo.problems.velocities import with_velocities
 from dropo.simulators.fields import PREFIXES, Binding, FieldParameter, element_names, model_fields, option_fields
 from dropo.simulators.motors import motor_of, mount
@@ -26,7 +28,7 @@ from dropo.simulators.observation import Layout
 
 KEYS = (
     "model", "frame_skip", "data", "observation", "action", "parameters", "epsilon", "start_noise", "student_t", "lambda", "reset",
-    "held_out", "transitions", "effects", "motors",
+    "held_out", "transitions", "effects", "motors", "task",
 )  # fmt: skip
 PARAMETER_KEYS = ("field", "name", "index", "low", "high", "unit", "target", "derived", "prior")
 MODELS = {"hopper": "dropo.problems.hopper_model:hopper_spec"}
@@ -37,14 +39,19 @@ RESETS = "'transition', 'start', or {set: [observation items]}"
 def load(problem: str | Path, *, threads: int = 0, checked: bool = True) -> Problem:
     """A built-in problem by its name, or the one that a YAML file describes; paths in it are relative to it.
 
-    threads: of the simulator, 0 for all cores. checked: refuse data in which `dropo.data.check` finds an error.
+    threads: of the simulator, 0 for all cores. checked: refuse data in which `dropo.check` finds an error, held-out ones too.
     UnknownName for a name that does not exist; BadFile for what is wrong in the file or its data, with the key, what was
     expected, what came, and the nearest valid name.
     """
     if is_file(problem):
         return _from_file(Path(problem), threads, checked)
     known("problem", str(problem), names("problems"))
-    return cast(Problem, find("problems", str(problem))(threads=threads))
+    found = cast(Problem, find("problems", str(problem))(threads=threads))
+    for key, trajectories in (("data", found.everything or found.trajectories), ("held_out", found.held_out)) if checked else ():
+        error = _error(trajectories, found.simulator)
+        if error is not None:
+            raise BadArgument(f"{problem}: {key}: {error}")
+    return found
 
 
 def is_file(problem: str | Path) -> bool:
@@ -59,7 +66,9 @@ def _from_file(path: Path, threads: int, checked: bool) -> Problem:
     simulator = _simulator(entries, cast(int, frame_skip), threads)
     fitted, held_out = _data(entries, simulator)
     for key, trajectories in (("data", fitted), ("held_out", held_out)) if checked else ():
-        _refuse_errors(entries, key, trajectories, simulator)
+        error = _error(trajectories, simulator)
+        if error is not None:
+            raise BadEntry(path, key, error)
     reset, set_columns = _reset(entries, simulator)
     epsilon, warnings, priors = _epsilon(entries, simulator), _warnings(fitted, simulator), _priors(entries, simulator)
     start_noise, degrees = _start_noise(entries), _degrees(entries)
@@ -67,7 +76,7 @@ def _from_file(path: Path, threads: int, checked: bool) -> Problem:
         problem = Problem(
             path.stem, simulator, fitted, length=cast(int, length), reset=reset, set_columns=set_columns,
             epsilon=epsilon, start_noise=start_noise, noise_degrees=degrees, held_out=held_out, warnings=warnings,
-            priors=priors,
+            priors=priors, task=read_task(entries, simulator, fitted),
         )  # fmt: skip
     return with_velocities(problem)
 
@@ -219,11 +228,11 @@ def _split(entries: Entries, everything: Trajectories, numbers: list[int]) -> tu
     return everything.only(rest), everything.only(numbers)
 
 
-def _refuse_errors(entries: Entries, key: str, trajectories: Trajectories | None, simulator: Simulator) -> None:
-    if trajectories is not None:
-        for finding in blocking(trajectories, simulator):
-            if finding.level == "error":
-                raise BadEntry(entries.path, key, f"{finding.signal}: {finding.sentence} {finding.advice}".strip())
+def _error(trajectories: Trajectories | None, simulator: Simulator) -> str | None:
+    """Why a fit of the data cannot work, what to do, and how to go on all the same; None where nothing is in its way."""
+    found = None if trajectories is None else verdict(trajectories, simulator)
+    text = "" if found is None else f"{found.signal}: {found.sentence} {found.advice}".strip()
+    return f"{text} If they are right all the same: --unchecked, or load(..., checked=False)." if text else None
 
 
 def _warnings(trajectories: Trajectories, simulator: Simulator) -> tuple[str, ...]:

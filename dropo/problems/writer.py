@@ -38,6 +38,8 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
     beside = [effect_entry(atom, sizes) for atom, sizes in simulator.fixed if atom.model is None or atom.gate is not None]
     if beside:
         content["effects"] = beside
+    if problem.task is not None and problem.task.source is not None:
+        content["task"] = problem.task.source
     _save(problem.trajectories, folder / "data.npz")
     if problem.held_out is not None:
         _save(problem.held_out, folder / "held_out.npz")

@@ -42,6 +42,24 @@ def write_video(found: Predictions, simulator: Any, path: Path) -> Path:
     return path
 
 
+def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
+    """Joint positions (T, nq) of a model, `step` seconds apart, as H.264 in their own time; needs what `write_video` needs."""
+    need("imageio_ffmpeg", extra="video", caller="A video")
+    import imageio_ffmpeg
+
+    stage, whole = _Stage(model), path.with_name(f".{path.stem}.part{path.suffix}")
+    writer = imageio_ffmpeg.write_frames(str(whole), (WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7)
+    writer.send(None)
+    try:
+        for time in np.arange(0, len(qpos) * step, 1 / FRAMES):
+            writer.send(np.ascontiguousarray(stage.frame(qpos[min(round(time / step), len(qpos) - 1)])))
+    finally:
+        writer.close()
+        stage.close()
+    whole.replace(path)
+    return path
+
+
 def _states(found: Predictions, simulator: Any, side: Side | None) -> Array:
     """(W L, nq) joint positions as measured, or as a side predicted them."""
     rows = found.rows.reshape(-1, found.rows.shape[2])
@@ -74,15 +92,16 @@ class _Stage:
         if self.model.ncam:
             self.camera.type, self.camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
 
-    def frame(self, qpos: Array, ghost: Array, color: tuple[float, ...]) -> Any:
-        """(HEIGHT, WIDTH, 3) the measured robot, and the simulated one translucent in a colour."""
+    def frame(self, qpos: Array, ghost: Array | None = None, color: tuple[float, ...] = MEASURED) -> Any:
+        """(HEIGHT, WIDTH, 3) the measured robot, and the simulated one translucent in a colour, where there is one."""
         scene = self.renderer.scene
-        for data, place in ((self.solid, qpos), (self.ghost, ghost)):
+        for data, place in ((self.solid, qpos), (self.ghost, qpos if ghost is None else ghost)):
             data.qpos[:] = place
             self.mujoco.mj_forward(self.model, data)
         self.renderer.update_scene(self.solid, self.camera, self.option)
         first, dynamic = scene.ngeom, self.mujoco.mjtCatBit.mjCAT_DYNAMIC
-        self.mujoco.mjv_addGeoms(self.model, self.ghost, self.option, self.mujoco.MjvPerturb(), dynamic, scene)
+        if ghost is not None:
+            self.mujoco.mjv_addGeoms(self.model, self.ghost, self.option, self.mujoco.MjvPerturb(), dynamic, scene)
         for i, geom in enumerate(scene.geoms[: scene.ngeom]):
             if geom.category == dynamic:
                 geom.matid, geom.rgba[:] = -1, color if i >= first else MEASURED

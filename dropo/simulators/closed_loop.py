@@ -62,7 +62,7 @@ def closed_loop(
             live[:] = values[:, t // hold]
         command = policy(runs.states[ids, t], ids, t)
         ctrl[ids] = command
-        failed = _step(batch, ids, frame_skip)
+        failed = advance(batch, ids, frame_skip)
         after = np.hstack([qpos[ids], qvel[ids]])
         sound = ~failed & (np.abs(after) < HUGE).all(axis=1)  # also False for NaN
         ids = ids[sound]
@@ -96,11 +96,11 @@ def _without_autoreset(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def _step(batch: Batch, ids: Ints, frame_skip: int) -> NDArray[np.bool_]:
-    """(m,) which of the simulations MuJoCo gave up with an error."""
+def advance(batch: Batch, ids: Ints, steps: int) -> NDArray[np.bool_]:
+    """Makes so many physics steps in some simulations; (m,) in which of them MuJoCo gave up with an error."""
     try:
         with quiet():
-            batch.step(ids, frame_skip)
+            batch.step(ids, steps)
     except SimulationError:
         failed: NDArray[np.bool_] = batch.status[ids] != 0
         return failed

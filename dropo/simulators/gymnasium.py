@@ -25,14 +25,15 @@ class GymnasiumSimulator(MujocoSimulator):
         self, env_id: str, parameters: Sequence[FieldParameter], *, observation: Sequence[str] | None = None, threads: int = 0,
         **options: Any,
     ):  # fmt: skip
-        env = _environment(env_id, options)
+        env = make_environment(env_id, options)
         model, frame_skip = env.model, int(env.frame_skip)
-        columns = _observed(env_id, env) if observation is None else observation
+        columns = observed_columns(env_id, env) if observation is None else observation
         env.close()
         super().__init__(model, parameters, observation=columns, frame_skip=frame_skip, threads=threads)
 
 
-def _environment(env_id: str, options: dict[str, Any]) -> Any:
+def make_environment(env_id: str, options: dict[str, Any]) -> Any:
+    """A Gymnasium MuJoCo environment without its wrappers; UnknownName or Incompatible where there is none."""
     try:
         with quiet():  # some of its models use deprecated MJCF
             env = gymnasium.make(env_id, **options).unwrapped
@@ -45,7 +46,7 @@ def _environment(env_id: str, options: dict[str, Any]) -> Any:
     return env
 
 
-def _observed(env_id: str, env: Any) -> list[str]:
+def observed_columns(env_id: str, env: Any) -> list[str]:
     """The environment's positions and velocities, where its observation begins with them as they are."""
     structure = getattr(env, "observation_structure", None)
     skipped = int(env.model.nq - structure["qpos"]) if structure else 0

@@ -41,19 +41,24 @@ def commands_of(segments: Segments, part: Ints, actions: Array, model: mujoco.Mj
     what came before a segment.
     """
     whole = np.zeros((len(actions), frame_skip, model.nu))
-    step, data = float(model.opt.timestep), segments.trajectories
+    data = segments.trajectories
     for first, last in (data.spans[i] for i in np.unique(data.trajectory[segments.steps[part, 0]])):
-        commands = actions[first:last]
-        for atom, sizes in present:
-            commands = commands if atom.command is None else atom.command(commands, sizes)
-        if clamps_itself(present):
-            commands = clamp(commands, model)
-        commands = np.repeat(commands, frame_skip, axis=0)
-        for atom, sizes in present:
-            commands = commands if atom.actuation is None else atom.actuation(commands, step, sizes)
-        whole[first:last] = commands.reshape(last - first, frame_skip, model.nu)
+        whole[first:last] = changed(actions[first:last], model, frame_skip, present).reshape(last - first, frame_skip, model.nu)
     chosen = np.where(segments.steps >= 0, segments.steps, segments.steps.max(axis=1, keepdims=True))
     return whole[chosen].reshape(len(segments), -1, model.nu)
+
+
+def changed(commands: Array, model: mujoco.MjModel, frame_skip: int, present: Present) -> Array:
+    """(T frame_skip, nu) a trajectory's commands, one a physics step, as the effects leave them; commands (T, nu) from its beginning."""
+    step = float(model.opt.timestep)
+    for atom, sizes in present:
+        commands = commands if atom.command is None else atom.command(commands, sizes)
+    if clamps_itself(present):
+        commands = clamp(commands, model)
+    commands = np.repeat(commands, frame_skip, axis=0)
+    for atom, sizes in present:
+        commands = commands if atom.actuation is None else atom.actuation(commands, step, sizes)
+    return commands
 
 
 def clamp(commands: Array, model: mujoco.MjModel) -> Array:

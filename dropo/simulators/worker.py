@@ -59,7 +59,7 @@ class Worker:
         now, one, nu, nv = states, np.empty((len(states), 1, inputs.shape[2])), self.model.nu, self.model.nv
         for step in range(controls.shape[1]):
             one[:, 0] = inputs[:, step]
-            one[:, 0, :nu], forces = self._reaction(now, controls[:, step], step, acting)
+            one[:, 0, :nu], forces = self.reaction(now, controls[:, step], step, acting)
             one[:, 0, nu : nu + nv] += forces
             state, sensor = mujoco.rollout.rollout(self.model, [self.data], now, one, control_spec=spec)
             now = trace[:, step] = state[:, 0]
@@ -77,7 +77,7 @@ class Worker:
         spec = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
         return np.concatenate([controls, np.broadcast_to(outside, (len(controls), *outside.shape))], axis=2), int(spec)
 
-    def _reaction(self, states: Array, commands: Array, step: int, acting: Present) -> tuple[Array, Array]:
+    def reaction(self, states: Array, commands: Array, step: int, acting: Present) -> tuple[Array, Array]:
         """Commands (n, nu) and generalised forces (n, nv) that follow from the states."""
         qpos, qvel, act = np.split(
             states[:, 1 : 1 + self.model.nq + self.model.nv + self.model.na], np.cumsum([self.model.nq, self.model.nv]), axis=1

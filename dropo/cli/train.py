@@ -1,0 +1,141 @@
+"""`dropo train`: trains a policy under a fitted distribution of the simulator's parameters."""
+
+import argparse
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dropo.cli.fit import check_folder, terminable, variance
+from dropo.cli.output import Progress, computing_options, printing_options, show, whole
+
+if TYPE_CHECKING:
+    from dropo.training.laws import Law
+    from dropo.training.train import Algorithm
+
+ALGORITHMS = {"ars": ("dropo.training.ars:ARS", "updates"), "ppo": ("dropo.training.networks:PPO", "steps"),
+              "sac": ("dropo.training.networks:SAC", "steps")}  # fmt: skip
+"""By name: where it is, and which of its settings is the budget."""
+
+
+def add(commands: Any) -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("train", help="train a policy under a fitted distribution", description=__doc__, allow_abbrev=False)
+    parser.set_defaults(run=run)
+    parser.add_argument(
+        "problem", metavar="PROBLEM", help="a problem with a task, by its file or name, or the id of a Gymnasium environment"
+    )
+    parser.add_argument("--fit", type=Path, metavar="DIR", help="what `dropo fit --out` wrote; left out: the model as it is")
+    parser.add_argument("--algorithm", choices=tuple(ALGORITHMS), default="ars", help="ars (default): linear; ppo, sac: networks, extra rl")
+    parser.add_argument("--budget", type=whole(1), metavar="N", help="updates of ars (200), steps of ppo (1,000,000) and sac (300,000)")
+    parser.add_argument("--steps", type=whole(1), metavar="N", help="control steps of an episode; by default the task's")
+    parser.add_argument("--noise", type=variance, metavar="X", help="variance of the measurement noise; by default what the fit learned")
+    parser.add_argument("--widen", type=whole(1), metavar="N", help="let the spread grow from none over the first N control steps")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write policy.json here; the same command resumes after any interruption")
+    computing_options(parser)
+    printing_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Trains, evaluates under the distribution and on the target, prints and saves; 0."""
+    from dropo.core.errors import DropoError, Refused
+    from dropo.training.environments import resolve
+    from dropo.training.evaluate import Compared, broken, evaluate
+    from dropo.training.train import train
+
+    target, algorithm = resolve(arguments.problem), _algorithm(arguments)
+    law = _law(arguments, target)
+    record = _record(arguments, target, algorithm)
+    check_folder(arguments.out, record)
+    options: dict[str, Any] = {"noise": arguments.noise, "steps": arguments.steps, "threads": arguments.threads}
+    progress, new = Progress(silent=arguments.quiet), _keep(arguments.out, record)
+    try:
+        with terminable():
+            policy = train(target, law, algorithm, rng=arguments.seed, out=arguments.out, progress=progress, **options)
+    except KeyboardInterrupt:
+        kept = "the same command goes on from here" if arguments.out else "with --out, training can be resumed"
+        raise DropoError(f"Interrupted: {kept}.") from None
+    except Refused:
+        for made in new:
+            made.rmdir() if made.is_dir() else made.unlink()
+        raise
+    finally:
+        progress.close()
+    path = None if arguments.out is None else policy.save(arguments.out)
+    found = {"under the fit": evaluate(policy, target, law=law, rng=arguments.seed, **options)} if law is not None else {}
+    found["as it is"] = evaluate(policy, target, rng=arguments.seed, **(options | {"noise": 0.0}))
+    content = {"policy": path and str(path), "about": policy.about, "returns": {name: value.to_json() for name, value in found.items()}}
+    failures = policy.about["failed_simulations"]
+    show(arguments, Compared(found, (f"training: {broken(failures)}",) if failures else ()), content)
+    return 0
+
+
+def _algorithm(arguments: argparse.Namespace) -> "Algorithm":
+    from importlib import import_module
+
+    from dropo.core.extras import need
+
+    if arguments.algorithm != "ars":
+        need("torch", "stable_baselines3", extra="rl", caller=f"--algorithm {arguments.algorithm}")
+    (module, name), budget = ALGORITHMS[arguments.algorithm][0].split(":"), ALGORITHMS[arguments.algorithm][1]
+    made: Algorithm = getattr(import_module(module), name)(**({} if arguments.budget is None else {budget: arguments.budget}))
+    return made
+
+
+def _law(arguments: argparse.Namespace, target: Any) -> "Law | None":
+    """The fit, where it is one of the target's model."""
+    from dropo.core.errors import BadArgument
+    from dropo.core.fit import Fit
+    from dropo.training.laws import Widening
+
+    if arguments.fit is None:
+        if arguments.widen is not None:
+            raise BadArgument("--widen lets the spread of a fit grow, and no --fit was given.")
+        return None
+    fit = Fit.load(arguments.fit)
+    _refuse_other_model(arguments.fit, target)
+    return fit if arguments.widen is None else Widening(fit, arguments.widen)
+
+
+def _refuse_other_model(folder: Path, target: Any) -> None:
+    """A fit says little about a model that it was not made with."""
+    from dropo.cli.record import model_sum
+    from dropo.core.errors import Incompatible
+    from dropo.core.problem import Problem
+
+    model = getattr(target.simulator, "model", None) if isinstance(target, Problem) else None
+    if model is None or not (folder / "run.json").is_file():
+        return
+    before = json.loads((folder / "run.json").read_text())
+    if before.get("model_sha256") not in (None, model_sum(model)):
+        raise Incompatible(
+            f"The fit in {folder} is of another model, that of {before.get('problem')!r}: not that of {target.name!r}."
+            " Train on the problem that was fitted, or fit this one."
+        )
+
+
+def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") -> dict[str, Any]:
+    """Everything that decides the policy."""
+    from dropo import __version__
+    from dropo.cli.record import problem_record
+    from dropo.core.problem import Problem
+    from dropo.training.train import settings
+
+    fit = None if arguments.fit is None else hashlib.sha256((arguments.fit / "fit.json").read_bytes()).hexdigest()
+    return {
+        "command": "train", "algorithm": algorithm.name, "settings": settings(algorithm), "fit_sha256": fit, "noise": arguments.noise,
+        "widen": arguments.widen, "episode": arguments.steps, "seed": arguments.seed, "version": __version__,
+        **(problem_record(target) if isinstance(target, Problem) else {"problem": arguments.problem}),
+    }  # fmt: skip
+
+
+def _keep(folder: Path | None, record: dict[str, Any]) -> list[Path]:
+    """Writes run.json, without which an interrupted training could be gone on with by another; what is new, the folder last."""
+    from dropo.cli.record import write_json
+
+    if folder is None:
+        return []
+    new = [path for path in (folder / "run.json", folder) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / "run.json", record)
+    return new

@@ -1,0 +1,81 @@
+"""Trains a policy under a distribution of the simulator's parameters."""
+
+import dataclasses
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike
+
+from dropo.simulators.worker import Present
+from dropo.training.ars import ARS
+from dropo.training.environments import Target, resolve
+from dropo.training.laws import Law, Widening
+from dropo.training.policy import Policy
+from dropo.training.stage import Progress, Stage
+
+
+@runtime_checkable
+class Algorithm(Protocol):
+    """Frozen settings with a name, and how they train."""
+
+    @property
+    def name(self) -> str:
+        """What the command line calls it."""
+
+    def train(self, stage: Stage, rng: Generator, folder: Path | None, progress: Progress) -> Policy:
+        """A policy for the stage; the folder is where an interrupted training is kept and goes on from."""
+
+
+def train(
+    target: Target, law: Law | None = None, algorithm: Algorithm | None = None, *, noise: ArrayLike | None = None, effects: Present = (),
+    steps: int | None = None, rng: Generator | int = 0, threads: int = 1, out: str | Path | None = None, progress: Progress | None = None,
+) -> Policy:  # fmt: skip
+    """Trains a policy for a target whose parameters are drawn from a law at the start of every episode.
+
+    target: a Problem with a task, its name or file, or the id of a Gymnasium MuJoCo environment; law, noise, effects, steps: as
+    for `randomize`. algorithm: ARS(...), PPO(...) or SAC(...); None: ARS(). threads: 0 for all cores; what ARS finds does not depend on
+    them. out: a folder that keeps the training at every stage: the same call goes on after an interruption, ARS to
+    the same policy; rng must be the same, as a seed or a new generator. progress: called with the share done and a text.
+    """
+    algorithm = ARS() if algorithm is None else algorithm
+    target = resolve(target)
+    folder = None if out is None else Path(out)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    stage = Stage(target, law, noise, effects, steps, threads)
+    policy = algorithm.train(stage, np.random.default_rng(rng), folder, progress or (lambda share, text: None))
+    policy.about.update(about(stage, algorithm))
+    return policy
+
+
+def about(stage: Stage, algorithm: Algorithm) -> dict[str, Any]:
+    """What a policy's file says of its training."""
+    from dropo import __version__
+
+    one = stage.arena(1)
+    steps, name = one.length, one.name
+    one.close()
+    return {
+        "algorithm": algorithm.name, "settings": settings(algorithm), "target": name, "law": law_name(stage.law), "steps": steps,
+        "version": __version__,
+    }  # fmt: skip
+
+
+def settings(algorithm: Algorithm) -> dict[str, Any]:
+    """An algorithm's settings as JSON."""
+    assert dataclasses.is_dataclass(algorithm)
+    assert not isinstance(algorithm, type)
+    return asdict(algorithm)
+
+
+def law_name(law: Law | None) -> str:
+    """A few words on a law."""
+    if isinstance(law, Widening):
+        return f"{law_name(law.law)}, widening over {law.steps} steps"
+    if law is None:
+        return "the model as it is"
+    method = getattr(law, "method", None)
+    return f"{method} fit of {getattr(law, 'problem', '?')}" if method else type(law).__name__.lower()
