@@ -28,6 +28,11 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "least-squares": "dropo.estimators.least_squares:LeastSquares",
         "uniform-randomization": "dropo.estimators.uniform_randomization:UniformRandomization",
         "posterior": "dropo.estimators.posterior:Posterior",
+        "epopt": "dropo.estimators.epopt:EPOpt",
+        "npe": "dropo.estimators.npe:NPE",
+        "simopt": "dropo.estimators.simopt:SimOpt",
+        "bayrn": "dropo.estimators.bayrn:BayRn",
+        "adr": "dropo.estimators.adr:ADR",
     },
     "likelihoods": {
         "monte-carlo": "dropo.likelihoods.gaussian:Gaussian",
@@ -86,6 +91,8 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "swinging-pendulum": "dropo.problems.swinging_pendulum:swinging_pendulum",
         "swinging-pendulum-double": "dropo.problems.swinging_pendulum:swinging_pendulum_double",
         "slide": "dropo.problems.slide:slide",
+        "sliding": "dropo.problems.sliding:sliding",
+        "pushing": "dropo.problems.pushing:pushing",
     },
     "studies": {
         "table-6.1": "dropo.studies.table_6_1:table_6_1",
@@ -93,12 +100,16 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "table-6.3": "dropo.studies.table_6_3:table_6_3",
         "table-6.4": "dropo.studies.table_6_4:table_6_4",
         "figure-6.2": "dropo.studies.figure_6_2:figure_6_2",
+        "figure-6.3": "dropo.studies.figure_6_3:figure_6_3",
         "figure-6.4": "dropo.studies.figure_6_4:figure_6_4",
         "calibration": "dropo.studies.calibration:calibration",
         "coverage": "dropo.studies.coverage:coverage",
         "hidden-effects": "dropo.studies.hidden_effects:hidden_effects",
         "measured": "dropo.studies.measured:measured",
         "hopper-v5": "dropo.studies.hopper_v5:hopper_v5_study",
+        "sliding": "dropo.studies.sliding:sliding_study",
+        "pushing": "dropo.studies.pushing:pushing_study",
+        "related-methods": "dropo.studies.related_methods:related_methods",
     },
 }
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}

@@ -1,0 +1,128 @@
+"""The arm that hits a puck: its hits keep to the arm's limits, the model moves as it should, and its target is another one."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from dropo.core.errors import BadArgument
+from dropo.core.recipe import estimator_for
+from dropo.problems import hits as hitting
+from dropo.problems.hits import hits, rest, speed_and_direction
+from dropo.problems.reaching import joint_path
+from dropo.problems.sliding import (
+    FRAME_SKIP,
+    GOALS,
+    NOISE,
+    STEPS,
+    TRUTH,
+    record,
+    reward,
+    sliding,
+    sliding_simulator,
+    sliding_spec,
+    stops,
+)
+
+STEP = 0.004  # [s] of control
+FASTEST = np.radians([110, 110, 128, 128, 204, 184, 184])  # [rad/s] the LWR4+'s limits
+CORNERS = np.array([[v, d] for v in (-2.0, 0.0, 2.0) for d in (-2.0, 0.0, 2.0)])
+
+
+@pytest.fixture(scope="module")
+def model():
+    return sliding_spec().compile()
+
+
+def commanded_speeds(model):
+    return np.abs(np.diff(hits(model, CORNERS, STEPS, STEP), axis=1)).max(axis=(0, 1)) / STEP
+
+
+def test_hits_keep_to_the_arms_limits(model, monkeypatch):
+    """No joint is commanded beyond its range or its speed; the control: hits of twice the speed are."""
+    angles = hits(model, CORNERS, STEPS, STEP)
+    assert (angles > model.jnt_range[:7, 0]).all()
+    assert (angles < model.jnt_range[:7, 1]).all()
+    assert (commanded_speeds(model) < FASTEST).all()
+    monkeypatch.setattr(hitting, "SPEED", (0.8, 2.08))
+    assert (commanded_speeds(model) > FASTEST).any()
+
+
+def test_the_blade_meets_the_puck_as_the_latent_says(model):
+    """The commanded blade is fastest at the latent's speed, and in its direction; it starts where every hit starts."""
+    angles = hits(model, CORNERS, 1500, 0.001)
+    data, path = mujoco.MjData(model), np.empty((len(CORNERS), 1500, 3))
+    for i, one in enumerate(angles):
+        for t, now in enumerate(one):
+            data.qpos[:7] = now
+            mujoco.mj_kinematics(model, data)
+            path[i, t] = data.site("blade").xpos
+    velocity = np.diff(path, axis=1) / 0.001
+    speed = np.linalg.norm(velocity, axis=2)
+    wanted, turn = speed_and_direction(CORNERS)
+    there = np.argmin(np.linalg.norm(path[:, :-1] - (model.body("puck").pos - 0.038 * ahead(turn))[:, None], axis=2), axis=1)
+    np.testing.assert_allclose(speed[np.arange(9), there], wanted, rtol=0.03)
+    np.testing.assert_allclose(velocity[np.arange(9), there] / wanted[:, None], ahead(turn), atol=0.05)
+    np.testing.assert_allclose(path[:, :, 2], model.body("puck").pos[2], atol=2e-3)
+    np.testing.assert_allclose(angles[:, 0], np.tile(rest(model), (9, 1)), atol=1e-3)
+
+
+def ahead(turn):
+    return np.stack([-np.sin(turn), np.cos(turn), 0 * turn], axis=1)
+
+
+def test_a_pose_out_of_reach_is_refused(model):
+    """It says which."""
+    with pytest.raises(BadArgument, match=r"pose 0 at .* out of the arm's reach"):
+        joint_path(model, "blade", np.array([[2.0, 0, 0]]), np.eye(3)[None], rest(model))
+
+
+def test_where_the_puck_stops():
+    """Farther after a faster hit and with less friction, aside with the direction; friction along x does not slow a hit along y."""
+    simulator = sliding_simulator(1)
+    assert len(simulator.space) == 18
+    true = simulator.space.vector(TRUTH)
+    rough_x, rough_y = true.copy(), true.copy()
+    rough_x[simulator.space.names.index("friction_x")] *= 1.5
+    rough_y[simulator.space.names.index("friction_y")] *= 1.5
+    ends = stops(simulator, [true, rough_x, rough_y], [[0.0, 0.0], [1.5, 0.0], [1.5, 1.0], [1.5, -1.0]])
+    assert ends[0, 1, 1] > 1.5 * ends[0, 0, 1]
+    assert ends[0, 2, 0] < -0.02 < 0.02 < ends[0, 3, 0]
+    np.testing.assert_allclose(ends[1, 1], ends[0, 1], atol=2e-3)
+    np.testing.assert_allclose(ends[2, 1, 1] / ends[0, 1, 1], 0.72, atol=0.05)  # 1 / 1.5, but for the way together with the blade
+    assert abs(ends[1, 2, 0]) < 0.95 * abs(ends[0, 2, 0])
+
+
+def test_the_target_is_another_machine():
+    """At its own numbers the model misses the puck's speed by more than noise, for it is seen late, and the arm by noise alone."""
+    problem = sliding(1).using(transitions=STEPS)
+    predicted = problem.simulator.predict([problem.space.vector(TRUTH)], problem.segments)[0]
+    off = np.sqrt(np.mean((predicted - problem.simulator.targets(problem.segments)) ** 2, axis=0)) / NOISE
+    np.testing.assert_allclose(off[:7], 1, atol=4 / np.sqrt(2 * STEPS))  # four standard errors of a standard deviation
+    assert off[16:].max() > 2
+
+
+def test_the_problem():
+    """Five hits from one start, replayed as wholes; the same seed, the same data; the truth and the model lie in the box."""
+    problem = sliding(1)
+    assert problem.reset == "start"
+    assert len(problem.segments) == 5
+    assert len(problem.trajectories) == 5 * STEPS
+    starts = problem.segments.starts
+    assert (starts == starts[0]).all()
+    for values in (problem.space.vector(TRUTH), problem.simulator.nominal):
+        assert ((values > problem.space.low) & (values < problem.space.high)).all()
+    assert estimator_for(problem, "dropo", {}).likelihood == "linear"
+    assert estimator_for(problem, "dropo", {"likelihood": "monte-carlo"}).draws == 60
+    again, other = sliding(1), sliding(1, seed=1)
+    np.testing.assert_array_equal(again.trajectories.next_observations, problem.trajectories.next_observations)
+    assert (other.trajectories.actions != problem.trajectories.actions).any()
+    assert problem.simulator.control_step == pytest.approx(STEP) == pytest.approx(FRAME_SKIP * 0.002)
+
+
+def test_reward_and_goals():
+    """The thesis' reward is highest at the goal, and twelve goals lie on a grid."""
+    np.testing.assert_allclose(reward(np.array([0.0, 0.1])), [-np.log(0.001), -0.01 - np.log(0.011)])
+    assert GOALS.shape == (12, 2)
+    assert [len(np.unique(GOALS[:, i])) for i in range(2)] == [3, 4]
+    with pytest.raises(BadArgument, match="latents"):
+        record(np.zeros((2, 3)), np.random.default_rng(0))
