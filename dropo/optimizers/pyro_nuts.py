@@ -6,10 +6,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.alone import alone
 from dropo.core.checks import Array, require
 from dropo.core.extras import need
 from dropo.core.sampler import Chains, Density, Sampler
-from dropo.optimizers.real_line import RealLine, alone
+from dropo.optimizers.real_line import RealLine
 
 LEAPS = 8  # gradients a draw, about
 

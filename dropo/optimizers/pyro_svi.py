@@ -5,11 +5,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dropo.core.alone import alone
 from dropo.core.checks import Array, require
 from dropo.core.errors import Refused
 from dropo.core.extras import need
 from dropo.core.sampler import Chains, Density, Sampler
-from dropo.optimizers.real_line import RealLine, alone
+from dropo.optimizers.real_line import RealLine
 
 ROWS = 4  # the draws come as so many walkers, so that diagnostics of chains apply
 SLOWEST = 0.005  # the learning rate falls to this share of itself

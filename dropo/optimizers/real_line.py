@@ -1,7 +1,5 @@
 """The unit box as the whole real space, where Pyro's samplers move."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -47,18 +45,3 @@ class RealLine:
 def _normal(z: Array) -> Array:
     """The standard normal density."""
     return np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
-
-
-@contextmanager
-def alone(seed: int) -> Iterator[None]:
-    """torch on one thread, since a handful of numbers gains nothing from more, and seeded; as it was before, afterwards."""
-    import torch
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            yield
-    finally:
-        torch.set_num_threads(threads)
