@@ -1,7 +1,7 @@
 """Which effects the residuals look like: a score test at finite probes, with what is fitted anyway projected out."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -143,3 +143,15 @@ def shortlist(candidates: Sequence[Candidate], most: int, least: float, each: in
         if candidate.gain > least and same < each and len(chosen) < most and not always:
             chosen.append(candidate)
     return chosen
+
+
+def with_constant(candidates: Sequence[Candidate], atoms: Sequence[Atom]) -> list[Candidate]:
+    """Before each candidate that sets in or grows, the one of `atoms` that is always there, with its size: a large effect that declared
+    parameters make up for in part may promise nothing at the small sizes that it is screened at."""
+    always, chosen = {atom.label: atom for atom in atoms}, dict[str, Candidate]()
+    for candidate in candidates:
+        atom = always.get(str(candidate.atom.target)) if candidate.atom.gate is not None else None
+        if atom is not None:
+            chosen.setdefault(atom.label, replace(candidate, atom=atom, sizes=candidate.sizes[: len(atom.quantities)]))
+        chosen.setdefault(candidate.atom.label, candidate)
+    return list(chosen.values())

@@ -12,7 +12,7 @@ from dropo.core.effect import Atom
 from dropo.core.errors import SimulationFailed
 from dropo.diagnosis.model import Library, Look, look, moved
 from dropo.diagnosis.refit import MATTERS, refit, settle, with_noise
-from dropo.diagnosis.screening import Candidate, Screening, shortlist
+from dropo.diagnosis.screening import Candidate, Screening, shortlist, with_constant
 from dropo.diagnosis.windows import Windows
 
 FALSE_ALARM = 0.01  # of the split likelihood-ratio test: gain > log(atoms / FALSE_ALARM) (Wasserman, Ramdas, Balakrishnan 2020)
@@ -116,7 +116,7 @@ class Selection:
         least = np.log(len(atoms) / FALSE_ALARM)
         gained = float((state.test.log_likelihood - first.test.log_likelihood).sum()) if done else 0.0
         least = max(least, NEGLIGIBLE * gained)
-        listed = shortlist(screened, BATCHES * TRIED, TRAINED)
+        listed = with_constant(shortlist(screened, BATCHES * TRIED, TRAINED), rest)
         for begin in range(0, max(len(listed), 1), TRIED):  # the next ones only where none of those before is confirmed
             trials = self.tried(state, listed[begin : begin + TRIED])
             self.rounds.append(origin := Round(state, screened, trials))

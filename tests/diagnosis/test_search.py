@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from dropo.core.gate import growing, setting_in
 from dropo.diagnosis.causes import estimate
 from dropo.diagnosis.invariance import invariance
 from dropo.diagnosis.omnibus import omnibus
 from dropo.diagnosis.review import ambiguity, review
-from dropo.diagnosis.screening import Screening
+from dropo.diagnosis.screening import Candidate, Screening, with_constant
 from dropo.diagnosis.selection import Round, gain_of
 from tests.diagnosis.toy import atoms, measured, selection
 
@@ -113,3 +114,16 @@ def test_structure_that_remains_is_seen():
         _, first = selection(measured({}, seed=seed), effects=("bias",))
         alarms += omnibus(first.train, first.test, np.random.default_rng(0)).present
     assert alarms <= 1
+
+
+def test_what_is_always_there_is_tried_before_what_sets_in():
+    """With the size that was promised, once, also where a screening promised it less or nothing; the control: no effect, none added."""
+    damping, spring = atoms(("damping", "spring"))
+    late, grown = setting_in(damping), growing(damping)
+    promised = [Candidate(late, np.array([0.4, -0.45]), 900.0, np.ones(1)), Candidate(spring, np.array([0.1]), 20.0, np.ones(1))]
+    tried = with_constant([*promised, Candidate(grown, np.array([0.2]), 9.0, np.ones(1))], [damping, spring])
+    assert [candidate.atom for candidate in tried] == [damping, late, spring, grown]
+    assert tried[0].sizes.tolist() == [0.4]
+    moved_up = with_constant([*promised, Candidate(damping, np.array([0.3]), 9.0, np.ones(1))], [damping, spring])
+    assert [candidate.atom for candidate in moved_up] == [damping, late, spring]
+    assert with_constant(promised, [spring]) == promised

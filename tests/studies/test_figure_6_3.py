@@ -1,0 +1,88 @@
+"""Figure 6.3 in small: laws found with the torso too light, policies under them, and the paired tests."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from dropo.studies import figure_6_3, light_torso
+from dropo.studies.figure_6_3 import Size, difference, holm
+from dropo.studies.light_torso import EXTENDED, TRUTH, UNIFORM, Training, found, machine, trained, whole
+from dropo.studies.pages import picture
+from dropo.studies.work import Work
+
+TINY = Training(updates=2, episodes=4, steps=60)
+
+
+@pytest.fixture(autouse=True)
+def _without_outside_data(monkeypatch):
+    """The authors' data are left out: these tests need no files, and are the same everywhere."""
+    monkeypatch.setattr(figure_6_3, "at_hand", lambda: False)
+
+
+def test_two_laws(tmp_path):
+    """A policy of each law, kept as tasks that name law and seed; the tables and the picture."""
+    path = tmp_path / "kept.jsonl"
+    size = Size(transitions=20, bounds=2, laws=(TRUTH, UNIFORM), training=TINY)
+    study = figure_6_3.figure_6_3(Work(threads=1, path=path), 1, size=size)
+    asked = [json.loads(json.loads(line)[0]) for line in path.read_text().splitlines()]
+    policies = [item for task, item in asked if task.endswith("trained")]
+    assert {(item["law"], item["number"], item["seed"]) for item in policies} == {(TRUTH, 0, 0), (UNIFORM, 0, 0), (UNIFORM, 1, 0)}
+    assert [row[0] for row in study.tables[0].rows] == [TRUTH, UNIFORM, "  its best bounds", "  its worst bounds"]
+    assert "<svg" in picture(study.draw)
+
+
+def test_the_same_seed_gives_the_same_policy():
+    """A task's answer depends on its item alone; another seed gives another."""
+    item = {"law": UNIFORM, "number": 0, "seed": 0, "training": vars(TINY)}
+    item |= found({"law": UNIFORM, "number": 0, "data": "6.1", "transitions": 20, "droid": 16})
+    assert trained(item) == trained(item)
+    assert trained(item)["return"] != trained(item | {"seed": 1})["return"]
+
+
+def test_the_extended_model_has_the_torso_back():
+    """What is missing of the torso as an effect makes the target's motion; the control: without it the motion is another."""
+    target, right = whole(), machine([["body_mass", "body_mass:torso", [1.0]]])
+    rows = [problem.simulator.predict(values[None], target.segments) for problem, values in _true_masses(target, right, machine([]))]
+    np.testing.assert_allclose(rows[1], rows[0], atol=1e-6)
+    assert np.abs(rows[2] - rows[0]).max() > 1e-4
+
+
+def _true_masses(*problems):
+    return [(problem, light_torso.MEAN[-len(problem.space) :]) for problem in problems]
+
+
+def test_a_fit_goes_to_training_as_it_is():
+    """The point estimate of the three masses, found with the light torso, is the law that a policy is trained under."""
+    item = {"law": "least squares", "number": 0, "data": "6.1", "transitions": 20, "droid": 16}
+    one = found(item)
+    assert one["family"] == "point"
+    assert len(one["mean"]) == 3
+    assert np.abs(np.array(one["mean"]) - light_torso.MEAN[1:]).max() > 0.1
+
+
+def test_paired_differences():
+    """As scipy has the paired t test, with bounds averaged; seeds that agree need no luck; one seed tests nothing."""
+    rng = np.random.default_rng(0)
+    one, other = 5 + rng.standard_normal((1, 6)), rng.standard_normal((3, 6))
+    gap, test = difference(one, other), stats.ttest_rel(one[0], other.mean(axis=0))
+    assert gap.p == pytest.approx(test.pvalue)
+    low, high = test.confidence_interval()
+    assert (gap.mean - gap.half, gap.mean + gap.half) == pytest.approx((low, high))
+    assert difference(one, one).p == 1
+    assert np.isnan(difference(one[:, :1], other[:, :1]).p)
+
+
+def test_holm():
+    """The example of three tests by hand: the least times three, the next times two, never falling."""
+    np.testing.assert_allclose(holm(np.array([0.04, 0.01, 0.03])), [0.06, 0.03, 0.06])
+
+
+@pytest.mark.study
+def test_the_diagnosis_finds_the_torso():
+    """With the torso fixed 1 kg too light and the other masses fitted beside, its mass is named, and the extended fit has the truth."""
+    one = found({"law": EXTENDED, "number": 0, "data": "6.1", "transitions": 1000, "droid": 16})
+    assert [label for _, label, _ in one["effects"]] == ["body_mass:torso"]
+    assert one["effects"][0][2][0] == pytest.approx(1, abs=1e-4)
+    np.testing.assert_allclose(one["mean"], light_torso.MEAN[1:], atol=1e-4)
