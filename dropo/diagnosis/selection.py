@@ -17,6 +17,7 @@ from dropo.diagnosis.windows import Windows
 
 FALSE_ALARM = 0.01  # of the split likelihood-ratio test: gain > log(atoms / FALSE_ALARM) (Wasserman, Ramdas, Balakrishnan 2020)
 CERTAIN, SPREAD, TRAINED = 3.0, 1.5, 5.0  # standard errors of the held-out gain by window and by block; nats on the windows to fit
+ANSWERS, SELDOM = 1.0, 5  # nats from which a window answers to an effect; windows that must, where all of those gain
 NEGLIGIBLE = 0.01  # of what earlier effects gained together: a later one must bring more
 TRIED, BATCHES, MOST = 6, 3, 12  # candidates refitted at a time, and how often in a round; effects accepted in all
 ALIKE, EQUAL = 0.98, 2.0  # cosine of whitened responses from which, and nats within which, two effects do the same
@@ -196,10 +197,13 @@ def by_block(before: Look, after: Look) -> Array:
 
 
 def confirmed(before: Look, after: Look, least: float) -> bool:
-    """Whether windows held out gain at least so many nats, and not a few of them or a single block alone."""
+    """Whether windows held out gain at least so many nats, and not a few of them or a single block alone; of what acts seldom (a joint's
+    limit) a few windows will do where none loses."""
     gain, z = gain_of(before, after)
     windows = after.log_likelihood - before.log_likelihood
-    return gain > least and z > SPREAD and float(windows.sum()) > CERTAIN * float(windows.std(ddof=1)) * np.sqrt(len(windows))
+    many = float(windows.sum()) > CERTAIN * float(windows.std(ddof=1)) * np.sqrt(len(windows))
+    answers = windows[np.abs(windows) > ANSWERS]
+    return gain > least and z > SPREAD and (many or (len(answers) >= SELDOM and bool(answers.min() > 0)))
 
 
 def gain_of(before: Look, after: Look) -> tuple[float, float]:

@@ -164,7 +164,7 @@ def hide_some(robot: Machine, case: str, sigma: float, rng: np.random.Generator)
     if case in ("nothing", "white", "outside"):
         there = {"nothing": [], "white": [white_noise(robot)], "outside": [outside(robot, rng)]}[case]
         return there, measured(robot, there, values, sigma, rng.spawn(1)[0]), 0.0
-    kinds = names("effects")
+    kinds = [kind for kind in names("effects") if (case, kind) != ("masses", "body_mass")]  # which are fitted anyway
     for _ in range(50):
         chosen = rng.choice(kinds, 2 if case == "two" else 1, replace=False)
         effects = [one for kind in chosen if (one := draw(robot, str(kind), rng)) is not None]

@@ -1,5 +1,7 @@
 """Screening, refitting and accepting effects, on a line of masses."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from dropo.diagnosis.invariance import invariance
 from dropo.diagnosis.omnibus import omnibus
 from dropo.diagnosis.review import ambiguity, review
 from dropo.diagnosis.screening import Candidate, Screening, with_constant
-from dropo.diagnosis.selection import Round, gain_of
+from dropo.diagnosis.selection import Round, confirmed, gain_of
 from tests.diagnosis.toy import atoms, measured, selection
 
 SIZES = {"damping": 0.05, "spring": -0.05, "bias": 0.02, "gain": -0.05, "friction": 0.03, "drag": 0.03}
@@ -93,6 +95,18 @@ def test_alike_effects_are_said_to_be():
         others.append({other.atom.effect for _, other, _ in ambiguity(last, last.accepted[0], found[last.accepted[0].label])})
     assert others[0] & {"damping", "drag", "friction"}
     assert not others[1]
+
+
+def test_what_acts_seldom_is_confirmed_where_no_window_loses():
+    """Six windows of ninety-six that gain 80 nats each will do, as of a limit that is seldom reached; not four, nor with one that loses."""
+    windows = SimpleNamespace(block=np.arange(96) % 26)
+
+    def after(*gains):
+        return SimpleNamespace(log_likelihood=np.concatenate([gains, np.zeros(96 - len(gains))]), windows=windows)
+
+    assert confirmed(after(), after(*[80.0] * 6), 10.0)
+    assert not confirmed(after(), after(*[80.0] * 6, -80.0), 10.0)
+    assert not confirmed(after(), after(*[80.0] * 4), 10.0)
 
 
 @pytest.mark.parametrize(("hidden", "constant"), [("damping", True), ("friction", False)])
