@@ -2,20 +2,29 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dropo.analysis.robust_fit import robust_fit
 from dropo.core.checks import Array, float_array, require
 from dropo.core.data import Ints, Segments, Signal, Trajectories
+from dropo.core.robust import deviation
 from dropo.core.simulator import Simulator
 
 SECONDS = (0.05, 0.1, 0.2, 0.4)  # windows in which a push shows: a short strong one, a long weak one
-SURE, EDGE = 8.0, 4.0  # robust standard deviations: of a span's worst window, and of all of them
+SURE, EDGE = 6.0, 4.0  # robust standard deviations: of a span's worst window, and of all of them
 NEIGHBOURS = 2  # windows of a span at least: a spike of a sensor spoils the one that begins there and the one that ends there
 BINS, FEWEST = 10, 40  # of windows by how far they move, whose errors are compared with each other; windows in one at least
 NEAR = 0.2  # seconds between spans of one disturbance
+FAR = 3.0  # standard deviations of noise that a start may be off by
+AROUND = 2  # rows around a contact that are not looked at
 WINDOWS = 300  # that the robust fit sees
 MUCH = 0.2  # a share of the data beyond which it is the model that is wrong
+STILL = 0.02  # of a signal's spread: a window that goes less far is at rest
+ROUNDING = 1e-4  # of a signal's spread: what is off by less is no push
+CALM, CALM_NORMAL = 0.25, 0.3186  # of a run's moving windows, those that err least say what is usual in it; that quantile of |z|
 
 Predict = Callable[[Segments], Array]
 """What is expected at the compared rows (R, p) of segments of any length."""
@@ -23,7 +32,7 @@ Predict = Callable[[Segments], Array]
 
 @dataclass(frozen=True)
 class Span:
-    """Transitions `first` to `last` - 1 of a trajectory, `start` to `end` seconds from its beginning.
+    """Transitions `first` to `last` - 1 of a trajectory, `start` to `end` seconds from its beginning; held_out: of those held out.
 
     signal: that is off most, by `size` in its unit after `seconds`, `times` the robust standard deviation of like windows.
     """
@@ -38,11 +47,19 @@ class Span:
     size: float
     seconds: float
     times: float
+    held_out: bool = False
 
     def __str__(self) -> str:
-        where = f"trajectory {self.trajectory}, {self.start:.2f} to {self.end:.2f} s"
+        where = f"{'held-out ' * self.held_out}trajectory {self.trajectory}, {self.start:.2f} to {self.end:.2f} s"
         unit = f" {self.unit}" if self.unit else ""
         return f"{where}: {self.signal} is {self.size:.3g}{unit} off after {self.seconds:.3g} s, {self.times:.0f} times the usual error"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers: the run, and from where to where in it [s]."""
+        return {
+            "run": self.trajectory, "held_out": self.held_out, "from": self.start, "to": self.end, "seconds": self.end - self.start,
+            "signal": self.signal, "unit": self.unit, "off": self.size, "after": self.seconds, "times": self.times,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +74,18 @@ class Disturbances:
         """Of the transitions, how many lie in the spans."""
         return sum(span.last - span.first for span in self.spans) / len(self.trajectories)
 
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """(N,) the transitions that lie in the spans."""
+        out = np.zeros(len(self.trajectories), dtype=bool)
+        for span in self.spans:
+            begin = self.trajectories.spans[span.trajectory][0]
+            out[begin + span.first : begin + span.last] = True
+        return out
+
     def left_out(self) -> Trajectories:
         """The trajectories without the spans; a trajectory is cut in two at each."""
-        keep = np.ones(len(self.trajectories), dtype=bool)
-        for span in self.spans:
-            first = self.trajectories.spans[span.trajectory][0]
-            keep[first + span.first : first + span.last] = False
-        return self.trajectories.rows(np.flatnonzero(keep))
+        return self.trajectories.rows(np.flatnonzero(~self.inside))
 
     def __str__(self) -> str:
         if not self.spans:
@@ -88,18 +110,23 @@ def find_disturbances(
     model always gets wrong in like motion is its usual error there.
     """
     value = float_array("values", values, (len(simulator.space),), "find_disturbances")
+    predict: Predict = lambda segments: simulator.predict(value[None], segments)[0]
+    short = cut(trajectories, 1)
+    noise = deviation(simulator.targets(short) - predict(short)) / np.sqrt(2)
     return scan(
-        lambda segments: simulator.predict(value[None], segments)[0], simulator.targets, simulator.signals, trajectories, step, seconds
-    )
+        predict, simulator.targets, simulator.signals, trajectories, step, seconds, free=_untouched(simulator, trajectories),
+        reach=lambda windows: _reach(simulator, value, noise, windows),
+    )  # fmt: skip
 
 
 def scan(
     predict: Predict, targets: Predict, signals: Sequence[Signal], trajectories: Trajectories, step: float,
-    seconds: Sequence[float] = SECONDS, sure: float = SURE,
+    seconds: Sequence[float] = SECONDS, sure: float = SURE, free: NDArray[np.bool_] | None = None, reach: Predict | None = None,
 ) -> Disturbances:  # fmt: skip
     """Windows of each length whose errors stand out, joined to spans; a long window tells only of what no short one has shown.
 
-    sure: robust standard deviations of a span's worst window.
+    sure: robust standard deviations of a span's worst window; free: (N,) rows that are looked at, None: all; reach: how far the noise of
+    their starts moves the predictions (R, p) of windows.
     """
     require(step > 0, "step", "the seconds of a control step, above 0", step, "find_disturbances")
     found: list[Span] = []
@@ -107,16 +134,50 @@ def scan(
     judged = [signals[i] for i in rates]
     for length in sorted({max(1, round(s / step)) for s in seconds}):
         windows = cut(trajectories, length)
+        windows = windows if free is None else windows.take(free[windows.steps].all(axis=1))
         if len(windows) < FEWEST:
             continue
-        predicted, measured = predict(windows), targets(windows)
-        errors = (measured - predicted)[:, rates]
-        times = errors / _usual(errors, _moved(windows, predicted))
+        predicted = predict(windows)
+        errors = (targets(windows) - predicted)[:, rates]
+        usual = _usual(errors, _moved(windows, predicted), windows.trajectory)
+        usual = np.maximum(usual, ROUNDING * np.nanstd(predicted[:, rates], axis=0))
+        times = errors / usual
+        far = np.flatnonzero((np.abs(times) > EDGE).any(axis=1))
+        if reach is not None and len(far):
+            left = np.maximum(np.abs(errors[far]) - reach(windows.take(far))[:, rates], 0.0)
+            times[far] = np.sign(errors[far]) * left / usual[far]
         for members, which in _runs(windows, times, sure):
             span = _span(windows, members, errors[:, which], times[:, which], judged[which], step)
             if not any(span.trajectory == s.trajectory and span.first < s.last and s.first < span.last for s in found):
                 found.append(span)
     return Disturbances(trajectories, tuple(_joined(sorted(found, key=lambda span: (span.trajectory, span.first)))))
+
+
+def _reach(simulator: Simulator, value: Array, noise: Array, windows: Segments) -> Array:
+    """(W, p) how far predictions move as each signal of the start is off by up to FAR standard deviations, all signals together.
+
+    So a window that begins close to a stop or an impact, where little decides much, is not taken for pushed.
+    """
+    p = len(noise)
+    if simulator.start_size != p:
+        return np.zeros((len(windows), p))
+    shares = FAR * np.array([-1.0, -0.5, 0.5, 1.0])
+    offsets = np.zeros((1 + len(shares) * p, len(windows), p))
+    for i in range(p):
+        offsets[1 + len(shares) * i + np.arange(len(shares)), :, i] = (shares * noise[i])[:, None]
+    found = simulator.predict(np.repeat(value[None], len(offsets), axis=0), windows, offsets=offsets)
+    moved = np.nan_to_num(np.abs(found[1:] - found[0]), nan=np.inf).reshape(p, len(shares), len(windows), p)
+    return np.asarray(moved.max(axis=1).sum(axis=0))
+
+
+def _untouched(simulator: Simulator, trajectories: Trajectories) -> NDArray[np.bool_] | None:
+    """(N,) transitions that neither begin nor end near a contact, in which a push and a wrong contact are the same."""
+    if not hasattr(simulator, "in_contact"):
+        return None
+    touching = np.array(simulator.in_contact(trajectories.segments(1)))
+    for _ in range(AROUND):
+        touching[1:], touching[:-1] = touching[1:] | touching[:-1], touching[1:] | touching[:-1]
+    return ~touching
 
 
 def _joined(spans: list[Span]) -> list[Span]:
@@ -145,26 +206,24 @@ def cut(trajectories: Trajectories, length: int) -> Segments:
 
 def _moved(windows: Segments, predicted: Array) -> Array:
     """(W,) how far a window goes by the prediction, in spreads of the signals."""
-    ways = predicted - windows.starts if predicted.shape == windows.starts.shape else predicted
-    ways = np.nan_to_num(ways)
+    ways = np.nan_to_num(predicted - windows.starts if predicted.shape == windows.starts.shape else predicted)
     return np.asarray(np.sqrt(np.sum((ways / np.maximum(ways.std(axis=0), 1e-300)) ** 2, axis=1)))
 
 
-def _usual(errors: Array, moved: Array) -> Array:
-    """(W, p) the robust standard deviation of the errors of windows that move about as far; no less than
-    in half of all bins: at rest, where friction holds, there are none."""
-    order = np.argsort(moved, kind="stable")
-    bins = np.array_split(order, max(1, min(BINS, len(order) // FEWEST)))
-    scales = np.array([_robust(errors[members]) for members in bins])
+def _usual(errors: Array, moved: Array, run: Ints) -> Array:
+    """(W, p) the robust standard deviation of the errors of windows that move about as far, and no less than in half of all bins; and
+    no less than that of the calmer windows of its run. Windows at rest do not count: where friction holds, there are no errors."""
+    moving = np.flatnonzero(moved > STILL)
+    if not len(moving):
+        return np.full_like(errors, np.inf)
+    bins = np.array_split(moving[np.argsort(moved[moving], kind="stable")], max(1, min(BINS, len(moving) // FEWEST)))
+    scales = np.array([deviation(errors[members]) for members in bins])
     scales = np.maximum(scales, np.median(scales, axis=0))
-    out = np.empty_like(errors)
-    for members, scale in zip(bins, scales, strict=True):
-        out[members] = scale
-    return np.maximum(out, 1e-300)
-
-
-def _robust(errors: Array) -> Array:
-    return np.asarray(1.4826 * np.nanmedian(np.abs(errors), axis=0))
+    out = scales[np.searchsorted([moved[members[-1]] for members in bins[:-1]], moved)]
+    for k in np.unique(run[moving]):
+        calm = np.nanquantile(np.abs(errors[moving[run[moving] == k]]), CALM, axis=0) / CALM_NORMAL
+        out[run == k] = np.maximum(out[run == k], calm)
+    return out
 
 
 def _runs(windows: Segments, times: Array, sure: float) -> list[tuple[Ints, int]]:
@@ -199,30 +258,7 @@ def _span(windows: Segments, members: Ints, errors: Array, times: Array, signal:
     )
 
 
-def robust_values(
-    simulator: Simulator, trajectories: Trajectories, step: float, start: Array, *, seconds: float = 0.2, rounds: int = 8
-) -> Array:
-    """The parameters (d,) that explain most windows: Gauss-Newton with the weights of a Student t of 3 degrees of freedom.
-
-    Windows in which something pushes count for little, so that they need not be found before the model is fitted.
-    """
+def robust_values(simulator: Simulator, trajectories: Trajectories, step: float, start: Array, *, seconds: float = 0.2) -> Array:
+    """The parameters (d,) that explain most windows of the trajectories, from `start`: `robust_fit`, which pushes do not lead astray."""
     windows = cut(trajectories, max(1, round(seconds / step)))
-    windows = windows.take(windows.spread_out(WINDOWS))
-    space, measured = simulator.space, simulator.targets(windows)
-    value = np.clip(float_array("start", start, (len(space),), "robust_values"), space.low, space.high)
-    width = space.high - space.low
-    for _ in range(rounds):
-        predicted, slopes = simulator.linearise(value, windows, step=1e-3 * width)
-        errors = measured - predicted
-        scale = np.maximum(_robust(errors), 1e-300)
-        weights = 4 / (3 + np.sum((errors / scale) ** 2, axis=1) / errors.shape[1])  # (W,)
-        white = (slopes * width / scale[:, None] * np.sqrt(weights)[:, None, None]).reshape(-1, len(space))
-        rest = (errors / scale * np.sqrt(weights)[:, None]).ravel()
-        change = np.linalg.lstsq(
-            np.concatenate([white, 1e-3 * np.eye(len(space))]), np.concatenate([rest, np.zeros(len(space))]), rcond=None
-        )[0]
-        new = np.clip(value + width * np.clip(change, -0.25, 0.25), space.low, space.high)
-        if np.max(np.abs(new - value) / width) < 1e-4:
-            return new
-        value = new
-    return value
+    return robust_fit(simulator, windows.take(windows.spread_out(WINDOWS)), start).value

@@ -12,6 +12,7 @@ from dropo.core.data import Ints
 from dropo.core.dependence import Units, unit_sums, units_of, variance_of_sum
 from dropo.core.problem import Problem
 from dropo.core.ridge import ridge
+from dropo.core.robust import deviation
 
 LEVEL = 0.001  # false alarms of each test, over all of its signals and features
 LARGE = 1.1  # a size of the residuals (as a variance) from which it is worth telling: 5 % of a standard error
@@ -110,7 +111,7 @@ def _without_draws(white: Array, slopes: Array, label: Ints) -> Array:
 
 def _cut(rest: Array) -> Array:
     """Residuals with outliers cut, so that a few contacts do not drown the others."""
-    sd = 1.4826 * np.median(np.abs(rest), axis=0)
+    sd = deviation(rest)
     sd = np.where(sd > 0, sd, np.sqrt(np.mean(rest**2, axis=0)))
     return np.clip(rest, -OUTLIER * sd, OUTLIER * sd)
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from dropo.analysis.disturbances import cut
+from dropo.analysis.robust_fit import robust_fit
 from dropo.core.checks import Array, float_array, require
 from dropo.core.data import Ints, Trajectories
 from dropo.core.simulator import Simulator
@@ -14,12 +15,13 @@ from dropo.core.simulator import Simulator
 LEVEL = 0.001  # false alarms over all runs and parameters
 BLOCKS, FEWEST = 20, 8  # blocks of time whose scores are independent, within a run; windows of a run at least
 RUNS = 4  # that are compared at least
-ROUNDS = 4  # of a run's own Gauss-Newton steps from the common values
+WINDOWS = 200  # of a run that its own fit sees
 
 
 @dataclass(frozen=True)
 class OddRun:
-    """A run whose own value of a parameter lies outside of what the others, spread and all, leave room for."""
+    """A run whose own value of a parameter lies outside of what the others, spread and all, leave room for. run: its group or trajectory;
+    held_out: of those held out."""
 
     run: int
     parameter: str
@@ -29,11 +31,13 @@ class OddRun:
     others: float
     spread: float
     p_value: float
+    held_out: bool = False
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
+        name = f"{'held-out ' * self.held_out}run {self.run}"
         return (
-            f"run {self.run} disagrees with the others: its {self.parameter} is {self.value:.4g} +- {self.se:.2g}{unit}, theirs"
+            f"{name} disagrees with the others: its {self.parameter} is {self.value:.4g} +- {self.se:.2g}{unit}, theirs"
             f" {self.others:.4g} with a spread of {self.spread:.2g} (p = {self.p_value:.1g})"
         )
 
@@ -72,25 +76,14 @@ def compare_runs(simulator: Simulator, trajectories: Trajectories, values: Array
 
 
 def _own(simulator: Simulator, data: Trajectories, value: Array, length: int) -> tuple[Array, Array]:
-    """A run's values and their standard errors: robust Gauss-Newton on its windows, errors from the scores of blocks of time."""
-    windows, space = cut(data, length), simulator.space
-    windows = windows.take(windows.spread_out(200))
-    width, measured = space.high - space.low, simulator.targets(windows)
-    for _ in range(ROUNDS):
-        predicted, slopes = simulator.linearise(value, windows, step=1e-3 * width)
-        errors = measured - predicted
-        scale = np.maximum(1.4826 * np.median(np.abs(errors), axis=0), 1e-300)
-        weights = 4 / (3 + np.mean((errors / scale) ** 2, axis=1))
-        white, rest = slopes * width / scale[:, None], errors / scale
-        information = np.einsum("w,wpd,wpe->de", weights, white, white)
-        scores = weights[:, None] * np.einsum("wpd,wp->wd", white, rest)
-        bread = np.linalg.inv(information + 1e-6 * np.eye(len(value)))  # a prior as wide as a thousand boxes
-        value = np.clip(value + width * np.clip(bread @ scores.sum(axis=0), -0.25, 0.25), space.lower, space.upper)
-    blocks = np.array([part.sum(axis=0) for part in np.array_split(scores, min(BLOCKS, len(scores)))])
+    """A run's values and their standard errors: a robust fit to its windows, errors from the scores of blocks of time."""
+    windows, width = cut(data, length), simulator.space.high - simulator.space.low
+    fit = robust_fit(simulator, windows.take(windows.spread_out(WINDOWS)), value, beyond=True)
+    blocks = np.array([part.sum(axis=0) for part in np.array_split(fit.scores, min(BLOCKS, len(fit.scores)))])
     blocks = blocks - blocks.mean(axis=0)
-    covariance = bread @ (blocks.T @ blocks) @ bread * len(blocks) / (len(blocks) - 1)
-    silent = np.diagonal(information) * np.diagonal(bread) < 1e-3
-    return value, np.where(silent, np.inf, width * np.sqrt(np.diagonal(covariance)))
+    covariance = fit.inverse @ (blocks.T @ blocks) @ fit.inverse * len(blocks) / (len(blocks) - 1)
+    silent = np.diagonal(fit.information) * np.diagonal(fit.inverse) < 1e-3
+    return fit.value, np.where(silent, np.inf, width * np.sqrt(np.diagonal(covariance)))
 
 
 def _odd(number: Ints, values: Array, errors: Array, place: int, simulator: Simulator) -> list[OddRun]:

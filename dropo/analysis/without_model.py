@@ -8,6 +8,7 @@ from dropo.analysis.disturbances import Disturbances, scan
 from dropo.core.checks import Array, require
 from dropo.core.data import Ints, Segments, Signal, Trajectories
 from dropo.core.ridge import fourier_features, ridge
+from dropo.core.robust import deviation
 
 FEATURES = 100  # of a Gaussian kernel of state and mean command
 PENALTIES = np.logspace(-6, 0, 13)
@@ -53,7 +54,7 @@ def _robust_ridge(design: Array, targets: Array) -> Array:
     """Ridge twice: what the first one misses by far counts as cut off in the second."""
     coefficients = ridge(design, targets, PENALTIES)
     errors = targets - design @ coefficients
-    limit = CUT * 1.4826 * np.median(np.abs(errors), axis=0)
+    limit = CUT * deviation(errors)
     return ridge(design, targets - errors + np.clip(errors, -limit, limit), PENALTIES)
 
 

@@ -80,8 +80,11 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def _findings(arguments: argparse.Namespace) -> "list[Finding]":
+    from dataclasses import replace
+
     from dropo.core.errors import BadArgument
     from dropo.data.check import check
+    from dropo.data.findings import errors_first
 
     if (arguments.map is None) != (arguments.model is None):
         raise BadArgument("Raw logs are checked with both --map and --model. Got one of them alone.")
@@ -89,7 +92,10 @@ def _findings(arguments: argparse.Namespace) -> "list[Finding]":
         return _raw_findings(arguments)
     if len(arguments.target) > 1:
         raise BadArgument("One problem or data set is checked at a time; several raw logs need --map and --model.")
-    return check(*_target(arguments.target[0]))
+    trajectories, problem = _target(arguments.target[0])
+    apart = problem.held_out if problem else None
+    held_out = [] if apart is None else [replace(finding, run="held out") for finding in check(apart, getattr(problem, "simulator", None))]
+    return errors_first([*check(trajectories, problem), *held_out])
 
 
 def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":

@@ -22,6 +22,11 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--steps", type=whole(1), metavar="N", help="control steps in a window; by default what the problem or its noise asks for"
     )
+    parser.add_argument("--unchecked", action="store_true", help="take the data even where `dropo data check` finds an error")
+    parser.add_argument(
+        "--disturbances", choices=("auto", "off"), default="auto",
+        help="auto: spans of time in which something pushes, which no cause explains, are found, listed and left out",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="write diagnosis.json here, and the extended problem")
     computing_options(parser)
     printing_options(parser)
@@ -37,7 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
     problem = _problem(arguments)
     progress = Progress(silent=arguments.quiet)
     try:
-        found = Diagnose(arguments.effects, length=arguments.steps).run(problem, rng=arguments.seed, progress=progress)
+        diagnose = Diagnose(arguments.effects, length=arguments.steps, disturbances=arguments.disturbances == "auto")
+        found = diagnose.run(problem, rng=arguments.seed, progress=progress)
     finally:
         progress.close()
     if arguments.out is not None:
@@ -58,5 +64,5 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
     from dropo.problems.reader import load
 
     if not arguments.hide:
-        return load(arguments.problem, threads=arguments.threads)
+        return load(arguments.problem, threads=arguments.threads, checked=not arguments.unchecked)
     return hide(arguments.problem, arguments.hide, seed=arguments.seed, threads=arguments.threads)

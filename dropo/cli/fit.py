@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_folder(arguments.out, record)
     journal = Journal(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
     fit = _fit(arguments, estimator, problem, journal)
-    fit = replace(fit, details={**fit.details, "disturbances": [span.to_json() for span in spans]})
+    fit = replace(fit, details={**fit.details, "disturbances": [span.to_json() for span in spans]}) if spans else fit
     if arguments.out:
         _save(arguments.out, fit, record)
         keep_for_report(arguments, predict(problem, fit))

@@ -29,7 +29,7 @@ def run_record(command: str, method: str, estimator: Estimator, problem: Problem
 
 def diagnosis_record(arguments: argparse.Namespace, problem: Problem) -> dict[str, Any]:
     """The content of a diagnosis' run.json."""
-    settings = {name: plain(getattr(arguments, name)) for name in ("effects", "hide", "steps")}
+    settings = {name: plain(getattr(arguments, name)) for name in ("effects", "hide", "steps", "disturbances")}
     return {"command": "diagnose", "settings": settings, "seed": arguments.seed, "version": __version__, **problem_record(problem)}
 
 

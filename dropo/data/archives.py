@@ -83,8 +83,8 @@ class RunsLog(NpzLog):
         return given or [f"{i:03d}" for i in numbers]
 
     @cached_property
-    def _runs(self) -> list[Arrays]:
-        """The arrays of each run."""
+    def runs(self) -> list[Arrays]:
+        """The arrays of each run, first axis time."""
         by_number: dict[int, Arrays] = {}
         for name, array in self.arrays.items():
             if found := _RUN.match(name):
@@ -94,7 +94,12 @@ class RunsLog(NpzLog):
             lengths = {channel: len(array) for channel, array in run.items()}
             if len(set(lengths.values())) > 1:
                 raise BadFile(self.path, name, "arrays of one length", ", ".join(f"{key} of {n}" for key, n in lengths.items()))
-        return [expanded(run) for run in runs]
+        return runs
+
+    @cached_property
+    def _runs(self) -> list[Arrays]:
+        """The columns of each run."""
+        return [expanded(run) for run in self.runs]
 
     def columns(self, topic: str | None) -> list[str]:
         return [*dict.fromkeys(name for run in self._runs for name in run), "run"]

@@ -26,7 +26,7 @@ REIMPORT = "`dropo data import` resamples logs on the control step and ends traj
 
 
 def check(trajectories: Trajectories, source: Problem | Simulator | None = None) -> list[Finding]:
-    """What looks odd in the data, given the problem or simulator that they are for (None: less can be checked); errors first."""
+    """What looks odd in the data, errors first. source: the problem or simulator that they are for; None: less can be checked."""
     simulator = simulator_of(source)
     found = [
         *blocking(trajectories, simulator), *_uneven(trajectories),
@@ -44,6 +44,11 @@ def blocking(trajectories: Trajectories, simulator: Simulator | None) -> Iterato
     yield from rates(trajectories, simulator)
     yield from motions(trajectories, simulator)
     yield from falls(trajectories, simulator)
+
+
+def verdict(trajectories: Trajectories, simulator: Simulator | None) -> Finding | None:
+    """The first error, which keeps a fit from working; None where nothing does."""
+    return next((finding for finding in blocking(trajectories, simulator) if finding.level == "error"), None)
 
 
 # Time

@@ -61,9 +61,10 @@ def estimate_delay(time: ArrayLike, reference: ArrayLike, signal: ArrayLike, *, 
 def estimate_clock(
     reference_time: ArrayLike, reference: ArrayLike, signal_time: ArrayLike, signal: ArrayLike, *, most: float = 0.05, skew: float = 0.02
 ) -> Clock:
-    """Offset and skew together, from a reference (n,) or (n, p) and a signal (m,) or (m, p), each with its own stamps [s].
+    """Offset and skew together, from a reference (n,) or (n, p) and a signal (m,) or (m, p).
 
-    Both clocks must be within `most` of each other at the reference's first stamp, and run at rates that differ by up to `skew`.
+    reference_time (n,), signal_time (m,): their stamps [s], each by its own clock. Both clocks must be within `most` of each other at the
+    reference's first stamp, and run at rates that differ by up to `skew`.
     """
     require(skew > 0, "skew", "above 0", skew, "estimate_clock")
     found, errors, explained, origin = _matched((reference_time, reference), (signal_time, signal), most, skew, "estimate_clock")

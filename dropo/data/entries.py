@@ -12,6 +12,8 @@ import yaml
 
 from dropo.core.errors import BadFile, Refused
 
+ALIKE = 0.5  # share of two names that is the same (Ratcliff and Obershelp), from which one is near the other
+
 
 class BadEntry(BadFile):
     """An entry that another part refused: its sentence, behind the file and the key."""
@@ -111,11 +113,11 @@ class Entries:
 
 
 def named(what: str, value: object, valid: Iterable[str]) -> str:
-    """What was expected, with the nearest valid name, or with all of them where none is near."""
+    """What was expected, with the nearest valid name (the first of several), or with all of them where none is near."""
     options = sorted(valid)
-    near = difflib.get_close_matches(value, options, n=1, cutoff=0.5) if isinstance(value, str) else []
-    if near:
-        return f"{what} (the nearest is {near[0]!r})"
+    alike = [difflib.SequenceMatcher(None, option, value).ratio() if isinstance(value, str) else 0.0 for option in options]
+    if max(alike, default=0.0) >= ALIKE:
+        return f"{what} (the nearest is {options[alike.index(max(alike))]!r})"
     return f"{what} (there is {', '.join(options[:12])}{', ...' if len(options) > 12 else ''})" if options else f"{what} (there is none)"
 
 

@@ -1,7 +1,7 @@
 """A recording on the grid of control steps: where it is whole, and what every signal is there."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def whole_spans(run: Run, series: Sequence[Series], step: float) -> tuple[list[S
     first, last = min(one.time[0] for one in series), max(one.time[-1] for one in series)
     out: list[LeftOut] = [LeftOut(run.name, a, b, "not every signal is there")
                           for a, b in ((first, begin), (end, last)) if b - a > step]  # fmt: skip
-    holes = sorted((hole for one in series for hole in _holes(run.name, one)), key=lambda hole: hole.start)
+    holes = _joined(hole for one in series for hole in _holes(run.name, one))
     spans = []
     for hole in (*holes, LeftOut(run.name, end, end, "")):
         if hole.start > begin or not hole.why:
@@ -65,6 +65,17 @@ def whole_spans(run: Run, series: Sequence[Series], step: float) -> tuple[list[S
             out.append(hole)
         begin = max(begin, hole.stop)
     return spans, out
+
+
+def _joined(holes: Iterable[LeftOut]) -> list[LeftOut]:
+    """Spans in order, those that overlap as one, whose reason is the first one's."""
+    out: list[LeftOut] = []
+    for hole in sorted(holes, key=lambda hole: hole.start):
+        if out and hole.start < out[-1].stop:
+            out[-1] = replace(out[-1], stop=max(out[-1].stop, hole.stop))
+        else:
+            out.append(hole)
+    return out
 
 
 def _holes(run: str, series: Series) -> list[LeftOut]:
@@ -114,13 +125,18 @@ def commanded(series: Series, span: Span, step: float) -> Array:
     """A command's numbers (n, 1) on the grid: each row is held until the next, and averaged over the control step."""
     if not span.resampled:
         return series.values[np.searchsorted(series.time, span.at + ON_GRID * step, side="right") - 1]
-    held = np.concatenate([[0.0], np.cumsum(series.values[:-1, 0] * np.diff(series.time))])
+    return held_means(series.time, series.values, span.at, step)
 
-    def integral(at: Array) -> Array:
-        row = np.clip(np.searchsorted(series.time, at, side="right") - 1, 0, None)
-        return np.asarray(held[row] + series.values[row, 0] * (at - series.time[row]))
 
-    return ((integral(span.at + step) - integral(span.at)) / step)[:, None]
+def held_means(time: Array, values: Array, at: Array, step: float) -> Array:
+    """(m, q) the means over each [at, at + step] of values (n, q) that are held from their stamps (n,) to the next, the last for good."""
+    held = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time)[:, None], axis=0)])
+
+    def integral(instants: Array) -> Array:
+        row = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, None)
+        return np.asarray(held[row] + values[row] * (instants - time[row])[:, None])
+
+    return (integral(at + step) - integral(at)) / step
 
 
 def observed(machine: Machine, names: Sequence[str], positions: Sequence[Array], velocities: Sequence[Array]) -> tuple[list[str], Array]:

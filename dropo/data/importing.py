@@ -75,7 +75,9 @@ class Import(Printed):
                      for name, noise in self.noise.items())  # fmt: skip
         left_out = [f"left out: {span.run}, {span.start:.6g} s to {span.stop:.6g} s: {span.why}" for span in self.left_out]
         more = [f"... and {len(left_out) - SHOWN} more spans left out"] if len(left_out) > SHOWN else []
-        delays = list(map(str, self.delays))
+        delays = [str(late) for late in self.delays if late.removed]
+        on_time = len(self.delays) - len(delays)
+        delays += [f"Delays too small to tell, and left: {on_time} (see {RECORD})."] if on_time else []
         return [counts, Table("", ("signal", "unit", "noise sd", ""), rows), *delays, *left_out[:SHOWN], *more, *map(str, self.findings)]
 
 
@@ -84,7 +86,8 @@ def import_logs(
 ) -> Import:
     """Reads logs by a mapping file, and writes the data, problem.yaml and import.json beside it; nothing where something is refused.
 
-    logs: files or folders, of which each is a recording (or holds several runs); model: the MJCF file; out: the data file, .npz.
+    logs: files or folders, of which each is a recording (or holds several runs); mapping: the YAML file that says which column is which
+    joint or actuator; model: the MJCF file; out: the data file, .npz; progress(share, text): called while it works.
     """
     place = Path(out)
     _check_place(place)

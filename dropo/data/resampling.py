@@ -15,7 +15,7 @@ Method = Literal["akima", "linear", "previous"]
 def resample(time: ArrayLike, values: ArrayLike, at: ArrayLike, *, method: Method = "akima") -> Array:
     """The values (m, p) at the instants `at` (m,) [s], from values (n, p) at strictly increasing `time` (n,) [s].
 
-    "akima": a spline that does not overshoot between measurements (Akima, J. ACM 17, 1970), as the thesis takes for sensors;
+    method: "akima", a spline that does not overshoot between measurements (Akima, J. ACM 17, 1970), as the thesis takes for sensors;
     "linear"; "previous": each value is held until the next, as commands are. `at` must not reach beyond the log; only
     "previous" goes on behind its end, where the last value is held.
     """
@@ -30,9 +30,10 @@ def resample(time: ArrayLike, values: ArrayLike, at: ArrayLike, *, method: Metho
 
 
 def resample_rotations(time: ArrayLike, quaternions: ArrayLike, at: ArrayLike) -> Array:
-    """Unit quaternions (m, 4), w x y z, at the instants `at` (m,) [s]: turns at constant rate between measured ones (n, 4).
+    """Unit quaternions (m, 4), w x y z, at the instants `at` (m,) [s]: turns at constant rate between measured `quaternions` (n, 4).
 
-    Shoemake, SIGGRAPH 1985. Signs follow the first quaternion without jumps, so that columns are continuous.
+    time: (n,) [s] of those, strictly increasing. Shoemake, SIGGRAPH 1985. Signs follow the first quaternion without jumps, so that columns
+    are continuous.
     """
     stamps, instants = _times(time, at, caller="resample_rotations")
     measured = float_array("quaternions", quaternions, (len(stamps), 4), "resample_rotations")

@@ -48,9 +48,9 @@ def estimate_states(
     """States of measured trajectories under the simulator with these parameter values (d,), which must observe whole states.
 
     measured: (p,) bool, which columns were; the others hold a first guess, such as `estimate_velocities` gives, which only says where
-    to linearise. noise: (p,) the measurements' standard deviations; left out, they are learned. What the model misses is learned
-    always, by expectation-maximisation (Shumway and Stoffer 1982), so that a poor model is trusted little. The smoother is the
-    Rauch-Tung-Striebel recursion on central differences at the last pass' states (Bell 1994).
+    to linearise. noise: (p,) the measurements' standard deviations; left out, they are learned. causal: by the measurements up to each
+    state alone. What the model misses is learned always, by expectation-maximisation (Shumway and Stoffer 1982), so that a poor model is
+    trusted little. The smoother is the Rauch-Tung-Striebel recursion on central differences at the last pass' states (Bell 1994).
     """
     p = len(simulator.signals)
     if simulator.start_size != p or trajectories.observations.shape[1] != p:

@@ -9,6 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from dropo.core.checks import Array, float_array, require
 from dropo.core.data import Ints
+from dropo.core.robust import deviation
 from dropo.data.integrated_noise import Motion, filtered
 
 ORDER = 3  # accelerations are taken as a random walk: of 2, 3 and 4 the one whose stated noise levels are right on most motions
@@ -39,7 +40,7 @@ class Velocities:
 
 
 def estimate_velocities(time: ArrayLike, positions: ArrayLike, *, noise: ArrayLike | None = None, causal: bool = False) -> Velocities:
-    """The velocities (n, p) of positions (n, p) measured at strictly increasing, also uneven times (n,) [s].
+    """The velocities (n, p) of positions (n, p) measured at `time` (n,) [s], strictly increasing, also unevenly.
 
     Each column's acceleration is taken as a random walk seen through white noise; the noise level and the smoother's
     bandwidth are the ones of largest likelihood. noise: (p,) the standard deviations, where they are known. A quantised
@@ -100,8 +101,10 @@ class _Column:
     def smoothed(self) -> tuple[Array, Array]:
         """Position and velocity (n, 2), and the standard deviations (2,) of their errors: noise that comes through, and lost motion.
 
-        What the smoother takes off its own result stands for the motion that it took off the truth.
+        What the smoother takes off its own result stands for the motion that it took off the truth. What stands still has velocity 0.
         """
+        if np.ptp(self.motion.measured) == 0:
+            return np.stack([self.motion.measured, np.zeros_like(self.motion.measured)], axis=1), np.zeros(2)
         states = self.motion.smoothed(self.ratio, self.motion.measured[:, None])[:, :2, 0]
         signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(states), PROBES))  # always the same: a trace's estimate
         probes = self.motion.smoothed(self.ratio, np.concatenate([states[:, :1], signs], axis=1))[:, :2]
@@ -172,7 +175,7 @@ def _jumps(column: _Column) -> Ints:
     """
     scores = np.abs(column.motion.scores(column.ratio))
     scores[column.motion.jumps - 1] = 0.0
-    scores = scores[:, 1:] / (1.4826 * np.median(scores[:, 1:], axis=0))  # (n - 1, 2) of velocity and acceleration
+    scores = scores[:, 1:] / deviation(scores[:, 1:])  # (n - 1, 2) of velocity and acceleration
     width = max(2 * ORDER, int(3 * column.ratio ** (-0.5 / ORDER)))  # steps over which the smoother reaches
     taken = [0, *(column.motion.jumps - 1).tolist(), len(scores)]
     found: list[int] = []

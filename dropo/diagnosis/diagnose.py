@@ -7,12 +7,14 @@ from typing import Any, cast
 
 import numpy as np
 
+from dropo.analysis.undisturbed import Undisturbed, undisturbed
 from dropo.core.checks import Array, known, require
 from dropo.core.data import Ints
 from dropo.core.errors import BadArgument
 from dropo.core.estimator import silent, with_cost
 from dropo.core.problem import Problem
 from dropo.diagnosis.causes import causes, suspects
+from dropo.diagnosis.disturbed import left_out, odd_runs
 from dropo.diagnosis.horizons import horizons
 from dropo.diagnosis.length import choose_length, first_noise
 from dropo.diagnosis.library import atoms_for
@@ -27,6 +29,7 @@ from dropo.diagnosis.undetermined import undetermined
 from dropo.diagnosis.unexplained import impulses
 from dropo.diagnosis.windows import Windows, split, spread_of
 
+WINDOWS = 96  # to fit, and held out
 LEAST = 1e-5  # of a signal's spread: the least noise
 
 
@@ -34,13 +37,16 @@ LEAST = 1e-5  # of a signal's spread: the least noise
 class Diagnose:
     """Settings of a diagnosis. effects: names of effects, or "effect:place"; None for all. length: control steps in a window; windows:
     about how many to fit, and how many to hold out; parameters: the declared ones that are fitted at the same time, the others stay as the
-    model has them. Where None is given, the problem's settings decide, else its horizon (`choose_length`), and all are fitted."""
+    model has them. Where None is given, the problem's settings decide, else its horizon (`choose_length`), 96, and all are fitted.
+    disturbances: once the causes are known, spans of time in which something else acts are looked for; they are listed, left out, and
+    what is left is diagnosed anew."""
 
     effects: Sequence[str] | None = None
     _: KW_ONLY
     length: int | None = None
-    windows: int = 96
+    windows: int | None = None
     parameters: Sequence[str] | None = None
+    disturbances: bool = True
 
     def run(self, problem: Problem, *, rng: np.random.Generator | int | None = 0, progress: Progress = silent) -> Diagnosis:
         """What the problem's simulator gets wrong, judged on data that nothing was fitted to.
@@ -49,39 +55,60 @@ class Diagnose:
         UnknownName for an effect or a place that does not exist, BadArgument where the data are too few.
         """
         require(self.length is None or self.length >= 1, "length", "at least 1", self.length, "Diagnose")
-        begun, generator = time.perf_counter(), np.random.default_rng(rng)
+        begun, seed = time.perf_counter(), int(rng) if isinstance(rng, int | np.integer) else None
+        return replace(self._judged(problem, np.random.default_rng(rng), progress), wall_time_s=time.perf_counter() - begun, seed=seed)
+
+    def _most(self, problem: Problem) -> int:
+        """About how many windows each side has."""
+        return cast(int, problem.settings.get("windows", WINDOWS)) if self.windows is None else self.windows
+
+    def _judged(
+        self, problem: Problem, generator: np.random.Generator, progress: Progress, quiet: Undisturbed | None = None, spent: int = 0
+    ) -> Diagnosis:
+        """The diagnosis of a problem, or of what is left of it without disturbances, for which so many simulator steps were spent."""
+        whole, problem = problem, problem if quiet is None else quiet.problem
         free = _free(problem, self.parameters)
         atoms, simulator = atoms_for(problem, self.effects, free), cast(Any, problem.simulator)
-        length = choose_length(problem, self.windows) if self.length is None else self.length
+        length = choose_length(problem, self._most(problem)) if self.length is None else self.length
         hidden = impulses(simulator.model, length)
         library = Library(simulator.with_effects([*atoms, *hidden]), [*atoms, *hidden], len(problem.space))
         progress = with_cost(progress, library.simulator)
-        train, test = split(problem, length, self.windows)
+        train, test = split(problem, length, self._most(problem))
         _refuse_constant(problem, train)
         selection = Selection(library, _floor(library, train), progress)
         progress(0.0, "fitting the model as it is")
         first, last, reviews = _search(problem, library, selection, train, test, free)
         progress(0.9, "what remains")
         rest = remaining(problem, library, last, selection.floor, generator)
+        fixed = [(atom, last.theta[library.places[atom.label]]) for atom in last.accepted]
+        extended, declared = replace(problem, simulator=simulator.with_effects((), fixed)), last.theta[: len(problem.space)]
+        if quiet is None and self.disturbances:
+            quiet = undisturbed(problem, extended.simulator, declared)
+            if quiet is not None and _enough(quiet.problem, length, self._most(problem)):
+                return self._judged(whole, generator, progress, quiet, library.simulator.steps)
+            quiet = None
         found = causes(library, last, reviews, len(atoms))
-        nominal, before, after = horizons(problem, library, [nominal_of(library), first.theta, last.theta], last)
+        thetas = [nominal_of(library), first.theta, last.theta]
+        chance = generator.spawn(1)[0]
+        nominal, before, after = horizons(problem, library, thetas, last, chance)
         progress(0.95, "what the pictures show")
         shown, moved = pictures(library, selection, first, last, reviews, rest.force, len(atoms)), motion(problem, library, first, last)
-        fixed = [(atom, last.theta[library.places[atom.label]]) for atom in last.accepted]
         return Diagnosis(
             problem.name, _verdict(bool(found), rest.wrong or any(cause.acts_like for cause in found)), found,
-            suspects(selection, last, len(atoms)), per_step(first), per_step(last), before, after, rest.to_json(),
-            replace(problem, simulator=simulator.with_effects((), fixed)),
+            suspects(selection, last, len(atoms)), per_step(first), per_step(last), before, after, rest.to_json(), extended,
             dict(zip([s.name for s in simulator.signals], last.train.whiten.sigma.tolist(), strict=True)),
-            time.perf_counter() - begun, int(rng) if isinstance(rng, int | np.integer) else None, library.simulator.steps,
-            problem.warnings, {"window_steps": length}, nominal=nominal if len(free) else (), undetermined=undetermined(library, last),
-            pictures=shown, motion=moved,
+            simulator_steps=spent + library.simulator.steps, warnings=problem.warnings, details={"window_steps": length},
+            nominal=nominal if len(free) else (), undetermined=undetermined(library, last),
+            pictures=shown, motion=moved, parameters=dict(zip(problem.space.names, declared.tolist(), strict=True)),
+            disturbances=None if quiet is None else left_out(quiet, horizons(whole, library, thetas, last, chance, [length])),
+            odd_runs=odd_runs(problem, extended, declared) if self.disturbances and rest.wrong else (),
         )  # fmt: skip
 
     def baseline(self, problem: Problem) -> float:
         """[nats per transition] of the windows held out under the model as it is, its declared parameters fitted; `run` starts there."""
         library = Library(problem.simulator, (), len(problem.space))
-        train, test = split(problem, choose_length(problem, self.windows) if self.length is None else self.length, self.windows)
+        most = self._most(problem)
+        train, test = split(problem, choose_length(problem, most) if self.length is None else self.length, most)
         return per_step(_first(problem, library, Selection(library, _floor(library, train)), train, test, _free(problem, self.parameters)))
 
 
@@ -137,6 +164,15 @@ def nominal_of(library: Library) -> Array:
     """(m,) the declared parameters as the model has them, within their bounds, and no effects."""
     space, simulator = library.simulator.space, cast(Any, library.simulator)
     return np.clip(simulator.nominal, space.low, space.high)
+
+
+def _enough(problem: Problem, length: int, windows: int) -> bool:
+    """Whether the data can be diagnosed."""
+    try:
+        split(problem, length, windows)
+    except BadArgument:
+        return False
+    return True
 
 
 def _refuse_constant(problem: Problem, train: Windows) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 from dropo.core.checks import Array
 from dropo.core.problem import Problem
 from dropo.core.simulator import Simulator
-from dropo.diagnosis.model import Library, look
+from dropo.diagnosis.model import Library
 from dropo.diagnosis.selection import State
 from dropo.diagnosis.windows import FEWEST, held_out_windows, spread_of
 
 HORIZONS = (1, 5, 20, 100, 400)
-ROWS, WINDOWS = 8000, 100  # of all windows of a horizon together, and windows, at most; but no fewer than LEAST windows
-LEAST = 40
+ROWS, LEAST = 4000, 40  # of all windows of a horizon together, at most; but no fewer than LEAST windows
+DRAWS = 4  # of each window's start, that tell what noise explains
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,22 +35,26 @@ class Horizon:
         return {"steps": self.steps, "seconds": self.seconds, "rmse": self.rmse, "noise": self.noise, "units": units}
 
 
-def horizons(problem: Problem, library: Library, thetas: Sequence[Array], last: State) -> list[list[Horizon]]:
-    """The errors under each theta at each horizon, and at that of the windows, for which the data held out are long enough.
+def horizons(
+    problem: Problem, library: Library, thetas: Sequence[Array], last: State, rng: np.random.Generator, lengths: Sequence[int] = HORIZONS
+) -> list[list[Horizon]]:
+    """The errors under each theta after each of the lengths, and after that of the windows, for which the data held out are long enough.
 
-    The noise is that of the last state. Windows may overlap.
+    The noise is that of the last state: its starts are drawn anew, so that it is known at impacts, too. Windows may overlap.
     """
     found: list[list[Horizon]] = [[] for _ in thetas]
     different, which = np.unique(np.stack(thetas), axis=0, return_inverse=True)  # with nothing found, or nothing fitted, some are the same
     sigma, variance = last.train.whiten.sigma, spread_of(library.simulator, last.test.windows) ** 2
-    for steps in sorted({*HORIZONS, last.train.windows.length}):
-        windows = held_out_windows(problem, steps, max(LEAST, min(WINDOWS, ROWS // steps)))
+    for steps in sorted({*lengths, last.train.windows.length}):
+        windows = held_out_windows(problem, steps, max(LEAST, ROWS // steps))
         if len(windows) < FEWEST:
             break
-        seen = look(library, windows, last.theta, sigma)
-        reach = seen.whiten.loadings[~seen.lost, -len(sigma) :]
-        noise = sigma**2 + np.mean(np.sum((reach * seen.whiten.scale) ** 2, axis=2), axis=0)
-        every = [_horizon(library.simulator, steps, windows.measured - one, noise, variance) for one in library.predict(different, windows)]
+        predicted = library.predict(different, windows)
+        offsets = sigma * rng.standard_normal((DRAWS, len(windows), len(sigma)))
+        moved = library.predict(np.repeat(last.theta[None], DRAWS, axis=0), windows, offsets) - library.predict(last.theta[None], windows)
+        reach = moved[np.isfinite(moved).all(axis=2), -len(sigma) :]
+        noise = sigma**2 + np.mean(reach**2, axis=0)
+        every = [_horizon(library.simulator, steps, windows.measured - one, noise, variance) for one in predicted]
         for out, i in zip(found, which.ravel().tolist(), strict=True):
             out.append(every[i])
     return found

@@ -2,14 +2,16 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dropo.analysis.odd_runs import OddRun
 from dropo.core.pictures import Pictures
 from dropo.core.predictions import Predictions
 from dropo.core.problem import Problem
 from dropo.core.table import Printed, Table, number
+from dropo.diagnosis.disturbed import LeftOut
 from dropo.diagnosis.horizons import Horizon
 
 VERDICTS = {
@@ -52,9 +54,11 @@ class Diagnosis(Printed):
     effects that looked likely and were not confirmed; baseline_log_likelihood, extended_log_likelihood: [nats per transition] on
     data held out, of the model as it is and with the causes; before, after: its errors there, by horizon, and `nominal` those of
     the model whose declared parameters are not fitted, where it has such; undetermined: what of the numbers that were fitted the
-    data do not tell, in words; remaining: what the last check found; problem: the extended one, to fit or diagnose like any other;
-    noise: the standard deviation of each signal, in its unit; pictures, motion: what pictures are drawn from. wall_time_s [s],
-    seed, simulator_steps: what it cost; warnings: what looked odd in the data; details: further entries of diagnosis.json.
+    data do not tell, in words; parameters: the declared ones as fitted; remaining: what the last check found; disturbances: the
+    spans in which something pushes, which were left out; odd_runs: those that disagree with the others; problem: the extended one,
+    to fit or diagnose like any other; noise: the standard deviation of each signal, in its unit; pictures, motion: what pictures
+    are drawn from. wall_time_s [s], seed, simulator_steps: what it cost; warnings: what looked odd in the data; details: further
+    entries of diagnosis.json.
     """
 
     name: str
@@ -77,6 +81,9 @@ class Diagnosis(Printed):
     undetermined: tuple[str, ...] = ()
     pictures: Pictures | None = None
     motion: Predictions | None = None
+    parameters: dict[str, float] = field(default_factory=dict)
+    disturbances: LeftOut | None = None
+    odd_runs: tuple[OddRun, ...] = ()
 
     def headline(self) -> str:
         """The finding in a few sentences."""
@@ -88,7 +95,9 @@ class Diagnosis(Printed):
                 parts.append(f"These data cannot tell it from {', '.join(dict.fromkeys(map(_place, cause.confused_with)))}.")
                 parts += [f"To tell it from {_place(c)}, {c['to_tell']}." for c in cause.confused_with[:1] if "to_tell" in c]
         where = self.remaining.get("where") if self.verdict in ("partly", "unexplained") else None
-        return " ".join([*parts, VERDICTS[self.verdict], *([f"It shows in {'; '.join(where)}."] if where else [])])
+        left = [f"Left out: {self.disturbances}."] if self.disturbances else []
+        odd = [f"{str(run).capitalize()}." for run in self.odd_runs]
+        return " ".join([*parts, VERDICTS[self.verdict], *([f"It shows in {'; '.join(where)}."] if where else []), *left, *odd])
 
     def _error(self) -> str:
         """How far the simulation is off, at the horizon and in the unit where that stands out most from the noise, as long as it follows
@@ -145,6 +154,8 @@ class Diagnosis(Printed):
         return {
             "verdict": self.verdict, "headline": self.headline(), "problem": self.name, "causes": causes, "suspects": list(self.suspects),
             **sides, "remaining": self.remaining, "noise": self.noise, "extended_problem": "extended/problem.yaml" if self.causes else None,
+            "disturbances": self.disturbances.to_json() if self.disturbances else None,
+            "odd_runs": [asdict(run) for run in self.odd_runs], "parameters": self.parameters,
             "nominal": {"horizons": [h.to_json() for h in self.nominal]}, "undetermined": list(self.undetermined),
             "warnings": list(self.warnings), "seed": self.seed, "version": __version__, "simulator_steps": self.simulator_steps,
             "wall_time_s": round(self.wall_time_s, 3), **self.details,
@@ -165,6 +176,7 @@ class Diagnosis(Printed):
         """The headline, the errors by horizon, and what else is to be said, a line each."""
         lines: list[str | Table] = [self.headline()]
         lines += [self._errors()] if self.before else []
+        lines += self.disturbances.lines() if self.disturbances else []
         lines += [f"  {text}" for text in self.undetermined]
         lines += [f"  suspect: {s['effect']}" + (f":{s['target']}" if s["target"] else "") for s in self.suspects]
         return [*lines, *(f"warning: {text}" for text in self.warnings)]

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -11,6 +10,8 @@ from scipy.signal import savgol_filter
 from dropo.core.checks import Array
 from dropo.core.data import Trajectories
 from dropo.core.problem import Problem
+from dropo.data.archives import RunsLog
+from dropo.data.grids import ON_GRID, held_means
 from dropo.data.resampling import resample
 from dropo.data.stamps import going_on
 from dropo.problems.outside import find_data, missing
@@ -20,7 +21,7 @@ HELD_OUT = 3  # every third run is kept from the fit
 WIDTH, ORDER = 5, 3  # of the velocities' smoothing: control steps, and the polynomial (Savitzky and Golay 1964)
 
 Channels = Mapping[str, Array]
-"""The columns of a run by name, (n,) or (n, k), with its `time` (n,) [s]."""
+"""The columns of a run by name, (n,) or (n, k), with its `time` (n,) [s]. `velocity`: of the positions, where it was estimated before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,45 +43,35 @@ def find_runs(folder: str, model: str, source: str) -> tuple[Runs, Path]:
     paths = [find_data(name) for name in files]
     if paths[0] is None or paths[1] is None:
         raise missing(files[paths.index(None)], source)
-    return read_archive(paths[0]), paths[1]
-
-
-def read_archive(path: Path) -> Runs:
-    """An archive with `names` (n,) and, for run i, the arrays "{i:03d}/<channel>"."""
-    with np.load(path, allow_pickle=False) as kept:
-        arrays: dict[str, Any] = {name: kept[name] for name in kept.files}
-    names = tuple(str(name) for name in arrays["names"])
-    of = [f"{i:03d}/" for i in range(len(names))]
-    runs = [{key.removeprefix(start): value for key, value in arrays.items() if key.startswith(start)} for start in of]
-    return Runs(names, tuple(runs))
+    log = RunsLog(paths[0])
+    return Runs(tuple(log.names), tuple(log.runs)), paths[1]
 
 
 def gridded(run: Channels, step: float, command: str | None) -> tuple[Array, Array, Array]:
     """A run every `step` seconds: time (m,), observations (m, 2 n) and actions (m, q) of which each holds until the next row.
 
-    Positions by Akima splines; velocities by a Savitzky-Golay filter over them, which is not causal; commands, each held until
-    the next, as means over the step. Stamps that do not increase are left out.
+    Positions by Akima splines, unless their stamps are on the grid; velocities likewise where the run has them, else by a Savitzky-Golay
+    filter over the positions, which is not causal; commands, each held until the next, as means over the step. Stamps that do not increase
+    are left out.
     """
     stamps = np.asarray(run["time"], dtype=float)
     keep = going_on(stamps)
     stamps = stamps[keep] - stamps[0]
-    time = np.asarray(step * np.arange(int(stamps[-1] / step) + 1), dtype=float)
-    positions = resample(stamps, _columns(run["qpos"])[keep], time)
-    velocities: Array = savgol_filter(positions, WIDTH, ORDER, deriv=1, delta=step, axis=0)
-    actions = np.zeros((len(time), 0)) if command is None else _means(stamps, _columns(run[command])[keep], time, step)
+    time = np.minimum(step * np.arange(int(stamps[-1] / step + ON_GRID) + 1), stamps[-1])
+    there = len(time) == len(stamps) and bool(np.abs(time - stamps).max() < ON_GRID * step)
+
+    def on_grid(name: str) -> Array:
+        values = _columns(run[name])[keep]
+        return values if there else resample(stamps, values, time)
+
+    positions = on_grid("qpos")
+    velocities = on_grid("velocity") if "velocity" in run else savgol_filter(positions, WIDTH, ORDER, deriv=1, delta=step, axis=0)
+    actions = np.zeros((len(time), 0)) if command is None else held_means(stamps, _columns(run[command])[keep], time, step)
     return time, np.concatenate([positions, velocities], axis=1), actions
 
 
 def _columns(values: Array) -> Array:
     return np.asarray(values, dtype=float).reshape(len(values), -1)
-
-
-def _means(stamps: Array, values: Array, time: Array, step: float) -> Array:
-    """(m, q) the means over [t, t + step] of values that are held from each stamp to the next."""
-    done = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(stamps)[:, None], axis=0)])
-    edges = np.minimum(np.append(time, time[-1] + step), stamps[-1])
-    integral = np.stack([np.interp(edges, stamps, column) for column in done.T], axis=1)
-    return np.asarray(np.diff(integral, axis=0) / np.maximum(np.diff(edges), 1e-12)[:, None])
 
 
 def trajectories(runs: Sequence[Channels], step: float, command: str | None = None) -> Trajectories:

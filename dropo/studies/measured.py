@@ -19,10 +19,15 @@ def measured(work: Work, seeds: int | None = None) -> Study:
     """Each built-in problem of measured data diagnosed; seeds: of the only random test, the last one."""
     runs = work.map(run, [[name, seed] for name in JUDGED for seed in range(seeds or 1)])
     judged = ("problem", "after", "first model", "parameters fitted", "extended", "noise", "verdict")
+    left = ("problem", "of the data", "spans [s]", "fitted, with them", "extended, with them")
     named = ("problem", "cause", "nats per transition", "cannot be told from", "differs with")
     tables = (
         Table("Errors on runs held out", judged, tuple(_errors(r) for r in runs)),
         Table("Causes", named, tuple(row for r in runs for row in _causes(r))),
+        Table("Left out, since something pushes", left, tuple(row for r in runs for row in _left_out(r))),
+        Table(
+            "Runs that disagree with the others", ("problem", "run"), tuple((r["problem"], text) for r in runs for text in r["odd_runs"])
+        ),
         Table("What remains", ("problem", "where"), tuple((r["problem"], "; ".join(r["remaining"]) or "-") for r in runs)),
         Table("What the data do not tell", ("problem", "what"), tuple((r["problem"], text) for r in runs for text in r["undetermined"])),
     )
@@ -37,6 +42,7 @@ def run(item: list[Any]) -> dict[str, Any]:
     told = found.to_json()
     return {
         "problem": name, "seed": seed, "verdict": found.verdict, "remaining": list(found.remaining["where"]),
+        "disturbances": told["disturbances"], "odd_runs": [str(one) for one in found.odd_runs],
         "undetermined": list(found.undetermined), "seconds": found.wall_time_s, "causes": told["causes"],
         "sentences": [cause.sentence for cause in found.causes], "horizons": _horizons(told, JUDGED[name][0]),
     }  # fmt: skip
@@ -71,6 +77,18 @@ def _causes(result: dict[str, Any]) -> list[tuple[str, ...]]:
         others = dict.fromkeys(c["effect"] + (f":{c['target']}" if c["target"] else "") for c in cause["confused_with"])
         rows.append((result["problem"], sentence, number(cause["held_out_gain"], 3), ", ".join(others) or "-", cause["acts_like"] or "-"))
     return rows
+
+
+def _left_out(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """The spans, and the errors at the windows' horizon on all data held out, those spans too."""
+    base, scale, unit, _ = JUDGED[result["problem"]]
+    found = result["disturbances"]
+    if found is None:
+        return []
+    spans = [f"{'held-out ' * one['held_out']}run {one['run']}: {one['from']:.2f} to {one['to']:.2f}" for one in found["spans"]]
+    sides = (found["errors_with_them"].get(side) for side in ("baseline", "extended"))
+    errors = [f"{number(scale * side['units'][base]['rmse'], 3)} {unit}" if side else "-" for side in sides]
+    return [(result["problem"], f"{found['share']:.1%}", "; ".join(spans), *errors)]
 
 
 def _draw(figure: Any, runs: list[dict[str, Any]]) -> None:

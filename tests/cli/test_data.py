@@ -36,7 +36,7 @@ def test_check(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_an_error_is_status_2(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Here the check prints it; `dropo fit` refuses it."""
+    """Here the check prints it; `dropo fit` and `dropo diagnose` refuse it, unless they are told to take it."""
     data = dict(np.load(problem.parent / "data.npz"))
     np.savez(problem.parent / "data.npz", **data, time=np.zeros(40))
     assert main(["data", "check", str(problem), "--json"]) == 2
@@ -44,8 +44,25 @@ def test_an_error_is_status_2(problem: Path, capsys: pytest.CaptureFixture[str])
     advice = "Take them out, or set `terminals` where the clock starts anew."
     finding = {"level": "error", "signal": "time", "sentence": sentence, "advice": advice, "run": None, "row": 1, "time": 0.0}
     assert json.loads(capsys.readouterr().out)["findings"][0] == finding
+    way_out = "If they are right all the same: --unchecked, or load(..., checked=False)."
+    for command in ("fit", "diagnose"):
+        assert main([command, str(problem)]) == 2
+        assert capsys.readouterr().err == f"dropo: {problem}: data: time: {sentence} {advice} {way_out}\n"
+    assert main(["fit", str(problem), "--unchecked", "--quiet"]) == 0
+    assert main(["diagnose", str(problem), "--unchecked", "--quiet"]) == 2
+    assert "needs at least 8 windows" in capsys.readouterr().err
+
+
+def test_held_out_data_are_checked_too(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They judge a fit: an error there is named as theirs, and blocks it."""
+    data = dict(np.load(problem.parent / "data.npz"))
+    time = np.r_[0.01 * np.arange(20), np.zeros(20)]
+    np.savez(problem.parent / "data.npz", **data, time=time)
+    problem.write_text(problem.read_text() + "held_out: [1]\n")
+    assert main(["data", "check", str(problem)]) == 2
+    assert capsys.readouterr().out.startswith("error: held out: time: 19 rows are not later than the row before them")
     assert main(["fit", str(problem)]) == 2
-    assert capsys.readouterr().err == f"dropo: {problem}: data: time: {sentence} {advice}\n"
+    assert "problem.yaml: held_out: time: 19 rows" in capsys.readouterr().err
 
 
 def test_unknown_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

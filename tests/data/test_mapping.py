@@ -86,7 +86,7 @@ def test_candidates(folder: Path) -> None:
 REFUSED = {
     "qpos: {elbo: {column: q}}": "qpos.elbo: expected the name of a joint of the model (the nearest is 'elbow'), got 'elbo'.",
     "qpos: {elbow: {column: q}}\nctrl: {m3: {column: u}}": (
-        "ctrl.m3: expected the name of an actuator of the model (the nearest is 'm2'), got 'm3'."
+        "ctrl.m3: expected the name of an actuator of the model (the nearest is 'm1'), got 'm3'."
     ),
     "qpos: {elbow: {colum: q}}": "qpos.elbow.colum: expected a known key (the nearest is 'column'), got 'colum'.",
     "qpos: {elbow: {column: q, unit: degrees}}": "qpos.elbow.unit: expected a unit (the nearest is 'deg'), got 'degrees'.",

@@ -105,6 +105,15 @@ def test_columns_do_not_depend_on_each_other():
     assert both.position_noise[1] == 0
 
 
+@pytest.mark.parametrize("rows", [20, 500])
+def test_what_stands_still_has_no_velocity(rows):
+    """Exactly 0, also in a few rows, and nothing is lost of it."""
+    found = estimate_velocities(np.arange(rows) / 1000, np.full((rows, 1), -0.00145724))
+    assert (found.velocities == 0).all()
+    assert (found.positions == -0.00145724).all()
+    assert (found.velocity_noise, found.smoothed_noise, found.position_noise) == (0, 0, 0)
+
+
 def test_the_step_of_a_quantised_column_is_found():
     """Also through rounding of single precision; measurements that are not quantised have none."""
     rng = np.random.default_rng(5)

@@ -24,7 +24,20 @@ CONTRACT = {
     "side": {"held_out_log_likelihood", "rmse"},
     "remaining": {"calibrated", "p_value", "where"},
 }  # fmt: skip
-BESIDE = {"headline", "problem", "noise", "warnings", "simulator_steps", "pictures", "nominal", "undetermined", "window_steps"}
+BESIDE = {
+    "headline",
+    "problem",
+    "noise",
+    "warnings",
+    "simulator_steps",
+    "pictures",
+    "nominal",
+    "undetermined",
+    "window_steps",
+    "disturbances",
+    "odd_runs",
+    "parameters",
+}
 
 
 @pytest.fixture(scope="module")

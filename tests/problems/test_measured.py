@@ -5,6 +5,7 @@ import pytest
 
 from dropo import Diagnose, load
 from dropo.core.catalogue import names
+from dropo.problems.cube_toss import toss
 from dropo.problems.machines import machine
 from dropo.problems.measured import Runs, gridded, measured, trajectories
 from dropo.problems.outside import find_data
@@ -48,8 +49,32 @@ def test_a_log_is_put_on_the_grid():
     np.testing.assert_allclose(rows[:, 0], np.sin(3 * time), atol=1e-5)
     np.testing.assert_allclose(rows[3:-3, 1], 3 * np.cos(3 * time[3:-3]), atol=2e-3)
     assert np.all(actions[: len(actions) // 2 - 1] == 0)
-    assert np.all(actions[len(actions) // 2 + 1 : -1] == 1)
+    np.testing.assert_allclose(actions[len(actions) // 2 + 1 : -1], 1, rtol=1e-12)
     np.testing.assert_allclose(actions.sum() * 0.01, 1.0, atol=0.011)
+
+
+def test_velocities_of_a_toss_are_put_where_the_models_are():
+    """Differences of the positions of a free fall are 33 mm/s off; half a step later they are those of 0.84 ms before, to 0.1 mm/s."""
+    time, lag = np.arange(60) / 148, 0.25 / 148 / 2
+    qpos = np.zeros((60, 7))
+    qpos[:, 2], qpos[:, 3] = 1 - 4.905 * time**2, 1.00001
+    qvel = np.zeros((60, 6))
+    qvel[1:, 2] = np.diff(qpos[:, 2]) * 148
+    run = toss({"time": time, "qpos": qpos, "qvel": qvel}, lag)
+    true = -9.81 * (run["time"] - lag)
+    assert len(run["time"]) == len(run["qpos"]) == 59
+    np.testing.assert_allclose(run["velocity"][2:, 2], true[2:], atol=1e-4)
+    assert np.abs(qvel[2:-1, 2] - true[2:]).min() > 20e-3
+    np.testing.assert_allclose(np.linalg.norm(run["qpos"][:, 3:], axis=1), 1)
+
+
+def test_a_log_on_the_grid_stays_as_it_is():
+    """Not one number is resampled, and no row is lost to rounding; a stamp off the grid makes splines of them all."""
+    rough = np.random.default_rng(1).normal(size=(40, 2))
+    run = {"time": 3.0 + np.arange(40) / 148, "qpos": rough, "velocity": rough}
+    assert (gridded(run, 1 / 148, None)[1] == np.hstack([rough, rough])).all()
+    run["time"][20] += 1e-4
+    assert np.abs(gridded(run, 1 / 148, None)[1] - np.hstack([rough, rough])).max() > 1e-3
 
 
 def test_every_third_run_is_held_out():
@@ -89,21 +114,23 @@ def test_cube_toss_shows_friction():
 
 @outside
 @pytest.mark.study
-@pytest.mark.xfail(strict=True, reason="5.0 mm: friction settles at 0.219, where 0.194 alone would give 4.4 mm")
 def test_cube_toss_shows_friction_then_stiffness():
-    """Contact friction first, contact stiffness second, no inertia; 100 ms ahead at most 4.5 mm."""
-    found = Diagnose(("contact_friction", "contact_stiffness", "body_inertia")).run(load("cube-toss", threads=1))
+    """Of all effects contact friction first, contact stiffness second, no inertia; 100 ms ahead at most 4.5 mm, from about 30."""
+    found = Diagnose().run(load("cube-toss", threads=2))
     effects = [effect for effect, _ in named(found)]
     assert effects[:2] == ["contact_friction", "contact_stiffness"]
     assert "body_inertia" not in effects
-    assert errors(found, "m", 15)[2] < 4.5e-3
+    assert abs(1 + named(found)[0][1]["value"] - 0.19) < 0.03
+    before, _, after = errors(found, "m", 15)
+    assert before > 25e-3
+    assert after <= 4.5e-3
 
 
 @outside
 @pytest.mark.parametrize("name", ["double-pendulum", "double-pendulum-c0"])
 def test_double_pendulum_shows_friction_and_armature(name):
     """Dry friction and rotor inertia at the joints, no torque offset; five times better than the first model, twice than its fit."""
-    found = Diagnose(FRICTION, windows=64).run(load(name, threads=1))
+    found = Diagnose(FRICTION, windows=64, disturbances=False).run(load(name, threads=1))
     effects = [effect for effect, _ in named(found)]
     assert effects[0] == "joint_friction"
     assert "joint_armature" in effects
@@ -113,15 +140,42 @@ def test_double_pendulum_shows_friction_and_armature(name):
     assert fitted > 2 * extended
 
 
-@outside
-def test_simple_pendulum_shows_dry_friction():
-    """About 0.18 N m, although some spans are pushed; 500 ms ahead better than the fitted model."""
-    found = Diagnose(("joint_friction", "joint_damping"), windows=48).run(load("simple-pendulum", threads=1))
+PULLED = (10.0, 11.7)
+"""Seconds of the simple pendulum's held-out run in which a hand draws it to one side, slowly, under a constant torque."""
+
+
+def assert_pendulum_is_pushed(found):
+    """Dry friction near 0.18 N m; the pull is among the spans; 500 ms ahead, outside of them, below 60 % of the refit's error."""
     effect, size = named(found)[0]
     assert effect == "joint_friction"
-    assert abs(size["value"] - 0.18) < 0.05
+    assert abs(size["value"] - 0.18) < 0.04
+    pulled = [span for span in found.disturbances.spans if span.held_out and span.start < PULLED[1] and span.end > PULLED[0]]
+    assert min(span.start for span in pulled) < PULLED[0] + 0.3
+    assert max(span.end for span in pulled) > PULLED[1] - 0.3
+    assert found.disturbances.share < 0.1
     _, fitted, extended = errors(found, "rad", 25)
-    assert extended < fitted
+    assert extended < 0.6 * fitted
+
+
+@outside
+def test_simple_pendulum_shows_dry_friction_and_pushes():
+    """With one effect and few windows. Judged with the spans, the pushes hide most of what friction gains: the control."""
+    found = Diagnose(("joint_friction",), windows=32).run(load("simple-pendulum", threads=1))
+    assert_pendulum_is_pushed(found)
+    _, fitted, extended = (h.units["rad"][0] for h in found.disturbances.inside)
+    assert extended > 0.6 * fitted
+
+
+@outside
+@pytest.mark.study
+def test_simple_pendulum_among_all_effects():
+    """As by `dropo diagnose simple-pendulum`; the errors with the spans are told too, and are far larger."""
+    found = Diagnose().run(load("simple-pendulum"))
+    assert_pendulum_is_pushed(found)
+    spans = [(span.start, span.end) for span in found.disturbances.spans if span.held_out]
+    assert any(start < 7.0 < end for start, end in spans)  # a short push before the pull
+    inside = found.disturbances.inside
+    assert inside[-1].units["rad"][0] > 3 * errors(found, "rad", 25)[2]
 
 
 @outside

@@ -1,6 +1,7 @@
 """Problem files: what they say is what is fitted, and everything that cannot be meant is refused by file, key and nearest name."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -357,7 +358,8 @@ def test_a_quaternion_must_have_length_one(folder: Path) -> None:
     np.savez(folder / "ball.npz", observations=twice, actions=data.actions, next_observations=twice, terminals=data.terminals)
     path = folder / "problem.yaml"
     path.write_text("model: ball.xml\ndata: ball.npz\nparameters: {mass: {field: body_mass, name: ball, low: 1, high: 2}}\n")
-    assert refusal(path) == "problem.yaml: data: qpos.free: a quaternion must have length 1, and one has 2, row 0. The order is w, x, y, z."
+    sentence = "problem.yaml: data: qpos.free: a quaternion must have length 1, and one has 2, row 0. The order is w, x, y, z."
+    assert refusal(path) == f"{sentence} If they are right all the same: --unchecked, or load(..., checked=False)."
     assert len(load(path, threads=1, checked=False).trajectories) == 60
 
 
@@ -374,6 +376,16 @@ def test_missing_and_empty_files(tmp_path: Path) -> None:
 def test_an_unknown_name_gets_the_nearest() -> None:
     with pytest.raises(UnknownName, match=re.escape("No problem called 'hoper'. Did you mean 'hopper'?")):
         load("hoper")
+
+
+def test_built_in_problems_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also their held-out data, where they have some: here the clock stands still."""
+    whole = find("problems", "slide")()
+    still = replace(whole.trajectories, time=np.zeros(len(whole.trajectories)))
+    monkeypatch.setattr("dropo.problems.reader.find", lambda kind, name: lambda threads: replace(whole, held_out=still))
+    with pytest.raises(BadArgument, match=r"^slide: held_out: time: \d+ rows are not later .* --unchecked"):
+        load("slide")
+    assert load("slide", checked=False).held_out is still
 
 
 def test_numbers_are_those_of_yaml_1_2(folder: Path) -> None:
