@@ -6,6 +6,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any, cast
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from dropo.analysis.undisturbed import Undisturbed, undisturbed
 from dropo.core.checks import Array, known, require
@@ -56,7 +57,9 @@ class Diagnose:
         """
         require(self.length is None or self.length >= 1, "length", "at least 1", self.length, "Diagnose")
         begun, seed = time.perf_counter(), int(rng) if isinstance(rng, int | np.integer) else None
-        return replace(self._judged(problem, np.random.default_rng(rng), progress), wall_time_s=time.perf_counter() - begun, seed=seed)
+        with threadpool_limits(1, user_api="blas"):  # the simulator's threads use the cores; small products gain nothing
+            found = self._judged(problem, np.random.default_rng(rng), progress)
+        return replace(found, wall_time_s=time.perf_counter() - begun, seed=seed)
 
     def _most(self, problem: Problem) -> int:
         """About how many windows each side has."""

@@ -8,9 +8,9 @@ import numpy as np
 from dropo.core.effect import Atom
 from dropo.diagnosis.model import moved
 from dropo.diagnosis.screening import Candidate
-from dropo.diagnosis.selection import ALIKE, Round, Selection, State, Trial, confirmed, gain_of
+from dropo.diagnosis.selection import ALIKE, DEFICIT, Round, Selection, State, Trial, confirmed, gain_of
 
-UNTOLD, DEFICIT = 2.0, 4.0  # another within so many standard errors, or nats, cannot be told from it
+UNTOLD = 2.0  # another within so many standard errors, or DEFICIT nats, cannot be told from it
 RIVAL, RIVALS = 0.5, 2  # share of the winner's worth from which others of its round are tried in its place, and how many
 NEARLY = 0.9  # share of what an effect brings, from which another in its place is fitted to the end
 

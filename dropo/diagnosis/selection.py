@@ -11,6 +11,7 @@ from dropo.core.data import Ints
 from dropo.core.effect import Atom
 from dropo.core.errors import SimulationFailed
 from dropo.diagnosis.model import Library, Look, look, moved
+from dropo.diagnosis.one_step import only_over_windows
 from dropo.diagnosis.refit import MATTERS, refit, settle, with_noise
 from dropo.diagnosis.screening import Candidate, Screening, shortlist, with_constant
 from dropo.diagnosis.windows import Windows
@@ -21,6 +22,7 @@ ANSWERS, SELDOM = 1.0, 5  # nats from which a window answers to an effect; windo
 NEGLIGIBLE = 0.01  # of what earlier effects gained together: a later one must bring more
 TRIED, BATCHES, MOST = 6, 3, 12  # candidates refitted at a time, and how often in a round; effects accepted in all
 ALIKE, EQUAL = 0.98, 2.0  # cosine of whitened responses from which, and nats within which, two effects do the same
+DEFICIT = 4.0  # nats held out below which more numbers are not called for
 DIVERGES = 0.3  # share of the windows beyond which a diverging simulation is refused
 
 Progress = Callable[[float, str], None]
@@ -122,7 +124,7 @@ class Selection:
             trials = self.tried(state, listed[begin : begin + TRIED])
             self.rounds.append(origin := Round(state, screened, trials))
             for trial in trials:
-                if trial.trained > TRAINED and confirmed(state.test, trial.state.test, least):
+                if trial.trained > TRAINED and confirmed(state.test, trial.state.test, least) and not self._of_feedback(trial.state):
                     polished = self.polish(trial.state)
                     if confirmed(state.test, polished.test, least):
                         self.origins[trial.candidate.atom.label] = origin
@@ -137,6 +139,10 @@ class Selection:
             self.progress(_share(len(state.accepted), (1 + i) / (1 + len(candidates))), f"fitting {candidate.atom.label}")
             trials.append(self._try(state, candidate, known))
         return commonest_first(sorted(trials, key=lambda trial: -trial.worth))
+
+    def _of_feedback(self, state: State) -> bool:
+        """Whether the state's last effect is in the windows only because commands answer to chance."""
+        return only_over_windows(self.library, (state.train, state.test), state.accepted[-1], self.floor)
 
     def polish(self, state: State) -> State:
         """The same effects with everything fitted to the end."""
@@ -169,14 +175,20 @@ def _share(accepted: int, part: float) -> float:
 
 
 def commonest_first(trials: list[Trial]) -> list[Trial]:
-    """Trials, the best first, whose place goes to the commonest effect of those that do the same to the data: the catalogue's earliest."""
+    """Trials, the best first, whose place goes to one of fewer numbers that windows held out do not tell from it, then to the commonest
+    effect of those that do the same to the data: the catalogue's earliest."""
     if not trials:
         return []
-    best = trials[0]
+    best = min((trial for trial in trials if _untold(trial, trials[0])), key=lambda trial: len(trial.sizes))
     near = [trial for trial in trials if best.worth - trial.worth < EQUAL]
     same = [trial for trial in near if abs(float(trial.candidate.signature @ best.candidate.signature)) > ALIKE]
     first = min(same, key=lambda trial: _rarity(trial.candidate.atom.effect))
     return [first, *(trial for trial in trials if trial is not first)]
+
+
+def _untold(trial: Trial, best: Trial) -> bool:
+    """Whether windows held out do not tell a trial from the best one."""
+    return gain_of(trial.state.test, best.state.test)[0] < DEFICIT
 
 
 def _rarity(effect: str) -> int:

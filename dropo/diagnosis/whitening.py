@@ -31,8 +31,8 @@ class Whitener:
 
     @cached_property
     def scaled(self) -> Array:
-        """A (W, n, m)."""
-        return self.loadings * self.scale / self.rows[:, None]
+        """A (W, n, m), in that order in memory, which products of it want."""
+        return np.ascontiguousarray(self.loadings * self.scale / self.rows[:, None])
 
     @cached_property
     def inner(self) -> Array:
@@ -47,13 +47,21 @@ class Whitener:
 
     def latent(self, residuals: Array) -> Array:
         """The mean of z / scale given residuals (..., W, n): (..., W, m)."""
-        return np.einsum("wij,wnj,...wn->...wi", self.inner, self.scaled, residuals / self.rows, optimize=True)
+        return self._latent(residuals / self.rows)
+
+    def _latent(self, scaled: Array) -> Array:
+        """(..., W, m) from residuals (..., W, n) in units of their noise."""
+        return np.asarray(np.moveaxis(_first(scaled) @ self.scaled @ self.inner, 0, -2).reshape(*scaled.shape[:-1], -1))
 
     def __call__(self, residuals: Array) -> Array:
         """Whitened residuals (..., W, n + m) of (..., W, n), with the Mahalanobis length of the originals."""
-        z = self.latent(residuals)
-        left = residuals / self.rows - np.einsum("wnj,...wj->...wn", self.scaled, z, optimize=True)
-        return np.concatenate([left, z], axis=-1)
+        scaled = residuals / self.rows
+        z = self._latent(scaled)
+        return np.concatenate([scaled - self._reach(z), z], axis=-1)
+
+    def _reach(self, z: Array) -> Array:
+        """A z (..., W, n)."""
+        return np.asarray(np.moveaxis(_first(z) @ self.scaled.swapaxes(1, 2), 0, -2).reshape(*z.shape[:-1], -1))
 
     def distances(self, residuals: Array) -> Array:
         """Squared Mahalanobis lengths (..., W)."""
@@ -73,12 +81,18 @@ class Whitener:
     def moments(self, residuals: Array) -> tuple[Array, Array]:
         """Expected squares given residuals (W, n), weighted and summed over windows and steps: of e by signal (p,), of z (m,)."""
         w, p = self.weights(residuals), len(self.sigma)
-        z = self.latent(residuals)
-        error = residuals / self.rows - np.einsum("wnj,wj->wn", self.scaled, z)
-        spread = np.einsum("wni,wij,wnj->wn", self.scaled, self.inner, self.scaled, optimize=True)
+        scaled = residuals / self.rows
+        z = self._latent(scaled)
+        error = scaled - self._reach(z)
+        spread = ((self.scaled @ self.inner) * self.scaled).sum(axis=2)
         errors = (w[:, None] * error**2 + spread).sum(axis=0) * self.rows**2
         latents = ((w[:, None] * z**2) + np.einsum("wii->wi", self.inner)).sum(axis=0) * self.scale**2
         return errors.reshape(-1, p).sum(axis=0), latents
+
+
+def _first(rows: Array) -> Array:
+    """(W, K, n) of (..., W, n)."""
+    return np.ascontiguousarray(np.moveaxis(rows, -2, 0)).reshape(rows.shape[-2], -1, rows.shape[-1])
 
 
 def learn_noise(

@@ -11,7 +11,7 @@ from dropo.simulators.mujoco import MujocoSimulator
 
 FRAME_SKIP = 5  # physics steps of 2 ms: 10 ms, several rows of the log
 HORIZON = 10  # control steps: 100 ms
-COMMAND = "ctrl"  # the commanded torque: the one from the current explains the runs worse
+COMMANDS = {"commanded": "ctrl", "current": "tau"}  # torques; the one from the current explains the runs worse
 LENGTHS = {"A0": (0.3, 0.2), "C0": (0.2, 0.3)}  # [m] of the two links, by design
 MOST = 5e-3  # [kg m^2] about the centre of mass: an even rod of a link's length and mass has 4.5e-3
 PARAMETERS = (
@@ -22,21 +22,21 @@ PARAMETERS = (
 )
 
 
-def double_pendulum(threads: int = 0) -> Problem:
+def double_pendulum(threads: int = 0, input: str = "commanded") -> Problem:
     """Masses and inertias of both links of design A0 (0.3 m and 0.2 m), from excitation and swing-ups, over horizons of 100 ms."""
-    return _design("double-pendulum", "A0", threads)
+    return _design("double-pendulum", "A0", threads, input)
 
 
-def double_pendulum_c0(threads: int = 0) -> Problem:
+def double_pendulum_c0(threads: int = 0, input: str = "commanded") -> Problem:
     """The same of design C0 (0.2 m and 0.3 m)."""
-    return _design("double-pendulum-c0", "C0", threads)
+    return _design("double-pendulum-c0", "C0", threads, input)
 
 
-def _design(name: str, design: str, threads: int) -> Problem:
+def _design(name: str, design: str, threads: int, input: str) -> Problem:
     runs, model = find_runs("double-pendulum", "model.xml", "the DFKI double pendulum")
     spec = double_pendulum_spec(model, LENGTHS[design])
     simulator = MujocoSimulator(spec, PARAMETERS, observation=["qpos", "qvel"], frame_skip=FRAME_SKIP, threads=threads)
-    return measured(name, simulator, runs.named(design), HORIZON, COMMAND)
+    return measured(name, simulator, runs.named(design), HORIZON, COMMANDS[input])
 
 
 def double_pendulum_spec(path: Path, lengths: tuple[float, float]) -> mujoco.MjSpec:

@@ -1,4 +1,4 @@
-"""Simulated machines to hide effects in: Gymnasium's walkers and two arms, each with what drives it and where it starts."""
+"""Simulated machines: Gymnasium's walkers and two arms, each with what drives it and where it starts, and problems on their data."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.checks import Array
-from dropo.problems.hidden import Controller
+from dropo.core.data import Trajectories
+from dropo.core.effect import Atom
+from dropo.core.problem import Problem
 from dropo.problems.hopper import hopper_simulator
 from dropo.problems.hopper_data import healthy, hopper_policy, start_states
+from dropo.problems.recording import Controller, record
 from dropo.simulators.fields import FieldParameter
 from dropo.simulators.mujoco import MujocoSimulator
 
@@ -52,6 +55,16 @@ class Machine:
         """q, the numbers of a command."""
         return len(self.simulator.controls)
 
+    def record(
+        self, effects: Sequence[tuple[Atom, Array]] = (), *, noise: float, rng: np.random.Generator, values: Array | None = None
+    ) -> Trajectories:
+        """Closed-loop data of the machine with effects of those sizes, under parameters (d,), the nominal ones by default."""
+        return record(
+            self.simulator.with_effects((), effects), np.asarray(self.simulator.nominal) if values is None else values,
+            self.starts(rng, self.episodes), self.controller, self.steps, actions=self.actions, noise=noise, alive=self.alive, rng=rng,
+            memory=self.memory,
+        )  # fmt: skip
+
 
 def machine(name: str, parameters: Sequence[FieldParameter] = (), threads: int = 1) -> Machine:
     """One of MACHINES, with those parameters declared (the hopper: its four masses, always)."""
@@ -69,7 +82,7 @@ def _walking(file: str, frame_skip: int, rest: Array, gains: tuple[float, float,
 
     def build(parameters: Sequence[FieldParameter], threads: int) -> Machine:
         with as_file(files("gymnasium") / "envs" / "mujoco" / "assets" / file) as path:
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = _without_total(mujoco.MjSpec.from_file(str(path)))
         simulator = MujocoSimulator(spec, parameters, observation=["qpos[1:]", "qvel"], frame_skip=frame_skip, threads=threads)
         nv, nu = simulator.model.nv, simulator.model.nu
 
@@ -83,6 +96,15 @@ def _walking(file: str, frame_skip: int, rest: Array, gains: tuple[float, float,
         return Machine(simulator, starts, controller, alive, steps, episodes, 0.7)
 
     return build
+
+
+def _without_total(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """The same machine without a total mass to be scaled to, which newer versions of MuJoCo warn of."""
+    total, spec.compiler.settotalmass = spec.compiler.settotalmass, -1
+    factor = total / float(spec.compile().body_mass.sum()) if total > 0 else 1.0
+    for geom in spec.geoms:
+        geom.density, geom.mass = factor * geom.density, factor * geom.mass
+    return spec
 
 
 def _arm(xml: str, gains: tuple[float, float, float]) -> Callable[[Sequence[FieldParameter], int], Machine]:
@@ -114,3 +136,16 @@ MACHINES: dict[str, Callable[[Sequence[FieldParameter], int], Machine]] = {
     ),
 }  # fmt: skip
 """Names of machines -> machine(parameters, threads)."""
+
+
+def masses(name: str) -> list[FieldParameter]:
+    """The masses of all bodies, between half and twice their nominal values."""
+    model = machine(name).simulator.model
+    bodies = [(model.body(b).name, float(model.body_mass[b])) for b in range(1, model.nbody)]
+    return [FieldParameter(f"{b}_mass", 0.5 * mass, 2 * mass, "kg", field="body_mass", element=b) for b, mass in bodies]
+
+
+def problem_of(name: str, robot: Machine, data: Trajectories, noise: float) -> Problem:
+    """The masses to be found from data with so much noise (sd) on every sensor."""
+    truth = dict(zip(robot.simulator.space.names, np.asarray(robot.simulator.nominal).tolist(), strict=True))
+    return Problem(name, robot.simulator, data, epsilon=noise**2, start_noise=True, truth=truth)

@@ -1,6 +1,7 @@
 """Problems by a built-in name or from a YAML file: model, data, columns and parameters, all checked before anything runs."""
 
 import importlib
+import inspect
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -18,6 +19,7 @@ from dropo.core.simulator import Simulator
 from dropo.data.check import outside_control_range, verdict
 from dropo.data.entries import BadEntry, Entries, read_yaml
 from dropo.data.reader import MINARI, read
+from dropo.data.reader import inputs_of as beside
 from dropo.problems.effect_entries import read_effects
 from dropo.problems.task_entries import read_task
 from dropo.problems.velocities import with_velocities
@@ -28,25 +30,28 @@ from dropo.simulators.observation import Layout
 
 KEYS = (
     "model", "frame_skip", "data", "observation", "action", "parameters", "epsilon", "start_noise", "student_t", "lambda", "reset",
-    "held_out", "transitions", "effects", "motors", "task",
+    "held_out", "transitions", "effects", "motors", "task", "input",
 )  # fmt: skip
 PARAMETER_KEYS = ("field", "name", "index", "low", "high", "unit", "target", "derived", "prior")
 MODELS = {"hopper": "dropo.problems.hopper_model:hopper_spec"}
 """Models of built-in problems, by the name that `model:` takes: functions that return an MjSpec."""
+INPUTS = ("commanded", "current")
+"""Of built-in problems that know both: the torque that was asked for, and the one from the motors' current."""
 RESETS = "'transition', 'start', or {set: [observation items]}"
 
 
-def load(problem: str | Path, *, threads: int = 0, checked: bool = True) -> Problem:
+def load(problem: str | Path, *, threads: int = 0, checked: bool = True, input: str | None = None) -> Problem:
     """A built-in problem by its name, or the one that a YAML file describes; paths in it are relative to it.
 
     threads: of the simulator, 0 for all cores. checked: refuse data in which `dropo.check` finds an error, held-out ones too.
-    UnknownName for a name that does not exist; BadFile for what is wrong in the file or its data, with the key, what was
+    input: which of several logged commands drives the model, one of `inputs_of`; None: as the problem says. UnknownName for a name that does not exist; BadFile for what is wrong in the file or its data, with the key, what was
     expected, what came, and the nearest valid name.
     """
     if is_file(problem):
-        return _from_file(Path(problem), threads, checked)
+        return _from_file(Path(problem), threads, checked, input)
     known("problem", str(problem), names("problems"))
-    found = cast(Problem, find("problems", str(problem))(threads=threads))
+    chosen = {} if input is None else {"input": known("input", input, inputs_of(problem))}
+    found = cast(Problem, find("problems", str(problem))(threads=threads, **chosen))
     for key, trajectories in (("data", found.everything or found.trajectories), ("held_out", found.held_out)) if checked else ():
         error = _error(trajectories, found.simulator)
         if error is not None:
@@ -59,12 +64,23 @@ def is_file(problem: str | Path) -> bool:
     return isinstance(problem, Path) or problem.endswith((".yaml", ".yml")) or Path(problem).is_file()
 
 
-def _from_file(path: Path, threads: int, checked: bool) -> Problem:
+def inputs_of(problem: str | Path) -> tuple[str, ...]:
+    """The logged commands of a problem by name, where there are several: `actions.NAME` in its data, or what a built-in one takes."""
+    if is_file(problem):
+        entries = read_yaml(Path(problem), KEYS, "a problem file")
+        return beside(next(iter(_sources(entries, "data").values())))
+    made = find("problems", known("problem", str(problem), names("problems")))
+    return INPUTS if "input" in inspect.signature(made).parameters else ()
+
+
+def _from_file(path: Path, threads: int, checked: bool, input: str | None) -> Problem:
     entries = read_yaml(path, KEYS, "a problem file")
+    if input is None and "input" in entries:
+        input = entries.text("input", "the name of a logged command, where the data hold several")
     frame_skip = entries.whole("frame_skip", 1, 1)
     length = entries.whole("lambda", 1, 1)
     simulator = _simulator(entries, cast(int, frame_skip), threads)
-    fitted, held_out = _data(entries, simulator)
+    fitted, held_out = _data(entries, simulator, input)
     for key, trajectories in (("data", fitted), ("held_out", held_out)) if checked else ():
         error = _error(trajectories, simulator)
         if error is not None:
@@ -191,25 +207,31 @@ def _overlap(one: FieldParameter, other: FieldParameter) -> bool:
 # The data
 
 
-def _data(entries: Entries, simulator: MujocoSimulator) -> tuple[Trajectories, Trajectories | None]:
+def _data(entries: Entries, simulator: MujocoSimulator, input: str | None) -> tuple[Trajectories, Trajectories | None]:
     """The trajectories to fit and those held out."""
-    everything = _read(entries, "data", simulator)
+    everything = _read(entries, "data", simulator, input)
     fitted, held_out = everything, None
     value = entries.content.get("held_out")
     if isinstance(value, list) and value and all(isinstance(i, int) and not isinstance(i, bool) for i in value):
         fitted, held_out = _split(entries, everything, value)
     elif "held_out" in entries:
-        held_out = _read(entries, "held_out", simulator, "a list of trajectory numbers, or data as in `data`")
+        held_out = _read(entries, "held_out", simulator, input, "a list of trajectory numbers, or data as in `data`")
     count = entries.whole("transitions", 1, None)
     return (fitted if count is None else fitted.first(count)), held_out
 
 
-def _read(entries: Entries, key: str, simulator: MujocoSimulator, expected: str = "a file, a folder or a list of them") -> Trajectories:
+def _sources(entries: Entries, key: str, expected: str = "a file, a folder or a list of them") -> dict[str, str | Path]:
+    """The data that an entry names, as it does, and where they are."""
     value = entries.content.get(key)
     listed: list[Any] = value if isinstance(value, list) else [value]
     if not listed or not all(isinstance(item, str) and item for item in listed):
         raise entries.bad(key, expected)
-    trajectories = read([item if item.startswith(MINARI) else entries.path.parent / item for item in listed])
+    return {item: item if item.startswith(MINARI) else entries.path.parent / item for item in listed}
+
+
+def _read(entries: Entries, key: str, simulator: MujocoSimulator, input: str | None, *expected: str) -> Trajectories:
+    listed = _sources(entries, key, *expected)
+    trajectories = read(list(listed.values()), input=input)
     have = {"observation": trajectories.observations.shape[1], "action": trajectories.actions.shape[1]}
     for what, want in (("observation", len(simulator.layout)), ("action", len(simulator.controls))):
         if have[what] != want:

@@ -42,7 +42,7 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
         ([str(damped), "--effects", "joint_damping:elbo"], "Did you mean 'elbow'?"),
         (["hoper"], "hopper"),
         ([str(damped), "--out", str(taken)], "a folder"),
-        (["slide", "--hide", "joint_damping:elbow=1"], "hopper"),
+        (["slide", "--hide", "joint_damping:elbow=1"], "half-cheetah"),
         (["hopper", "--hide", "joint_damping:leg=1"], "leg_joint"),
         (["hopper", "--hide", "joint_damping:leg_joint=much"], "must give a number for damping [N m s/rad]"),
         (["hopper", "--hide", "joint_damping:leg_joint=1,2"], "must give a number"),

@@ -4,8 +4,8 @@ import numpy as np
 
 from dropo.core.catalogue import find
 from dropo.core.problem import Problem
-from dropo.problems.hidden import record
 from dropo.problems.machines import machine
+from dropo.problems.recording import record
 from dropo.simulators.fields import FieldParameter
 
 UPPER = FieldParameter("upper_mass", 0.5, 2.0, "kg", field="body_mass", element="upper")

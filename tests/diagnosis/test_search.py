@@ -11,7 +11,7 @@ from dropo.diagnosis.invariance import invariance
 from dropo.diagnosis.omnibus import omnibus
 from dropo.diagnosis.review import ambiguity, review
 from dropo.diagnosis.screening import Candidate, Screening, with_constant
-from dropo.diagnosis.selection import Round, confirmed, gain_of
+from dropo.diagnosis.selection import Round, commonest_first, confirmed, gain_of
 from tests.diagnosis.toy import atoms, measured, selection
 
 SIZES = {"damping": 0.05, "spring": -0.05, "bias": 0.02, "gain": -0.05, "friction": 0.03, "drag": 0.03}
@@ -141,3 +141,15 @@ def test_what_is_always_there_is_tried_before_what_sets_in():
     moved_up = with_constant([*promised, Candidate(damping, np.array([0.3]), 9.0, np.ones(1))], [damping, spring])
     assert [candidate.atom for candidate in moved_up] == [damping, late, spring]
     assert with_constant(promised, [spring]) == promised
+
+
+@pytest.mark.parametrize(("better", "first"), [(3.0, 1), (30.0, 2)])
+def test_fewer_numbers_where_windows_held_out_do_not_tell(better, first):
+    """One that needs two numbers comes first only where it is clearly better on data that it was not fitted to."""
+    look = lambda gain: SimpleNamespace(log_likelihood=np.full(10, gain / 10), windows=SimpleNamespace(block=np.arange(10)))
+    trial = lambda numbers, gain: SimpleNamespace(
+        candidate=SimpleNamespace(signature=np.eye(2)[numbers - 1], atom=atoms()[numbers]), sizes=np.ones(numbers), worth=gain,
+        state=SimpleNamespace(test=look(gain)),
+    )  # fmt: skip
+    trials = commonest_first([trial(2, 100 + better), trial(1, 100.0)])
+    assert len(trials[0].sizes) == first
