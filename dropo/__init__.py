@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from dropo.analysis.bootstrap import bootstrap
     from dropo.analysis.identifiability import identify
     from dropo.analysis.next_data import rank_next
+    from dropo.analysis.predictions import predict
     from dropo.analysis.profile import profile
     from dropo.core.data import Segments, Signal, Trajectories
     from dropo.core.errors import DropoError, Refused
@@ -36,7 +37,10 @@ if TYPE_CHECKING:
     from dropo.estimators.random_effects import RandomEffects
     from dropo.estimators.simopt import SimOpt
     from dropo.estimators.uniform_randomization import UniformRandomization
+    from dropo.problems.hidden import hide
     from dropo.problems.reader import load
+    from dropo.problems.writer import write_problem
+    from dropo.report.build import write_report
     from dropo.simulators.fields import FieldParameter
     from dropo.simulators.general import EnvSimulator, FunctionSimulator
     from dropo.simulators.gymnasium import GymnasiumSimulator
@@ -93,10 +97,12 @@ _HOME = {
     "estimate_velocities": "dropo.data.velocities",
     "evaluate": "dropo.training.evaluate",
     "fit": "dropo.core.recipe",
+    "hide": "dropo.problems.hidden",
     "identify": "dropo.analysis.identifiability",
     "import_logs": "dropo.data.importing",
     "load": "dropo.problems.reader",
     "load_policy": "dropo.training.policy",
+    "predict": "dropo.analysis.predictions",
     "profile": "dropo.analysis.profile",
     "randomize": "dropo.training.environments",
     "rank_next": "dropo.analysis.next_data",
@@ -104,6 +110,8 @@ _HOME = {
     "resample": "dropo.data.resampling",
     "resample_rotations": "dropo.data.resampling",
     "train": "dropo.training.train",
+    "write_problem": "dropo.problems.writer",
+    "write_report": "dropo.report.build",
 }
 
 __all__ = [
@@ -111,8 +119,8 @@ __all__ = [
     "FieldParameter", "Fit", "FunctionSimulator", "GymnasiumSimulator", "LeastSquares", "MujocoSimulator", "Parameter",
     "ParameterSpace", "Posterior", "Problem", "RandomEffects", "Refused", "Segments", "Signal", "SimOpt", "Status", "Task",
     "Trajectories", "UniformRandomization", "bootstrap", "check", "describe", "diagnose", "estimate_clock", "estimate_delay",
-    "estimate_states", "estimate_velocities", "evaluate", "fit", "identify", "import_logs", "load", "load_policy", "profile",
-    "randomize", "rank_next", "read", "resample", "resample_rotations", "train",
+    "estimate_states", "estimate_velocities", "evaluate", "fit", "hide", "identify", "import_logs", "load", "load_policy", "predict",
+    "profile", "randomize", "rank_next", "read", "resample", "resample_rotations", "train", "write_problem", "write_report",
 ]  # fmt: skip
 
 
@@ -121,9 +129,9 @@ def __getattr__(name: str) -> Any:
     if name == "plots":
         return import_module("dropo.plots")
     if name not in _HOME:
-        raise AttributeError(f"module 'dropo' has no attribute {name!r}")
+        raise AttributeError(f"module 'dropo' has no attribute {name!r}", name=name, obj=import_module("dropo"))  # Python names the nearest
     return getattr(import_module(_HOME[name]), name)
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return [*__all__, "plots", "__version__"]

@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "training": {"core", "simulators", "problems", "data", ""},
     "plots": {"core"}, "report": {"core", "plots", ""},
     "cli": {"analysis", "core", "data", "diagnosis", "estimators", "problems", "report", "studies", "training", ""},
-    "": {"analysis", "cli", "core", "data", "diagnosis", "estimators", "problems", "simulators", "training"},
+    "": {"analysis", "cli", "core", "data", "diagnosis", "estimators", "problems", "report", "simulators", "training"},
 }  # fmt: skip
 HEAVY = {
     "torch",

@@ -1,7 +1,8 @@
 """Which of several logged inputs to trust, the commanded torque or the one from the current: by held-out likelihood."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,14 +12,15 @@ from dropo.analysis.disturbances import cut, robust_values
 from dropo.core.checks import Array, require
 from dropo.core.data import Ints, Segments, Trajectories
 from dropo.core.simulator import Simulator
+from dropo.core.table import Printed, Table, number
 
 DEGREES = 4.0  # of freedom of the errors' Student t
 BLOCKS = 24  # of time whose gains are taken as independent
 SURE = 2.5  # standard errors of the gain from which one is called better
 
 
-@dataclass(frozen=True)
-class InputChoice:
+@dataclass(frozen=True, repr=False)
+class InputChoice(Printed):
     """The candidates, best first. gain, se: of the best over each, in nats per window held out (0 for the best itself), with
     the standard error; rmse: of each, by signal, over the windows; values: of the parameters, fitted under each."""
 
@@ -38,11 +40,22 @@ class InputChoice:
         """Whether it is better than the second by more than chance."""
         return self.gain[1] > SURE * self.se[1]
 
-    def __str__(self) -> str:
-        if not self.sure:
-            return f"The data do not tell {self.names[0]} from {self.names[1]}: {self.gain[1]:.3g} +- {self.se[1]:.2g} nats per window."
-        rest = ", ".join(f"{g:.3g} +- {s:.2g} over {n}" for n, g, s in zip(self.names[1:], self.gain[1:], self.se[1:], strict=True))
-        return f"{self.best} is the input to trust: it gains {rest} [nats per window held out]."
+    def parts(self) -> list[str | Table]:
+        """Which one to trust, and a table of all."""
+        rows = tuple(
+            (name, "-" if i == 0 else f"{gain:.3g} +- {se:.2g}", *(number(error, 3) for error in self.rmse[name].values()))
+            for i, (name, gain, se) in enumerate(zip(self.names, self.gain, self.se, strict=True))
+        )
+        return [self._sentence(), Table("", ("input", "less likely [nats a window]", *self.rmse[self.best]), rows)]
+
+    def _sentence(self) -> str:
+        if self.sure:
+            return f"The input to trust is {self.best!r}: data held out are most likely under it."
+        return f"The data do not tell {self.names[0]!r} from {self.names[1]!r}."
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {**asdict(self), "sure": self.sure}
 
 
 def choose_input(

@@ -24,6 +24,8 @@ def add(commands: Any) -> None:
     check.add_argument("target", nargs="+", metavar="PROBLEM_OR_DATA", help=f"{target}; with --map, raw logs")
     check.add_argument("--map", type=Path, metavar="FILE", help="the mapping file, for raw logs")
     check.add_argument("--model", type=Path, metavar="MJCF", help="the model, for raw logs")
+    inputs = _action(below, "inputs", run_inputs, "which of several logged commands to trust, by data that no fit saw", threads="")
+    inputs.add_argument("problem", metavar="PROBLEM", help="a problem, or a problem file whose data hold several commands")
 
 
 def _add_import(below: Any) -> None:
@@ -37,10 +39,10 @@ def _add_import(below: Any) -> None:
     )
 
 
-def _action(below: Any, name: str, function: Any, text: str) -> argparse.ArgumentParser:
+def _action(below: Any, name: str, function: Any, text: str, threads: str = NOTHING) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = below.add_parser(name, help=text, description=text, allow_abbrev=False)
     parser.set_defaults(run=function)
-    computing_options(parser, seed=NOTHING, threads=NOTHING)
+    computing_options(parser, seed=NOTHING, threads=threads)
     printing_options(parser)
     return parser
 
@@ -66,6 +68,20 @@ def run_describe(arguments: argparse.Namespace) -> int:
     p, q = trajectories.observations.shape[1], trajectories.actions.shape[1]
     description = describe(trajectories, columns(problem, p), controls(problem, q))
     show(arguments, description, description.to_json())
+    return 0
+
+
+def run_inputs(arguments: argparse.Namespace) -> int:
+    """Prints the inputs, best first."""
+    from dropo.core.errors import Incompatible
+    from dropo.diagnosis.inputs import choose_problem_input
+    from dropo.problems.reader import inputs_of, load
+
+    names = inputs_of(arguments.problem)
+    if len(names) < 2:
+        raise Incompatible(f"{arguments.problem} knows one command alone. An import keeps several: map them under `inputs`.")
+    found = choose_problem_input({name: load(arguments.problem, threads=arguments.threads, input=name) for name in names})
+    show(arguments, found, found.to_json())
     return 0
 
 

@@ -15,6 +15,7 @@ def add(commands: Any) -> None:
     parser.add_argument("study", metavar="STUDY", help="see `dropo list studies`")
     parser.add_argument("--seeds", type=whole(1), metavar="N", help="data sets or repetitions; each study has a number of its own")
     parser.add_argument("--published", action="store_true", help="also the method as published, where a study has it: minutes more")
+    parser.add_argument("--problems", nargs="+", default=(), metavar="NAME", help="these alone, in a study of several problems")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write <study>.md, .json and .svg here; the same command resumes")
     computing_options(parser, seed="without effect: the data sets of a study have seeds of their own")
     printing_options(parser)
@@ -29,8 +30,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with terminable():
             study = recover(
-                arguments.study, seeds=arguments.seeds, published=arguments.published, out=arguments.out, threads=arguments.threads,
-                progress=progress,
+                arguments.study, seeds=arguments.seeds, published=arguments.published, problems=arguments.problems, out=arguments.out,
+                threads=arguments.threads, progress=progress,
             )  # fmt: skip
     except KeyboardInterrupt:
         kept = "Interrupted: the same command goes on from here." if arguments.out else "Interrupted: with --out, a study can be resumed."

@@ -40,7 +40,7 @@ def check_shape(name: str, array: Any, shape: tuple[int | None, ...], caller: st
 
 def nearest(name: object, valid: Iterable[str]) -> str:
     """The end of a message about an unknown name: the nearest valid one, else the list."""
-    options = sorted(valid)
+    options = sorted(filter(None, valid))
     near = difflib.get_close_matches(str(name), options, n=1, cutoff=0.5)
     if near:
         return f"Did you mean {near[0]!r}?"

@@ -14,7 +14,7 @@ from dropo.core.catalogue import find
 from dropo.core.checks import Array, require
 from dropo.core.errors import BadFile
 from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.table import Printed, Table, number
+from dropo.core.table import Printed, Table, estimate, number
 
 
 class Status(str, Enum):
@@ -69,6 +69,7 @@ class Fit(Printed):
 
     def sample(self, draws: int, rng: np.random.Generator | int | None = None) -> Array:
         """Parameter vectors (K, d) from the fitted distribution, K = `draws`, all physically possible; without `rng` new ones each time."""
+        require(draws >= 0, "draws", "0 or more", draws, "Fit.sample")
         family = find("families", self.family)(self.space)
         return family.sample(self.phi, draws, np.random.default_rng(rng))
 
@@ -243,7 +244,7 @@ def fit_parts(fit: Fit) -> list[str | Table]:
         (
             p.name,
             p.unit,
-            number(fit.mean[i], 7),
+            estimate(fit.mean[i], fit.mean_se[i]),
             number(fit.mean_se[i], 2),
             span(*intervals[i]),
             number(fit.scale[i], 4),

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.catalogue import find
+from dropo.core.checks import require
 from dropo.core.errors import Incompatible
 from dropo.core.estimator import Estimator
 from dropo.core.fit import Fit
@@ -27,6 +28,7 @@ def fit(problem: Problem, method: str = "dropo", *, rng: np.random.Generator | i
 
 def estimator_for(problem: Problem, method: str, given: dict[str, Any]) -> Estimator:
     """The method with the given settings, and the problem's own where it has such; names are checked."""
+    require(isinstance(problem, Problem), "problem", "a Problem, which dropo.load makes of a name or a file", problem, "fit")
     made = find("methods", method)
     takes = [field.name for field in fields(made)]
     for name, value in given.items():

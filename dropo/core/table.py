@@ -68,3 +68,10 @@ def text_table(header: list[str], rows: list[list[str]]) -> str:
 def number(value: float, digits: int = 5) -> str:
     """A number for a table; a dash where there is none."""
     return f"{value:.{digits}g}" if np.isfinite(value) else "-"
+
+
+def estimate(value: float, error: float) -> str:
+    """A number with the decimals of its standard error's two digits, twelve at most; with seven digits where there is no error."""
+    if not (np.isfinite(value) and np.isfinite(error) and error > 0 and 1e-6 < abs(value) < 1e7):
+        return number(value, 7)
+    return f"{value:.{int(np.clip(1 - np.floor(np.log10(error)), 0, 12))}f}"

@@ -17,6 +17,8 @@ from dropo.core.errors import BadFile
 NEEDED = ("observations", "actions", "terminals")
 NUMBERS = ("observations", "actions", "next_observations", "time")
 KEYS = (*NUMBERS, "terminals", "group")
+INPUT = "actions."
+"""What the names of several logged commands begin with."""
 MINARI = "minari:"
 NO_MINARI = "the extra 'minari' to read it (pip install 'dropo[minari]')"
 END = "True on each trajectory's last row"
@@ -25,19 +27,25 @@ Arrays = dict[str, NDArray[Any]]
 Source = str | Path
 
 
-def read(source: Source | Sequence[Source]) -> Trajectories:
+def read(source: Source | Sequence[Source], *, input: str | None = None) -> Trajectories:
     """The trajectories of a source: an .npz file, a folder of .npy files of the same names, a Minari data set, or a list of such.
 
     Arrays: `observations` (N, p), `actions` (N, q), `terminals` (N,) with True on each trajectory's last row; optional
-    `next_observations` (N, p), `group` (N,), `time` (N,) [s]; others are ignored. Without `next_observations` the rows of
+    `next_observations` (N, p), `group` (N,), `time` (N,) [s]; others are ignored, but `input` says whose `actions.NAME` (N, q)
+    are the actions, where several commands were logged. Without `next_observations` the rows of
     a trajectory follow each other, and its last row, which has no next one, is dropped. A Minari data set is a folder
     in Minari's layout, or "minari:" and its name. Group numbers count within one file: files never share a group.
     """
     if isinstance(source, str | Path):
-        return _trajectories([_checked(source)])
+        return _trajectories([_checked(source, input)])
     if not source:
         raise BadFile("data", "", "at least one file", "an empty list")
-    return _trajectories([_checked(one) for one in source])
+    return _trajectories([_checked(one, input) for one in source])
+
+
+def inputs_of(source: Source) -> tuple[str, ...]:
+    """The names of the commands that stand beside each other in a source, as `actions.NAME`."""
+    return tuple(name.removeprefix(INPUT) for name in _load(source, KEYS)[1] if name.startswith(INPUT))
 
 
 def _trajectories(parts: list[tuple[Source, Arrays]]) -> Trajectories:
@@ -64,9 +72,13 @@ def _separate_groups(parts: list[Arrays]) -> None:
             used = int(arrays["group"].max()) + 1
 
 
-def _checked(source: Source) -> tuple[Source, Arrays]:
+def _checked(source: Source, input: str | None) -> tuple[Source, Arrays]:
     """One file's arrays under the names of Trajectories, with next_observations."""
-    raw, others = _load(source)
+    chosen = "actions" if input is None else INPUT + input
+    raw, others = _load(source, (*KEYS, chosen))
+    if chosen not in raw and input is not None:
+        raise BadFile(source, chosen, "an array of that name", _present({name for name in others if name.startswith(INPUT)}))
+    raw = {**raw, **({"actions": raw[chosen]} if chosen in raw else {})}
     for key in NEEDED:
         if key not in raw:
             raise BadFile(source, key, "an array of that name", _present({*raw, *others}))
@@ -141,21 +153,21 @@ def _present(names: Set[str]) -> str:
     return f"only {', '.join(shown)}{', ...' if len(names) > len(shown) else ''}" if names else "no arrays at all"
 
 
-def _load(source: Source) -> tuple[Arrays, list[str]]:
-    """The arrays of one source by name, and the names of others in it, which are not read."""
+def _load(source: Source, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
+    """The arrays of one source of these names, and the names of others in it, which are not read."""
     if isinstance(source, str) and source.startswith(MINARI):
         return _minari(source, source.removeprefix(MINARI)), []
     path = Path(source)
     if path.is_dir():
-        return _folder(path)
+        return _folder(path, keys)
     if not path.exists():
         raise BadFile(source, "", "an .npz file, a folder of .npy files or a Minari data set", "no such file")
     if path.suffix != ".npz":
         raise BadFile(source, "", "an .npz file (`dropo data import` makes one from tables and logs)", f"a file {path.suffix!r}")
-    return _archive(path)
+    return _archive(path, keys)
 
 
-def _archive(path: Path) -> tuple[Arrays, list[str]]:
+def _archive(path: Path, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
     expected = "an .npz file, as numpy.savez writes it"
     if path.stat().st_size == 0:
         raise BadFile(path, "", expected, "an empty file")
@@ -163,7 +175,7 @@ def _archive(path: Path) -> tuple[Arrays, list[str]]:
         with zipfile.ZipFile(path) as archive:
             names = [name.removesuffix(".npy") for name in archive.namelist()]
         with np.load(path, allow_pickle=False) as content:
-            return {name: _member(path, name, partial(content.__getitem__, name)) for name in names if name in KEYS}, _others(names)
+            return {name: _member(path, name, partial(content.__getitem__, name)) for name in names if name in keys}, _others(names)
     except (zipfile.BadZipFile, OSError, EOFError) as error:
         raise BadFile(path, "", expected, f"a file that cannot be read as one ({error})") from None
 
@@ -180,13 +192,13 @@ def _member(source: Source, key: str, load: Callable[[], object]) -> NDArray[Any
         raise BadFile(source, key, "an array of numbers", got) from None
 
 
-def _folder(folder: Path) -> tuple[Arrays, list[str]]:
+def _folder(folder: Path, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
     if any((folder / name).exists() for name in ("data/metadata.json", "data/main_data.hdf5", "metadata.json", "main_data.hdf5")):
         return _minari(folder, folder), []
     files = {path.stem: path for path in sorted(folder.glob("*.npy"))}
     if not files:
         raise BadFile(folder, "", f"a folder with {', '.join(f'{key}.npy' for key in NEEDED)}, or a Minari data set", "neither")
-    return {key: _member(path, "", partial(_array_file, path)) for key, path in files.items() if key in KEYS}, _others(files)
+    return {key: _member(path, "", partial(_array_file, path)) for key, path in files.items() if key in keys}, _others(files)
 
 
 def _array_file(path: Path) -> NDArray[Any]:

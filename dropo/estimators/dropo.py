@@ -25,6 +25,7 @@ from dropo.estimators.certificate import certified_scales, paired_check
 from dropo.estimators.filtering import from_filtered_starts
 from dropo.estimators.least_squares import estimate
 from dropo.estimators.rounds import Rounds
+from dropo.estimators.starting import calmest
 from dropo.estimators.summary import summarise
 from dropo.estimators.tuning import noise_scale, noise_shape, tune
 
@@ -134,7 +135,10 @@ class DROPO(Estimator):
 
         optimizer = make if self.optimizer else None
         seen, details = problem, dict[str, Any]()
-        objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(centre)
+        try:
+            objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(centre)
+        except SimulationFailed:  # even on a narrow design: most of the box may explode
+            objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(calmest(problem, run))
         if self.starts == "filtered":
             refit = lambda seen, noise, centre, width: Rounds(seen, run, family, likelihood, noise, rng, optimizer).fit(centre, width)
             seen, objective, found, details = from_filtered_starts(refit, problem, run, family, noise, objective, found)

@@ -7,11 +7,11 @@ import numpy as np
 
 from dropo.core.checks import Array
 from dropo.core.estimator import Run
+from dropo.core.explosion import flat
 from dropo.core.fit import Fit, Status
 from dropo.core.problem import Problem
 from dropo.estimators.least_squares import estimate, misfit
 
-FLAT = 1e-24  # of a signal's mean square: a variance below it is rounding
 PERFECT = 1e-8  # of a signal's variance: less noise than that is not claimed
 
 
@@ -23,9 +23,8 @@ def noise_scale(problem: Problem, run: Run) -> Array:
     angles of 0, go by the misfit in the middle of the box.
     """
     targets = problem.simulator.targets(problem.segments)
-    variance = np.var(targets, axis=0)
-    flat = variance <= FLAT * np.mean(targets**2, axis=0)
-    return np.where(flat, misfit(problem, run), variance) if flat.any() else variance
+    variance, still = np.var(targets, axis=0), flat(targets)
+    return np.where(still, misfit(problem, run), variance) if still.any() else variance
 
 
 def noise_shape(problem: Problem, run: Run) -> Array:

@@ -12,6 +12,7 @@ from dropo.core.backend import constant, namespace
 from dropo.core.checks import Array, require
 from dropo.core.data import Segments
 from dropo.core.errors import BadArgument, SimulationFailed
+from dropo.core.explosion import ranges, settled
 from dropo.core.parameters import ParameterSpace
 from dropo.core.simulator import Simulator, describe_failures
 from dropo.core.standard_law import NORMAL
@@ -52,7 +53,7 @@ class Emulator:
     """f(x) ~ sum_j C_j psi_j((x - centre) / width), psi products of orthonormal Hermite polynomials.
 
     centre, width: (d,) in the emulator's coordinates (logarithms where `logarithmic`); indices: (M, d);
-    coefficients: (M, R, p); residual: (R, p, p) the residuals' covariance; failed: design points that diverged.
+    coefficients: (M, R, p); residual: (R, p, p) the residuals' covariance; failed: design points that diverged or exploded.
     """
 
     centre: Array
@@ -98,7 +99,7 @@ def build(
 ) -> Emulator:  # fmt: skip
     """Simulates a scrambled Sobol design around the centre and regresses every row's signals on it.
 
-    A design point that diverges in one segment is left out of all. Predictions are held for a block of segments at a time;
+    A design point that diverges or explodes in one segment is left out of all. Predictions are held for a block of segments at a time;
     the blocks before the one in which a point first diverged are simulated again without it.
     """
     require(bool((width > 0).all()), "width", "positive for every parameter", width.tolist(), "an emulator")
@@ -112,14 +113,17 @@ def build(
     blocks = list(segment_blocks(segments, 8 * count * p))
     good = np.ones(count, dtype=bool)
     used = [0] * len(blocks)  # design points behind each block's regression
+    targets = simulator.targets(segments)
+    reach = ranges(targets)
     for k in [*range(len(blocks)), *range(len(blocks))]:
         if used[k] == good.sum():
             continue
         part, own, _ = blocks[k]
         predictions = simulator.predict(design[good], part)  # (N, r, p)
-        whole = np.isfinite(predictions).all(axis=(1, 2))
+        whole = settled(predictions, targets[own], reach)
         if whole.sum() < len(indices) + SPARE:
-            sentence = describe_failures(predictions, design[good], simulator.space, first=own.start)
+            failed = np.where(whole[:, None, None], predictions, np.nan)
+            sentence = describe_failures(failed, design[good], simulator.space, first=own.start)
             raise SimulationFailed(f"{sentence} The design around the estimate cannot be used.")
         good[good] = whole
         coefficients[:, own], residual[own] = _regress(basis[good], predictions[whole], indices, simulator.space)

@@ -22,9 +22,14 @@ def pictures_of(result: Any) -> Pictures:
 
 
 def words(label: str) -> str:
-    """ "joint_damping:leg_joint" as "joint damping at leg_joint"."""
+    """ "joint_stiffness:knee.rest" as "joint stiffness at knee (rest)", "parameter_drift:mass.ramp" as "drift of mass (ramp)"."""
     effect, _, place = label.partition(":")
-    return effect.replace("_", " ") + (f" at {place.replace(':', ' at ')}" if place else "")
+    start, _, form = ("", "", "") if effect.startswith("sensor_") else label.rpartition(".")  # of sensors, the dot is in the signal's name
+    if start:
+        return f"{words(start)} ({form})"
+    if effect == "parameter_drift":
+        return f"drift of {words(place)}"
+    return effect.replace("_", " ") + (f" at {place}" if place else "")
 
 
 def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
@@ -42,8 +47,8 @@ def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
         ax.barh(y - 0.2, bar.gain or 0.0, height=0.3, color=color, alpha=1.0 if bar.accepted or bar.told else 0.45)
         if bar.gain is not None and bar.error:
             ax.hlines(y - 0.2, bar.gain - bar.error, bar.gain + bar.error, color=INK, lw=1)
-    ax.axvline(0, color=INK, lw=0.8)
-    ax.axvline(pictures.needed, color=GREY, lw=0.9, ls=(0, (2, 2)))
+    ax.vlines(np.zeros(len(bars)), place - 0.4, place, color=INK, lw=0.8)  # beside the bars alone, so that no word is crossed out
+    ax.vlines(np.full(len(bars), pictures.needed), place - 0.4, place, color=GREY, lw=0.9, ls=(0, (2, 2)))
     left, right = ax.get_xlim()
     indent = left + 0.012 * (right - left)
     for y, bar in zip(place, bars, strict=True):
@@ -86,6 +91,7 @@ def residuals(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
         centre, mean, half = _means(x, y, inside)
         ax.errorbar(centre, mean, half, color=color, marker=mark, ms=4.5, lw=1.3, capsize=2, label=name)
     ax.axhline(0, color=GREY, lw=0.8)
+    ax.xaxis.get_major_locator().set_params(nbins=6)
     ax.set(xlabel=with_unit(shown.axis, shown.axis_unit), ylabel=with_unit(f"error of {shown.signal}", shown.unit))
     legend(ax)
     return ax
@@ -98,9 +104,9 @@ def _means(x: Array, y: Array, inside: Ints) -> tuple[Array, Array, Array]:
     return tuple(np.array(rows).reshape(-1, 3).T)  # type: ignore[return-value]
 
 
-def sizes(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
+def sizes(result: Any, ax: Axes | None = None, *, found: int = 0, unit: str = "") -> Axes:
     """A cause's size, estimated anew in quarters of the data, with 95 % intervals: level for a true cause, sloped for what only acts
-    like it. found: which of the pictures' `sizes`."""
+    like it. found: which of the pictures' `sizes`; unit: of the variable by which these are quarters, for the axis."""
     pictures, ax = pictures_of(result), axes_of(ax)
     if found >= len(pictures.sizes):
         return empty(ax, "No cause was found.")
@@ -108,11 +114,11 @@ def sizes(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
     size, half = 100 * np.array(shown.size), 196 * np.array(shown.error)
     ax.axhline(100, color=GREY, lw=1, ls=(0, (2, 2)))
     ax.errorbar(np.arange(len(size)), size, half, color=AFTER, marker="s", ms=5, lw=0, elinewidth=1.6, capsize=3)
-    ax.set_xticks(np.arange(len(size)), [f"{at:.4g}" for at in shown.at])
+    ax.set_xticks(np.arange(len(size)), [f"{at:.3g}".replace("-", "−") for at in shown.at])
     low, high = (size - half).min(), (size + half).max()
     ax.set(xlim=(-0.5, len(size) - 0.5), ylim=(min(80.0, low - 3), max(120.0, high + 3)))
     variable = "row of the data" if shown.variable == "time" else shown.variable
-    ax.set(xlabel=f"{variable} (median of each part)", ylabel="size [% of the estimate]")
+    ax.set(xlabel=f"{with_unit(variable, unit)}, median of each part", ylabel="size [% of the estimate]")
     return ax
 
 

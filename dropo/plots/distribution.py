@@ -10,11 +10,11 @@ from dropo.core.extras import need
 from dropo.core.fit import Fit
 from dropo.core.parameters import ParameterSpace
 from dropo.core.prior import Prior, read_prior
-from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, LIGHT, OTHER, Axes, axes_of, empty, legend, with_unit
+from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, LIGHT, OTHER, Axes, axes_of, empty, folded, legend, with_unit
 
 MOST = 6  # parameters in a corner plot
 DRAWS = 4000
-NARROW = 1e-3  # of its mean: a distribution's sd below which differences from the mean are shown
+NARROW = 5e-3  # of its mean: a distribution's sd below which differences from the mean are shown
 CHARACTER = 0.0019  # the width of a letter in a figure's, by points of its size
 SHARES = (0.9, 0.5)  # of the draws, inside the contours
 
@@ -96,15 +96,16 @@ class _Unit:
 
 
 def _near(fit: Fit, i: int) -> _Unit:
-    """As it is, or where the distribution is narrow beside its mean, as a difference in a power of ten."""
+    """As it is; in a power of ten where it is very small or large; where the distribution is narrow beside its mean, as a difference."""
     parameter, mean, sd = fit.space[i], float(fit.mean[i]), float(fit.sd[i])
+    narrow = 0 < sd < NARROW * abs(mean)
+    power = int(np.floor(np.log10(sd if narrow else max(abs(mean), sd, 1e-300))))
+    base = round(mean, -power) if narrow else 0.0
+    power = power if narrow or not -3 < power < 4 else 0
+    name = folded(parameter.name) + (f"\n− {base:.{max(0, -power)}f}" if narrow else "")
+    unit = f"1e{power} {parameter.unit}".rstrip() if power else parameter.unit
     truth = fit.details.get("truth", {}).get(parameter.name)
-    if not 0 < sd < NARROW * abs(mean):
-        return _Unit(with_unit(parameter.name, parameter.unit), 0.0, 1.0, truth)
-    power = int(np.floor(np.log10(sd)))
-    base, scale = round(mean, -power), 10.0**power
-    shown = None if truth is None else (truth - base) / scale
-    return _Unit(f"{parameter.name}\n− {base:.{max(0, -power)}f}\n[1e{power} {parameter.unit}]", base, scale, shown)
+    return _Unit(f"{name}\n[{unit}]" if unit else name, base, 10.0**power, None if truth is None else (truth - base) / 10.0**power)
 
 
 def _cell(ax: Axes, units: list[_Unit], draws: Array, i: int, j: int, row: int, column: int, count: int) -> None:
@@ -122,17 +123,17 @@ def _cell(ax: Axes, units: list[_Unit], draws: Array, i: int, j: int, row: int, 
         ax.axvline(truth, color=BEFORE, lw=1)
     ax.tick_params(labelsize=FONT - 1.5)
     for axis, last, unit in ((ax.xaxis, row == count - 1, units[j]), (ax.yaxis, column == 0 and row > 0, units[i])):
-        axis.set_major_locator(_few_ticks())
+        axis.set_major_locator(_few_ticks(3 if count < 4 else 2))
         if last:
             axis.set_label_text(unit.label, fontsize=FONT - 1)
         else:
             axis.set_ticklabels([])
 
 
-def _few_ticks() -> Any:
+def _few_ticks(intervals: int) -> Any:
     from matplotlib.ticker import MaxNLocator
 
-    return MaxNLocator(3)
+    return MaxNLocator(intervals)
 
 
 def _contours(ax: Axes, x: Array, y: Array) -> None:

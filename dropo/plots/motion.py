@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.checks import Array, known, require
-from dropo.core.predictions import Predictions
+from dropo.core.predictions import Predictions, Side
 from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, Axes, axes_of, empty, legend, plain_log, with_unit
 
 BINS = 10  # of probabilities
@@ -19,10 +19,22 @@ def predictions_of(result: Any) -> Predictions:
     return found
 
 
+def sides(found: Predictions) -> list[tuple[Side, str, Any, str]]:
+    """(side, colour, line, mark) of before and after; of after alone where nothing was changed."""
+    both: list[tuple[Side, str, Any, str]] = [(found.before, BEFORE, (0, (4, 2)), "o"), (found.after, AFTER, "-", "s")]
+    return both if changed(found) else both[1:]
+
+
+def changed(found: Predictions) -> bool:
+    """Whether before and after are two models."""
+    return found.before.name != found.after.name
+
+
 def telling(result: Any, most: int = 6) -> list[str]:
-    """The signals whose squared errors change most beside their spread, most first; those that never change are left out."""
+    """The signals whose squared errors change most beside their spread, most first, without those that never change; where there is one
+    model alone, those that it is off most in."""
     found = predictions_of(result)
-    change = np.abs(found.before.by_signal**2 - found.after.by_signal**2)
+    change = np.abs(found.before.by_signal**2 - found.after.by_signal**2) if changed(found) else found.after.by_signal**2
     share = np.nan_to_num(change, nan=np.inf) / np.where(found.spread > 0, found.spread**2, np.inf)
     share[np.ptp(found.measured, axis=(0, 1)) <= 0] = 0.0  # rotations, which are compared in the chart at the measurement
     order = np.argsort(-share, kind="stable")
@@ -39,12 +51,13 @@ def trajectory(result: Any, signal: str, ax: Axes | None = None) -> Axes:
     step, unit = (1.0, "control steps") if np.isnan(found.seconds) else (found.seconds, "s")
     for w, begin in enumerate(_side_by_side(found)):
         time = step * (begin + 1 + np.arange(found.measured.shape[1]))
-        for side, color, style in ((found.before, BEFORE, (0, (4, 2))), (found.after, AFTER, "-")):
+        for side, color, style, _ in sides(found):
             ax.fill_between(time, *side.band[:, w, :, i], color=color, alpha=0.18, lw=0)
             ax.plot(time, side.line[w, :, i], color=color, lw=1.5, ls=style, label=side.name if w == 0 else None)
         label = "measured" if w == 0 else None
         ax.plot(time, found.measured[w, :, i], ".", color=INK, ms=3.2, label=label, zorder=3)
     ax.set(xlabel=f"time [{unit}]", title=with_unit(signal, found.units[i]))
+    ax.xaxis.get_major_locator().set_params(nbins=6)
     return ax
 
 
@@ -59,10 +72,10 @@ def horizon(result: Any, ax: Axes | None = None) -> Axes:
     """Root mean square errors by how far ahead is predicted, all signals together, each in units of its own spread."""
     found, ax = predictions_of(result), axes_of(ax)
     steps = np.arange(1, len(found.before.by_horizon) + 1)
-    for side, color, mark in ((found.before, BEFORE, "o"), (found.after, AFTER, "s")):
+    for side, color, _, mark in sides(found):
         ax.plot(steps, 100 * side.by_horizon, color=color, marker=mark, ms=3.5, lw=1.3, label=side.name)
     if np.isfinite(found.noise).any():
-        ax.plot(steps, 100 * found.noise, color=GREY, lw=1.2, ls=(0, (2, 2)), label="noise of the measurements")
+        ax.plot(steps, 100 * found.noise, color=GREY, lw=1.2, ls=(0, (2, 2)), label="noise alone")
     ax.set(xlabel="control steps ahead", ylabel="error [% of the motion's spread]")
     smallest, largest = np.nanmin([s.by_horizon for s in (found.before, found.after)]), np.nanmax(found.before.by_horizon)
     if smallest < 0.05 * largest:
@@ -81,7 +94,8 @@ def errors(result: Any, ax: Axes | None = None) -> Axes:
     unit = np.where(found.spread > 0, found.spread, np.nan)
     before, after = 100 * found.before.by_signal / unit, 100 * found.after.by_signal / unit
     ax.hlines(place, np.fmin(before, after), np.fmax(before, after), color=GREY, lw=1.1)
-    ax.plot(before, place, "o", color=BEFORE, ms=4.5, label=found.before.name)
+    if changed(found):
+        ax.plot(before, place, "o", color=BEFORE, ms=4.5, label=found.before.name)
     ax.plot(after, place, "s", color=AFTER, ms=4.2, label=found.after.name)
     ax.set(yticks=place, yticklabels=found.names, ylim=(-0.7, len(found.names) + 1.6))
     ax.set(xscale="log", xlabel=f"error after {found.rows_after} step{'s' * (found.rows_after > 1)} [% of the signal's spread]")
@@ -99,14 +113,14 @@ def calibration(result: Any, ax: Axes | None = None) -> Axes:
     """
     found, ax = predictions_of(result), axes_of(ax)
     edges = np.linspace(0, 1, BINS + 1)
-    counted = [(side, color) for side, color in ((found.before, BEFORE), (found.after, AFTER)) if len(side.pit)]
+    counted = [(side, color, style) for side, color, style, _ in sides(found) if len(side.pit)]
     if not counted:
         return empty(ax, "No simulation came to its end.")
     half = 100 * TOLD * np.sqrt((BINS - 1) / len(found.after.pit)) if len(found.after.pit) else 0.0
     ax.axhspan(max(0.0, 100 - half), 100 + half, color=GREY, alpha=0.25, lw=0)
-    for side, color in counted:
+    for side, color, style in counted:
         share = 100 * BINS * np.histogram(side.pit, edges)[0] / len(side.pit)
-        ax.stairs(share, edges, color=color, lw=1.8, ls="-" if color == AFTER else (0, (4, 2)), label=side.name)
+        ax.stairs(share, edges, color=color, lw=1.8, ls=style, label=side.name)
     ax.set(xlim=(0, 1), xlabel="predicted probability of less", ylabel="measurements [% of the expected]")
     ax.set_ylim(bottom=0)
     legend(ax, room=0.22, loc="upper left")

@@ -30,7 +30,7 @@ def convergence(simulator_steps: ArrayLike, log_likelihood: ArrayLike, ax: Axes 
 
 
 def moves(after_round: ArrayLike, fit: Fit, ax: Axes | None = None) -> Axes:
-    """How far each parameter's mean was from its end after each round of the search, in shares of its interval. after_round: (n, d)."""
+    """How far each mean was from its last value after each round of the search, in shares of its interval. after_round: (n, d)."""
     means, ax = np.asarray(after_round, dtype=float), axes_of(ax)
     if len(means) < 2:
         return empty(ax, "The search took one round.")
@@ -38,7 +38,7 @@ def moves(after_round: ArrayLike, fit: Fit, ax: Axes | None = None) -> Axes:
     for i, name in enumerate(fit.space.names[:MOST]):
         ax.plot(np.arange(1, len(means) + 1), np.where(share[:, i] > 0, share[:, i], np.nan), marker="os^vDP"[i], ms=4, lw=1.2, label=name,
                 color=(AFTER, BEFORE, OTHER, INK, GREY, PURPLE)[i])  # fmt: skip
-    ax.set(yscale="log", xlabel="round", ylabel="distance from the end [of the interval]")
+    ax.set(yscale="log", xlabel="round", ylabel="from the last value [of the interval]")
     ax.xaxis.get_major_locator().set_params(integer=True)
     legend(ax)
     return ax

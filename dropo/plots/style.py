@@ -1,5 +1,6 @@
 """Colours, sizes, and the axes that a figure is drawn into."""
 
+import re
 from typing import Any
 
 from dropo.core.extras import need
@@ -29,6 +30,16 @@ def empty(ax: Axes, sentence: str) -> Axes:
     ax.set_axis_off()
     ax.text(0.5, 0.5, sentence, ha="center", va="center", wrap=True, color=GREY, transform=ax.transAxes, fontsize=FONT)
     return ax
+
+
+def folded(name: str, width: int = 14) -> str:
+    """A name on several lines, broken behind "_" or "." where they would be longer than `width`."""
+    lines = [""]
+    for piece in re.findall(r"[^_.]*[_.]?", name):
+        if lines[-1] and len(lines[-1] + piece) > width:
+            lines.append("")
+        lines[-1] += piece
+    return "\n".join(lines)
 
 
 def with_unit(name: str, unit: str) -> str:

@@ -9,20 +9,23 @@ from dropo.core.pictures import Pictures
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
 from dropo.report.folder import Result
-from dropo.report.page import Cell, Section, figure, grid, notes, page, paragraph, plain, table
+from dropo.report.page import Cell, Section, figure, grid, notes, page, paragraph, percent, plain, table
 from dropo.report.svg import picture
 from dropo.report.svg import rows as svg_rows
 
 ROW, HEAD = 0.42, 0.6  # [in] of a picture with a row for each effect
+RESPONSE = "response to the effect"
 GOOD = {"consistent": "good", "explained": "good", "partly": "bad", "unexplained": "bad"}
 
 
 def diagnosis_page(result: Result) -> str:
     """The file's text."""
     content, found = result.content, result.pictures
+    units = {} if result.predictions is None else dict(zip(result.predictions.names, result.predictions.units, strict=True))
     sections = [
-        *([_searched(found), _causes(content), _evidence(found)] if found is not None else [_causes(content)]),
-        parts.motion(result.predictions), parts.errors(result.predictions), _remaining(content, found), parts.made(result),
+        *([_searched(found), _causes(content), _evidence(found, units)] if found is not None else [_causes(content)]),
+        _fitted(content, result.record), parts.motion(result.predictions), parts.errors(result.predictions, _errors(content)),
+        _remaining(content, found), parts.made(result),
     ]  # fmt: skip
     kicker = f"dropo diagnose · {result.problem}"
     return page(kicker, content["headline"].replace("+-", "±"), _cards(content), [s for s in sections if s is not None])
@@ -53,7 +56,7 @@ def _searched(found: Pictures) -> Section:
         listed = "; ".join(f"{words(bar.label)} {plain(bar.gain, 4) if bar.gain is not None else 'same response'}" for bar in rows)
         title = f"Round {i + 1}: {words(accepted[0].label)}" if accepted else f"Round {i + 1}: nothing is confirmed"
         caption = "A bracket joins what these data cannot tell apart. " if any(not bar.told for bar in bars) else ""
-        caption += f"An effect is confirmed from {found.needed:.1f} nats on (dashed) if no few moments alone carry them."
+        caption += f"An effect is confirmed beyond {found.needed:.1f} nats (dashed) and well beyond its error (dark line)."
         text = f"Bars: nats that each effect gains on data held out. {listed}."
         svg = picture(lambda ax, i=i: plots.candidates(found, ax, found=i), text, size=svg_rows(max(len(rows), 2), ROW, HEAD))  # type: ignore[misc]
         shown.append(figure(svg, title, caption))
@@ -92,6 +95,53 @@ def _causes(content: dict[str, Any]) -> Section:
     )
 
 
+def _fitted(content: dict[str, Any], record: dict[str, Any]) -> Section | None:
+    """The declared parameters as fitted, beside their search intervals."""
+    declared = {entry["name"]: entry for entry in record.get("parameters", ())}
+    rows = [
+        [Cell(name), Cell(declared[name]["unit"]), Cell(plain(value), value),
+         *(Cell(plain(declared[name][end]), declared[name][end]) for end in ("low", "high"))]
+        for name, value in content.get("parameters", {}).items() if name in declared
+    ]  # fmt: skip
+    lead = "Declared by the problem, and fitted together with the causes; a fit of the extended problem says how well they are known."
+    return Section("Parameters", lead, table(["parameter", "unit", "value", "searched from", "to"], rows)) if rows else None
+
+
+def _errors(content: dict[str, Any]) -> str:
+    """The table of errors on held-out data by horizon, in shares of the motion and in each unit."""
+    nominal = content.get("nominal", {}).get("horizons")
+    named = (
+        [("as it came", nominal), ("fitted", content["baseline"]["horizons"])]
+        if nominal
+        else [("as it is", content["baseline"]["horizons"])]
+    )
+    named += [("with what was found", content["extended"]["horizons"])] if content["causes"] else []
+    rows = []
+    for at in zip(*(horizons for _, horizons in named), strict=True):
+        steps, seconds, last = at[0]["steps"], at[0]["seconds"], at[-1]
+        after = Cell(f"{steps} step{'s' * (steps > 1)}" + (f", {plain(seconds, 3)} s" if seconds else ""), steps)
+        rows.append(
+            [after, Cell("of the motion"), *(Cell(percent(h["rmse"]), h["rmse"]) for h in at), Cell(percent(last["noise"]), last["noise"])]
+        )
+        for unit in last["units"]:
+            off = [*(h["units"][unit]["rmse"] for h in at), last["units"][unit]["noise"]]
+            rows.append([after, Cell(unit), *(Cell(plain(value, 3), value) for value in off)])
+    return table(["after", "unit", *(name for name, _ in named), "by sensor noise"], rows) if rows else ""
+
+
+def _pushed(span: dict[str, Any]) -> str:
+    """A span that was left out."""
+    where = f"{'held-out ' * span['held_out']}run {span['run']}, {span['from']:.2f} to {span['to']:.2f} s"
+    return f"Left out: {where}, where {span['signal']} is {plain(span['off'], 3)} {span['unit']} off after {plain(span['after'], 3)} s."
+
+
+def _odd(run: dict[str, Any]) -> str:
+    """A run that disagrees with the others."""
+    which = f"{'Held-out run' if run['held_out'] else 'Run'} {run['run']}"
+    own = f"{plain(run['value'])} ± {plain(run['se'], 2)} {run['unit']}".rstrip()
+    return f"{which} disagrees with the others: its {run['parameter']} is {own}, theirs {plain(run['others'])}."
+
+
 def _p_value(value: float) -> str:
     return "< 1e-300" if value < 1e-300 else f"{value:.1g}"
 
@@ -102,18 +152,23 @@ def _confused(cause: dict[str, Any], other: dict[str, Any]) -> str:
     return f"{words(_label(cause))} may as well be {other['effect'].replace('_', ' ')}{place}: {other['why']}.{more}"
 
 
-def _evidence(found: Pictures) -> Section | None:
+def _evidence(found: Pictures, units: dict[str, str]) -> Section | None:
     """For every cause: its residuals, its size by regime, its size over time."""
     shown = []
     for i, one in enumerate(found.axes):
         before, after = (float(np.sqrt(np.mean(np.square(values)))) for values in (one.before, one.after))
         text = f"Root mean square {before:.3g} {one.unit} without it, {after:.3g} {one.unit} with it."
+        text += " Over what the effect changes in the prediction: a slope says that it is there." if one.axis == RESPONSE else ""
         svg = picture(lambda ax, i=i: plots.residuals(found, ax, found=i), f"Dots: error of {one.signal} over {one.axis}. {text}")  # type: ignore[misc]
         shown.append(figure(svg, f"{words(one.label)}: errors over {one.axis}", text))
     for i, part in enumerate(found.sizes):
         listed = ", ".join(f"{size:.0%} ± {196 * error:.0f} %" for size, error in zip(part.size, part.error, strict=True))
         text = f"One size in all parts has p = {part.p_value:.2g}: level for a true cause, sloped for what only acts like it."
-        svg = picture(lambda ax, i=i: plots.sizes(found, ax, found=i), f"Size in parts of the data by {part.variable}: {listed}.")  # type: ignore[misc]
+        unit = units.get(part.variable.strip("|"), "")
+        svg = picture(
+            lambda ax, i=i, unit=unit: plots.sizes(found, ax, found=i, unit=unit),
+            f"Size in parts of the data by {part.variable}: {listed}.",
+        )  # type: ignore[misc]
         shown.append(figure(svg, f"{words(part.label)}: size by {part.variable}", text))
     for i, sums in enumerate(found.sums):
         peak = float(np.abs(sums.score).max(initial=0.0))
@@ -129,7 +184,9 @@ def _remaining(content: dict[str, Any], found: Pictures | None) -> Section:
     left = content["remaining"]
     told = [f"It shows in {where}." for where in left["where"]]
     told += [f"{words(_label(one | {'variant': ''}))} looked likely and was not confirmed." for one in content["suspects"]]
-    told += content.get("warnings", [])
+    told += [_odd(run) for run in content.get("odd_runs", [])]
+    told += [_pushed(span) for span in (content.get("disturbances") or {}).get("spans", [])]
+    told += [*content.get("undetermined", []), *content.get("warnings", [])]
     body = notes(told) if told else paragraph("Nothing that these data could show.")
     if found is not None:
         forces = found.forces

@@ -5,6 +5,7 @@ import numpy as np
 from dropo import plots
 from dropo.core.fit import Fit, Status, span
 from dropo.core.prior import Prior
+from dropo.core.table import estimate
 from dropo.plots.distribution import MOST
 from dropo.report import parts
 from dropo.report.folder import Result
@@ -12,7 +13,12 @@ from dropo.report.page import Cell, Section, figure, grid, notes, page, paragrap
 from dropo.report.svg import picture
 from dropo.report.svg import rows as svg_rows
 
+LEVEL = "Level, and alike for all walkers, where they have come to the posterior."
 ROW, HEAD = 0.4, 0.8  # [in] of a picture with a row for each parameter
+WIDE = "The orange band is that of all parameters in the search intervals: what the data had to decide."
+POSTERIORS = ("epopt", "npe")
+SPREAD = "The mean with its standard error and 95 % interval; sd is the spread of the parameter itself, from draw to draw."
+KNOWN = "The posterior of parameters that are the same in all data: sd is how well each is known, and no spread from draw to draw."
 CHECKED = {
     True: "Nothing in the residuals speaks against the model.",
     False: "The residuals say that the model is wrong, so intervals are too narrow.",
@@ -25,7 +31,7 @@ def fit_page(result: Result) -> str:
     fit = result.fit
     assert fit is not None
     sections = [
-        parts.motion(result.predictions), _parameters(fit, result.record.get("priors", {})), parts.errors(result.predictions),
+        parts.motion(result.predictions, WIDE), _parameters(fit, result.record.get("priors", {})), parts.errors(result.predictions),
         _remaining(fit, result), _search(fit, result), parts.made(result),
     ]  # fmt: skip
     return page(f"dropo fit · {fit.problem}", headline(fit, result), _cards(fit, result), [s for s in sections if s is not None])
@@ -70,14 +76,20 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
         "standard error",
         "95 % interval",
         "sd",
-        "lower end",
-        "upper end",
+        "searched from",
+        "to",
         *(["prior"] if priors else []),
     ]
     header += ["truth"] if truth else []
     rows = []
     for i, p in enumerate(fit.space):
-        row = [Cell(p.name), Cell(p.unit), _number(fit.mean[i], 7), _number(fit.mean_se[i], 2), Cell(span(*intervals[i]), fit.mean[i])]
+        row = [
+            Cell(p.name),
+            Cell(p.unit),
+            Cell(estimate(fit.mean[i], fit.mean_se[i]), fit.mean[i]),
+            _number(fit.mean_se[i], 2),
+            Cell(span(*intervals[i]), fit.mean[i]),
+        ]
         row += [
             _number(fit.sd[i], 4),
             _number(p.low, 4),
@@ -90,7 +102,7 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
         lambda ax: plots.parameters(fit, ax, priors=priors), f"Bars: each parameter in its search interval. {said}.",
         size=svg_rows(len(fit.space), ROW, HEAD),
     )  # fmt: skip
-    lead = "The mean with its standard error and 95 % interval; sd is the spread of the parameter itself, from draw to draw."
+    lead = SPREAD if fit.details.get("over") != "parameters" and fit.method not in POSTERIORS else KNOWN
     caption = "Grey is what was searched, pale blue the distribution, the line the mean."
     return Section("Parameters", lead, table(header, rows) + grid(figure(svg, "Where in the search interval", caption), *_joint(fit)))
 
@@ -121,7 +133,7 @@ def _strongest(fit: Fit) -> str:
     off = np.abs(fit.correlation - np.diag(np.diagonal(fit.correlation)))
     i, j = np.unravel_index(int(off.argmax()), off.shape)
     if off[i, j] == 0:
-        return "No two parameters are correlated."
+        return "Each parameter is drawn by itself: this family has no correlations."
     return f"The strongest correlation is {fit.correlation[i, j]:.2f}, of {fit.space[int(i)].name} and {fit.space[int(j)].name}."
 
 
@@ -149,13 +161,13 @@ def _search(fit: Fit, result: Result) -> Section:
     history, shown, diagnostics = result.history, _noise(fit, result), ""
     several = bool({"tuning", "lambda_choice"} & set(fit.details))  # fits, of which the journal holds all
     if "log_density" in fit.arrays:
-        shown.append(figure(picture(lambda ax: plots.trace(fit, ax), "Log density of the walkers by step."), "The walkers", ""))
+        shown.append(figure(picture(lambda ax: plots.trace(fit, ax), "Log density of the walkers by step."), "The walkers", LEVEL))
         diagnostics = _posterior(fit)
     elif several:
         diagnostics = _lengths(fit)
     elif history is not None and history.means is not None and len(history.means) > 1:
         rounds, means = len(history.means), history.means
-        text = f"Distance of each parameter from its end, over {rounds} rounds."
+        text = f"How far each mean was from where it ended, in shares of its search interval, after each of {rounds} rounds."
         shown.append(figure(picture(lambda ax: plots.moves(means, fit, ax), text), "The estimate, round by round", text))
     elif history is not None and np.isfinite(history.values).any():
         text = f"{len(history.values)} evaluations, the highest log-likelihood {np.nanmax(history.values):.6g}."
@@ -178,7 +190,7 @@ def _posterior(fit: Fit) -> str:
     columns = fit.details.get("posterior", {})
     names = list(next(iter(columns.values()), {}))
     rows = [[Cell(name), *(_number(np.nan if v[name] is None else v[name], 4) for v in columns.values())] for name in names]
-    return table(["unknown", *(column.replace("_", " ") for column in columns)], rows)
+    return table(["unknown", *(column.replace("_", " ").replace("r hat", "R-hat") for column in columns)], rows)
 
 
 def _remaining(fit: Fit, result: Result) -> Section:

@@ -1,5 +1,6 @@
 """A page from its parts: sections of text, pictures and tables in one HTML file that loads nothing else."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -28,8 +29,13 @@ class Section:
     body: str
 
 
+SHORT = 250  # letters of a headline; the sentences behind them stand beneath it
+
+
 def page(kicker: str, headline: str, cards: Sequence[tuple[str, str, str]], sections: Sequence[Section]) -> str:
     """The whole file. cards: the figures beneath the headline, (name, value, "good", "bad" or "")."""
+    first, rest = shortened(headline)
+    beneath = f"<p>{escape(rest)}</p>" if rest else ""
     shown = "".join(f'<div><dt>{escape(name)}</dt><dd class="{kind}">{escape(value)}</dd></div>' for name, value, kind in cards)
     parts = "\n".join(
         f"<section><h2>{escape(s.title)}</h2>{f'<p class=lead>{escape(s.lead)}</p>' if s.lead else ''}\n{s.body}</section>"
@@ -46,7 +52,7 @@ def page(kicker: str, headline: str, cards: Sequence[tuple[str, str, str]], sect
 {_part("page.css")}</style>
 </head>
 <body>
-<header><p class="kicker">{escape(kicker)}</p><h1>{escape(headline)}</h1><dl class="cards">{shown}</dl></header>
+<header><p class="kicker">{escape(kicker)}</p><h1>{escape(first)}</h1>{beneath}<dl class="cards">{shown}</dl></header>
 <main>
 {parts}
 </main>
@@ -56,6 +62,14 @@ def page(kicker: str, headline: str, cards: Sequence[tuple[str, str, str]], sect
 </body>
 </html>
 """
+
+
+def shortened(text: str, most: int = SHORT) -> tuple[str, str]:
+    """The sentences with which a text begins, at least one, of so many letters at most; and the others."""
+    sentences = re.split(r"(?<=\.) (?=[A-Z])", text)
+    lengths = np.cumsum([len(sentence) + 1 for sentence in sentences])
+    count = max(1, int(np.sum(lengths - 1 <= most)))
+    return " ".join(sentences[:count]), " ".join(sentences[count:])
 
 
 def _part(name: str) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from dropo import plots
 from dropo.core.predictions import LEVEL, Predictions, Side
-from dropo.plots.motion import telling
+from dropo.plots.motion import changed, sides, telling
 from dropo.report.folder import Result
 from dropo.report.page import Cell, Section, figure, grid, legend, paragraph, percent, table
 from dropo.report.svg import picture, rows
@@ -15,38 +15,43 @@ SMALL = (4.2, 2.3)  # [in] a picture of one signal
 FAR, CLOSE = 0.04, 0.09  # by how much a share must be off beside its error for predictions to be too sure, or too cautious
 WITHOUT = (
     "predictions.npz is not in the folder: `dropo fit --out` and `dropo diagnose --out` keep it, and in Python"
-    " dropo.analysis.predictions.predict(problem, fit).save(folder) writes it."
+    " dropo.predict(problem, fit).save(folder) writes it."
 )
 
 
-def motion(found: Predictions | None) -> Section:
-    """Measured against simulated trajectories, before and after."""
+def motion(found: Predictions | None, more: str = "") -> Section:
+    """Measured against simulated trajectories, before and after. more: a sentence on the bands."""
     title = "Measured and simulated motion"
     if found is None:
         return Section(title, "", paragraph(f"No motion is shown: {WITHOUT}"))
     reach = found.measured.shape[1]
     lead = (
-        f"Each line starts again from a measurement after {reach} control step{'s' * (reach > 1)}; bands should hold {LEVEL:.0%} of the"
-        " dots."
-        f" {'No fit has seen these data.' if found.held_out else 'These data were fitted to.'}"
+        f"Each line starts again from a measurement after {reach} control step{'s' * (reach > 1)}; bands should hold {percent(LEVEL)}"
+        f" of the dots. {more}{' ' * bool(more)}{'No fit has seen these data.' if found.held_out else 'These data were fitted to.'}"
     )
-    key = legend(("measured", "ink", True), (found.before.name, "before", False), (found.after.name, "after", False))
+    before = [(found.before.name, "before", False)] if changed(found) else []
+    key = legend(("measured", "ink", True), *before, (found.after.name, "after", False))
     pictures = [
         figure(picture(lambda ax, s=signal: plots.trajectory(found, s, ax), _motion_text(found, signal), size=SMALL), "")  # type: ignore[misc]
         for signal in telling(found)
     ]
     rest = len(found.names) - len(pictures)
-    body = key + grid(*pictures) + (paragraph(f"Shown are the signals that change most; {rest} more were measured.") if rest else "")
+    body = (
+        key
+        + grid(*pictures)
+        + (
+            paragraph(f"Shown are the signals that {'change' if changed(found) else 'err'} most; {rest} more were measured.")
+            if rest
+            else ""
+        )
+    )
     return Section(title, lead, body)
 
 
 def _motion_text(found: Predictions, signal: str) -> str:
     i = found.names.index(signal)
-    before, after = (inside(found, side, i) for side in (found.before, found.after))
-    return (
-        f"Lines over time: {signal}, measured and simulated. The band of {found.before.name} holds {percent(before)} of the measurements,"
-        f" that of {found.after.name} {percent(after)}."
-    )
+    held = [f"The band of {side.name} holds {percent(inside(found, side, i))} of the measurements." for side, *_ in sides(found)]
+    return f"Lines over time: {signal}, measured and simulated. {' '.join(held)}"
 
 
 def inside(found: Predictions, side: Side, i: int) -> float:
@@ -55,35 +60,34 @@ def inside(found: Predictions, side: Side, i: int) -> float:
     return float(np.mean((found.measured[..., i] >= low) & (found.measured[..., i] <= high)))
 
 
-def errors(found: Predictions | None) -> Section | None:
-    """Error by horizon and by signal, and calibration."""
+def errors(found: Predictions | None, more: str = "") -> Section | None:
+    """Error by horizon and by signal, and calibration. more: HTML beneath."""
     if found is None:
         return None
     last = len(found.before.by_horizon)
-    sides = (
-        f"from {percent(found.before.by_horizon[-1])} to {percent(found.after.by_horizon[-1])} of the motion's spread after {last} steps"
-    )
-    shown = [figure(picture(lambda ax: plots.horizon(found, ax), f"Lines: prediction errors by horizon, {sides}."),
-                    "Error by how far ahead", f"Root mean square over all signals: {sides}.")] if last > 1 else []  # fmt: skip
-    worst = telling(found, 1)
-    i = found.names.index(worst[0]) if worst else 0
-    told = f"{found.names[i]} changes most, from {plain_error(found, found.before, i)} to {plain_error(found, found.after, i)}"
-    svg = picture(lambda ax: plots.errors(found, ax), f"Dots: error of each signal before and after; {told}.", size=rows(len(found.names)))
-    shown.append(figure(svg, "Error by signal", f"{told}."))
+    before, after = (percent(side.by_horizon[-1]) for side in (found.before, found.after))
+    ahead = f"{f'from {before} to {after}' if changed(found) else after} of the motion's spread after {last} steps"
+    shown = [figure(picture(lambda ax: plots.horizon(found, ax), f"Lines: prediction errors by horizon, {ahead}."),
+                    "Error by how far ahead", f"Root mean square over all signals: {ahead}.")] if last > 1 else []  # fmt: skip
+    told = _worst(found)
+    svg = picture(lambda ax: plots.errors(found, ax), f"Dots: error of each signal. {told}", size=rows(len(found.names)))
+    shown.append(figure(svg, "Error by signal", told))
     shown.append(
         figure(
             picture(lambda ax: plots.calibration(found, ax), f"Histogram of predicted probabilities. {calibrated(found)}"),
             "Calibration", calibrated(found),
         )
     )  # fmt: skip
-    return Section(
-        "How good predictions are", "Orange before, blue after. Percentages are of each signal's own spread in the data.", grid(*shown)
-    )
+    lead = ("Orange before, blue after. " if changed(found) else "") + "Percentages are of each signal's own spread in the data."
+    return Section("How good predictions are", lead, grid(*shown) + more)
 
 
-def plain_error(found: Predictions, side: Side, i: int) -> str:
-    """ "0.0123 rad/s"."""
-    return f"{side.by_signal[i]:.3g} {found.units[i]}".strip()
+def _worst(found: Predictions) -> str:
+    """The signal that changes most, or errs most where there is one model alone."""
+    worst = telling(found, 1)
+    i = found.names.index(worst[0]) if worst else 0
+    before, after = (f"{side.by_signal[i]:.3g} {found.units[i]}".strip() for side in (found.before, found.after))
+    return f"{found.names[i]} changes most, from {before} to {after}." if changed(found) else f"{found.names[i]} is off most, by {after}."
 
 
 def calibrated(found: Predictions) -> str:
@@ -95,7 +99,7 @@ def calibrated(found: Predictions) -> str:
     said = f"{percent(outside)} of the measurements lie in the outer tenth of the prediction, {percent(middle)} in its inner half"
     cautious = middle - 0.5 > CLOSE + 3 * np.sqrt(0.25 / len(pit))
     verdict = "too sure" if too_sure(found) else "more cautious than needed" if cautious else "about as sure as they should be"
-    return f"{said}: after, predictions are {verdict}."
+    return f"{said}: {'after, ' * changed(found)}predictions are {verdict}."
 
 
 def too_sure(found: Predictions) -> bool:
@@ -122,11 +126,15 @@ def made(result: Result) -> Section:
         "simulator steps": _count(content.get("simulator_steps")),
         "evaluations": _count(content.get("objective_evaluations")), "wall time": _seconds(content.get("wall_time_s")),
     } | {f"setting: {name}": value for name, value in record.get("settings", {}).items() if value is not None}  # fmt: skip
-    kept = [[Cell(name), Cell(str(value), words=True)] for name, value in told.items() if value is not None]
+    kept = [[Cell(name), Cell(_listed(value), words=True)] for name, value in told.items() if value not in (None, [])]
     without = "A command is kept when its run ends." if result.kind == "unfinished" else "No command was kept: this was run from Python."
     repeat = f"<pre><code>{escape(command)}</code></pre>" if command else paragraph(without)
     lead = "The same command on the same data and model gives the same numbers, whatever the number of threads."
     return Section("How this was made", lead if command else "", repeat + table(["what", "value"], kept, told=True))
+
+
+def _listed(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _count(value: int | None) -> str | None:

@@ -1,8 +1,10 @@
 """Logs of real machines, from a first model to a judged one: what it gets wrong, the cause, and the gain on runs that no fit saw."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from dropo import Diagnose, Diagnosis
+from dropo.core.checks import known
 from dropo.core.table import number
 from dropo.problems.reader import load
 from dropo.studies.study import Study, Table
@@ -15,9 +17,10 @@ JUDGED = {
 """Problem -> the unit in which errors are told, its scale and name, and the control steps after which."""
 
 
-def measured(work: Work, seeds: int | None = None) -> Study:
+def measured(work: Work, seeds: int | None = None, *, problems: Sequence[str] = tuple(JUDGED)) -> Study:
     """Each built-in problem of measured data diagnosed; seeds: of the only random test, the last one."""
-    runs = work.map(run, [[name, seed] for name in JUDGED for seed in range(seeds or 1)])
+    chosen = [known("problem of measured data", name, JUDGED) for name in problems]
+    runs = work.map(run, [[name, seed] for name in chosen for seed in range(seeds or 1)])
     judged = ("problem", "after", "first model", "parameters fitted", "extended", "noise", "verdict")
     left = ("problem", "of the data", "spans [s]", "fitted, with them", "extended, with them")
     named = ("problem", "cause", "nats per transition", "cannot be told from", "differs with")

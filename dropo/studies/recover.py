@@ -1,6 +1,7 @@
 """`dropo recover` in Python: runs a study by its name."""
 
 import inspect
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 
@@ -12,22 +13,24 @@ from dropo.studies.pages import write
 from dropo.studies.study import Study
 from dropo.studies.work import Work
 
+LACKS = {"published": "has no runs of the published method", "problems": "is not one of several problems"}
+
 
 def recover(
-    name: str, *, seeds: int | None = None, published: bool = False, out: str | Path | None = None, executor: Executor | None = None,
-    threads: int = 0, progress: Progress = silent,
+    name: str, *, seeds: int | None = None, published: bool = False, problems: Sequence[str] = (), out: str | Path | None = None,
+    executor: Executor | None = None, threads: int = 0, progress: Progress = silent,
 ) -> Study:  # fmt: skip
     """Runs the study of that name; see `dropo list studies`.
 
     seeds: data sets or repetitions, None for the study's own number; published: also the method as published, in studies
-    that have it; out: a folder to write into, where an interrupted study goes on; executor: any concurrent.futures.Executor,
+    that have it; problems: these alone, in studies of several; out: a folder to write into, where an interrupted study goes on; executor: any concurrent.futures.Executor,
     threads where there is none. Results do not depend on either.
     """
     study = find("studies", name)
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "recover")
-    options = {"published": True} if published else {}
-    if published and "published" not in inspect.signature(study).parameters:
-        raise Incompatible(f"The study {name!r} has no runs of the published method. Leave --published out.")
+    options = {option: value for option, value in {"published": published, "problems": tuple(problems)}.items() if value}
+    for option in sorted(options.keys() - inspect.signature(study).parameters.keys()):
+        raise Incompatible(f"The study {name!r} {LACKS[option]}. Leave --{option} out.")
     folder = None if out is None else Path(out)
     require(folder is None or folder.is_dir() or not folder.exists(), "out", "a folder", str(folder), "recover")
     path = None if folder is None else folder / f".{name}.jsonl"

@@ -22,7 +22,7 @@ def test_the_input_that_acted_is_chosen(simulator):  # noqa: F811
     assert min(found.gain[1:]) > 0.2
     assert abs(found.values["command"]["mass"] - 0.6) < 0.03
     assert found.rmse["command"]["qvel.hinge"] < found.rmse["current"]["qvel.hinge"]
-    assert "command is the input to trust" in str(found)
+    assert "input to trust is 'command'" in str(found)
 
 
 def test_inputs_that_are_alike_are_not_told_apart(simulator):  # noqa: F811

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import kstest
 
 from dropo.core.catalogue import names
+from dropo.core.data import Signal
 from dropo.core.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
 from dropo.core.estimator import Run
 from dropo.core.fit import Status
@@ -25,6 +26,7 @@ from dropo.problems.hopper import hopper, hopper_noisy, hopper_problem
 from dropo.problems.hopper_data import simulate as simulate_hopper
 from dropo.problems.hopper_model import TRUTH
 from dropo.problems.slide import MEAN, SD, slide
+from dropo.simulators.general import ReplaySimulator
 from dropo.simulators.toy import SlidingBlock, simulate
 from tests.reference.pushes import pushes, z_of_mean, z_of_sd
 
@@ -232,6 +234,14 @@ def test_signals_that_do_not_vary_have_a_noise_scale():
     assert scale[1] > 0
 
 
+def test_angles_of_zero_have_a_noise_scale():
+    """Rounding of 1e-17 is no variance: taken for one, no error of a rotation could be explained, and a fit would follow it alone."""
+    problem = slide()
+    rounded = problem.trajectories.next_observations * [1.0, 0.0] + 1e-17 * np.arange(len(problem.trajectories))[:, None] * [0.0, 1.0]
+    turning = replace(problem, trajectories=replace(problem.trajectories, next_observations=rounded))
+    assert noise_scale(turning, Run(turning, np.random.default_rng(0)))[1] > 1e-6
+
+
 def test_learned_epsilon_is_the_noise_of_each_signal():
     """16,400 rows tell a variance to 1.1 %: both found within 5 %, 4.5 standard errors; one common value would be 60 % off."""
     noise = np.array([1e-6, 4e-6])
@@ -360,6 +370,39 @@ def test_sigint_in_the_middle_gives_the_best_so_far(settings, simulations):
     assert fit.status is Status.INTERRUPTED
     assert (np.abs(fit.mean - MEAN) < np.abs(np.array([2.25, 1.55]) - MEAN)).all()
     assert np.isfinite(fit.log_likelihood)
+
+
+# --- simulators that explode
+
+
+class Drag(ReplaySimulator):
+    """A motor's speed against drag in explicit steps of a quarter of `dt`: where rate * dt / 4 > 2, each is larger than the one before."""
+
+    def __init__(self, dt):
+        self.dt = dt
+        super().__init__([Parameter("rate", 1.0, 600.0, "1/s"), Parameter("gain", 0.1, 20.0)], [Signal("v", "m/s")])
+
+    def _replay(self, value, starts, actions):
+        (rate, gain), v, out = value, starts, []
+        for u in np.moveaxis(actions, 1, 0):
+            for _ in range(4):
+                v = v + self.dt / 4 * (gain * u - rate * v)
+            out.append(v)
+        return np.stack(out, axis=1)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.2])
+def test_a_simulator_that_explodes_in_its_box_is_fitted(dt):
+    """At 0.2 s in nine tenths of the box, the middle too, by 1e30 and more; at 10 ms, the control, nowhere. Found within 4.5 errors."""
+    simulator, rng, truth = Drag(dt), np.random.default_rng(0), np.array([8.0, 5.0])
+    data = simulate(simulator, np.tile(truth, (20, 1)), rng.normal(0, 1, (20, 10, 1)), np.array([0.3]), noise_variance=1e-6, rng=rng)
+    problem = Problem("drag", simulator, data, length=10)
+    middle = simulator.predict([(simulator.space.low + simulator.space.high) / 2], problem.segments)[0] - problem.segments.targets
+    assert (np.abs(middle).max() > 1e30) == (dt == 0.2)
+    fit = DROPO().fit(problem)
+    assert fit.status is Status.CONVERGED
+    assert (np.abs(fit.mean - truth) < 4.5 * fit.mean_se).all()
+    assert (fit.mean_se < 0.1 * truth).all()
 
 
 # --- refusals

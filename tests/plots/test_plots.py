@@ -17,7 +17,7 @@ from dropo.core.errors import BadArgument, UnknownName
 from dropo.core.pictures import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
 from dropo.plots.causes import in_order, words
 from dropo.plots.motion import telling
-from dropo.plots.style import AFTER, BEFORE, OTHER
+from dropo.plots.style import AFTER, BEFORE, OTHER, folded
 from dropo.problems.slide import slide
 
 BARS = (Bar("joint_friction:knee", 7.0, 2.0, False, True), Bar("joint_damping:knee", 20.0, 2.0, True, True),
@@ -117,7 +117,33 @@ def test_candidates_begin_with_the_accepted_one():
     assert lines(BARS) == 1 + lines(tuple(bar for bar in BARS if bar.told))
     shown = [text.get_text() for text in plots.candidates(PICTURES, Figure().subplots()).texts]
     assert shown[:2] == ["joint damping at knee", "+20"]
-    assert words("body_com:torso.x") == "body com at torso.x"
+
+
+@pytest.mark.parametrize(("label", "said"), [
+    ("body_com:torso.x", "body com at torso (x)"), ("actuator_lag", "actuator lag"), ("joint_friction.hinges", "joint friction (hinges)"),
+    ("sensor_bias:qpos.knee", "sensor bias at qpos.knee"),
+    ("parameter_drift:joint_damping:knee.from", "drift of joint damping at knee (from)"),
+    ("joint_cogging:knee.6-a-turn", "joint cogging at knee (6-a-turn)"),
+])  # fmt: skip
+def test_labels_in_words(label, said):
+    """The form stands in brackets; a signal keeps its dot."""
+    assert words(label) == said
+
+
+def test_long_names_are_folded():
+    """Behind an underscore or a dot, and nothing is lost."""
+    assert folded("torso_mass") == "torso_mass"
+    assert folded("left_front_knee_damping") == "left_front_\nknee_damping"
+    assert folded("qvel.shoulder_joint").replace("\n", "") == "qvel.shoulder_joint"
+
+
+def test_one_model_alone_is_drawn_once(predictions):
+    """Where nothing was changed there is no before, and the signals shown are those that are off most."""
+    alone = replace(predictions, before=predictions.after)
+    for draw in (plots.errors, plots.calibration):
+        assert [len(draw(found, Figure().subplots()).get_legend_handles_labels()[1]) for found in (alone, predictions)] == [1, 2]
+    share = alone.after.by_signal / alone.spread
+    assert telling(alone) == [alone.names[i] for i in np.argsort(-share)]
 
 
 def test_nothing_to_draw_is_said(fit):

@@ -10,8 +10,9 @@ import pytest
 
 from dropo.core.fit import Fit
 from dropo.core.predictions import Predictions
+from dropo.core.table import estimate
 from dropo.report.build import write_report
-from dropo.report.page import Cell, percent, table
+from dropo.report.page import Cell, percent, shortened, table
 
 LARGEST = 1_500_000  # bytes
 VOID = {"meta", "link", "br", "img", "input"}
@@ -94,9 +95,9 @@ def test_a_fits_page_holds_its_numbers(fit_folder, pages):
     text = "".join(Seen(pages["fit"].read_text()).text)
     fit, record = Fit.load(fit_folder), json.loads((fit_folder / "run.json").read_text())
     found = Predictions.load(fit_folder)
-    for name, mean in zip(fit.space.names, fit.mean, strict=True):
+    for name, mean, error in zip(fit.space.names, fit.mean, fit.mean_se, strict=True):
         assert name in text
-        assert f"{mean:.7g}" in text
+        assert estimate(mean, error) in text
     for shown in (
         record["data_sha256"],
         record["model_sha256"],
@@ -119,6 +120,8 @@ def test_a_diagnosis_page_names_the_cause_at_once(diagnosis_folder, pages):
     assert seen.all("svg")[0]["aria-label"].startswith("Bars: nats that each effect gains on data held out. joint damping at elbow")
     assert f"{content['causes'][0]['estimate']['damping']['value']:+.4g}" in text
     assert "N m s/rad" in text
+    for horizon in content["extended"]["horizons"]:
+        assert percent(horizon["rmse"]) in text
     for title in ("What was tried", "Causes", "Is it the cause?", "Measured and simulated motion", "What remains unexplained"):
         assert title in text
 
@@ -170,6 +173,27 @@ def test_cells_sort_by_value():
     text = table(["x"], [[Cell("1.2e+03", 1234.5)], [Cell("–", np.nan)], [Cell("word")]])
     assert 'data-value="1234.5"' in text
     assert text.count("data-value") == 1
+
+
+def test_what_was_left_out_and_what_disagrees_is_listed(diagnosis_folder, copy_of):
+    """Spans in which something pushed, odd runs, and what the data do not tell."""
+    folder = copy_of(diagnosis_folder)
+    content = json.loads((folder / "diagnosis.json").read_text())
+    span = {"run": 3, "held_out": True, "from": 1.0, "to": 1.5, "signal": "qvel.elbow", "unit": "rad/s", "off": 2.5, "after": 0.4}
+    odd = {"run": 2, "held_out": False, "parameter": "lower_mass", "unit": "kg", "value": 0.7, "se": 0.01, "others": 0.5, "spread": 0.0}
+    content |= {"disturbances": {"spans": [span]}, "odd_runs": [odd], "undetermined": ["the data do not determine upper_mass"]}
+    (folder / "diagnosis.json").write_text(json.dumps(content))
+    text = "".join(Seen(write_report(folder).read_text()).text)
+    assert "Left out: held-out run 3, 1.00 to 1.50 s, where qvel.elbow is 2.5 rad/s off after 0.4 s." in text
+    assert "Run 2 disagrees with the others: its lower_mass is 0.7 ± 0.01 kg, theirs 0.5." in text
+    assert "the data do not determine upper_mass" in text
+
+
+def test_long_headlines_are_cut_between_sentences():
+    """As many sentences as fit, at least one; none is lost, and a number's dot ends none."""
+    assert shortened("It is off by 0.5 N m. Cause: drag. So it is.", 34) == ("It is off by 0.5 N m. Cause: drag.", "So it is.")
+    assert shortened("It is off by 0.5 N m. Cause: drag.", 5) == ("It is off by 0.5 N m.", "Cause: drag.")
+    assert shortened("Short.", 50) == ("Short.", "")
 
 
 @pytest.mark.parametrize(("share", "shown"), [(0.5, "50 %"), (0.12345, "12.3 %"), (1e-9, "less than 0.001 %"), (0.0, "0 %"), (np.nan, "–")])
