@@ -20,6 +20,7 @@ import pytest
 
 from dropo.cli.main import _parser, main
 from dropo.core import catalogue
+from dropo.problems.outside import find_data
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "papers").glob("*/README.md"))]
@@ -107,12 +108,13 @@ def test_names_in_tables_exist():
         assert not unknown, f"the README's table of {kind} names {unknown}, which do not exist"
 
 
-OUTPUT = re.compile(r"<!-- output: (.*?) -->\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+OUTPUT = re.compile(r"<!-- (output|measured): (.*?) -->\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
-def outputs() -> dict[str, str]:
-    """The text of every block below a comment `<!-- output: COMMAND -->` in the README, by its command."""
-    return dict(OUTPUT.findall((ROOT / "README.md").read_text()))
+def outputs(kind: str = "output") -> dict[str, str]:
+    """The text of every block below a comment `<!-- output: COMMAND -->` in the README, by its command; "measured": takes the measured
+    data, and minutes."""
+    return {command: text for found, command, text in OUTPUT.findall((ROOT / "README.md").read_text()) if found == kind}
 
 
 def numeric(word: str) -> float | None:
@@ -152,6 +154,15 @@ def test_output_shown_is_printed(command, capsys):
     same_lines(capsys.readouterr().out, outputs()[command])
 
 
+@pytest.mark.study
+@pytest.mark.skipif(find_data("cube-toss/runs.npz") is None, reason="the measured data are not at hand (DROPO_DATA names their folder)")
+@pytest.mark.parametrize("command", outputs("measured"))
+def test_output_of_measured_data_is_printed(command, capsys):
+    """Likewise."""
+    assert main(shlex.split(command)[1:]) == 0
+    same_lines(capsys.readouterr().out, outputs("measured")[command])
+
+
 @pytest.mark.parametrize("line", [
     "torso_mass kg 3.6 1e-9", "thigh_mass kg 3.5 1e-9", "torso_mass kg 3.5", "damping +0.62 +- 0.003 N", "friction +0.6 +- 0.003 N",
 ])  # fmt: skip
@@ -167,8 +178,10 @@ def print_anew() -> None:
     readme, dropo = ROOT / "README.md", [sys.executable, "-m", "dropo"]
 
     def block(found: re.Match[str]) -> str:
-        text = subprocess.run([*dropo, *shlex.split(found[1])[1:]], check=True, capture_output=True, text=True).stdout
-        return f"<!-- output: {found[1]} -->\n```text\n{text}```"
+        if found[1] == "measured" and find_data("cube-toss/runs.npz") is None:
+            return found[0]
+        text = subprocess.run([*dropo, *shlex.split(found[2])[1:]], check=True, capture_output=True, text=True).stdout
+        return f"<!-- {found[1]}: {found[2]} -->\n```text\n{text}```"
 
     readme.write_text(OUTPUT.sub(block, readme.read_text()))
     for page in WITH_PYTHON:

@@ -198,10 +198,7 @@ def cut(trajectories: Trajectories, length: int) -> Segments:
     """Windows of so many steps, each beginning half a window after the one before; only their ends are compared."""
     stride = max(1, length // 2)
     begin = np.concatenate([np.arange(start, stop - length + 1, stride) for start, stop in trajectories.spans]).astype(np.int64)
-    return Segments(
-        trajectories, begin[:, None] + np.arange(length), np.full(len(begin), -1, dtype=np.int64),
-        np.ones(trajectories.observations.shape[1], dtype=bool),
-    )  # fmt: skip
+    return trajectories.from_rows(begin, length)
 
 
 def _moved(windows: Segments, predicted: Array) -> Array:

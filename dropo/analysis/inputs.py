@@ -74,8 +74,7 @@ def choose_input(
         require(same, "candidates", "of the same observations", f"others under {name!r}", "choose_input")
     length = max(1, round(seconds / step))
     block = _blocks(first)
-    value = np.asarray(start, dtype=float)
-    judged = {name: _judged(simulator, data, block, value, step, seconds, length) for name, data in candidates.items()}
+    judged = _judged(simulator, candidates, block, np.asarray(start, dtype=float), step, seconds, length)
     windows = cut(first, length)
     where = block[windows.steps[:, 0]]
     whole = where == block[windows.steps[:, -1]]
@@ -98,21 +97,28 @@ def _blocks(data: Trajectories) -> Ints:
 
 
 def _judged(
-    simulator: Simulator, data: Trajectories, block: Ints, start: Array, step: float, seconds: float, length: int
-) -> tuple[Array, Array, Array]:
-    """Log densities (W,) and errors (W, p) of all windows, each under the fit to the other half, and the mean of the two fits (d,)."""
-    windows = cut(data, length)
-    odd = block[windows.steps[:, 0]] % 2
-    log, errors, values = np.empty(len(windows)), np.empty((len(windows), len(simulator.signals))), []
+    simulator: Simulator, candidates: Mapping[str, Trajectories], block: Ints, start: Array, step: float, seconds: float, length: int
+) -> dict[str, tuple[Array, Array, Array]]:
+    """Of each candidate, log densities (W,) and errors (W, p) of all windows, each under its fit to the other half, and the mean of its
+    two fits (d,).
+
+    The noise is of one scale for all, that of their errors on the half that they were fitted to: of a scale of its own, a candidate
+    that explains the calmer half better would be thought less likely in the wilder one.
+    """
+    windows = {name: cut(data, length) for name, data in candidates.items()}
+    odd = block[next(iter(windows.values())).steps[:, 0]] % 2
+    found = {name: (np.empty(len(odd)), np.empty((len(odd), len(simulator.signals))), np.zeros(len(start))) for name in candidates}
     for half in (0, 1):
-        seen = data.rows(np.flatnonzero(block % 2 != half))
-        value = robust_values(simulator, seen, step, start, seconds=seconds) if len(start) else start
-        rest, mine = _errors(simulator, cut(seen, length), value), np.flatnonzero(odd == half)
-        errors[mine] = _errors(simulator, windows.take(mine), value)
-        scale = np.nanmedian(np.abs(rest), axis=0) / student_t.ppf(0.75, DEGREES)
-        log[mine] = np.asarray(student_t.logpdf(np.nan_to_num(errors[mine], nan=1e6), DEGREES, scale=scale)).sum(axis=1)
-        values.append(value)
-    return log, errors, np.mean(values, axis=0)
+        seen, mine, rest = np.flatnonzero(block % 2 != half), np.flatnonzero(odd == half), []
+        for name, data in candidates.items():
+            value = robust_values(simulator, data.rows(seen), step, start, seconds=seconds) if len(start) else start
+            rest.append(_errors(simulator, cut(data.rows(seen), length), value))
+            found[name][1][mine] = _errors(simulator, windows[name].take(mine), value)
+            found[name][2][:] += value / 2
+        scale = np.nanmedian(np.abs(np.concatenate(rest)), axis=0) / student_t.ppf(0.75, DEGREES)
+        for log, errors, _ in found.values():
+            log[mine] = np.asarray(student_t.logpdf(np.nan_to_num(errors[mine], nan=1e6), DEGREES, scale=scale)).sum(axis=1)
+    return found
 
 
 def _errors(simulator: Simulator, windows: Segments, value: Array) -> Array:

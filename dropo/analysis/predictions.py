@@ -61,18 +61,18 @@ def _shown(problem: Problem, data: Trajectories) -> Segments:
     """Windows one after another, in the middle of the longest trajectory; the first trajectories where a window must begin with one."""
     begins, length = _begins(problem, data)
     if _from_the_start(problem):
-        return _windows(data, begins[:SHOWN], length)
+        return data.from_rows(begins[:SHOWN], length, every_step=True)
     longest = int(np.argmax([stop - start for start, stop in data.spans]))
     own = begins[data.trajectory[begins] == longest]
     middle = max(0, (len(own) - SHOWN) // 2)
-    return _windows(data, own[middle : middle + SHOWN], length)
+    return data.from_rows(own[middle : middle + SHOWN], length, every_step=True)
 
 
 def _judged(problem: Problem, data: Trajectories) -> Segments:
     """Windows from all over the data."""
     begins, length = _begins(problem, data)
     chosen = np.unique(np.linspace(0, len(begins) - 1, JUDGED).round().astype(np.int64))
-    return _windows(data, begins[chosen], length)
+    return data.from_rows(begins[chosen], length, every_step=True)
 
 
 def _begins(problem: Problem, data: Trajectories) -> tuple[Ints, int]:
@@ -86,12 +86,6 @@ def _begins(problem: Problem, data: Trajectories) -> tuple[Ints, int]:
 def _from_the_start(problem: Problem) -> bool:
     """Whether the state in the middle of a trajectory is not all measured."""
     return problem.reset != "transition"
-
-
-def _windows(data: Trajectories, begins: Ints, length: int) -> Segments:
-    alone = np.full(len(begins), -1, dtype=np.int64)
-    every = np.ones(data.observations.shape[1], dtype=bool)
-    return Segments(data, begins[:, None] + np.arange(length), alone, every, every_step=True)
 
 
 def _rows(problem: Problem, data: Trajectories) -> Segments:

@@ -119,6 +119,11 @@ class Trajectories:
         steps, previous = _windows(self.spans, length, chained=reset == "partial")
         return Segments(self, steps, previous, set_columns=columns, every_step=every_step)
 
+    def from_rows(self, first: Ints, length: int = 1, *, every_step: bool = False) -> "Segments":
+        """Segments of so many steps that begin at the rows `first` (N,), each from its measurement; they may overlap."""
+        alone, columns = np.full(len(first), -1, dtype=np.int64), np.ones(self.observations.shape[1], dtype=bool)
+        return Segments(self, first[:, None] + np.arange(length), alone, columns, every_step=every_step)
+
 
 def _whole(spans: list[tuple[int, int]]) -> tuple[Ints, Ints]:
     longest = max(stop - start for start, stop in spans)

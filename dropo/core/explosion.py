@@ -26,7 +26,7 @@ def settled(predictions: Array, targets: Array, reach: Array) -> NDArray[np.bool
     A row of an exploded simulation tells nothing of the model, and drowns all others in a regression: its square has more
     digits than a float.
     """
-    whole = np.isfinite(predictions).all(axis=(1, 2))
+    whole: NDArray[np.bool_] = np.asarray(np.isfinite(predictions).all(axis=(1, 2)))
     errors = np.abs(predictions[whole] - targets)
     if (errors <= BEYOND * reach).all():
         return whole

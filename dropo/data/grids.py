@@ -32,10 +32,10 @@ class LeftOut:
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """A whole piece of a run: the instants (n,) of its grid, and whether its rows had to be resampled."""
+    """A whole piece of a run: the instants (n,) of its grid, and the labels of the series whose rows had to be resampled."""
 
     at: Array
-    resampled: bool
+    resampled: frozenset[str]
 
 
 def steps_per_action(runs: Sequence[Run], timestep: float, rate: float | None) -> tuple[int, float]:
@@ -89,13 +89,16 @@ def _holes(run: str, series: Series) -> list[LeftOut]:
 
 
 def _span(run: str, series: Sequence[Series], begin: float, end: float, step: float, out: list[LeftOut]) -> list[Span]:
+    """The grid begins on a position's stamp, so that the shift of estimated velocities does not move the commands."""
+    stamps = next(one.time for one in series if one.channel.field == "qpos")
+    begin = float(next(iter(stamps[stamps >= begin - ON_GRID * step]), begin))
     count = int((end - begin) / step * (1 + 1e-12) + ON_GRID) + 1 if end > begin else 0
     at: Array = begin + step * np.arange(count, dtype=np.float64)
     if len(at) < SHORT:
         if end > begin:
             out.append(LeftOut(run, begin, end, f"shorter than {SHORT} control steps"))
         return []
-    return [Span(at, not all(_on_grid(one.time, at, step) for one in series))]
+    return [Span(at, frozenset(one.label for one in series if not _on_grid(one.time, at, step)))]
 
 
 def _nearest(time: Array, at: Array) -> Ints:
@@ -111,7 +114,7 @@ def _on_grid(time: Array, at: Array, step: float) -> bool:
 
 def measured(series: Series, span: Span, joint: Joint | None) -> Array:
     """A position's or velocity's numbers (n, k) on the grid: as they are where they are on it, else by Akima splines and great arcs."""
-    if not span.resampled:
+    if series.label not in span.resampled:
         return series.values[_nearest(series.time, span.at)]
     at = np.clip(span.at, series.time[0], series.time[-1])
     values = resample(series.time, series.values, at)
@@ -123,7 +126,7 @@ def measured(series: Series, span: Span, joint: Joint | None) -> Array:
 
 def commanded(series: Series, span: Span, step: float) -> Array:
     """A command's numbers (n, 1) on the grid: each row is held until the next, and averaged over the control step."""
-    if not span.resampled:
+    if series.label not in span.resampled:
         return series.values[np.searchsorted(series.time, span.at + ON_GRID * step, side="right") - 1]
     return held_means(series.time, series.values, span.at, step)
 

@@ -82,7 +82,12 @@ class Import(Printed):
 
 
 def import_logs(
-    logs: Sequence[str | Path], mapping: str | Path, model: str | Path, out: str | Path, *, progress: Report = lambda share, text: None
+    logs: str | Path | Sequence[str | Path],
+    mapping: str | Path,
+    model: str | Path,
+    out: str | Path,
+    *,
+    progress: Report = lambda share, text: None,
 ) -> Import:
     """Reads logs by a mapping file, and writes the data, problem.yaml and import.json beside it; nothing where something is refused.
 
@@ -91,6 +96,7 @@ def import_logs(
     """
     place = Path(out)
     _check_place(place)
+    logs = [logs] if isinstance(logs, str | Path) else logs
     machine = load_machine(model)
     found = prepare(logs, read_mapping(mapping, machine), machine, progress=progress)
     _write(found, place, Path(model), machine)

@@ -55,6 +55,7 @@ class Diagnose:
         progress: called with the share that is done (0 to 1) and a text. Incompatible where the simulator is no MuJoCo model,
         UnknownName for an effect or a place that does not exist, BadArgument where the data are too few.
         """
+        require(isinstance(problem, Problem), "problem", "a Problem, which dropo.load makes of a name or a file", problem, "diagnose")
         require(self.length is None or self.length >= 1, "length", "at least 1", self.length, "Diagnose")
         begun, seed = time.perf_counter(), int(rng) if isinstance(rng, int | np.integer) else None
         with threadpool_limits(1, user_api="blas"):  # the simulator's threads use the cores; small products gain nothing

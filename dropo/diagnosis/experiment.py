@@ -43,8 +43,8 @@ class Experiment:
 
     @property
     def seconds(self) -> float:
-        """How much of it would tell the two apart."""
-        return CLEAR / self.nats * LENGTH * self.step if self.nats > 0 else np.inf
+        """How much of it would tell the two apart, in whole control steps."""
+        return self.step * max(1, int(np.ceil(CLEAR / self.nats * LENGTH))) if self.nats > 0 else np.inf
 
 
 def experiment(library: Library, last: State, one: Atom, other: Atom, sizes: Array) -> Experiment | None:

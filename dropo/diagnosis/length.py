@@ -4,6 +4,7 @@ import numpy as np
 
 from dropo.core.checks import Array
 from dropo.core.problem import Problem
+from dropo.core.robust import deviation
 from dropo.diagnosis.model import Library, look
 from dropo.diagnosis.windows import Windows, split, spread_of
 
@@ -59,4 +60,4 @@ def first_noise(problem: Problem, library: Library, train: Windows, theta: Array
         return np.maximum(np.sqrt(np.broadcast_to(np.asarray(problem.epsilon, dtype=float), floor.shape)), floor)
     residuals = (train.measured - library.predict(theta[None], train)[0])[:, : len(floor)]
     found = residuals[np.isfinite(residuals).all(axis=1)]
-    return np.maximum(1.4826 * np.median(np.abs(found), axis=0) / np.sqrt(2), floor) if len(found) else floor
+    return np.maximum(deviation(found) / np.sqrt(2), floor) if len(found) else floor

@@ -11,16 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from dropo.core.checks import Array
-from dropo.core.data import Segments
 from dropo.core.effect import Atom
 from dropo.diagnosis.invariance import response_of
-from dropo.diagnosis.model import Library, Look, look
-from dropo.diagnosis.refit import with_noise
+from dropo.diagnosis.model import Library, Look, look, moved, noise_of
 from dropo.diagnosis.windows import Windows
 
 CLEAR = 3.0  # standard errors from the full size, and no more from nothing, at which an effect is not there
 ROUNDS = 10  # of weighting by what is left
-MOST = 480  # single steps of each look, evenly spread
+MOST = 240  # single steps of each look, evenly spread
 
 
 def only_over_windows(library: Library, looks: Sequence[Look], atom: Atom, floor: Array) -> bool:
@@ -35,7 +33,7 @@ def only_over_windows(library: Library, looks: Sequence[Look], atom: Atom, floor
 def size_in_single_steps(library: Library, looks: Sequence[Look], atom: Atom, floor: Array) -> tuple[float, float]:
     """The effect's size in single steps as a share of the one that it has, by reweighted least squares, and its standard error, by
     window."""
-    singles = [with_noise(library, look(library, _apart(library, s.windows), s.theta, s.whiten.sigma), floor) for s in looks]
+    singles = [_single(library, seen, floor) for seen in looks]
     slopes = [response_of(library, single, atom) for single in singles]
     more = 0.0
     for _ in range(ROUNDS):
@@ -47,19 +45,24 @@ def size_in_single_steps(library: Library, looks: Sequence[Look], atom: Atom, fl
     return 1 + more, float(np.sqrt((score**2).sum()) / weight.sum())
 
 
+def _single(library: Library, seen: Look, floor: Array) -> Look:
+    """Steps of the windows by themselves, under the noise that they have."""
+    begun = look(library, _apart(library, seen.windows), seen.theta, seen.whiten.sigma)
+    return moved(library, begun, seen.theta, noise_of(begun, begun.whiten.sigma, floor))
+
+
 def _by_window(single: Look, slope: Array, more: float) -> tuple[Array, Array]:
     """(W,) the score of so much more of the size than there is, and its weight."""
     rest = single.residuals - more * slope
     counts = single.whiten.weights(rest) * ~single.lost
-    left, moved = single.whiten(rest), single.whiten(slope)
-    score, weight = (np.bincount(single.windows.block, counts * (moved * part).sum(axis=1)) for part in (left, moved))
-    return score, weight
+    left, along = single.whiten(rest), single.whiten(slope)
+    score, weight = (np.bincount(single.windows.block, counts * (along * part).sum(axis=1)) for part in (left, along))
+    return np.asarray(score, dtype=float), np.asarray(weight, dtype=float)
 
 
 def _apart(library: Library, windows: Windows) -> Windows:
     """Steps of the windows as windows of their own; the block is the window that a step is of."""
     old, n = windows.segments, len(windows) * windows.length
     chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.int64))
-    steps = old.steps.reshape(n, 1)[chosen]
-    segments = Segments(old.trajectories, steps, np.full(len(steps), -1, dtype=np.int64), old.set_columns, every_step=True)
-    return Windows(segments, library.simulator.targets(segments).reshape(len(steps), -1), chosen // windows.length, 1)
+    segments = old.trajectories.from_rows(old.steps.ravel()[chosen], every_step=True)
+    return Windows(segments, library.simulator.targets(segments).reshape(len(chosen), -1), chosen // windows.length, 1)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
@@ -21,6 +22,7 @@ CERTAIN, SPREAD, TRAINED = 3.0, 1.5, 5.0  # standard errors of the held-out gain
 ANSWERS, SELDOM = 1.0, 5  # nats from which a window answers to an effect; windows that must, where all of those gain
 NEGLIGIBLE = 0.01  # of what earlier effects gained together: a later one must bring more
 TRIED, BATCHES, MOST = 6, 3, 12  # candidates refitted at a time, and how often in a round; effects accepted in all
+POLISHED = 3  # of the candidates refitted at a time, how many are fitted to the end where those before are then not confirmed
 ALIKE, EQUAL = 0.98, 2.0  # cosine of whitened responses from which, and nats within which, two effects do the same
 DEFICIT = 4.0  # nats held out below which more numbers are not called for
 DIVERGES = 0.3  # share of the windows beyond which a diverging simulation is refused
@@ -123,12 +125,12 @@ class Selection:
         for begin in range(0, max(len(listed), 1), TRIED):  # the next ones only where none of those before is confirmed
             trials = self.tried(state, listed[begin : begin + TRIED])
             self.rounds.append(origin := Round(state, screened, trials))
-            for trial in trials:
-                if trial.trained > TRAINED and confirmed(state.test, trial.state.test, least) and not self._of_feedback(trial.state):
-                    polished = self.polish(trial.state)
-                    if confirmed(state.test, polished.test, least):
-                        self.origins[trial.candidate.atom.label] = origin
-                        return polished
+            promising = (t for t in trials if t.trained > TRAINED and confirmed(state.test, t.state.test, least))
+            for trial in islice(promising, POLISHED):
+                polished = None if self._of_feedback(trial.state) else self.polish(trial.state)
+                if polished is not None and confirmed(state.test, polished.test, least):
+                    self.origins[trial.candidate.atom.label] = origin
+                    return polished
         return None
 
     def tried(self, state: State, candidates: Sequence[Candidate]) -> list[Trial]:

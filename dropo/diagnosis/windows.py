@@ -129,6 +129,5 @@ def _windows(simulator: Simulator, data: Trajectories, steps: Ints, block: Ints,
     if len(steps) > most:
         chosen = np.linspace(0, len(steps) - 1, most).round().astype(np.int64)
         steps, block = steps[chosen], block[chosen]
-    nothing_before = np.full(len(steps), -1, dtype=np.int64)
-    segments = Segments(data, steps, nothing_before, np.ones(data.observations.shape[1], dtype=bool), every_step=True)
+    segments = data.from_rows(steps[:, 0], length, every_step=True)
     return Windows(segments, simulator.targets(segments).reshape(len(steps), length * len(simulator.signals)), block, length)

@@ -65,6 +65,8 @@ class DROPO(Estimator):
     def __post_init__(self) -> None:
         known("start", self.start, ("least-squares", "middle", "random"))
         known("starts", self.starts, ("measured", "filtered"))
+        if isinstance(self.epsilon, str):
+            known("epsilon", self.epsilon, ("learn", "tune"))
         require(self.budget >= 1, "budget", "at least 1", self.budget, "DROPO")
         require(self.degrees is None or self.degrees > 2, "degrees", "above 2, to have a variance", self.degrees, "DROPO")
         require(

@@ -114,7 +114,7 @@ def sizes(result: Any, ax: Axes | None = None, *, found: int = 0, unit: str = ""
     size, half = 100 * np.array(shown.size), 196 * np.array(shown.error)
     ax.axhline(100, color=GREY, lw=1, ls=(0, (2, 2)))
     ax.errorbar(np.arange(len(size)), size, half, color=AFTER, marker="s", ms=5, lw=0, elinewidth=1.6, capsize=3)
-    ax.set_xticks(np.arange(len(size)), [f"{at:.3g}".replace("-", "−") for at in shown.at])
+    ax.set_xticks(np.arange(len(size)), [f"{at:.4g}".replace("-", "−") for at in shown.at])
     low, high = (size - half).min(), (size + half).max()
     ax.set(xlim=(-0.5, len(size) - 0.5), ylim=(min(80.0, low - 3), max(120.0, high + 3)))
     variable = "row of the data" if shown.variable == "time" else shown.variable

@@ -44,8 +44,9 @@ def load(problem: str | Path, *, threads: int = 0, checked: bool = True, input: 
     """A built-in problem by its name, or the one that a YAML file describes; paths in it are relative to it.
 
     threads: of the simulator, 0 for all cores. checked: refuse data in which `dropo.check` finds an error, held-out ones too.
-    input: which of several logged commands drives the model, one of `inputs_of`; None: as the problem says. UnknownName for a name that does not exist; BadFile for what is wrong in the file or its data, with the key, what was
-    expected, what came, and the nearest valid name.
+    input: which of several logged commands drives the model, one of `inputs_of`; None: as the problem says.
+    UnknownName for a name that does not exist; BadFile for what is wrong in the file or its data, with the key, what was expected, what
+    came, and the nearest valid name.
     """
     if is_file(problem):
         return _from_file(Path(problem), threads, checked, input)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.checks import Array
-from dropo.core.data import Segments, Trajectories
+from dropo.core.data import Trajectories
 from dropo.core.simulator import Simulator
 
 Controller = Callable[[Array, Array], Array]
@@ -56,6 +56,5 @@ def _step(simulator: Simulator, values: Array, states: Array, commands: Array, l
     ahead = np.concatenate([known[:, 1:], 2 * known[:, -1:] - known[:, -2:][:, :1]], axis=1)  # what a late sensor's slope is taken from
     so_far = Trajectories(known.reshape(-1, p), commands.reshape(count * t, -1), ahead.reshape(-1, p), ends)
     last = np.flatnonzero(ends)[living]
-    segments = Segments(so_far, last[:, None], np.full(len(last), -1, dtype=np.int64), np.ones(p, dtype=bool), every_step=False)
-    out[living] = simulator.predict(values[None], segments)[0]
+    out[living] = simulator.predict(values[None], so_far.from_rows(last))[0]
     return out

@@ -1,5 +1,6 @@
 """The page of a diagnosis."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -164,11 +165,8 @@ def _evidence(found: Pictures, units: dict[str, str]) -> Section | None:
     for i, part in enumerate(found.sizes):
         listed = ", ".join(f"{size:.0%} ± {196 * error:.0f} %" for size, error in zip(part.size, part.error, strict=True))
         text = f"One size in all parts has p = {part.p_value:.2g}: level for a true cause, sloped for what only acts like it."
-        unit = units.get(part.variable.strip("|"), "")
-        svg = picture(
-            lambda ax, i=i, unit=unit: plots.sizes(found, ax, found=i, unit=unit),
-            f"Size in parts of the data by {part.variable}: {listed}.",
-        )  # type: ignore[misc]
+        draw = partial(plots.sizes, found, found=i, unit=units.get(part.variable.strip("|"), ""))
+        svg = picture(draw, f"Size in parts of the data by {part.variable}: {listed}.")
         shown.append(figure(svg, f"{words(part.label)}: size by {part.variable}", text))
     for i, sums in enumerate(found.sums):
         peak = float(np.abs(sums.score).max(initial=0.0))

@@ -111,12 +111,16 @@ def legend(*entries: tuple[str, str, bool]) -> str:
 
 def notes(sentences: Sequence[str]) -> str:
     """A list of sentences."""
-    return f'<ul class="notes">{"".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)}</ul>'
+    return f'<ul class="notes">{"".join(f"<li>{_prose(sentence)}</li>" for sentence in sentences)}</ul>'
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of plain text."""
-    return f"<p>{escape(text)}</p>"
+    """A paragraph of plain text; what stands in backticks is code."""
+    return f"<p>{_prose(text)}</p>"
+
+
+def _prose(text: str) -> str:
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def plain(value: float, digits: int = 4) -> str:

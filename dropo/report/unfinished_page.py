@@ -27,7 +27,8 @@ def unfinished_page(result: Result) -> str:
         svg = picture(lambda ax: plots.convergence(history.steps, history.values, ax), f"Log-likelihood over simulator steps: {text}")
         body += grid(figure(svg, "The search so far", text))
     elif history.means is not None:
-        names = [parameter["name"] for parameter in record.get("parameters", [])]
-        now = ", ".join(f"{name} {value:.4g}" for name, value in zip(names, history.means[-1], strict=False))
-        body += paragraph(f"The last of {len(history.means)} rounds ended at {now}.")
+        now = ", ".join(f"{p['name']} {value:.4g} {p.get('unit', '')}".rstrip()
+                        for p, value in zip(record.get("parameters", []), history.means[-1], strict=False))  # fmt: skip
+        rounds = len(history.means)
+        body += paragraph(f"{f'The last of {rounds} rounds' if rounds > 1 else 'The first round'} ended at {now}.")
     return page(f"dropo fit · {result.problem}", headline, cards, [Section("How far it came", "", body), parts.made(result)])

@@ -23,8 +23,8 @@ def recover(
     """Runs the study of that name; see `dropo list studies`.
 
     seeds: data sets or repetitions, None for the study's own number; published: also the method as published, in studies
-    that have it; problems: these alone, in studies of several; out: a folder to write into, where an interrupted study goes on; executor: any concurrent.futures.Executor,
-    threads where there is none. Results do not depend on either.
+    that have it; problems: these alone, in studies of several; out: a folder to write into, where an interrupted study
+    goes on; executor: any concurrent.futures.Executor, threads where there is none. Results do not depend on either.
     """
     study = find("studies", name)
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "recover")

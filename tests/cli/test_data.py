@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
+from dropo.problems.reader import load
 
 
 def test_describe_a_problem(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -63,6 +64,60 @@ def test_held_out_data_are_checked_too(problem: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr().out.startswith("error: held out: time: 19 rows are not later than the row before them")
     assert main(["fit", str(problem)]) == 2
     assert "problem.yaml: held_out: time: 19 rows" in capsys.readouterr().err
+
+
+ARM = """
+<mujoco><option timestep="0.01" integrator="implicitfast"/><worldbody><body name="link"><joint name="hinge" axis="0 -1 0"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1" contype="0" conaffinity="0"/></body></worldbody>
+<actuator><motor name="drive" joint="hinge"/></actuator></mujoco>
+"""
+
+
+def logged_arm(folder: Path) -> Path:
+    """A problem file of an arm with dry friction, whose command and (rough) current were logged."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    model.dof_frictionloss[0] = 0.2
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), []
+    for i in range(3001):
+        data.ctrl[0] = 1.5 * np.sin(0.03 * i) + np.sin(0.011 * i)
+        rows.append((data.qpos[0], data.qvel[0], data.ctrl[0]))
+        mujoco.mj_step(model, data)
+    log = np.array(rows)
+    log[:, :2] += 1e-4 * rng.standard_normal((3001, 2))
+    command, current = log[:, 2:], log[:, 2:] + 0.4 * rng.standard_normal((3001, 1))
+    ends = np.arange(3001) % 500 == 499
+    ends[-1] = True
+    arrays = {"observations": log[:, :2], "terminals": ends, "actions": current}
+    np.savez(folder / "data.npz", **arrays, **{"actions.current": current, "actions.commanded": command})
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "problem.yaml").write_text("model: arm.xml\ndata: data.npz\nobservation: [qpos, qvel]\naction: [ctrl]\n")
+    return folder / "problem.yaml"
+
+
+def test_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command moved the arm, although the model lacks its friction; `input` in the problem file takes it."""
+    problem = logged_arm(tmp_path)
+    assert main(["data", "inputs", str(problem), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["names"] == ["commanded", "current"]
+    assert found["sure"]
+    assert abs(found["values"]["commanded"]["joint_friction:hinge/frictionloss"] - 0.2) < 0.01
+    stored = np.load(tmp_path / "data.npz")
+    for text, name in (("", "actions"), ("input: commanded\n", "actions.commanded")):
+        problem.write_text(problem.read_text() + text)
+        assert (load(problem).trajectories.actions == stored[name][~stored["terminals"]]).all()
+    assert main(["data", "inputs", str(problem)]) == 0
+    assert "input to trust is 'commanded'" in capsys.readouterr().out
+
+
+def test_inputs_that_are_not_there(problem: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One command alone is refused, and a name that the data do not hold."""
+    assert main(["data", "inputs", str(problem)]) == 2
+    assert "knows one command alone. An import keeps several: map them under `inputs`." in capsys.readouterr().err
+    arm = logged_arm(tmp_path)
+    arm.write_text(arm.read_text() + "input: currant\n")
+    assert main(["fit", str(arm)]) == 2
+    assert "actions.currant: expected an array of that name, got only actions.commanded, actions.current" in capsys.readouterr().err
 
 
 def test_unknown_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

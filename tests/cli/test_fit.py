@@ -14,6 +14,7 @@ import pytest
 from dropo.cli.main import main
 from dropo.core.fit import Fit
 from dropo.core.problem import Problem
+from dropo.core.table import estimate
 from dropo.problems.reader import load
 
 SAMPLED = ("--likelihood", "monte-carlo", "--optimizer", "cma-es")
@@ -49,7 +50,7 @@ def test_it_prints_and_saves_the_same(problem: Path, capsys: pytest.CaptureFixtu
     found = result(out)
     assert errors == ""
     assert "mass" in text
-    assert f"{found['parameters']['mass']['mean']:.7g}" in text
+    assert estimate(found["parameters"]["mass"]["mean"], found["parameters"]["mass"]["mean_se"]) in text
     assert abs(found["parameters"]["mass"]["mean"] - 2) < 0.2
     assert sorted(path.name for path in out.iterdir()) == [
         "evaluations.jsonl", "fit.json", "fit.npz", "made.json", "predictions.npz", "run.json",

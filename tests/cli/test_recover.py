@@ -58,12 +58,22 @@ def test_resumes(tmp_path, capsys):
     assert (tmp_path / "toy.md").exists()
 
 
+def test_some_problems_alone(monkeypatch, capsys):
+    """Those named, in their order."""
+    several = lambda work, seeds=None, *, problems=("a", "b", "c"): Study("several", " ".join(problems), ())
+    monkeypatch.setitem(catalogue._registered["studies"], "several", several)
+    assert main(["recover", "several"]) == 0
+    assert main(["recover", "several", "--problems", "c", "a"]) == 0
+    assert capsys.readouterr().out == "a b c\nc a\n"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["table-61"], "No study called 'table-61'. Did you mean 'table-6.1'?"),
         (["toy", "--seeds", "0"], "expected a whole number of at least 1, got '0'"),
-        (["toy", "--published"], "The study 'toy' has no runs of the published method."),
+        (["toy", "--published"], "The study 'toy' has no runs of the published method. Leave --published out."),
+        (["toy", "--problems", "hopper"], "The study 'toy' is not one of several problems. Leave --problems out."),
     ],
 )
 def test_refuses(words, message, capsys):

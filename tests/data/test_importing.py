@@ -27,7 +27,7 @@ def imported(folder: Path, columns: Columns, text: str | None = None) -> Import:
     np.savez(folder / "log.npz", **columns)
     if text is not None:
         (folder / "map.yaml").write_text(text)
-    return import_logs([folder / "log.npz"], folder / "map.yaml", folder / "robot.xml", folder / "out" / "data.npz")
+    return import_logs(folder / "log.npz", folder / "map.yaml", folder / "robot.xml", folder / "out" / "data.npz")
 
 
 def test_a_good_log_comes_out_as_it_went_in(folder: Path, arm: Any) -> None:
@@ -155,6 +155,17 @@ def test_positions_alone(folder: Path, arm: Any, fault: str) -> None:
         assert noise.sd == pytest.approx(np.sqrt(np.mean(wrong[:, i] ** 2)), rel=0.2)
         true = 5e-4 if fault == "noise" else step / np.sqrt(12)
         assert found.noise[f"qpos.{joint}"].sd == pytest.approx(true, rel=0.2)
+
+
+def test_commands_stay_as_they_were_beside_estimated_velocities(folder: Path, arm: Any) -> None:
+    """Stamps on the grid: the half step by which the velocities are late moves neither the positions nor the commands."""
+    log = arm.log()
+    imported(folder, {name: log[name] for name in ("t", "q1", "q2", "tau1", "tau2")}, POSITIONS)
+    data = read(folder / "out" / "data.npz")
+    at = [int(np.flatnonzero(row == log["q1"])[0]) for row in data.observations[[0, -1], 0]]
+    assert at[1] - at[0] == len(data) - 1 >= len(log["t"]) - 4
+    np.testing.assert_array_equal(data.observations[:, 1], log["q2"][at[0] : at[1] + 1])
+    np.testing.assert_array_equal(data.actions, np.stack([log["tau1"], log["tau2"]], axis=1)[at[0] : at[1] + 1])
 
 
 def test_gaps_end_trajectories(folder: Path, arm: Any) -> None:

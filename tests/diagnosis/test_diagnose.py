@@ -179,6 +179,8 @@ def test_unknown_effects_and_places_are_refused_with_the_nearest():
         diagnose(arm, ["joint_damping:elbo"])
     with pytest.raises(Incompatible, match="needs a MuJoCo model"):
         diagnose(slide())
+    with pytest.raises(BadArgument, match=r"'problem' of diagnose must be a Problem, which dropo.load makes"):
+        diagnose("hopper")
     declared = problem([], parameters=[UPPER], episodes=4, steps=60)
     with pytest.raises(BadArgument, match="declared as parameters"):
         diagnose(declared, ["body_mass:upper"])

@@ -439,6 +439,7 @@ def test_a_simulator_that_diverges_at_the_start_is_refused():
     (BadArgument, {"likelihood": Gaussian(10), "draws": 100},
      "The 'draws' of DROPO must be left out where the likelihood brings its own. Got 100 instead."),
     (BadArgument, {"budget": 0}, "The 'budget' of DROPO must be at least 1. Got 0 instead."),
+    (UnknownName, {"epsilon": "tun"}, "No epsilon called 'tun'. Did you mean 'tune'?"),
     (UnknownName, {"start": "center"}, "No start called 'center'. There is least-squares, middle, random."),
     (BadArgument, {"degrees": 2.0}, "The 'degrees' of DROPO must be above 2, to have a variance. Got 2.0 instead."),
     (UnknownName, {"likelihood": "emulate"}, "No likelihood called 'emulate'. Did you mean 'emulated'?"),

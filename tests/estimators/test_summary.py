@@ -14,6 +14,7 @@ from dropo.core.errors import BadArgument, BadFile
 from dropo.core.fit import Fit
 from dropo.core.parameters import Parameter, ParameterSpace
 from dropo.core.problem import Problem
+from dropo.core.table import estimate
 from dropo.estimators import summary
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
@@ -197,7 +198,7 @@ def test_the_text_shows_parameters_with_units_and_what_it_cost():
     for i, parameter in enumerate(fit.space):
         line = next(line for line in lines if line.startswith(parameter.name))
         assert parameter.unit in line
-        assert f"{fit.mean[i]:.7g}" in line
+        assert estimate(fit.mean[i], fit.mean_se[i]) in line
         assert f"{fit.sd[i]:.4g}" in line
     assert lines[0] == "slide: dropo, truncated gaussian"
     assert any(line.startswith(f"{fit.simulator_steps:,} simulator steps, ") for line in lines)
