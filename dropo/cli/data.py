@@ -1,4 +1,4 @@
-"""`dropo data`: imports raw logs, describes measured data and checks it."""
+"""`dropo data`: imports raw logs, describes and checks measured data, judges inputs and estimates states."""
 
 import argparse
 from pathlib import Path
@@ -26,6 +26,11 @@ def add(commands: Any) -> None:
     check.add_argument("--model", type=Path, metavar="MJCF", help="the model, for raw logs")
     inputs = _action(below, "inputs", run_inputs, "which of several logged commands to trust, by data that no fit saw", threads="")
     inputs.add_argument("problem", metavar="PROBLEM", help="a problem, or a problem file whose data hold several commands")
+    states = _action(below, "states", run_states, "states estimated with the model in place of the measured ones, as a problem", threads="")
+    states.add_argument("problem", metavar="PROBLEM", help="a problem file or a built-in name")
+    states.add_argument("--unmeasured", nargs="+", default=[], metavar="SIGNAL", help="signals whose data are a guess, such as qvel.elbow")
+    states.add_argument("--causal", action="store_true", help="a filter: each state by the measurements up to it alone")
+    states.add_argument("--out", type=Path, required=True, metavar="DIR", help="the folder of the new problem")
 
 
 def _add_import(below: Any) -> None:
@@ -81,6 +86,18 @@ def run_inputs(arguments: argparse.Namespace) -> int:
     if len(names) < 2:
         raise Incompatible(f"{arguments.problem} knows one command alone. An import keeps several: map them under `inputs`.")
     found = choose_problem_input({name: load(arguments.problem, threads=arguments.threads, input=name) for name in names})
+    show(arguments, found, found.to_json())
+    return 0
+
+
+def run_states(arguments: argparse.Namespace) -> int:
+    """Estimates the states under the nominal parameters, writes the problem with them, and prints how well each signal is known."""
+    from dropo.data.smoother import with_states
+    from dropo.problems.reader import load
+    from dropo.problems.writer import write_problem
+
+    problem, found = with_states(load(arguments.problem, threads=arguments.threads), arguments.unmeasured, causal=arguments.causal)
+    write_problem(problem, arguments.out)
     show(arguments, found, found.to_json())
     return 0
 

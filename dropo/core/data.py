@@ -120,7 +120,8 @@ class Trajectories:
         return Segments(self, steps, previous, set_columns=columns, every_step=every_step)
 
     def from_rows(self, first: Ints, length: int = 1, *, every_step: bool = False) -> "Segments":
-        """Segments of so many steps that begin at the rows `first` (N,), each from its measurement; they may overlap."""
+        """Segments of `length` steps that begin at the rows `first` (N,), each from its measurement; they may overlap. `every_step`: as of
+        `segments`."""
         alone, columns = np.full(len(first), -1, dtype=np.int64), np.ones(self.observations.shape[1], dtype=bool)
         return Segments(self, first[:, None] + np.arange(length), alone, columns, every_step=every_step)
 

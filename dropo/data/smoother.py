@@ -1,14 +1,19 @@
 """States estimated with the model: an extended Kalman filter, and the smoother behind it, for logs that lack velocities or are noisy."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dropo.core.checks import Array, float_array, require
-from dropo.core.data import Trajectories
+from dropo.core.checks import Array, float_array, known, require
+from dropo.core.data import Signal, Trajectories
 from dropo.core.errors import Incompatible, SimulationFailed
+from dropo.core.problem import Problem
 from dropo.core.simulator import Simulator, describe_failures
+from dropo.core.table import Printed, Table
+from dropo.core.table import number as written
 
 PASSES = 3  # of linearising at the last pass' states
 ROUNDS, TURNS = 4, 5  # of learning: linearised anew in each round, steps of expectation-maximisation within
@@ -19,8 +24,8 @@ LEAST, LARGEST = 1e-5, 0.02  # of a signal's spread: the least and the largest s
 UNKNOWN = 1e2  # spreads: the standard deviation of a start that was not measured
 
 
-@dataclass(frozen=True, eq=False)
-class StateEstimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class StateEstimate(Printed):
     """The trajectories with estimated states in place of the measured ones, and how well they are known.
 
     covariance: (N, p, p) of the state before each transition; noise: (p,) variance of the measurements, inf where a column
@@ -34,6 +39,29 @@ class StateEstimate:
     noise: Array
     process: Array
     causal: bool
+    signals: tuple[Signal, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Standard deviations by signal: of the measurement (None where there was none), of the state, and of what the model misses."""
+        measured, process = np.sqrt(self.noise), np.sqrt(np.diagonal(self.process))
+        rows = zip(self.signals, measured.tolist(), np.sqrt(self.start_variance).tolist(), process.tolist(), strict=True)
+        names = ("measured_sd", "state_sd", "missed_a_step_sd")
+        told = {s.name: dict(zip(names, (x if np.isfinite(x) else None, *y), strict=True)) | {"unit": s.unit} for s, x, *y in rows}
+        return {"causal": self.causal, "signals": told}
+
+    def parts(self) -> list[str | Table]:
+        """A table of them."""
+        table = [
+            (
+                name,
+                told["unit"],
+                *("-" if told[key] is None else written(told[key]) for key in ("measured_sd", "state_sd", "missed_a_step_sd")),
+            )
+            for name, told in self.to_json()["signals"].items()
+        ]
+        header = ("signal", "unit", "noise sd", "state sd", "missed in a step")
+        how = "by the measurements up to each (a filter, causal)" if self.causal else "by all measurements (a smoother, not causal)"
+        return [f"{len(self.trajectories)} states estimated with the model, {how}.", Table("", header, tuple(table))]
 
     @property
     def start_variance(self) -> Array:
@@ -67,8 +95,23 @@ def estimate_states(
     whole = replace(problem, trajectories=trajectories)
     states, covariance = whole.estimates(variance, process, causal)
     return StateEstimate(
-        _with_states(trajectories, states), covariance[_before(trajectories)], np.where(seen, variance, np.inf), process, causal
-    )
+        _with_states(trajectories, states), covariance[_before(trajectories)], np.where(seen, variance, np.inf), process, causal,
+        tuple(simulator.signals),
+    )  # fmt: skip
+
+
+def with_states(problem: Problem, unmeasured: Sequence[str] = (), *, causal: bool = False) -> tuple[Problem, StateEstimate]:
+    """The problem with states estimated under its nominal parameters in place of the measured ones, and what `estimate_states` says of
+    the data to fit; data held out are estimated by themselves. unmeasured: signals whose data are a guess."""
+    if problem.simulator.nominal is None:
+        raise Incompatible(f"States are estimated under a model's nominal parameters, which {type(problem.simulator).__name__} has not.")
+    names = [signal.name for signal in problem.simulator.signals]
+    guessed = {known("signal", name, names) for name in unmeasured}
+    seen, nominal = np.array([name not in guessed for name in names]), np.asarray(problem.simulator.nominal)
+    sides = [problem.trajectories, *([] if problem.held_out is None else [problem.held_out])]
+    found = [estimate_states(problem.simulator, side, nominal, measured=seen, causal=causal) for side in sides]
+    held_out = found[1].trajectories if len(found) > 1 else None
+    return replace(problem, trajectories=found[0].trajectories, held_out=held_out, everything=None), found[0]
 
 
 def _before(trajectories: Trajectories) -> NDArray[np.int64]:

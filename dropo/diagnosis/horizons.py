@@ -15,7 +15,7 @@ from dropo.diagnosis.windows import FEWEST, held_out_windows, spread_of
 
 HORIZONS = (1, 5, 20, 100, 400)
 ROWS, LEAST = 4000, 40  # of all windows of a horizon together, at most; but no fewer than LEAST windows
-DRAWS = 4  # of each window's start, that tell what noise explains
+DRAWS = 2  # of each window's start, that tell what noise explains
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,9 @@ def horizons(
     The noise is that of the last state: its starts are drawn anew, so that it is known at impacts, too. Windows may overlap.
     """
     found: list[list[Horizon]] = [[] for _ in thetas]
+    thetas = [*thetas, last.theta]
     different, which = np.unique(np.stack(thetas), axis=0, return_inverse=True)  # with nothing found, or nothing fitted, some are the same
+    which = which.ravel()
     sigma, variance = last.train.whiten.sigma, spread_of(library.simulator, last.test.windows) ** 2
     for steps in sorted({*lengths, last.train.windows.length}):
         windows = held_out_windows(problem, steps, max(LEAST, ROWS // steps))
@@ -51,11 +53,11 @@ def horizons(
             break
         predicted = library.predict(different, windows)
         offsets = sigma * rng.standard_normal((DRAWS, len(windows), len(sigma)))
-        moved = library.predict(np.repeat(last.theta[None], DRAWS, axis=0), windows, offsets) - library.predict(last.theta[None], windows)
+        moved = library.predict(np.repeat(last.theta[None], DRAWS, axis=0), windows, offsets) - predicted[which[-1]]
         reach = moved[np.isfinite(moved).all(axis=2), -len(sigma) :]
         noise = sigma**2 + np.mean(reach**2, axis=0)
         every = [_horizon(library.simulator, steps, windows.measured - one, noise, variance) for one in predicted]
-        for out, i in zip(found, which.ravel().tolist(), strict=True):
+        for out, i in zip(found, which[:-1].tolist(), strict=True):
             out.append(every[i])
     return found
 

@@ -7,6 +7,7 @@ from scipy.stats import chi2
 
 from dropo.core.checks import Array
 from dropo.core.effect import Atom
+from dropo.diagnosis.library import command_names
 from dropo.diagnosis.model import Library, Look
 from dropo.diagnosis.windows import Windows
 
@@ -104,9 +105,10 @@ def regimes(windows: Windows, library: Library) -> dict[str, Array]:
     names = getattr(getattr(simulator, "layout", None), "names", [f"signal {i}" for i in range(starts.shape[1])])
     found |= {name: starts[:, i] for i, name in enumerate(names)}
     found |= {f"|{name}|": np.abs(starts[:, i]) for i, name in enumerate(names) if name.startswith("qvel")}
-    for i in range(actions.shape[2]):
-        found[f"command {i}"] = actions[:, :, i].mean(axis=1)
-        found[f"the change of command {i}"] = np.abs(np.diff(actions[:, :, i], axis=1, prepend=actions[:, :1, i])).mean(axis=1)
+    drives = command_names(simulator) if hasattr(simulator, "controls") else [f"column {i}" for i in range(actions.shape[2])]
+    for i, name in enumerate(drives):
+        found[f"the command of {name}"] = actions[:, :, i].mean(axis=1)
+        found[f"the change of the command of {name}"] = np.abs(np.diff(actions[:, :, i], axis=1, prepend=actions[:, :1, i])).mean(axis=1)
     return {name: values for name, values in found.items() if np.ptp(values) > 0}
 
 

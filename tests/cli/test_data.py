@@ -180,3 +180,44 @@ def test_refused_imports_write_nothing(log: Path, capsys: pytest.CaptureFixture[
     assert main(["data", "check", str(log), *raw[:4]]) == 2
     assert main(["data", "check", str(log), *raw[:2]]) == 2
     assert not (log.parent / "out").exists()
+
+
+def test_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Positions with noise and guessed velocities become a problem with better ones, by a smoother or, worse, by a filter."""
+    truth = write_swing(tmp_path)
+    errors = []
+    for how in ([], ["--causal"]):
+        out = tmp_path / f"states{len(how)}"
+        assert main(["data", "states", str(tmp_path / "swing.yaml"), "--unmeasured", "qvel.hinge", "--out", str(out), "--json", *how]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["causal"] is bool(how)
+        assert told["signals"]["qvel.hinge"]["measured_sd"] is None
+        assert told["signals"]["qpos.hinge"]["measured_sd"] == pytest.approx(5e-3, rel=0.25)
+        found = load(out / "problem.yaml").trajectories.observations
+        errors.append(np.sqrt(np.mean((found - truth)[20:] ** 2, axis=0)))
+    guess = load(tmp_path / "swing.yaml").trajectories.observations
+    assert (errors[0] < 0.5 * np.sqrt(np.mean((guess - truth) ** 2, axis=0))).all()
+    assert (errors[0] < errors[1]).all()
+    assert main(["data", "states", str(tmp_path / "swing.yaml"), "--unmeasured", "qvel.hing", "--out", str(tmp_path / "no")]) == 2
+    assert "Did you mean 'qvel.hinge'?" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+
+
+def write_swing(folder: Path) -> np.ndarray:
+    """A pendulum under random torques, measured with 5 mrad of noise, velocities by differences; the true states (299, 2)."""
+    xml = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/></body></worldbody>
+      <actuator><motor name="m" joint="hinge"/></actuator></mujoco>"""
+    (folder / "swing.xml").write_text(xml)
+    model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(0)
+    state, states, commands = mujoco.MjData(model), [], np.cumsum(rng.normal(0, 0.1, 300))
+    for torque in commands:
+        states.append([state.qpos[0], state.qvel[0]])
+        state.ctrl[0] = torque
+        mujoco.mj_step(model, state, 2)
+    truth = np.array(states)
+    angle = truth[:, 0] + rng.normal(0, 5e-3, 300)
+    seen = np.stack([angle, np.gradient(angle, 0.01)], axis=1)
+    np.savez(folder / "swing.npz", observations=seen, actions=commands[:, None], terminals=np.arange(300) == 299)
+    (folder / "swing.yaml").write_text("model: swing.xml\nframe_skip: 2\ndata: swing.npz\n")
+    return truth[:-1]
