@@ -39,7 +39,10 @@ def atoms_for(problem: Problem, effects: Sequence[str] | None = None, free: Ints
 
 
 def declared(simulator: Simulator, atom: Atom, free: Ints | None = None) -> bool:
-    """Whether the atom changes a number of the model that a declared parameter (one of `free`) stands for, at that place alone."""
+    """Whether the atom is declared, or changes a number of the model that a declared parameter (one of `free`) stands for, at that place
+    alone."""
+    if atom.label in {own.label for own in getattr(simulator, "effects", ())}:
+        return True
     bindings = [binding for i, binding in enumerate(getattr(simulator, "bindings", ())) if free is None or i in free]
     if atom.model is None or atom.target is None or not bindings:
         return False

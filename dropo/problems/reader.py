@@ -117,8 +117,8 @@ def _simulator(entries: Entries, frame_skip: int, threads: int) -> MujocoSimulat
     with entries.blaming("action"):
         action_columns(model, action)
     simulator = MujocoSimulator(source, parameters, observation=observation, action=action, frame_skip=frame_skip, threads=threads)
-    fixed = read_effects(entries, simulator.robot)
-    return simulator.with_effects((), fixed) if fixed else simulator
+    free, fixed = read_effects(entries, simulator.robot)
+    return simulator.with_effects(free, fixed) if free or fixed else simulator
 
 
 def _model(entries: Entries) -> str | mujoco.MjSpec:

@@ -35,7 +35,8 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
         content["epsilon"] = np.asarray(problem.epsilon, dtype=float).tolist()
     if problem.start_noise:
         content["start_noise"] = True
-    beside = [effect_entry(atom, sizes) for atom, sizes in simulator.fixed if atom.model is None or atom.gate is not None]
+    beside = [effect_entry(atom) for atom in simulator.effects]
+    beside += [effect_entry(atom, sizes) for atom, sizes in simulator.fixed if atom.model is None or atom.gate is not None]
     if beside:
         content["effects"] = beside
     if problem.task is not None and problem.task.source is not None:

@@ -80,10 +80,10 @@ class MujocoSimulator(Simulator):
         self.nominal = np.concatenate([[b.nominal() for b in self.bindings], np.zeros(len(self.space) - len(own))])
 
     def with_effects(self, effects: Sequence[Atom] = (), fixed: Present = ()) -> "MujocoSimulator":
-        """The same simulator with other effects: free ones, whose sizes are parameters, and fixed ones beside those it has."""
+        """The same simulator with more effects beside those it has: free ones, whose sizes are parameters, and fixed ones."""
         out = copy.copy(self)
         out._source, out.steps, out.failures = self._source, 0, 0
-        out._take(effects, (*self.fixed, *fixed))
+        out._take((*self.effects, *effects), (*self.fixed, *fixed))
         return out
 
     def observing(self, observation: Sequence[str]) -> "MujocoSimulator":

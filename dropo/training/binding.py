@@ -24,7 +24,7 @@ def bind(simulator: MujocoSimulator, law: Law, owner: str) -> tuple[MujocoSimula
     declared = simulator.space.names
     sizes = [name for name in law.space.names if name not in declared]
     labels = dict.fromkeys(_label(name, simulator, owner) for name in sizes)
-    free = simulator.with_effects([*simulator.effects, *(_atom(label, simulator, owner) for label in labels)]) if labels else simulator
+    free = simulator.with_effects([_atom(label, simulator, owner) for label in labels]) if labels else simulator
     _refuse_moved(law, simulator, owner)
     columns = [free.space.names.index(known(f"parameter of {owner}", name, free.space.names)) for name in law.space.names]
 

@@ -76,7 +76,7 @@ def test_any_number_of_threads_and_any_process(name, robot, atoms):
     sent = pickle.loads(pickle.dumps(two))
     assert np.array_equal(two.predict(values, robot.segments), wanted)
     assert np.array_equal(sent.predict(values, robot.segments), wanted)
-    again = sent.with_effects(pickle.loads(pickle.dumps(some)))
+    again = pickle.loads(pickle.dumps(ROBOTS[name](threads=2).simulator)).with_effects(pickle.loads(pickle.dumps(some)))
     assert np.array_equal(again.predict(values, robot.segments), wanted)
 
 

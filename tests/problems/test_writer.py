@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from dropo import diagnose, fit, hide
 from dropo.core.catalogue import find, names
 from dropo.core.errors import BadFile, Incompatible, Refused
 from dropo.diagnosis.library import declared
@@ -89,6 +90,9 @@ def test_effects_stand_in_mjcf_where_it_has_them(arm, tmp_path):
         ({"effect": "joint_damping", "target": "elbo", "sizes": {"damping": 1}}, "elbow"),
         ({"effect": "joint_damping", "target": "elbow", "sizes": {"dampin": 1}}, "damping"),
         ({"effect": "joint_damping", "target": "elbow", "variant": "x", "sizes": {"damping": 1}}, "variant"),
+        ({"effect": "joint_damping", "target": "elbow", "fit": {"damping": [2, 1]}}, r"effects\[0\].fit.damping.*\[low, high\] between"),
+        ({"effect": "joint_damping", "target": "elbow", "fit": {"damping": [0, 1]}, "sizes": {"damping": 1}}, "either sizes, or fit"),
+        ({"effect": "joint_damping", "target": "elbow"}, "neither"),
         ("joint_damping", "list of mappings"),
     ],
 )
@@ -98,6 +102,29 @@ def test_wrong_entries_are_refused(arm, tmp_path, entry, told):
     path.write_text(path.read_text() + yaml.safe_dump({"effects": [entry]}))
     with pytest.raises(BadFile, match=told):
         load(path)
+
+
+def test_effects_are_fitted_as_parameters(tmp_path):
+    """Dry friction and a command's latency of an arm, beside its masses: found within four standard errors, kept by the writer, and fitted
+    along by a diagnosis, which then misses nothing; without them something is missing."""
+    hidden = hide("torque-arm", ["joint_friction:elbow=0.12", "actuator_delay:shoulder_motor=0.008"], threads=1)
+    path = write_problem(hidden, tmp_path)
+    entries = [
+        {"effect": "joint_friction", "target": "elbow", "fit": {"frictionloss": [0, 0.5]}},
+        {"effect": "actuator_delay", "target": "shoulder_motor", "fit": {"delay": [0, 0.02]}},
+    ]
+    path.write_text(path.read_text() + yaml.safe_dump({"effects": entries}))
+    arm = load(path, threads=1)
+    assert arm.space.names[2:] == ("joint_friction:elbow/frictionloss", "actuator_delay:shoulder_motor/delay")
+    found = fit(arm.using(length=5))
+    assert np.all(np.abs(found.mean - [1.0, 0.6, 0.12, 0.008]) < 4 * found.mean_se)
+    assert np.all(found.mean_se < [1e-3, 1e-3, 1e-3, 1e-4])
+    again = yaml.safe_load(write_problem(arm, tmp_path / "again").read_text())
+    assert again["effects"] == entries
+    told = diagnose(arm, ["joint_damping", "joint_friction", "actuator_gain"])
+    assert told.verdict == "consistent"
+    assert told.parameters["joint_friction:elbow/frictionloss"] == pytest.approx(0.12, rel=0.02)
+    assert diagnose(hidden, ["joint_damping", "actuator_gain"]).verdict in ("partly", "unexplained")
 
 
 def test_other_simulators_cannot_be_written(tmp_path):
