@@ -126,8 +126,10 @@ def measured(series: Series, span: Span, joint: Joint | None) -> Array:
 
 def commanded(series: Series, span: Span, step: float) -> Array:
     """A command's numbers (n, 1) on the grid: each row is held until the next, and averaged over the control step."""
-    if series.label not in span.resampled:
-        return series.values[np.searchsorted(series.time, span.at + ON_GRID * step, side="right") - 1]
+    row = np.searchsorted(series.time, span.at + ON_GRID * step, side="right") - 1
+    alone = bool((np.diff(row) == 1).all())  # one row in each control step
+    if series.label not in span.resampled and alone:
+        return series.values[row]
     return held_means(series.time, series.values, span.at, step)
 
 

@@ -168,6 +168,15 @@ def test_commands_stay_as_they_were_beside_estimated_velocities(folder: Path, ar
     np.testing.assert_array_equal(data.actions, np.stack([log["tau1"], log["tau2"]], axis=1)[at[0] : at[1] + 1])
 
 
+def test_commands_faster_than_the_control_step_are_averaged(folder: Path, arm: Any) -> None:
+    """Five rows of a log in every control step: positions are those at its beginning, commands the means over it."""
+    log = arm.log()
+    imported(folder, log, (folder / "map.yaml").read_text() + "rate: 100\n")
+    data = read(folder / "out" / "data.npz")
+    np.testing.assert_array_equal(data.observations[:, 0], log["q1"][: 5 * len(data) : 5])
+    np.testing.assert_allclose(data.actions[:, 0], log["tau1"][: 5 * len(data)].reshape(-1, 5).mean(axis=1), rtol=1e-6, atol=1e-9)
+
+
 def test_gaps_end_trajectories(folder: Path, arm: Any) -> None:
     """Two gaps make three trajectories of one group; what is left out is said, with why."""
     log = arm.log()
