@@ -39,11 +39,10 @@ def _bounded(atom: Atom, entry: Entries) -> Atom:
     for q in atom.quantities:
         bounds = level.content.get(q.name)
         expected = f"[low, high] between {q.low:g} and {q.high:g} {q.unit}".rstrip()
-        if not isinstance(bounds, list) or len(bounds) != 2 or not all(type(x) in (int, float) for x in bounds):
+        pair = bounds if isinstance(bounds, list) and len(bounds) == 2 and all(type(x) in (int, float) for x in bounds) else (0.0, 0.0)
+        if not q.low <= pair[0] < pair[1] <= q.high:
             raise level.bad(q.name, expected)
-        if not q.low <= bounds[0] < bounds[1] <= q.high:
-            raise level.bad(q.name, expected)
-        found.append(replace(q, low=float(bounds[0]), high=float(bounds[1])))
+        found.append(replace(q, low=float(pair[0]), high=float(pair[1])))
     return replace(atom, quantities=tuple(found))
 
 
