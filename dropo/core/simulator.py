@@ -76,6 +76,10 @@ class Simulator(ABC):
         """What was measured at every compared row, in the coordinates of `predict`: (R, p)."""
         return segments.targets
 
+    def start_doubt(self, value: Array, segments: Segments) -> Array:
+        """(N, p) standard deviations by which true starts may be off what was measured, noise aside, under one parameter vector (d,)."""
+        return np.zeros((len(segments), len(self.signals)))
+
     def sensitivities(self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None) -> Array:
         """d prediction / d parameter at one parameter vector (d,), by central differences: (R, p, d).
 

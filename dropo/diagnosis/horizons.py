@@ -14,7 +14,7 @@ from dropo.diagnosis.selection import State
 from dropo.diagnosis.windows import FEWEST, held_out_windows, spread_of
 
 HORIZONS = (1, 5, 20, 100, 400)
-ROWS, LEAST = 4000, 40  # of all windows of a horizon together, at most; but no fewer than LEAST windows
+ROWS, LEAST = 2400, 40  # of all windows of a horizon together, at most; but no fewer than LEAST windows
 DRAWS = 2  # of each window's start, that tell what noise explains
 
 

@@ -48,7 +48,7 @@ def _judged(library: Library, windows: Windows, theta: Array, sigma: Array) -> t
     """How many times the noise's reach most windows are off at their last step, in the signal where that is most; and what share of the
     noise's reach there is of second order, on average."""
     seen, p = look(library, windows, theta, sigma), len(sigma)
-    linear, bent = np.split((seen.whiten.loadings[:, -p:] * seen.whiten.scale) ** 2, 2, axis=2)
+    linear, bent = np.split((seen.loadings[:, -p:] * np.tile(sigma, 2)) ** 2, 2, axis=2)
     variance = sigma**2 + linear.sum(axis=2) + bent.sum(axis=2)
     off = np.abs(seen.residuals[:, -p:]) / (0.6745 * np.sqrt(variance))
     return float(np.median(off, axis=0).max()), float(np.mean(bent.sum(axis=2) / variance))

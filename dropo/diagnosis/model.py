@@ -54,7 +54,7 @@ class Library:
 @dataclass(frozen=True, eq=False)
 class Look:
     """Windows under theta (m,) and sigma (p,): residuals (W, n), the curvature's part of the
-    predictions (W, n), and the whitener. `lost` (W,) are those that diverge."""
+    predictions (W, n), and the whitener. `lost` (W,) are those that diverge; loadings: those of starts that are off by noise alone."""
 
     windows: Windows
     theta: Array
@@ -62,11 +62,17 @@ class Look:
     shift: Array
     whiten: Whitener
     lost: np.ndarray
+    loadings: Array
 
     @property
     def predicted(self) -> Array:
         """(W, n) what was simulated from the measured starts; of lost windows nothing."""
         return np.where(self.lost[:, None], np.nan, self.windows.measured - self.residuals - self.shift)
+
+    @property
+    def doubts(self) -> Array:
+        """(W, n, e) the loadings of e standard normal numbers: what starts of late signals are off by beside noise."""
+        return self.whiten.loadings[:, :, self.loadings.shape[2] :]
 
     @property
     def log_likelihood(self) -> Array:
@@ -76,7 +82,8 @@ class Look:
     def take(self, index: Ints) -> "Look":
         """Some of the windows."""
         whiten = Whitener(self.whiten.loadings[index], self.whiten.scale, self.whiten.sigma)
-        return Look(self.windows.take(index), self.theta, self.residuals[index], self.shift[index], whiten, self.lost[index])
+        rest = (self.residuals[index], self.shift[index], whiten, self.lost[index], self.loadings[index])
+        return Look(self.windows.take(index), self.theta, *rest)
 
     def flat(self, residuals: Array) -> Array:
         """(..., W (n + m)) residuals (..., W, n) whitened and weighted as the likelihood does; lost windows count for nothing."""
@@ -109,7 +116,7 @@ def look(library: Library, windows: Windows, theta: Array, sigma: Array) -> Look
     shift = curved.sum(axis=0)
     residuals = windows.measured - found[0] - shift
     residuals[lost] = LOST * np.tile(sigma, windows.length)
-    return Look(windows, theta, residuals, shift, Whitener(loadings, np.tile(sigma, 2), sigma), lost)
+    return Look(windows, theta, residuals, shift, whitener(library, windows, theta, sigma, loadings), lost, loadings)
 
 
 def moved(library: Library, seen: Look, theta: Array, sigma: Array) -> Look:
@@ -118,10 +125,19 @@ def moved(library: Library, seen: Look, theta: Array, sigma: Array) -> Look:
     lost = np.logical_or(seen.lost, ~np.isfinite(predictions).all(axis=1))
     residuals = seen.windows.measured - predictions - seen.shift
     residuals[lost] = LOST * np.tile(sigma, seen.windows.length)
-    return Look(seen.windows, theta, residuals, seen.shift, Whitener(seen.whiten.loadings, np.tile(sigma, 2), sigma), lost)
+    whiten = whitener(library, seen.windows, theta, sigma, seen.loadings)
+    return Look(seen.windows, theta, residuals, seen.shift, whiten, lost, seen.loadings)
 
 
-def noise_of(seen: Look, sigma: Array, floor: Array) -> Array:
+def whitener(library: Library, windows: Windows, theta: Array, sigma: Array, loadings: Array) -> Whitener:
+    """Of noisy starts: those of signals that are seen late are in doubt by more than noise, a latent number more for each."""
+    doubt = library.simulator.start_doubt(theta, windows.segments)
+    late = np.flatnonzero(doubt.any(axis=0))
+    more = loadings[:, :, late] * doubt[:, None, late]
+    return Whitener(np.concatenate([loadings, more], axis=2), np.concatenate([np.tile(sigma, 2), np.ones(len(late))]), sigma)
+
+
+def noise_of(seen: Look, sigma: Array, floor: Array, rounds: int = 60) -> Array:
     """sigma (p,) that the windows are most likely under, at the theta of a look."""
     good = ~seen.lost
-    return learn_noise(seen.whiten.loadings[good], seen.residuals[good], sigma, floor)[0]
+    return learn_noise(seen.loadings[good], seen.residuals[good], sigma, floor, known=seen.doubts[good], rounds=rounds)[0]

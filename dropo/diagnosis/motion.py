@@ -13,7 +13,7 @@ from dropo.diagnosis.whitening import DEGREES
 from dropo.diagnosis.windows import FEWEST, Windows, held_out_windows, spread_of
 
 REACHES = (20, 10, 5, 1)  # control steps: the longest of which there are enough windows, unless those of the diagnosis are longer
-SHOWN, JUDGED = 4, 480  # windows that are kept; control steps, about, that errors are taken from
+SHOWN, JUDGED = 4, 320  # windows that are kept; control steps, about, that errors are taken from
 ENTRIES = 400  # of a window that are made independent of each other
 
 

@@ -1,11 +1,13 @@
 """Fitting some of theta to windows: robust Gauss-Newton, with the noise learned in between."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from dropo.core.checks import Array
 from dropo.core.data import Ints
-from dropo.diagnosis.model import Library, Look, look, moved, noise_of
+from dropo.diagnosis.model import Library, Look, look, moved, noise_of, whitener
 
 SHORTER = np.array([0.5, 0.25, 0.1, 0.02])  # shares of a step that are tried where the whole of it does not keep its promise
 KEPT = 0.2  # share of the promised gain that a whole step must bring
@@ -128,7 +130,8 @@ def _scan(library: Library, seen: Look, number: int) -> Look:
 def _best(library: Library, seen: Look, tried: Array) -> tuple[Look, float]:
     """The best of several thetas (K, m) where it is better than the present one, and the nats gained; the noise stays."""
     predictions = library.predict(tried, seen.windows)
-    values = seen.of(predictions).sum(axis=1)
+    ways = [whitener(library, seen.windows, theta, seen.whiten.sigma, seen.loadings) for theta in tried]
+    values = np.array([replace(seen, whiten=way).of(one).sum() for way, one in zip(ways, predictions, strict=True)])
     k = int(np.nanargmax(np.where(np.isfinite(values), values, -np.inf)))
     gain = float(values[k] - seen.log_likelihood.sum())
     if not gain > 0:
@@ -136,4 +139,4 @@ def _best(library: Library, seen: Look, tried: Array) -> tuple[Look, float]:
     residuals = seen.windows.measured - predictions[k] - seen.shift
     bad = seen.lost | ~np.isfinite(residuals).all(axis=1)
     residuals[bad] = seen.residuals[bad]
-    return Look(seen.windows, tried[k], residuals, seen.shift, seen.whiten, seen.lost), gain
+    return replace(seen, theta=tried[k], residuals=residuals, whiten=ways[k]), gain

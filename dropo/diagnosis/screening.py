@@ -7,12 +7,13 @@ import numpy as np
 
 from dropo.core.checks import Array
 from dropo.core.effect import Atom
-from dropo.diagnosis.model import Library, Look
+from dropo.diagnosis.model import Library, Look, noise_of, whitener
 
 BATCH = 64  # probes simulated at once
 FINALISTS = 18  # atoms that are looked at on all windows
-COARSE, LEAST = 3, 12  # a first choice takes one window in so many, where that leaves at least so many
+COARSE, LEAST = 4, 12  # a first choice takes one window in so many, where that leaves at least so many
 
+ROUNDS = 10  # in which noise is learned for a promise
 LEAST_NOISE = 0.5  # variance of whitened residuals: about 1 but where the noise is held at its least
 
 Trial = tuple[Atom, tuple[tuple[float, ...], ...]]
@@ -37,14 +38,15 @@ class Candidate:
 class Screening:
     """A screening that remembers how the first choice's windows answered to each probe: a later effect changes that little.
 
-    free: the numbers of theta that are fitted with any of the atoms.
+    floor: (p,) the least noise; free: the numbers of theta that are fitted with any of the atoms.
     """
 
     library: Library
+    floor: Array
     remembered: Known = field(default_factory=dict)
 
     def __call__(self, seen: Look, free: np.ndarray, atoms: Sequence[Atom]) -> list[Candidate]:
-        """The atoms by what they promise, most first: all of them on a third of the windows, the best of these on all windows."""
+        """The atoms by what they promise, most first: all of them on a quarter of the windows, the best of these on all windows."""
         if len(atoms) > FINALISTS and len(seen.windows) >= COARSE * LEAST:
             some = seen.take(np.arange(0, len(seen.windows), COARSE))
             first = self._score(some, free, [(atom, trial) for atom in atoms for trial in few(atom)], self.remembered)
@@ -59,10 +61,25 @@ class Screening:
         size = max(float(target @ target) / max(seen.residuals[~seen.lost].size, 1), LEAST_NOISE)
         best: dict[str, Candidate] = {}
         for (atom, trial), response in self._responses(seen, trials, known):
-            found = _score(self.library, seen, atom, np.array(trial), _rest(seen.flat(response), basis), target, size)
-            if found is not None and (atom.label not in best or found.gain > best[atom.label].gain):
-                best[atom.label] = found
+            promises = [_score(self.library, seen, atom, np.array(trial), _rest(seen.flat(response), basis), target, size)]
+            if atom.late is not None:
+                promises += [self._with_other_noise(seen, atom, np.array(sizes), one) for sizes, one in zip(trial, response, strict=True)]
+            for found in promises:
+                if found is not None and (atom.label not in best or found.gain > best[atom.label].gain):
+                    best[atom.label] = found
         return sorted(best.values(), key=lambda candidate: -candidate.gain)
+
+    def _with_other_noise(self, seen: Look, atom: Atom, sizes: Array, response: Array) -> Candidate:
+        """An atom of sensors with sizes under which starts are in doubt, and the noise learned anew: without it, noise stands for it."""
+        theta, place = seen.theta.copy(), self.library.places[atom.label]
+        theta[place] += sizes
+        way = whitener(self.library, seen.windows, theta, seen.whiten.sigma, seen.loadings)
+        there = replace(seen, residuals=seen.residuals - response, whiten=way)
+        sigma = noise_of(there, seen.whiten.sigma, self.floor, rounds=ROUNDS)
+        learned = replace(there, whiten=whitener(self.library, seen.windows, theta, sigma, seen.loadings))
+        moves = seen.flat(response)
+        gain = float((learned.log_likelihood - seen.log_likelihood)[~seen.lost].sum())
+        return Candidate(atom, theta[place], gain, moves / max(float(np.linalg.norm(moves)), 1e-300))
 
     def _responses(self, seen: Look, trials: Sequence[Trial], known: Known) -> Iterator[tuple[Trial, Array]]:
         """Each trial with how far its sizes move the predictions (t, W, n); `known` is taken where it has them, and filled."""

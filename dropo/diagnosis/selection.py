@@ -5,13 +5,14 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
+from scipy.stats import rankdata
 
 from dropo.core.catalogue import BUILT_IN
 from dropo.core.checks import Array
 from dropo.core.data import Ints
 from dropo.core.effect import Atom
 from dropo.core.errors import SimulationFailed
-from dropo.diagnosis.model import Library, Look, look, moved
+from dropo.diagnosis.model import Library, Look, look, moved, noise_of
 from dropo.diagnosis.one_step import only_over_windows
 from dropo.diagnosis.refit import MATTERS, refit, settle, with_noise
 from dropo.diagnosis.screening import Candidate, Screening, shortlist, with_constant
@@ -25,6 +26,7 @@ TRIED, BATCHES, MOST = 6, 3, 12  # candidates refitted at a time, and how often 
 POLISHED = 3  # of the candidates refitted at a time, how many are fitted to the end where those before are then not confirmed
 ALIKE, EQUAL = 0.98, 2.0  # cosine of whitened responses from which, and nats within which, two effects do the same
 DEFICIT = 4.0  # nats held out below which more numbers are not called for
+FEWER = 3  # one window in so many tells the first noise
 DIVERGES = 0.3  # share of the windows beyond which a diverging simulation is refused
 
 Progress = Callable[[float, str], None]
@@ -89,16 +91,17 @@ class Selection:
     screening: Screening = field(init=False)
 
     def __post_init__(self) -> None:
-        self.screening = Screening(self.library)
+        self.screening = Screening(self.library, self.floor)
 
     def begin(self, train: Windows, test: Windows, theta: Array, sigma: Array, free: np.ndarray) -> State:
         """The model as it is, with its declared parameters and the noise fitted."""
-        first = look(self.library, train, theta, sigma)
-        if first.lost.mean() > DIVERGES:
+        rough = look(self.library, train.take(np.arange(0, len(train), FEWER)), theta, sigma)
+        if rough.lost.mean() > DIVERGES:
             raise SimulationFailed(
-                f"The simulation diverges in {first.lost.mean():.0%} of the windows, with the parameters at their nominal values. Check"
+                f"The simulation diverges in {rough.lost.mean():.0%} of the windows, with the parameters at their nominal values. Check"
                 " the model, the time step and the units of the data."
             )
+        first = look(self.library, train, theta, noise_of(rough, sigma, self.floor))
         fitted = refit(self.library, with_noise(self.library, first, self.floor), free, self.floor, rounds=2, renewals=1)
         return State(fitted, self._held_out(fitted, test), free)
 
@@ -161,6 +164,8 @@ class Selection:
         free = np.concatenate([state.free, place]).astype(np.int64)
         rough = rough_numbers(self.library, (candidate.atom,))
         begun = moved(self.library, state.train, theta, state.train.whiten.sigma)
+        if candidate.atom.late is not None:  # without it, noise stands for it
+            begun = moved(self.library, begun, theta, noise_of(begun, begun.whiten.sigma, self.floor))
         fitted = settle(self.library, begun, free, self.floor, rough=rough, known=known)
         held_out = moved(self.library, state.test, fitted.theta, fitted.whiten.sigma)
         new = State(fitted, held_out, free, (*state.accepted, candidate.atom))
@@ -211,13 +216,19 @@ def by_block(before: Look, after: Look) -> Array:
 
 
 def confirmed(before: Look, after: Look, least: float) -> bool:
-    """Whether windows held out gain at least so many nats, and not a few of them or a single block alone; of what acts seldom (a joint's
-    limit) a few windows will do where none loses."""
+    """Whether windows held out gain at least so many nats, and not a few of them or a single block alone: their mean is certain, or most of
+    them gain; of what acts seldom (a joint's limit) a few windows will do where none loses."""
     gain, z = gain_of(before, after)
     windows = after.log_likelihood - before.log_likelihood
-    many = float(windows.sum()) > CERTAIN * float(windows.std(ddof=1)) * np.sqrt(len(windows))
+    many = float(windows.sum()) > CERTAIN * float(windows.std(ddof=1)) * np.sqrt(len(windows)) or ranked(windows) > CERTAIN
     answers = windows[np.abs(windows) > ANSWERS]
     return gain > least and z > SPREAD and (many or (len(answers) >= SELDOM and bool(answers.min() > 0)))
+
+
+def ranked(windows: Array) -> float:
+    """How many standard errors the signed ranks of windows' gains are above chance: that most of them gain (Wilcoxon 1945)."""
+    n, ranks = len(windows), rankdata(np.abs(windows))
+    return float(np.sum(np.sign(windows) * ranks) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
 def gain_of(before: Look, after: Look) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from dropo.diagnosis.whitening import Whitener, learn_noise
 
 GAINED, CERTAIN = 9.0, 2.5  # nats and standard errors on windows held out, from which the forces are there
 PIECES = 10  # of a window at most, in each of which a force is drawn anew
+LEARNED = 48  # windows at least that their size is learned from, where there are so many
 FREE, BALL, SLIDE, HINGE = range(4)
 
 
@@ -51,8 +52,8 @@ def _name(model: Any, dof: int) -> tuple[str, str]:
 @dataclass(frozen=True, eq=False)
 class Unexplained:
     """sd: (nv,) of the forces [N m, N], each piece of a window anew; scale: (nv,) 1 / what moves each as far; gain, z: of allowing for them
-    on windows held out [nats]; excess: (W,) that gain by window; answers: d residual / d force (W, n, pieces nv) of the windows to fit and
-    of those held out."""
+    on windows held out [nats]; excess: (W,) that gain by window; answers: d residual / d force (W, n, pieces nv) of the windows that they
+    are learned from and of those held out."""
 
     sd: Array
     scale: Array
@@ -76,13 +77,17 @@ def unexplained_force(
     answers: those found under another theta, which hardly matters to them.
     """
     atoms = [atom for atom in library.atoms if atom.effect == "unexplained_force"]
+    train = train.take(np.arange(0, len(train.windows), max(1, len(train.windows) // LEARNED)))
     nv, good = len({atom.target for atom in atoms}), ~train.lost
     pieces = len(atoms) // nv
     unit = np.array([atom.quantities[0].probes[0] for atom in atoms[:nv]])
     answers = answers or (_answers(library, train, atoms), _answers(library, test, atoms))
-    ways = [np.concatenate([seen.whiten.loadings, way], axis=2) for seen, way in zip((train, test), answers, strict=True)]
-    sigma, sd = learn_noise(ways[0][good], train.residuals[good], train.whiten.sigma, floor, unit, pieces=pieces)
-    with_forces = replace(test, whiten=Whitener(ways[1], np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces)]), sigma))
+    ways = [np.concatenate([seen.loadings, way], axis=2) for seen, way in zip((train, test), answers, strict=True)]
+    sigma, sd = learn_noise(
+        ways[0][good], train.residuals[good], train.whiten.sigma, floor, unit, pieces=pieces, known=train.doubts[good]
+    )  # fmt: skip
+    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces), np.ones(test.doubts.shape[2])])
+    with_forces = replace(test, whiten=Whitener(np.concatenate([ways[1], test.doubts], axis=2), scale, sigma))
     return Unexplained(sd, 1 / unit, *gain_of(test, with_forces), with_forces.log_likelihood - test.log_likelihood, answers)
 
 

@@ -97,27 +97,31 @@ def _first(rows: Array) -> Array:
 
 def learn_noise(
     loadings: Array, residuals: Array, sigma: Array, floor: Array, forces: Array | None = None, *, pieces: int | None = None,
-    rounds: int = 60, tolerance: float = 1e-3,
+    known: Array | None = None, rounds: int = 60, tolerance: float = 1e-3,
 ) -> tuple[Array, Array]:  # fmt: skip
     """sigma (p,), tied between the start and all steps, and the sd of unexplained forces (nv,), by over-relaxed EM.
 
     loadings: (W, n, s p + k), the first p columns those of the start's error, others beside it as large as sigma too; forces: (nv,)
     first guesses, where the last k = pieces nv columns are impulses, nv of each piece of the window in turn (None: of each step).
-    floor: (p,) the least sigma.
+    known: (W, n, e) loadings of standard normal numbers beside these. floor: (p,) the least sigma.
     """
     p, steps = len(sigma), residuals.shape[1] // len(sigma)
     forces = np.zeros(0) if forces is None else forces
     pieces = steps if pieces is None else pieces
-    start = (loadings.shape[2] - pieces * len(forces)) // p
+    count = len(residuals) * (steps + 1)
+    pushes = pieces * len(forces)
+    start = (loadings.shape[2] - pushes) // p
+    known = np.zeros((*residuals.shape, 0)) if known is None else known
+    loadings, ones = np.concatenate([loadings, known], axis=2), np.ones(known.shape[2])
     for _ in range(rounds):
-        scale = np.concatenate([np.tile(sigma, start), np.tile(forces, pieces)])
+        scale = np.concatenate([np.tile(sigma, start), np.tile(forces, pieces), ones])
         errors, latents = Whitener(loadings, scale, sigma).moments(residuals)
-        count = len(residuals) * (steps + 1)
         ratio = np.sqrt((errors + latents[:p]) / count) / sigma
         new = np.maximum(sigma * ratio**1.5, floor)
-        pushed = np.sqrt(latents[start * p :].reshape(pieces, -1).sum(axis=0) / (len(residuals) * pieces)) if len(forces) else forces
+        squares = latents[start * p :][:pushes].reshape(pieces, -1).sum(axis=0)
+        pushed = np.sqrt(squares / (len(residuals) * pieces))
         moved = np.max(np.abs(np.log(np.concatenate([new, pushed]) / np.concatenate([sigma, forces]))))
-        sigma, forces = new, forces * (pushed / forces) ** 1.5 if len(forces) else forces
+        sigma, forces = new, forces * (pushed / forces) ** 1.5
         if moved < tolerance:
             break
     return sigma, forces

@@ -60,7 +60,7 @@ class Machine:
     ) -> Trajectories:
         """Closed-loop data of the machine with effects of those sizes, under parameters (d,), the nominal ones by default."""
         return record(
-            self.simulator.with_effects((), effects), np.asarray(self.simulator.nominal) if values is None else values,
+            self.simulator, effects, np.asarray(self.simulator.nominal) if values is None else values,
             self.starts(rng, self.episodes), self.controller, self.steps, actions=self.actions, noise=noise, alive=self.alive, rng=rng,
             memory=self.memory,
         )  # fmt: skip

@@ -106,6 +106,19 @@ def slopes_of(segments: Segments, layout: Layout, control_step: float) -> Array:
     return (ahead - behind) / ((1 + at - before)[:, None] * control_step)
 
 
+def bends_of(segments: Segments, layout: Layout, control_step: float) -> Array:
+    """(N, p) by how much the speed of each measured signal changes from step to step around each segment's start [1/s]: the root mean
+    square of three second differences, fewer at the ends of its trajectory."""
+    data, at = segments.trajectories, segments.steps[:, 0]
+    first, last = np.array(data.spans)[data.trajectory[at]].T
+    here = data.observations[at]
+    moves = [layout.coordinates(data.next_observations[k], here) - layout.coordinates(data.observations[k], here)
+             for k in (np.clip(at + shift, first, last - 1) for shift in (-2, -1, 0, 1))]  # fmt: skip
+    apart = np.diff(moves, axis=0) / control_step
+    counted = np.sum([(at + shift >= first) & (at + shift < last - 1) for shift in (-2, -1, 0)], axis=0)
+    return np.asarray(np.sqrt((apart**2).sum(axis=0) / np.maximum(counted, 1)[:, None]))
+
+
 def seen_late(trace: Array, delays: Array) -> Array:
     """Columns (n, J, c) of a trace (n, 1 + steps, c), one value a physics step, J evenly spaced steps late by so many steps (c,).
 

@@ -24,7 +24,7 @@ def problem(hidden, *, sigma=1e-3, seed=0, parameters=(), truth=None, name="torq
     there = [(atom(arm.simulator, one) if isinstance(one, str) else one, np.array(sizes, dtype=float)) for one, sizes in hidden]
     values = np.asarray(arm.simulator.nominal if truth is None else truth, dtype=float)
     data = record(
-        arm.simulator.with_effects((), there), values, arm.starts(rng, episodes or arm.episodes), arm.controller, steps or arm.steps,
+        arm.simulator, there, values, arm.starts(rng, episodes or arm.episodes), arm.controller, steps or arm.steps,
         actions=arm.actions, noise=sigma, alive=arm.alive, rng=rng, memory=arm.memory,
     )  # fmt: skip
     return Problem(name, arm.simulator, data, start_noise=True)

@@ -26,7 +26,7 @@ def test_hidden_effect_is_found(name, declared):
     if declared and name == "gain":
         assert search.run(first, first, atoms()) is first
         return
-    screened = Screening(search.library)(first.train, first.free, atoms())
+    screened = Screening(search.library, search.floor)(first.train, first.free, atoms())
     assert screened[0].atom.effect == name
     last, _ = review(search, search.run(first, first, atoms()))
     assert [atom.effect for atom in last.accepted] == [name]

@@ -9,6 +9,7 @@ import pytest
 
 from dropo.core.data import Trajectories
 from dropo.core.errors import BadArgument, BadFile
+from dropo.problems.machines import machine, masses
 from dropo.simulators.fields import FieldParameter
 from dropo.simulators.mujoco import MujocoSimulator
 from dropo.simulators.quiet import quiet
@@ -340,3 +341,16 @@ def test_moving_frames_needs_the_source_of_the_model():
     words = r"^The 'model' of MujocoSimulator must be an MJCF file or an MjSpec where \['body_ipos'\] is fitted. Got 'an MjModel' instead.$"
     with pytest.raises(BadArgument, match=words):
         MujocoSimulator(mujoco.MjModel.from_xml_string(BOX), [offset, mass("flap")])
+
+
+@pytest.mark.parametrize("name", ["hopper", "walker2d", "half-cheetah", "torque-arm"])
+def test_a_single_tree_does_not_look_for_islands(name):
+    """With islands of constraints looked for, a machine of one tree does the same bit for bit; data with contacts."""
+    robot = machine(name, masses(name))
+    segments = robot.record(noise=1e-3, rng=np.random.default_rng(0)).segments(10)
+    values = np.asarray(robot.simulator.nominal) * np.array([[0.9], [1.0]])
+    found = robot.simulator.predict(values, segments)
+    assert robot.simulator.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
+    looking = machine(name, masses(name)).simulator
+    looking.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+    assert np.array_equal(found, looking.predict(values, segments))

@@ -1,0 +1,59 @@
+"""Looks at windows: what starts are in doubt by."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dropo.core.catalogue import find
+from dropo.core.problem import Problem
+from dropo.diagnosis.model import Library, look, moved, noise_of, whitener
+from dropo.diagnosis.whitening import Whitener
+from dropo.diagnosis.windows import split
+from dropo.problems.machines import machine
+
+NOISE = 1e-4
+
+
+def late_arm():
+    """Windows of an arm whose fast joint's velocity comes 2 ms late, with that delay at hand: the library and the windows."""
+    robot = machine("torque-arm")
+    atom = next(a for a in find("effects", "sensor_delay")(robot.simulator.robot) if a.target == "qvel.elbow")
+    data = robot.record([(atom, np.array([0.002]))], noise=NOISE, rng=np.random.default_rng(0))
+    problem = Problem("arm", robot.simulator, data, start_noise=True)
+    return Library(robot.simulator.with_effects([atom]), [atom], 0), split(problem, 5, 96)[0]
+
+
+def test_starts_of_a_late_velocity_are_in_doubt():
+    """Under the true delay and noise most windows are off by what is expected, (chi-squared) squared length by entry about 1; without the
+    doubt in starts by a hundred times that."""
+    library, windows = late_arm()
+    theta, sigma = np.array([0.002]), np.full(4, NOISE)
+    seen = look(library, windows, theta, sigma)
+    length = np.median(seen.whiten.distances(seen.residuals)) / seen.residuals.shape[1]
+    certain = whitener(Library(machine("torque-arm").simulator, (), 0), windows, np.zeros(0), sigma, seen.loadings)
+    assert 0.5 < length < 2
+    assert np.median(certain.distances(seen.residuals)) / seen.residuals.shape[1] > 100
+
+
+def test_doubt_follows_theta():
+    """A look that moves to another delay takes that delay's doubt, as a look that is taken there does; without one there is none."""
+    library, windows = late_arm()
+    sigma = np.full(4, NOISE)
+    prompt = look(library, windows, np.zeros(1), sigma)
+    there = moved(library, prompt, np.array([0.002]), sigma)
+    doubt = library.simulator.start_doubt(np.array([0.002]), windows.segments)
+    assert prompt.doubts.shape[2] == 0
+    np.testing.assert_allclose(there.doubts[..., 0], there.loadings[..., 3] * doubt[:, 3:], rtol=1e-12)
+    assert np.array_equal(moved(library, there, np.zeros(1), sigma).log_likelihood, prompt.log_likelihood)
+
+
+def test_noise_is_learned_beside_doubt():
+    """At the true delay the noise of prompt signals within a tenth, of the late one within a third, from three times too high; without the
+    doubt the late one is off by more than its double."""
+    library, windows = late_arm()
+    wrong = np.full(4, 3 * NOISE)
+    seen = look(library, windows, np.array([0.002]), wrong)
+    found = noise_of(seen, wrong, np.full(4, 1e-9))
+    assert np.all(np.abs(found / NOISE - 1) < [0.1, 0.1, 0.1, 1 / 3])
+    certain = noise_of(replace(seen, whiten=Whitener(seen.loadings, np.tile(wrong, 2), wrong)), wrong, np.full(4, 1e-9))
+    assert certain[3] > 2 * NOISE
