@@ -164,10 +164,13 @@ class Selection:
         free = np.concatenate([state.free, place]).astype(np.int64)
         rough = rough_numbers(self.library, (candidate.atom,))
         begun = moved(self.library, state.train, theta, state.train.whiten.sigma)
-        if candidate.atom.late is not None:  # without it, noise stands for it
-            begun = moved(self.library, begun, theta, noise_of(begun, begun.whiten.sigma, self.floor))
-        fitted = settle(self.library, begun, free, self.floor, rough=rough, known=known)
-        held_out = moved(self.library, state.test, fitted.theta, fitted.whiten.sigma)
+        if candidate.atom.late is None:
+            fitted = settle(self.library, begun, free, self.floor, rough=rough, known=known)
+            held_out = moved(self.library, state.test, fitted.theta, fitted.whiten.sigma)
+        else:  # without it noise stands for it, which is then far from what it is with it
+            begun = look(self.library, begun.windows, theta, noise_of(begun, begun.whiten.sigma, self.floor))
+            fitted = refit(self.library, begun, free, self.floor, rough=rough, renewals=1)
+            held_out = self._held_out(fitted, state.test.windows)
         new = State(fitted, held_out, free, (*state.accepted, candidate.atom))
         gain, z = gain_of(state.test, new.test)
         return Trial(candidate, fitted.theta[place], new, float((fitted.log_likelihood - state.train.log_likelihood).sum()), gain, z)

@@ -108,15 +108,15 @@ def learn_noise(
     p, steps = len(sigma), residuals.shape[1] // len(sigma)
     forces = np.zeros(0) if forces is None else forces
     pieces = steps if pieces is None else pieces
-    count = len(residuals) * (steps + 1)
     pushes = pieces * len(forces)
     start = (loadings.shape[2] - pushes) // p
+    count = len(residuals) * (steps + start)
     known = np.zeros((*residuals.shape, 0)) if known is None else known
     loadings, ones = np.concatenate([loadings, known], axis=2), np.ones(known.shape[2])
     for _ in range(rounds):
         scale = np.concatenate([np.tile(sigma, start), np.tile(forces, pieces), ones])
         errors, latents = Whitener(loadings, scale, sigma).moments(residuals)
-        ratio = np.sqrt((errors + latents[:p]) / count) / sigma
+        ratio = np.sqrt((errors + latents[: start * p].reshape(start, p).sum(axis=0)) / count) / sigma
         new = np.maximum(sigma * ratio**1.5, floor)
         squares = latents[start * p :][:pushes].reshape(pieces, -1).sum(axis=0)
         pushed = np.sqrt(squares / (len(residuals) * pieces))

@@ -9,6 +9,8 @@ from dropo.core.checks import Array
 from dropo.core.effect import Atom, Quantity, Robot
 from dropo.effects.places import is_rotation
 
+TRIED = (0.02, 0.2, 0.5, 1.0, 2.0)  # control steps: of a fast signal the right one alone stands out
+
 
 def sensor_delay(robot: Robot) -> Iterator[Atom]:
     """A delay of one signal, y'(t) = y(t - T); not of rotations, whose three numbers come together.
@@ -20,7 +22,8 @@ def sensor_delay(robot: Robot) -> Iterator[Atom]:
     for place, (name, _) in enumerate(robot.signals):
         if not is_rotation(name):
             size = Quantity("delay", "s", 0.0, 5 * dt, (0.02 * dt, 0.2 * dt, dt), smooth=False)
-            yield Atom("sensor_delay", name, (size,), start=partial(_ahead, place), late=partial(_late, place, p))
+            trials = tuple(((share * dt,),) for share in TRIED)
+            yield Atom("sensor_delay", name, (size,), start=partial(_ahead, place), late=partial(_late, place, p), trials=trials)
 
 
 def _ahead(place: int, rows: Array, slopes: Array, sizes: Array) -> Array:

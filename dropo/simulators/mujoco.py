@@ -141,13 +141,14 @@ class MujocoSimulator(Simulator):
         return touching(self.model, self._start_states(segments, np.arange(len(segments)), segments.starts, {}))
 
     def start_doubt(self, value: Array, segments: Segments) -> Array:
-        """(N, p) of signals seen late: half of what a speed that changes from step to step leaves open of how far they have gone since."""
+        """(N, p) of signals seen late: half of how far a change of speed from one step to the next takes them in that time; over more than
+        a step, how far a change that goes on does."""
         late = lateness([*self.fixed, *sizes_of(self.effects, value[len(self.bindings) :])], len(self.signals))
         if not late.any():
             return super().start_doubt(value, segments)
         if segments not in self._bends:
             self._bends[segments] = bends_of(segments, self.layout, self.control_step)
-        return np.asarray(0.5 * late * self._bends[segments])
+        return np.asarray(0.5 * late * np.maximum(1.0, late / self.control_step) * self._bends[segments])
 
     @property
     def robot(self) -> Robot:

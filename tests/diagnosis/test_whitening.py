@@ -54,6 +54,34 @@ def test_noise_and_forces_are_recovered():
     assert np.all(found(np.zeros(2))[1] < 0.1 * force)
 
 
+def test_noise_of_curved_starts_is_recovered():
+    """Numbers beside the start's error that are as large as sigma count for it: within four standard errors over data sets, and every
+    round of the search makes windows more likely, here from sigma that is far too high."""
+    rng = np.random.default_rng(4)
+    sigma, count = np.array([0.5, 0.1, 0.2]), 200
+    loadings, known = rng.normal(size=(count, STEPS * P, 2 * P)), rng.normal(size=(count, STEPS * P, 1))
+
+    def residuals():
+        latent = np.concatenate([np.tile(sigma, 2) * rng.normal(size=(count, 2 * P)), rng.normal(size=(count, 1))], axis=1)
+        drawn = np.einsum("wnm,wm->wn", np.concatenate([loadings, known], axis=2), latent)
+        size = np.sqrt(DEGREES / rng.chisquare(DEGREES, count))[:, None]
+        return size * (drawn + np.tile(sigma, STEPS) * rng.normal(size=drawn.shape))
+
+    def likely(found, given):
+        scale = np.concatenate([np.tile(found, 2), [1.0]])
+        return Whitener(np.concatenate([loadings, known], axis=2), scale, found).log_likelihood(given).sum()
+
+    runs = [learn_noise(loadings, residuals(), 30 * sigma, np.full(P, 1e-9), known=known, rounds=400, tolerance=1e-6)[0] for _ in range(8)]
+    mean, error = np.mean(runs, axis=0), np.std(runs, axis=0, ddof=1) / np.sqrt(len(runs))
+    assert np.all(np.abs(mean - sigma) < 4 * error)
+    assert np.all(np.abs(mean - 1.3 * sigma) > 4 * error)  # the control
+    given, now, values = residuals(), 30 * sigma, []
+    for _ in range(20):
+        values.append(likely(now, given))
+        now = learn_noise(loadings, given, now, np.full(P, 1e-9), known=known, rounds=1)[0]
+    assert np.all(np.diff(values) > -1e-9 * np.abs(values[0]))
+
+
 def test_the_least_noise_holds():
     """Residuals without any noise leave sigma at its floor, and everything finite."""
     loadings = np.tile(np.eye(P), (STEPS, 1))[None].repeat(20, 0)

@@ -106,17 +106,19 @@ def test_delay_of_a_sensor():
     np.testing.assert_allclose(found[[0, 3, 6], height], robot.segments.starts[:, track], rtol=1e-9)
 
 
-def test_doubt_of_late_starts():
-    """Half the delay times the root mean square of how much the signal's speed changes between steps; none of prompt signals."""
+@pytest.mark.parametrize(("delay", "longer"), [(0.003, 1.0), (0.04, 2.5)])
+def test_doubt_of_late_starts(delay, longer):
+    """Half the delay times the root mean square of how much the signal's speed changes between steps, more of delays above a control step
+    (16 ms); none of prompt signals."""
     robot = ROBOTS["arm"]()
-    late = robot.simulator.with_effects((), [(atom(robot, "sensor_delay:qvel.elbow"), np.array([0.003]))])
+    late = robot.simulator.with_effects((), [(atom(robot, "sensor_delay:qvel.elbow"), np.array([delay]))])
     found = late.start_doubt(np.zeros(0), robot.segments)
     for first, doubt in zip(robot.segments.steps[:, 0], found, strict=True):
         begin, end = next(span for span in robot.data.spans if span[0] <= first < span[1])
         signal = np.append(robot.data.observations[begin:end, 3], robot.data.next_observations[end - 1, 3])
         around = [k for k in range(first - begin - 1, first - begin + 2) if 1 <= k < len(signal) - 1]
         bends = [signal[k + 1] - 2 * signal[k] + signal[k - 1] for k in around]
-        wanted = 0.5 * 0.003 / robot.simulator.control_step * np.sqrt(np.mean(np.square(bends)))
+        wanted = longer * 0.5 * delay / robot.simulator.control_step * np.sqrt(np.mean(np.square(bends)))
         np.testing.assert_allclose(doubt, [0, 0, 0, wanted], rtol=1e-9)
     assert found[:, 3].min() > 0
     assert not robot.simulator.start_doubt(np.zeros(0), robot.segments).any()
