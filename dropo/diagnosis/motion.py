@@ -7,7 +7,7 @@ from dropo.core.checks import Array
 from dropo.core.data import Ints
 from dropo.core.predictions import LEVEL, Predictions, Side
 from dropo.core.problem import Problem
-from dropo.diagnosis.model import Library, Look, look
+from dropo.diagnosis.model import Library, Look, look, moved
 from dropo.diagnosis.selection import State
 from dropo.diagnosis.whitening import DEGREES
 from dropo.diagnosis.windows import FEWEST, Windows, held_out_windows, spread_of
@@ -24,18 +24,19 @@ def motion(problem: Problem, library: Library, first: State, last: State) -> Pre
     windows = next((found for found in tried if len(found) >= FEWEST), None)
     if windows is None:
         return None
-    looks = [look(library, windows, state.theta, state.train.whiten.sigma) for state in ([first, last] if last is not first else [last])]
+    end = look(library, windows, last.theta, last.train.whiten.sigma)
+    begin = moved(library, end, first.theta, first.train.whiten.sigma)
     spread, shown = spread_of(library.simulator, windows), _neighbours(windows)
     steps = windows.segments.steps[shown, 0]
     begins = steps - np.array([start for start, _ in windows.segments.trajectories.spans])[windows.segments.trajectories.trajectory[steps]]
     names = ("the model as it is", "the model with the cause" if last.accepted else "the model as it is")
-    sides = [_side(name, seen, state, shown, spread) for name, seen, state in zip(names, (looks[0], looks[-1]), (first, last), strict=True)]
-    noise = _deviations(looks[-1]) ** 2
+    sides = [_side(name, seen, state, shown, spread) for name, seen, state in zip(names, (begin, end), (first, last), strict=True)]
+    noise = _deviations(end) ** 2
     return Predictions(
         tuple(s.name for s in library.simulator.signals), tuple(s.unit for s in library.simulator.signals),
         float(getattr(library.simulator, "control_step", np.nan)), begins, _by_window(windows.measured, spread)[shown],
         windows.segments.trajectories.next_observations[windows.segments.steps[shown]], spread,
-        np.sqrt(np.mean(_by_window(noise, spread)[~looks[-1].lost] / spread**2, axis=(0, 2))), last.test.windows.length, True, *sides,
+        np.sqrt(np.mean(_by_window(noise, spread)[~end.lost] / spread**2, axis=(0, 2))), last.test.windows.length, True, *sides,
     )  # fmt: skip
 
 

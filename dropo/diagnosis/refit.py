@@ -12,7 +12,7 @@ from dropo.diagnosis.model import Library, Look, look, moved, noise_of, whitener
 SHORTER = np.array([0.5, 0.25, 0.1, 0.02])  # shares of a step that are tried where the whole of it does not keep its promise
 KEPT = 0.2  # share of the promised gain that a whole step must bring
 SETTLED = 0.1  # [nats] below which a round of steps gains nothing more
-RENEWED, MATTERS = 4, 1.0  # times at most that the start noise's way is found anew in a fit; nats from which that changes something
+RENEWED, MATTERS = 4, 3.0  # times at most that the start noise's way is found anew in a fit; nats from which that changes something
 HELD = 0.1  # of the bounds' distance: the width of the prior that holds a step back
 OTHER = 1.3  # times a noise, from which its way through the simulation is found anew
 NONE = np.zeros(0, dtype=np.int64)

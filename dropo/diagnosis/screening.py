@@ -10,10 +10,10 @@ from dropo.core.effect import Atom
 from dropo.diagnosis.model import Library, Look, noise_of, whitener
 
 BATCH = 64  # probes simulated at once
-FINALISTS = 18  # atoms that are looked at on all windows
+FINALISTS = 12  # atoms that are looked at on all windows
 COARSE, LEAST = 4, 12  # a first choice takes one window in so many, where that leaves at least so many
 
-ROUNDS = 30  # in which noise is learned for a promise
+ROUNDS = 4  # in which noise is learned for a promise
 LEAST_NOISE = 0.5  # variance of whitened residuals: about 1 but where the noise is held at its least
 
 Trial = tuple[Atom, tuple[tuple[float, ...], ...]]
