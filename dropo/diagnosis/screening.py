@@ -10,7 +10,7 @@ from dropo.core.effect import Atom
 from dropo.diagnosis.model import Library, Look, noise_of, whitener
 
 BATCH = 64  # probes simulated at once
-FINALISTS = 12  # atoms that are looked at on all windows
+FINALISTS = 18  # atoms that are looked at on all windows
 COARSE, LEAST = 4, 12  # a first choice takes one window in so many, where that leaves at least so many
 
 ROUNDS = 4  # in which noise is learned for a promise
