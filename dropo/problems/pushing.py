@@ -13,7 +13,8 @@ from dropo.core.data import Ints, Trajectories
 from dropo.core.problem import Problem
 from dropo.problems.pin import BOX, drive
 from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator, load_model
+from dropo.simulators.loading import load_model
+from dropo.simulators.mujoco import MujocoSimulator
 from dropo.simulators.observation import exponential, multiply
 from dropo.simulators.worker import Worker
 

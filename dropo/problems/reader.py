@@ -24,8 +24,9 @@ from dropo.problems.effect_entries import read_effects
 from dropo.problems.task_entries import read_task
 from dropo.problems.velocities import with_velocities
 from dropo.simulators.fields import PREFIXES, Binding, FieldParameter, element_names, model_fields, option_fields
+from dropo.simulators.loading import load_model, specification
 from dropo.simulators.motors import motor_of, mount
-from dropo.simulators.mujoco import MujocoSimulator, action_columns, load_model, specification
+from dropo.simulators.mujoco import MujocoSimulator, action_columns
 from dropo.simulators.observation import Layout
 
 KEYS = (
