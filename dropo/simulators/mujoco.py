@@ -142,8 +142,8 @@ class MujocoSimulator(Simulator):
         return touching(self.model, self._start_states(segments, np.arange(len(segments)), segments.starts, {}))
 
     def start_doubt(self, value: Array, segments: Segments) -> Array:
-        """(N, p) of signals seen late: half of how far a change of speed from one step to the next takes them in that time; over more than
-        a step, how far a change that goes on does."""
+        """(N, p) under the value (d,): of signals seen late, half of how far a change of speed from one step to the next takes them in that
+        time; over more than a step, how far a change that goes on does."""
         late = lateness([*self.fixed, *sizes_of(self.effects, value[len(self.bindings) :])], len(self.signals))
         if not late.any():
             return super().start_doubt(value, segments)

@@ -68,14 +68,14 @@ def test_covariance_shrinks_as_the_search_goes_on():
 
 
 def test_restarts_leave_local_minima():
-    """Without restarts the search ends in a local minimum of Rastrigin's function; with them in the global one."""
-    alone, again = make(seed=4, restarts=0), make(seed=4, budget=20000)
-    reason = drive(alone, Rastrigin())[1]
-    assert "." in reason
-    assert alone.best[1] > 0.5
-    reason = drive(again, Rastrigin())[1]
-    assert again.best[1] < 1e-9
-    assert "restart" in reason.lower()
+    """Without restarts few of eight searches end in the global minimum of Rastrigin's function; with them at least three more do. Which
+    ones depends on the processor's rounding."""
+    alone, again = ([make(seed=seed, **more) for seed in range(8)] for more in ({"restarts": 0}, {"budget": 20000}))
+    reasons = [[drive(search, Rastrigin())[1] for search in searches] for searches in (alone, again)]
+    reached = [sum(search.best[1] < 1e-9 for search in searches) for searches in (alone, again)]
+    assert all("." in reason for reason in reasons[0])
+    assert any("restart" in (reason or "").lower() for reason in reasons[1])
+    assert reached[1] >= reached[0] + 3
 
 
 def test_restarts_double_the_population_and_keep_to_their_number():
