@@ -54,7 +54,7 @@ class Library:
 @dataclass(frozen=True, eq=False)
 class Look:
     """Windows under theta (m,) and sigma (p,): residuals (W, n), the curvature's part of the
-    predictions (W, n), and the whitener. `lost` (W,) are those that diverge; loadings: those of starts that are off by noise alone."""
+    predictions (W, n), and the whitener. `lost` (W,) are those that diverge."""
 
     windows: Windows
     theta: Array
@@ -62,7 +62,6 @@ class Look:
     shift: Array
     whiten: Whitener
     lost: np.ndarray
-    loadings: Array
 
     @property
     def predicted(self) -> Array:
@@ -70,9 +69,14 @@ class Look:
         return np.where(self.lost[:, None], np.nan, self.windows.measured - self.residuals - self.shift)
 
     @property
+    def loadings(self) -> Array:
+        """(W, n, 2 p) those of starts that are off by noise alone."""
+        return self.whiten.loadings[:, :, : 2 * len(self.whiten.sigma)]
+
+    @property
     def doubts(self) -> Array:
         """(W, n, e) the loadings of e standard normal numbers: what starts of late signals are off by beside noise."""
-        return self.whiten.loadings[:, :, self.loadings.shape[2] :]
+        return self.whiten.loadings[:, :, 2 * len(self.whiten.sigma) :]
 
     @property
     def log_likelihood(self) -> Array:
@@ -82,8 +86,7 @@ class Look:
     def take(self, index: Ints) -> "Look":
         """Some of the windows."""
         whiten = Whitener(self.whiten.loadings[index], self.whiten.scale, self.whiten.sigma)
-        rest = (self.residuals[index], self.shift[index], whiten, self.lost[index], self.loadings[index])
-        return Look(self.windows.take(index), self.theta, *rest)
+        return Look(self.windows.take(index), self.theta, self.residuals[index], self.shift[index], whiten, self.lost[index])
 
     def flat(self, residuals: Array) -> Array:
         """(..., W (n + m)) residuals (..., W, n) whitened and weighted as the likelihood does; lost windows count for nothing."""
@@ -116,7 +119,7 @@ def look(library: Library, windows: Windows, theta: Array, sigma: Array) -> Look
     shift = curved.sum(axis=0)
     residuals = windows.measured - found[0] - shift
     residuals[lost] = LOST * np.tile(sigma, windows.length)
-    return Look(windows, theta, residuals, shift, whitener(library, windows, theta, sigma, loadings), lost, loadings)
+    return Look(windows, theta, residuals, shift, whitener(library, windows, theta, sigma, loadings), lost)
 
 
 def moved(library: Library, seen: Look, theta: Array, sigma: Array) -> Look:
@@ -126,7 +129,7 @@ def moved(library: Library, seen: Look, theta: Array, sigma: Array) -> Look:
     residuals = seen.windows.measured - predictions - seen.shift
     residuals[lost] = LOST * np.tile(sigma, seen.windows.length)
     whiten = whitener(library, seen.windows, theta, sigma, seen.loadings)
-    return Look(seen.windows, theta, residuals, seen.shift, whiten, lost, seen.loadings)
+    return Look(seen.windows, theta, residuals, seen.shift, whiten, lost)
 
 
 def whitener(library: Library, windows: Windows, theta: Array, sigma: Array, loadings: Array) -> Whitener:
