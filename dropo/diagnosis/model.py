@@ -40,10 +40,10 @@ class Library:
         """(K, m) -> (K, W, n)."""
         return self.simulator.predict(values, windows.segments, offsets=offsets).reshape(len(values), len(windows), -1)
 
-    def slopes(self, theta: Array, free: np.ndarray, windows: Windows) -> Array:
-        """d prediction / d theta (f, W, n) in the free numbers, by central differences within the bounds."""
+    def slopes(self, theta: Array, free: np.ndarray, windows: Windows, share: float = 1.0) -> Array:
+        """d prediction / d theta (f, W, n) in the free numbers, by central differences within the bounds; share: of `steps`."""
         space = self.simulator.space
-        width = self.steps[free]
+        width = share * self.steps[free]
         up, down = (np.clip(theta[free] + sign * width, space.low[free], space.high[free]) for sign in (1, -1))
         values = np.repeat(theta[None], 2 * len(free), axis=0)
         values[np.arange(len(free)), free], values[len(free) + np.arange(len(free)), free] = up, down

@@ -10,6 +10,8 @@ from dropo.core.data import Ints
 from dropo.diagnosis.model import Library, Look, look, moved, noise_of, whitener
 
 SHORTER = np.array([0.5, 0.25, 0.1, 0.02])  # shares of a step that are tried where the whole of it does not keep its promise
+NEAR = 0.02  # of the usual half widths of differences: where predictions bend within those
+CREEPS = 0.5  # of what a step promised: the next one must promise less
 KEPT = 0.2  # share of the promised gain that a whole step must bring
 SETTLED = 0.1  # [nats] below which a round of steps gains nothing more
 RENEWED, MATTERS = 4, 3.0  # times at most that the start noise's way is found anew in a fit; nats from which that changes something
@@ -69,24 +71,27 @@ def _steps(
 ) -> tuple[Look, Array | None]:
     """Gauss-Newton steps with the noise as it is, whole ones where they do what they promise, else shorter ones; in bounds.
 
-    The slopes are found anew where a step does not keep its promise, or where there are none yet; they come back too.
+    The slopes are found anew where a step does not keep its promise, or where there are none yet; and closer by where that does not help,
+    or where step after step promises the same: predictions bend within the usual width of differences, as they do in a contact's margin,
+    and a few windows that an impact enters hold all others back. They come back too.
     """
-    fresh = slopes is None
+    fresh, near, before = slopes is None, False, np.inf
     for _ in range(most if len(free) else 0):
-        slopes = _slopes(library, seen, free, known) if slopes is None else slopes
+        if slopes is None:
+            slopes = library.slopes(seen.theta, free, seen.windows, NEAR) if near else _slopes(library, seen, free, known)
+            fresh = True
         step, promised = _step(library, seen, free, slopes)
         seen, gain = _along(library, seen, free, step[None])
-        if gain > KEPT * promised:
-            fresh = False
-            if gain < SETTLED:
-                break
-        elif not fresh:
-            slopes, fresh = None, True
-        else:
+        kept, creeps, before = gain > KEPT * promised, promised > CREEPS * before, promised
+        if fresh and not kept:
             seen, more = _along(library, seen, free, SHORTER[:, None] * step)
-            slopes, fresh = None, False
-            if gain + more < SETTLED:
-                break
+            gain += more
+        if gain < SETTLED and (kept or near or promised < SETTLED):
+            break
+        near = near or (fresh and (creeps or gain < SETTLED))
+        if creeps or not kept:
+            slopes = None
+        fresh = False
     return seen, slopes
 
 
