@@ -16,6 +16,7 @@ KEPT = 0.2  # share of the promised gain that a whole step must bring
 SETTLED = 0.1  # [nats] below which a round of steps gains nothing more
 RENEWED, MATTERS = 4, 3.0  # times at most that the start noise's way is found anew in a fit; nats from which that changes something
 HELD = 0.1  # of the bounds' distance: the width of the prior that holds a step back
+CLEAN = 10.0  # times the least noise: below it, data are without noise
 OTHER = 1.3  # times a noise, from which its way through the simulation is found anew
 NONE = np.zeros(0, dtype=np.int64)
 SCAN = np.array([0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 1.15, 1.4, 1.8, 2.5, 4.0])  # multiples of a size where steps cannot be trusted
@@ -27,15 +28,17 @@ def refit(
     """The windows of a look at the theta that they are most likely under in the free numbers, and under the noise that fits it.
 
     rough: which numbers a line scan looks for at first, since predictions are not smooth in them. The start noise's way is found anew at
-    the new theta, and where that matters the fit goes on.
+    the new theta, and where that matters the fit goes on. Data without noise are fitted with slopes from close by in the end.
     """
     seen = settle(library, seen, free, floor, rounds=rounds, rough=rough)
     for _ in range(renewals):
         renewed = look(library, seen.windows, seen.theta, seen.whiten.sigma)
         if abs(float(renewed.log_likelihood.sum() - seen.log_likelihood.sum())) < MATTERS:
-            return renewed
+            seen = renewed
+            break
         seen = settle(library, renewed, free, floor, rounds=2)
-    return seen
+    clean = np.median(seen.whiten.sigma / floor) < CLEAN
+    return settle(library, seen, free, floor, near=True) if clean else seen
 
 
 def with_noise(library: Library, seen: Look, floor: Array) -> Look:
@@ -46,11 +49,12 @@ def with_noise(library: Library, seen: Look, floor: Array) -> Look:
 
 
 def settle(
-    library: Library, seen: Look, free: np.ndarray, floor: Array, *, rounds: int = 2, rough: Ints = NONE, known: Array | None = None
-) -> Look:
+    library: Library, seen: Look, free: np.ndarray, floor: Array, *, rounds: int = 2, rough: Ints = NONE, known: Array | None = None,
+    near: bool = False,
+) -> Look:  # fmt: skip
     """The same with the start noise's way as it is in `seen`, which a comparison of candidates can do with.
 
-    known: slopes (k, W, n) of the first k free numbers that may stand for those at any theta near.
+    known: slopes (k, W, n) of the first k free numbers that may stand for those at any theta near; near: whether slopes are found close by.
     """
     slopes = None
     for _ in range(rounds):
@@ -58,7 +62,7 @@ def settle(
         for number in rough:
             seen, slopes = _scan(library, seen, int(number)), None
         rough = NONE
-        seen, slopes = _steps(library, seen, free, known, slopes)
+        seen, slopes = _steps(library, seen, free, known, slopes, near)
         sigma = noise_of(seen, seen.whiten.sigma, floor)
         seen = moved(library, seen, seen.theta, sigma)
         if abs(float(seen.log_likelihood.sum()) - before) < SETTLED:
@@ -67,7 +71,7 @@ def settle(
 
 
 def _steps(
-    library: Library, seen: Look, free: np.ndarray, known: Array | None, slopes: Array | None, most: int = 5
+    library: Library, seen: Look, free: np.ndarray, known: Array | None, slopes: Array | None, near: bool, most: int = 5
 ) -> tuple[Look, Array | None]:
     """Gauss-Newton steps with the noise as it is, whole ones where they do what they promise, else shorter ones; in bounds.
 
@@ -75,7 +79,7 @@ def _steps(
     or where step after step promises the same: predictions bend within the usual width of differences, as they do in a contact's margin,
     and a few windows that an impact enters hold all others back. They come back too.
     """
-    fresh, near, before = slopes is None, False, np.inf
+    fresh, before = slopes is None, np.inf
     for _ in range(most if len(free) else 0):
         if slopes is None:
             slopes = library.slopes(seen.theta, free, seen.windows, NEAR) if near else _slopes(library, seen, free, known)
