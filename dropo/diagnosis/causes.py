@@ -6,13 +6,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from dropo.core.checks import Array
 from dropo.core.dependence import Units
 from dropo.core.effect import Atom
 from dropo.core.sandwich import sandwich
 from dropo.core.table import number
 from dropo.diagnosis.experiment import experiment
 from dropo.diagnosis.invariance import invariance, standing_out
-from dropo.diagnosis.model import Library
+from dropo.diagnosis.model import Library, Look
+from dropo.diagnosis.refit import NEAR
 from dropo.diagnosis.result import Cause
 from dropo.diagnosis.review import Review, ambiguity
 from dropo.diagnosis.screening import Candidate
@@ -82,12 +84,9 @@ def _difference(library: Library, before: State, one: Candidate, two: Candidate)
 def estimate(library: Library, last: State, atom: Atom) -> dict[str, dict[str, Any]]:
     """By quantity: what is added, its standard error by the sandwich clustered by block, the model's own number."""
     free, seen = last.free, last.train
-    slopes = seen.flat(library.slopes(seen.theta, free, seen.windows)).reshape(len(free), len(seen.windows), -1)
-    rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
-    scores, information = np.einsum("fwn,wn->wf", slopes, rest), np.einsum("fwn,gwn->fg", slopes, slopes)
-    block = np.unique(seen.windows.block, return_inverse=True)[1]
-    units = Units(block, False, np.argsort(block, kind="stable"), "blocks")
-    errors = np.sqrt(np.diagonal(sandwich(scores, information, units)[0]))
+    errors = _errors(library, seen, free)
+    if np.any(errors < NEAR * library.steps[free]):  # far below the usual width of differences, within which predictions bend
+        errors = _errors(library, seen, free, NEAR)
     out = {}
     for place, quantity in zip(library.places[atom.label], atom.quantities, strict=True):
         error = float(errors[int(np.flatnonzero(free == place)[0])])
@@ -95,6 +94,16 @@ def estimate(library: Library, last: State, atom: Atom) -> dict[str, dict[str, A
             "value": float(seen.theta[place]), "se": error if np.isfinite(error) else None, "unit": quantity.unit, "model": quantity.base,
         }  # fmt: skip
     return out
+
+
+def _errors(library: Library, seen: Look, free: np.ndarray, share: float = 1.0) -> Array:
+    """(f,) standard errors of the free numbers; share: of the usual width of differences."""
+    slopes = seen.flat(library.slopes(seen.theta, free, seen.windows, share)).reshape(len(free), len(seen.windows), -1)
+    rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
+    scores, information = np.einsum("fwn,wn->wf", slopes, rest), np.einsum("fwn,gwn->fg", slopes, slopes)
+    block = np.unique(seen.windows.block, return_inverse=True)[1]
+    units = Units(block, False, np.argsort(block, kind="stable"), "blocks")
+    return np.sqrt(np.diagonal(sandwich(scores, information, units)[0]))
 
 
 def suspects(selection: Selection, last: State, count: int) -> tuple[dict[str, Any], ...]:
