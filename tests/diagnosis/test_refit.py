@@ -1,9 +1,13 @@
 """Fits to windows where predictions bend."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from dropo.diagnosis import causes
 from dropo.diagnosis import refit as refitting
+from dropo.diagnosis.causes import estimate
 from dropo.diagnosis.model import Library, look, noise_of
 from dropo.diagnosis.refit import refit
 from dropo.diagnosis.windows import split
@@ -13,7 +17,7 @@ TRUE = {"contact_stiffness.margin": -0.001, "body_mass:foot": -0.2, "body_inerti
 
 
 def fitted(off):
-    """Errors, as shares of the truth, of three numbers that the hopper's noise-free data are fitted with, begun so far off."""
+    """The hopper's noise-free data fitted with three numbers, begun so far off: library, look, free numbers, and their errors (3,)."""
     problem = arms.problem([(label, [size]) for label, size in TRUE.items()], sigma=1e-9, name="hopper")
     atoms = [arms.atom(problem.simulator, label) for label in TRUE]
     library, declared = Library(problem.simulator.with_effects(atoms), atoms, len(problem.space)), problem.simulator.nominal
@@ -21,16 +25,30 @@ def fitted(off):
     train, floor = split(problem, 5, 96)[0], np.full(len(problem.simulator.signals), 1e-6)
     begun = look(library, train, np.concatenate([declared, (1 + off) * truth]), 1e3 * floor)
     begun = look(library, train, begun.theta, noise_of(begun, begun.whiten.sigma, floor))
-    return np.abs(refit(library, begun, free, floor).theta[free] / truth - 1)
+    found = refit(library, begun, free, floor)
+    return library, found, free, found.theta[free] - truth
 
 
 @pytest.mark.parametrize("off", [-0.02, 0.02, 0.1])
 def test_where_predictions_bend(off):
-    """A contact's margin, to which windows answer that an impact has only just reached: found to 1e-6 of the truth, whatever is near."""
-    assert fitted(off).max() < 1e-6
+    """A contact's margin, to which windows answer that an impact has only just reached: found to 1e-6 of the truth, whatever is near, and
+    within four standard errors."""
+    library, found, free, errors = fitted(off)
+    assert np.all(np.abs(errors) < 1e-6 * np.abs(list(TRUE.values())))
+    assert np.all(np.abs(errors) < 4 * standard_errors(library, found, free))
+
+
+def standard_errors(library, found, free):
+    """(3,) as a diagnosis tells them."""
+    last = SimpleNamespace(free=free, train=found)
+    return np.array([told["se"] for atom in library.atoms for told in estimate(library, last, atom).values()])
 
 
 def test_wide_differences_alone_stop_short(monkeypatch):
-    """The control: slopes over the usual widths take so small steps that the foot's mass stays 0.1 % off and more."""
+    """The control: slopes over the usual widths take so small steps that the foot's mass stays 0.1 % off and more; where the fit is right,
+    the margin's standard error by them is a hundredth of what it should be."""
+    library, found, free, errors = fitted(0.02)
+    monkeypatch.setattr(causes, "NEAR", 1e-9)
+    assert np.abs(errors / standard_errors(library, found, free)).max() > 100
     monkeypatch.setattr(refitting, "NEAR", 1.0)
-    assert fitted(-0.02).max() > 1e-3
+    assert np.abs(fitted(-0.02)[-1] / list(TRUE.values())).max() > 1e-3
