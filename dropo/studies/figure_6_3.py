@@ -184,9 +184,9 @@ def _laws(laws: Sequence[dict[str, Any]]) -> Table:
         light = len(mean) < len(MEAN)
         masses = [MEAN[0] - MISSING + added, *mean] if light else mean
         label = f"{one['law']} {one['number'] + 1}" if one["law"] == UNIFORM else one["law"]
-        cost = (f"{one['steps']:,}", f"{one['seconds']:.0f}") if one["steps"] else ("-", "-")
-        lines.append((label, *(f"{mass:.3f}" for mass in masses), *(number(value, 2) for value in sd[-3:]), *cost))
-    header = ("law", *(f"mean m{i}" for i in range(1, 5)), *(f"sd m{i}" for i in range(2, 5)), "steps", "s")
+        cost = f"{one['steps']:,}" if one["steps"] else "-"
+        lines.append((label, *(f"{mass:.3f}" for mass in masses), *(number(value, 2) for value in sd[-3:]), cost))
+    header = ("law", *(f"mean m{i}" for i in range(1, 5)), *(f"sd m{i}" for i in range(2, 5)), "simulator steps")
     return Table("The laws [kg]; the torso, m1, is fixed", header, tuple(lines))
 
 

@@ -79,10 +79,10 @@ def _laid_down(problem: Problem, family: str, mean: Array, scale: Array | None =
     return _kept(law(problem, "given", family, phi))
 
 
-def _kept(fit: Any, more: int = 0, seconds: float = 0.0) -> dict[str, Any]:
+def _kept(fit: Any, more: int = 0) -> dict[str, Any]:
     return {
         "family": fit.family, "phi": fit.phi.tolist(), "mean": fit.mean.tolist(), "sd": fit.sd.tolist(), "effects": [],
-        "epsilon": float(np.max(fit.epsilon)), "steps": fit.simulator_steps + more, "seconds": fit.wall_time_s + seconds,
+        "epsilon": float(np.max(fit.epsilon)), "steps": fit.simulator_steps + more,
     }  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def _extended(light: Problem) -> dict[str, Any]:
     simulator = diagnosis.problem.simulator
     assert isinstance(simulator, MujocoSimulator)
     effects = [[atom.effect, atom.label, sizes.tolist()] for atom, sizes in simulator.fixed]
-    kept = _kept(fit, diagnosis.simulator_steps, diagnosis.wall_time_s)
+    kept = _kept(fit, diagnosis.simulator_steps)
     return {**kept, "effects": effects, "verdict": diagnosis.verdict, "causes": [cause.sentence for cause in diagnosis.causes]}
 
 

@@ -147,7 +147,7 @@ def fitted(item: Item) -> dict[str, Any]:
     used = 0 if method == "uniform randomization" else fit.details.get("target_transitions", fit.transitions)
     return {
         "family": fit.family, "phi": fit.phi.tolist(), "mean": fit.mean.tolist(), "sd": fit.sd.tolist(), "steps": fit.simulator_steps,
-        "transitions": used, "seconds": fit.wall_time_s, "status": fit.status.value, "message": fit.message,
+        "transitions": used, "status": fit.status.value, "message": fit.message,
     }  # fmt: skip
 
 

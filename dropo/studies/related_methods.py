@@ -12,10 +12,10 @@ from dropo.studies.work import Work
 
 TABLES = {"6.1": "masses that do not vary", "6.2": "torso mass with sd 0.5 kg, another draw every 10 transitions"}
 FULL = Size()
-HEADER = ("method", "simulator steps", "target transitions", "mean off [kg]", "sd off [kg]", "s")
+HEADER = ("method", "simulator steps", "target transitions", "mean off [kg]", "sd off [kg]")
 NOTES = (
     "'mean off' and 'sd off' are root mean squares over the four masses and the data sets, against the law that the masses are drawn from."
-    " Steps and transitions are medians over the data sets; seconds are those of one thread, with the training inside bayrn.",
+    " Steps and transitions are medians over the data sets; bayrn's steps are with the training inside.",
     "droid, least squares, epopt and npe look for masses that are the same in all data: their spreads say how well those are"
     " known, or how far a search had come, not how much they vary. simopt's spread is what its updates have left of the first one.",
     "simopt collects its data with the stored policy; bayrn trains one by a short search for every law that it tries, and its target"
@@ -71,7 +71,7 @@ def summary(rows: list[dict[str, Any]], table: str) -> dict[str, float]:
     off = {what: np.subtract([row[what] for row in rows], truth) for what, truth in (("mean", MEAN), ("sd", SPREAD[table]))}
     return {
         **{what: float(np.sqrt(np.mean(errors**2))) for what, errors in off.items()},
-        **{what: float(np.median([row[what] for row in rows])) for what in ("steps", "transitions", "seconds")},
+        **{what: float(np.median([row[what] for row in rows])) for what in ("steps", "transitions")},
     }
 
 
@@ -79,9 +79,9 @@ def _table(title: str, rows: dict[str, dict[str, float]], returns: dict[str, dic
     worth = {method: f"{found['mean']:.0f} +- {number(found['error'], 2)}" for method, found in returns.items()}
     lines = [
         (f"{method} (online)" if method in ONLINE else method, f"{row['steps']:,.0f}", f"{row['transitions']:,.0f}",
-         number(row["mean"], 2), number(row["sd"], 2), f"{row['seconds']:.1f}", *([worth[method]] if worth else []))
+         number(row["mean"], 2), number(row["sd"], 2), *([worth[method]] if worth else []))
         for method, row in rows.items()
     ]  # fmt: skip
     if worth:
-        lines.append((TRUTH, "-", "-", "0", "0", "-", worth[TRUTH]))
+        lines.append((TRUTH, "-", "-", "0", "0", worth[TRUTH]))
     return Table(title, (*HEADER, *(["return"] if worth else [])), tuple(lines))
