@@ -46,7 +46,7 @@ def hidden_effects(
         "more than that",
         "error of the size",
         "share of the gain",
-        "s",
+        "simulator steps",
     )
     wrong = [(r["machine"], r["case"], str(r["seed"]), r["hidden"], f"{r['nats']:.0f}", r["said"]) for r in runs if not r["right"]]
     tables = (
@@ -78,8 +78,8 @@ def _rows(name: str, runs: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
         low, high = interval(right, n)
         shares = [r["share"] for r in named if r["share"] is not None]
         share = f"{np.median(shares):.1%}" if shares else "-"
-        seconds = f"{np.median([r['seconds'] for r in judged]):.0f}"
-        out.append((name, case, str(n), f"{right}/{n}", f"{low:.0%}-{high:.0%}", among, extra, error, share, seconds))
+        steps = f"{np.median([r['steps'] for r in judged]):,.0f}"
+        out.append((name, case, str(n), f"{right}/{n}", f"{low:.0%}-{high:.0%}", among, extra, error, share, steps))
     return out
 
 
@@ -108,7 +108,7 @@ def run(item: list[Any]) -> dict[str, Any]:
         "machine": name, "case": case, "seed": seed, "noise": sigma, "nats": nats,
         "hidden": ", ".join(_told(*one) for one in effects) or "-",
         **judge(case, effects, found), "share": share_of_gain(problem, effects, found) if case == "one" else None,
-        "verdict": found.verdict, "seconds": found.wall_time_s, "steps": found.simulator_steps,
+        "verdict": found.verdict, "steps": found.simulator_steps,
     }  # fmt: skip
 
 
