@@ -13,7 +13,7 @@ from dropo.core.sandwich import sandwich
 from dropo.core.table import number
 from dropo.diagnosis.experiment import experiment
 from dropo.diagnosis.invariance import invariance, standing_out
-from dropo.diagnosis.model import Library, Look
+from dropo.diagnosis.model import Library
 from dropo.diagnosis.refit import NEAR
 from dropo.diagnosis.result import Cause
 from dropo.diagnosis.review import Review, ambiguity
@@ -27,15 +27,16 @@ LEAST_P = float(np.finfo(float).tiny)
 
 def causes(library: Library, last: State, reviews: Mapping[str, Review], count: int) -> tuple[Cause, ...]:
     """The accepted effects of the last state, in the order in which they were found; count: how many effects were looked for."""
-    return tuple(_cause(library, last, atom, reviews[atom.label], count) for atom in last.accepted)
+    errors = standard_errors(library, last) if last.accepted else np.zeros(0)
+    return tuple(_cause(library, last, atom, reviews[atom.label], count, errors) for atom in last.accepted)
 
 
-def _cause(library: Library, last: State, atom: Atom, found: Review, count: int) -> Cause:
+def _cause(library: Library, last: State, atom: Atom, found: Review, count: int, errors: Array) -> Cause:
     gain, steps = gain_of(found.without.test, last.test)[0], last.test.windows.steps
     blocks = by_block(found.without.test, last.test)
     held = invariance(library, last.test, atom)
     return Cause(
-        atom.effect, atom.target, atom.variant, estimate(library, last, atom), p_of(gain, count), gain / steps,
+        atom.effect, atom.target, atom.variant, estimate(library, last, atom, errors), p_of(gain, count), gain / steps,
         float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps), _rmse(library, found.without), _rmse(library, last),
         _confused(library, last, atom, found), _shape(last, atom) if held.constant else held.variable,
     )  # fmt: skip
@@ -81,23 +82,27 @@ def _difference(library: Library, before: State, one: Candidate, two: Candidate)
     return standing_out(before.train.windows, library, (rest**2).sum(axis=1))
 
 
-def estimate(library: Library, last: State, atom: Atom) -> dict[str, dict[str, Any]]:
-    """By quantity: what is added, its standard error by the sandwich clustered by block, the model's own number."""
-    free, seen = last.free, last.train
-    errors = _errors(library, seen, free)
-    if np.any(errors < NEAR * library.steps[free]):  # far below the usual width of differences, within which predictions bend
-        errors = _errors(library, seen, free, NEAR)
+def estimate(library: Library, last: State, atom: Atom, errors: Array) -> dict[str, dict[str, Any]]:
+    """By quantity: what is added, its standard error, the model's own number."""
     out = {}
     for place, quantity in zip(library.places[atom.label], atom.quantities, strict=True):
-        error = float(errors[int(np.flatnonzero(free == place)[0])])
+        error = float(errors[int(np.flatnonzero(last.free == place)[0])])
         out[quantity.name] = {
-            "value": float(seen.theta[place]), "se": error if np.isfinite(error) else None, "unit": quantity.unit, "model": quantity.base,
+            "value": float(last.theta[place]), "se": error if np.isfinite(error) else None, "unit": quantity.unit, "model": quantity.base,
         }  # fmt: skip
     return out
 
 
-def _errors(library: Library, seen: Look, free: np.ndarray, share: float = 1.0) -> Array:
-    """(f,) standard errors of the free numbers; share: of the usual width of differences."""
+def standard_errors(library: Library, last: State) -> Array:
+    """(f,) of the free numbers, by the sandwich clustered by block."""
+    errors = _sandwich(library, last, 1.0)
+    near = np.any(errors < NEAR * library.steps[last.free])  # far below the usual width of differences, within which predictions bend
+    return _sandwich(library, last, NEAR) if near else errors
+
+
+def _sandwich(library: Library, last: State, share: float) -> Array:
+    """The same with slopes over so large a share of the usual width."""
+    seen, free = last.train, last.free
     slopes = seen.flat(library.slopes(seen.theta, free, seen.windows, share)).reshape(len(free), len(seen.windows), -1)
     rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
     scores, information = np.einsum("fwn,wn->wf", slopes, rest), np.einsum("fwn,gwn->fg", slopes, slopes)

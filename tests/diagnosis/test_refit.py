@@ -7,7 +7,7 @@ import pytest
 
 from dropo.diagnosis import causes
 from dropo.diagnosis import refit as refitting
-from dropo.diagnosis.causes import estimate
+from dropo.diagnosis.causes import standard_errors
 from dropo.diagnosis.model import Library, look, noise_of
 from dropo.diagnosis.refit import refit
 from dropo.diagnosis.windows import split
@@ -35,13 +35,7 @@ def test_where_predictions_bend(off):
     within four standard errors."""
     library, found, free, errors = fitted(off)
     assert np.all(np.abs(errors) < 1e-6 * np.abs(list(TRUE.values())))
-    assert np.all(np.abs(errors) < 4 * standard_errors(library, found, free))
-
-
-def standard_errors(library, found, free):
-    """(3,) as a diagnosis tells them."""
-    last = SimpleNamespace(free=free, train=found)
-    return np.array([told["se"] for atom in library.atoms for told in estimate(library, last, atom).values()])
+    assert np.all(np.abs(errors) < 4 * standard_errors(library, SimpleNamespace(free=free, train=found)))
 
 
 def test_wide_differences_alone_stop_short(monkeypatch):
@@ -49,6 +43,6 @@ def test_wide_differences_alone_stop_short(monkeypatch):
     the margin's standard error by them is a hundredth of what it should be."""
     library, found, free, errors = fitted(0.02)
     monkeypatch.setattr(causes, "NEAR", 1e-9)
-    assert np.abs(errors / standard_errors(library, found, free)).max() > 100
+    assert np.abs(errors / standard_errors(library, SimpleNamespace(free=free, train=found))).max() > 100
     monkeypatch.setattr(refitting, "NEAR", 1.0)
     assert np.abs(fitted(-0.02)[-1] / list(TRUE.values())).max() > 1e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dropo.core.gate import growing, setting_in
-from dropo.diagnosis.causes import estimate
+from dropo.diagnosis.causes import estimate, standard_errors
 from dropo.diagnosis.invariance import invariance
 from dropo.diagnosis.omnibus import omnibus
 from dropo.diagnosis.review import ambiguity, review
@@ -30,7 +30,7 @@ def test_hidden_effect_is_found(name, declared):
     assert screened[0].atom.effect == name
     last, _ = review(search, search.run(first, first, atoms()))
     assert [atom.effect for atom in last.accepted] == [name]
-    told = estimate(search.library, last, last.accepted[0])["size"]
+    told = estimate(search.library, last, last.accepted[0], standard_errors(search.library, last))["size"]
     assert abs(told["value"] - SIZES[name]) < 4 * told["se"] < 0.5 * abs(SIZES[name])
     assert gain_of(first.test, last.test)[0] > 20
 
