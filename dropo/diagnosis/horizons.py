@@ -14,7 +14,7 @@ from dropo.diagnosis.selection import State
 from dropo.diagnosis.windows import FEWEST, held_out_windows, spread_of
 
 HORIZONS = (1, 5, 20, 100, 400)
-ROWS, LEAST = 2400, 40  # of all windows of a horizon together, at most; but no fewer than LEAST windows
+MOST, ROWS, LEAST = 480, 4800, 40  # windows of a horizon, control steps of them all, at most; but no fewer than LEAST windows
 DRAWS = 2  # of each window's start, that tell what noise explains
 
 
@@ -48,7 +48,7 @@ def horizons(
     which = which.ravel()
     sigma, variance = last.train.whiten.sigma, spread_of(library.simulator, last.test.windows) ** 2
     for steps in sorted({*lengths, last.train.windows.length}):
-        windows = held_out_windows(problem, steps, max(LEAST, ROWS // steps))
+        windows = held_out_windows(problem, steps, max(LEAST, min(MOST, ROWS // steps)))
         if len(windows) < FEWEST:
             break
         predicted = library.predict(different, windows)
