@@ -29,7 +29,7 @@ def fitted(off):
     return library, found, free, found.theta[free] - truth
 
 
-@pytest.mark.parametrize("off", [-0.02, 0.02, 0.1])
+@pytest.mark.parametrize("off", [-0.02, 0.1])
 def test_where_predictions_bend(off):
     """A contact's margin, to which windows answer that an impact has only just reached: found to 1e-6 of the truth, whatever is near, and
     within four standard errors."""
