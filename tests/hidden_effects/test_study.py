@@ -52,6 +52,18 @@ def test_tables_count_what_was_said(monkeypatch):
     assert ("joint_damping", "joint_damping", "2") in study.tables[2].rows
 
 
+def test_what_stands_in_for_a_removed_cause_is_counted_apart(monkeypatch):
+    """Of three runs one is explained by what was left, as well as by the truth; a fourth is explained too, but worse than by the truth."""
+    answers = [
+        {"machine": "torque-arm", "case": "removed", "seed": i, "nats": 500.0, "hidden": "joint_damping:elbow=0.1", "right": right,
+         "among": False, "extra": True, "error": None, "first": "x", "said": "x", "share": None, "short": short, "steps": 2.6e6}
+        for i, (right, short) in enumerate([(True, 80.0), (False, 0.5), (True, 900.0), (False, 30.0)])
+    ]  # fmt: skip
+    monkeypatch.setattr(Work, "map", lambda self, task, items: answers)
+    rows = hidden_effects(Work(threads=1), 4, machines=["torque-arm"], cases=["removed"]).tables[0].rows
+    assert [row[1:4] for row in rows] == [("removed", "4", "2/4"), ("removed, no stand-in", "3", "2/3")]
+
+
 def test_intervals():
     """Clopper and Pearson's: 0 of 70 leaves up to 5.1 % (two-sided), 68 of 68 at least 94.7 %."""
     assert interval(0, 70) == (0.0, pytest.approx(1 - 0.025 ** (1 / 70)))
