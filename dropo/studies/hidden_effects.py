@@ -18,10 +18,11 @@ from dropo.problems.machines import MACHINES, Machine, machine, masses
 from dropo.studies.study import Study, Table
 from dropo.studies.work import Work
 
-CASES = ("one", "nothing", "white", "outside", "removed", "two", "masses")
+CASES = ("one", "nothing", "white", "outside", "removed", "two", "masses", "three")
 """One effect; none; white noise on the forces; a cause that no effect stands for; the true cause left out of the search; two effects; one
-effect beside masses that are off and fitted with it."""
-RUNS = {"one": 40, "nothing": 100, "white": 20, "outside": 10, "removed": 10, "two": 10, "masses": 10}  # on each machine
+effect beside masses that are off and fitted with it; three effects."""
+NAMED = {"one": 1, "two": 2, "masses": 1, "three": 3}  # effects that are to be named
+RUNS = {"one": 40, "nothing": 100, "white": 20, "outside": 10, "removed": 10, "two": 10, "masses": 10, "three": 10}  # on each machine
 ENOUGH = 100.0  # [nats] on data held out that the true effect is worth, from which it counts
 NOISE = (1e-4, 10**-2.5)  # sd of every sensor, log-uniform
 Hidden = list[tuple[Atom, Array]]
@@ -55,9 +56,9 @@ def hidden_effects(
         Table("Other answers", ("machine", "hidden", "seed", "effect", "nats", "said"), tuple(wrong)),
         Table("Taken for", ("effect", "named", "times"), tuple(_confusion(runs))),
     )
-    told = f"Right: one, two, masses: every effect worth {ENOUGH:.0f} nats on the data held out is named with its place; nothing, white: no"
     remarks = (
-        f'{told} effect is named; outside, removed: said to be unexplained in part or in whole, or "acts like".',
+        f"Right: one, two, three, masses: every effect worth {ENOUGH:.0f} nats on the data held out is named with its place; nothing, white: "
+        'no effect is named; outside, removed: said to be unexplained in part or in whole, or "acts like".',
         f"No stand-in: the runs of removed in which the true model is {DEFICIT:.0f} nats better on data held out than what was found. In "
         "the others the effects that were left explain these data as well as the missing one.",
         "Share of the gain: the median of what the causes gain, of what the true model would, on data held out.",
@@ -75,7 +76,7 @@ def _rows(name: str, runs: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
         if not judged:
             continue
         right, n = sum(r["right"] for r in judged), len(judged)
-        named = [r for r in judged if case in ("one", "two", "masses")]
+        named = [r for r in judged if case in NAMED]
         among = f"{sum(r['among'] for r in named)}/{len(named)}" if named else "-"
         extra = f"{sum(r['extra'] for r in judged)}/{n}"
         errors = [r["error"] for r in named if r["error"] is not None]
@@ -175,7 +176,7 @@ def hide_some(robot: Machine, case: str, sigma: float, rng: np.random.Generator)
         return there, robot.record(there, noise=sigma, rng=rng.spawn(1)[0], values=values), 0.0
     kinds = [kind for kind in names("effects") if (case, kind) != ("masses", "body_mass")]  # which are fitted anyway
     for _ in range(50):
-        chosen = rng.choice(kinds, 2 if case == "two" else 1, replace=False)
+        chosen = rng.choice(kinds, NAMED.get(case, 1), replace=False)
         effects = [one for kind in chosen if (one := draw(robot, str(kind), rng)) is not None]
         if len(effects) < len(chosen):
             continue
