@@ -57,8 +57,8 @@ def hidden_effects(
         Table("Taken for", ("effect", "named", "times"), tuple(_confusion(runs))),
     )
     remarks = (
-        f"Right: one, two, three, masses: every effect worth {ENOUGH:.0f} nats on the data held out is named with its place; nothing, white: "
-        'no effect is named; outside, removed: said to be unexplained in part or in whole, or "acts like".',
+        f"Right: one, two, three, masses: every effect worth {ENOUGH:.0f} nats on the data held out is named with its place; nothing, "
+        'white: no effect is named; outside, removed: said to be unexplained in part or in whole, or "acts like".',
         f"No stand-in: the runs of removed in which the true model is {DEFICIT:.0f} nats better on data held out than what was found. In "
         "the others the effects that were left explain these data as well as the missing one.",
         "Share of the gain: the median of what the causes gain, of what the true model would, on data held out.",
