@@ -1,6 +1,6 @@
 """Which effects are accepted: refitted on the windows to fit, confirmed on the windows held out, one after another."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
@@ -14,7 +14,7 @@ from dropo.core.effect import Atom
 from dropo.core.errors import SimulationFailed
 from dropo.diagnosis.model import Library, Look, look, moved, noise_of
 from dropo.diagnosis.one_step import only_over_windows
-from dropo.diagnosis.refit import MATTERS, refit, settle, with_noise
+from dropo.diagnosis.refit import MATTERS, OTHER, refit, settle, with_noise
 from dropo.diagnosis.screening import Candidate, Screening, shortlist, with_constant
 from dropo.diagnosis.windows import Windows
 
@@ -124,17 +124,27 @@ class Selection:
         least = np.log(len(atoms) / FALSE_ALARM)
         gained = float((state.test.log_likelihood - first.test.log_likelihood).sum()) if done else 0.0
         least = max(least, NEGLIGIBLE * gained)
-        listed = with_constant(shortlist(screened, BATCHES * TRIED, TRAINED), rest)
+        listed, held_up = with_constant(shortlist(screened, BATCHES * TRIED, TRAINED), rest), list[Trial]()
         for begin in range(0, max(len(listed), 1), TRIED):  # the next ones only where none of those before is confirmed
             trials = self.tried(state, listed[begin : begin + TRIED])
-            self.rounds.append(origin := Round(state, screened, trials))
-            promising = (t for t in trials if t.trained > TRAINED and confirmed(state.test, t.state.test, least))
-            for trial in islice(promising, POLISHED):
-                polished = None if self._of_feedback(trial.state) else self.polish(trial.state)
-                if polished is not None and confirmed(state.test, polished.test, least):
-                    self.origins[trial.candidate.atom.label] = origin
-                    return polished
+            self.rounds.append(Round(state, screened, trials))
+            found = self._accepted(state, (t for t in trials if confirmed(state.test, t.state.test, least)), least)
+            if found is not None:
+                return found
+            held_up += [t for t in trials if quieter(state.train, t.state.train) and not confirmed(state.test, t.state.test, least)]
+        return self._accepted(state, (replace(t, state=self.polish(t.state)) for t in held_up if t.trained > TRAINED), least)
+
+    def _accepted(self, state: State, trials: Iterable[Trial], least: float) -> State | None:
+        """The first of the promising trials, fitted to the end, that windows held out confirm."""
+        for trial in islice((t for t in trials if t.trained > TRAINED), POLISHED):
+            polished = None if self._of_feedback(trial.state) else self.polish(trial.state)
+            if polished is not None and confirmed(state.test, polished.test, least):
+                self.origins[trial.candidate.atom.label] = self._origin(trial.candidate)
+                return polished
         return None
+
+    def _origin(self, candidate: Candidate) -> Round:
+        return next(r for r in reversed(self.rounds) if any(trial.candidate is candidate for trial in r.trials))
 
     def tried(self, state: State, candidates: Sequence[Candidate]) -> list[Trial]:
         """Each candidate added to the state and fitted with the rest, by what it is worth, most first."""
@@ -226,6 +236,12 @@ def confirmed(before: Look, after: Look, least: float) -> bool:
     many = float(windows.sum()) > CERTAIN * float(windows.std(ddof=1)) * np.sqrt(len(windows)) or ranked(windows) > CERTAIN
     answers = windows[np.abs(windows) > ANSWERS]
     return gain > least and z > SPREAD and (many or (len(answers) >= SELDOM and bool(answers.min() > 0)))
+
+
+def quieter(before: Look, after: Look) -> bool:
+    """Whether some signal's noise is far less, so that the start noise's way, which a trial keeps, is no longer right: where an error of a
+    sensor is taken for noise, the trial of its cause goes a part of the way only."""
+    return bool(np.any(after.whiten.sigma < before.whiten.sigma / OTHER))
 
 
 def ranked(windows: Array) -> float:
