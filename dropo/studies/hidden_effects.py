@@ -13,7 +13,6 @@ from dropo.core.catalogue import find, names
 from dropo.core.checks import Array, known, require
 from dropo.core.effect import Atom, Moment, Quantity
 from dropo.core.problem import Problem
-from dropo.diagnosis.selection import DEFICIT
 from dropo.problems.machines import MACHINES, Machine, machine, masses
 from dropo.studies.study import Study, Table
 from dropo.studies.work import Work
@@ -24,6 +23,7 @@ effect beside masses that are off and fitted with it; three effects."""
 NAMED = {"one": 1, "two": 2, "masses": 1, "three": 3}  # effects that are to be named
 RUNS = {"one": 40, "nothing": 100, "white": 20, "outside": 10, "removed": 10, "two": 10, "masses": 10, "three": 10}  # on each machine
 ENOUGH = 100.0  # [nats] on data held out that the true effect is worth, from which it counts
+TOLD = 0.01  # [nats per transition] on data held out by which the true model is better where they tell it from what was found
 NOISE = (1e-4, 10**-2.5)  # sd of every sensor, log-uniform
 Hidden = list[tuple[Atom, Array]]
 
@@ -59,8 +59,8 @@ def hidden_effects(
     remarks = (
         f"Right: one, two, three, masses: every effect worth {ENOUGH:.0f} nats on the data held out is named with its place; nothing, "
         'white: no effect is named; outside, removed: said to be unexplained in part or in whole, or "acts like".',
-        f"No stand-in: the runs of removed in which the true model is {DEFICIT:.0f} nats better on data held out than what was found. In "
-        "the others the effects that were left explain these data as well as the missing one.",
+        f"No stand-in: the runs of removed in which the true model is {TOLD} nats per transition better on data held out than what was "
+        "found. In the others the effects that were left explain these data as well as the missing one.",
         "Share of the gain: the median of what the causes gain, of what the true model would, on data held out.",
     )
     return Study("hidden-effects", "Effects hidden in simulated data", tables, remarks, {"runs": runs})
@@ -69,7 +69,7 @@ def hidden_effects(
 def _rows(name: str, runs: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
     out: list[tuple[str, ...]] = []
     groups = [(case, [r for r in runs if r["case"] == case]) for case in CASES]
-    alone = [r for r in runs if r["case"] == "removed" and r["short"] > DEFICIT]
+    alone = [r for r in runs if r["case"] == "removed" and r["short"] > TOLD]
     groups.insert(CASES.index("removed") + 1, ("removed, no stand-in", alone))
     for case, own in groups:
         judged = [r for r in own if r["nats"] >= ENOUGH or case in ("nothing", "white", "outside")]

@@ -57,7 +57,7 @@ def test_what_stands_in_for_a_removed_cause_is_counted_apart(monkeypatch):
     answers = [
         {"machine": "torque-arm", "case": "removed", "seed": i, "nats": 500.0, "hidden": "joint_damping:elbow=0.1", "right": right,
          "among": False, "extra": True, "error": None, "first": "x", "said": "x", "share": None, "short": short, "steps": 2.6e6}
-        for i, (right, short) in enumerate([(True, 80.0), (False, 0.5), (True, 900.0), (False, 30.0)])
+        for i, (right, short) in enumerate([(True, 5.0), (False, 0.002), (True, 2.0), (False, 0.1)])
     ]  # fmt: skip
     monkeypatch.setattr(Work, "map", lambda self, task, items: answers)
     rows = hidden_effects(Work(threads=1), 4, machines=["torque-arm"], cases=["removed"]).tables[0].rows
