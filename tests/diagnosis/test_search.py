@@ -51,6 +51,20 @@ def test_two_effects():
     assert {atom.effect for atom in last.accepted} == {"damping", "spring"}
 
 
+@pytest.mark.parametrize(("size", "found"), [(0.2, True), (0.003, False)])
+def test_trials_that_a_wrong_noise_holds_up_are_fitted_to_the_end(monkeypatch, size, found):
+    """No trial is confirmed as it is: one that leaves far less noise is fitted to the end before the search gives up, another is not."""
+    search, first = selection(measured({"damping": size}))
+    assert search.step(first, atoms(), first).accepted[0].effect == "damping"
+    tried, trials = search.tried, []
+    monkeypatch.setattr(search, "tried", lambda *asked: trials.extend(more := tried(*asked)) or more)
+    as_they_are = lambda after: any(trial.state.test is after for trial in trials)
+    monkeypatch.setattr("dropo.diagnosis.selection.confirmed", lambda *asked: not as_they_are(asked[1]) and confirmed(*asked))
+    last = search.step(first, atoms(), first)
+    assert (last is not None) == found
+    assert not found or ([atom.effect for atom in last.accepted], search.origins["damping:mass"].trials) == (["damping"], trials)
+
+
 def test_noise_is_learned():
     """sigma within 10 % where the guess was twice too large (500 numbers on each side: four standard errors are 13 %)."""
     _, first = selection(measured({}, sigma=1e-3))
