@@ -45,7 +45,7 @@ def hidden_effects(
         "as it should be",
         "95 %",
         "in the ambiguity set",
-        "more than that",
+        "another beside it",
         "error of the size",
         "share of the gain",
         "simulator steps",
@@ -78,14 +78,14 @@ def _rows(name: str, runs: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
         right, n = sum(r["right"] for r in judged), len(judged)
         named = [r for r in judged if case in NAMED]
         among = f"{sum(r['among'] for r in named)}/{len(named)}" if named else "-"
-        extra = f"{sum(r['extra'] for r in judged)}/{n}"
+        beside = f"{sum(r['right'] and r['extra'] for r in named)}/{len(named)}" if named else "-"
         errors = [r["error"] for r in named if r["error"] is not None]
         error = f"{np.median(errors):.2%}" if errors else "-"
         low, high = interval(right, n)
         shares = [r["share"] for r in named if r["share"] is not None]
         share = f"{np.median(shares):.1%}" if shares else "-"
         steps = f"{np.median([r['steps'] for r in judged]):,.0f}"
-        out.append((name, case, str(n), f"{right}/{n}", f"{low:.0%}-{high:.0%}", among, extra, error, share, steps))
+        out.append((name, case, str(n), f"{right}/{n}", f"{low:.0%}-{high:.0%}", among, beside, error, share, steps))
     return out
 
 

@@ -36,18 +36,19 @@ def test_matrix(name, case):
 
 
 def test_tables_count_what_was_said(monkeypatch):
-    """Shares, intervals and confusion from runs that are made up: two of three right, the wrong one listed with what it was taken for."""
+    """Shares, intervals and confusion from runs that are made up: two of three right, the wrong one listed with what it was taken for;
+    one of the right ones has another effect beside it."""
     answers = [
         {"machine": "torque-arm", "case": "one", "seed": i, "noise": 1e-3, "nats": nats, "hidden": "joint_damping:elbow=0.1",
-         "right": right, "among": True, "extra": not right, "error": 0.01, "first": "joint_damping" if right else "air_drag", "said": "x",
-         "share": 0.99, "steps": 2.6e6}
+         "right": right, "among": True, "extra": not right or i == 1, "error": 0.01, "first": "joint_damping" if right else "air_drag",
+         "said": "x", "share": 0.99, "steps": 2.6e6}
         for i, (right, nats) in enumerate([(True, 500.0), (True, 200.0), (False, 150.0), (False, 20.0)])
     ]  # fmt: skip
     monkeypatch.setattr(Work, "map", lambda self, task, items: answers)
     study = hidden_effects(Work(threads=1), 4, machines=["torque-arm"], cases=["one"])
     (row,) = study.tables[0].rows
     assert row[:4] == ("torque-arm", "one", "3", "2/3")
-    assert row[8:] == ("99.0%", "2,600,000")
+    assert row[5:] == ("3/3", "1/3", "1.00%", "99.0%", "2,600,000")
     assert ("joint_damping", "air_drag", "1") in study.tables[2].rows
     assert ("joint_damping", "joint_damping", "2") in study.tables[2].rows
 
