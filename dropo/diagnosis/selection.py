@@ -128,15 +128,17 @@ class Selection:
         for begin in range(0, max(len(listed), 1), TRIED):  # the next ones only where none of those before is confirmed
             trials = self.tried(state, listed[begin : begin + TRIED])
             self.rounds.append(Round(state, screened, trials))
-            found = self._accepted(state, (t for t in trials if confirmed(state.test, t.state.test, least)), least)
+            promising = [t for t in trials if t.trained > TRAINED]
+            sure = [t for t in promising if confirmed(state.test, t.state.test, least)]
+            found = self._accepted(state, sure, least)
             if found is not None:
                 return found
-            held_up += [t for t in trials if quieter(state.train, t.state.train) and not confirmed(state.test, t.state.test, least)]
-        return self._accepted(state, (replace(t, state=self.polish(t.state)) for t in held_up if t.trained > TRAINED), least)
+            held_up += [t for t in promising if t not in sure and quieter(state.train, t.state.train)]
+        return self._accepted(state, (replace(t, state=self.polish(t.state)) for t in held_up), least)
 
     def _accepted(self, state: State, trials: Iterable[Trial], least: float) -> State | None:
-        """The first of the promising trials, fitted to the end, that windows held out confirm."""
-        for trial in islice((t for t in trials if t.trained > TRAINED), POLISHED):
+        """The first of so many trials that windows held out confirm when it is fitted to the end."""
+        for trial in islice(trials, POLISHED):
             polished = None if self._of_feedback(trial.state) else self.polish(trial.state)
             if polished is not None and confirmed(state.test, polished.test, least):
                 self.origins[trial.candidate.atom.label] = self._origin(trial.candidate)
