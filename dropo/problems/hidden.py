@@ -35,13 +35,19 @@ def hide(problem: str, effects: Sequence[str], *, seed: int = 0, threads: int = 
 def _hidden(text: str, simulator: MujocoSimulator) -> tuple[Atom, Array]:
     """ "joint_damping:leg_joint=0.6" as an atom with its sizes."""
     name, _, values = text.partition("=")
-    atoms = {atom.label: atom for effect in [name.split(":")[0].split(".")[0]] for atom in find("effects", effect)(simulator.robot)}
-    atom = atoms[known("place of an effect", name, atoms)]
+    effect, colon, place = name.partition(":")
+    atoms = {atom.label: atom for atom in find("effects", effect.partition(".")[0])(simulator.robot)}
+    if colon:
+        known(f"place for {effect}", place, [label.partition(":")[2] for label in atoms if ":" in label])
+    atom = atoms[known("effect", name, atoms)]
     try:
         sizes = np.array([float(value) for value in values.split(",")])
     except ValueError:
         sizes = np.zeros(0)
+    wanted = ", ".join(f"{q.name} [{q.unit}]" for q in atom.quantities)
     if len(sizes) != len(atom.quantities):
-        wanted = ", ".join(f"{q.name} [{q.unit}]" for q in atom.quantities)
         raise BadArgument(f"--hide {text!r} must give a number for {wanted} behind '='. Got {values!r}.")
+    if not all(q.low <= size <= q.high for q, size in zip(atom.quantities, sizes, strict=True)):
+        bounds = ", ".join(f"{q.low:g} to {q.high:g}" for q in atom.quantities)
+        raise BadArgument(f"--hide {text!r}: {wanted} must lie within {bounds}. Got {values!r}.")
     return atom, sizes

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from dropo.core.checks import Array
 from dropo.core.data import Ints, Trajectories
 from dropo.core.effect import Atom
+from dropo.core.errors import SimulationFailed
 from dropo.simulators.layers import lateness, sensed
 from dropo.simulators.mujoco import MujocoSimulator
 from dropo.simulators.worker import Present
@@ -27,6 +28,8 @@ def record(
     The controller acts on the noisy measurements, as on a machine; a trajectory ends where `alive` (E, p) -> (E,) says no of the true
     signals. Late sensors show the start until something else arrives.
     memory: the correlation of the controller's random numbers from one step to the next.
+
+    Raises SimulationFailed where no trajectory lasts a control step.
     """
     count, p = starts.shape
     sense, drive = rng.spawn(2)
@@ -51,6 +54,8 @@ def record(
         if not living.any():
             break
     kept = [i for i in range(count) if lengths[i] > 0]
+    if not kept:
+        raise SimulationFailed(f"None of {count} trajectories lasts a control step: the machine falls or its simulation diverges at once.")
     ends = np.concatenate([np.arange(lengths[i]) == lengths[i] - 1 for i in kept])
     before, acted, after = (
         [array[i, first : first + lengths[i]] for i in kept] for array, first in ((measured, 0), (commands, 0), (measured, 1))

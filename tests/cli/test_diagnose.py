@@ -43,9 +43,12 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
         (["hoper"], "hopper"),
         ([str(damped), "--out", str(taken)], "a folder"),
         (["slide", "--hide", "joint_damping:elbow=1"], "half-cheetah"),
-        (["hopper", "--hide", "joint_damping:leg=1"], "leg_joint"),
+        (["hopper", "--hide", "joint_damping:leg=1"], "Did you mean 'leg_joint'?"),
+        (["hopper", "--hide", "joint_dampin:leg_joint=1"], "Did you mean 'joint_damping'?"),
         (["hopper", "--hide", "joint_damping:leg_joint=much"], "must give a number for damping [N m s/rad]"),
         (["hopper", "--hide", "joint_damping:leg_joint=1,2"], "must give a number"),
+        (["hopper", "--hide", "joint_damping:leg_joint=nan"], "must lie within -1 to"),
+        (["hopper", "--hide", "joint_damping:leg_joint=-5"], "must lie within -1 to"),
         (["slide"], "needs a MuJoCo model"),
     ):
         assert main(["diagnose", *arguments]) == 2, arguments

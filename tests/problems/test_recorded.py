@@ -1,10 +1,14 @@
 """Problems on data that simulated machines record."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dropo import fit, hide, load
+from dropo.core.errors import SimulationFailed
 from dropo.problems.hidden import NOISE
+from dropo.problems.machines import machine
 
 
 def test_masses_of_an_arm_are_found():
@@ -36,3 +40,13 @@ def test_walkers_load():
     assert sum(problem.truth.values()) == pytest.approx(14.0)
     assert len(problem.trajectories) == 1800
     assert len(load("walker2d", threads=1).space) == 7
+
+
+def test_a_machine_that_falls_at_once_is_told():
+    """No trajectory of a step; some that end early are left out."""
+    rng, arm = np.random.default_rng, machine("torque-arm")
+    fallen = replace(arm, alive=lambda rows: np.zeros(len(rows), dtype=bool))
+    with pytest.raises(SimulationFailed, match="None of 26 trajectories lasts a control step"):
+        fallen.record(noise=1e-3, rng=rng(0))
+    some = replace(arm, alive=lambda rows: np.arange(len(rows)) % 2 == 0)
+    assert some.record(noise=1e-3, rng=rng(0)).terminals.sum() == 13
