@@ -37,7 +37,8 @@ def hidden_effects(
     counts = {known("case", case, CASES): RUNS[case] if seeds is None else seeds for case in cases}
     items = [[known("machine", m, MACHINES), case, seed] for m in machines for case, count in counts.items() for seed in range(count)]
     runs = work.map(run, items)
-    rows = [row for m in machines for row in _rows(m, [r for r in runs if r["machine"] == m])]
+    groups = [(m, [r for r in runs if r["machine"] == m]) for m in machines] + ([("all", runs)] if len(machines) > 1 else [])
+    rows = [row for name, own in groups for row in _rows(name, own)]
     header = (
         "machine",
         "hidden",
