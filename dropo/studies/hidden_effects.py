@@ -1,5 +1,6 @@
 """Hides an effect of random kind, place and size in simulated data: is it named? And what is said where nothing known is hidden?"""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -97,7 +98,8 @@ def interval(right: int, n: int) -> tuple[float, float]:
 
 
 def _confusion(runs: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    pairs = Counter((r["hidden"].split(":")[0].split(".")[0], r["first"]) for r in runs if r["case"] == "one" and r["nats"] >= ENOUGH)
+    kind = lambda told: re.split("[:.=]", told)[0]  # of "contact_stiffness.margin=-0.0005"
+    pairs = Counter((kind(r["hidden"]), r["first"]) for r in runs if r["case"] == "one" and r["nats"] >= ENOUGH)
     return [(hidden, first, str(times)) for (hidden, first), times in sorted(pairs.items())]
 
 

@@ -51,9 +51,10 @@ def test_tables_count_what_was_said(monkeypatch):
     assert row[5:] == ("3/3", "1/3", "1.00%", "99.0%", "2,600,000")
     assert ("joint_damping", "air_drag", "1") in study.tables[2].rows
     assert ("joint_damping", "joint_damping", "2") in study.tables[2].rows
-    answers.append(answers[0] | {"machine": "hopper"})
-    pooled = hidden_effects(Work(threads=1), 4, machines=["torque-arm", "hopper"], cases=["one"]).tables[0].rows
-    assert [(row[0], row[3]) for row in pooled] == [("torque-arm", "2/3"), ("hopper", "1/1"), ("all", "3/4")]
+    answers.append(answers[0] | {"machine": "hopper", "hidden": "air_drag=-0.5", "first": "wind"})
+    pooled = hidden_effects(Work(threads=1), 4, machines=["torque-arm", "hopper"], cases=["one"])
+    assert ("air_drag", "wind", "1") in pooled.tables[2].rows
+    assert [(row[0], row[3]) for row in pooled.tables[0].rows] == [("torque-arm", "2/3"), ("hopper", "1/1"), ("all", "3/4")]
 
 
 def test_what_stands_in_for_a_removed_cause_is_counted_apart(monkeypatch):
