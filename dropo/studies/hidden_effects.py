@@ -98,8 +98,8 @@ def interval(right: int, n: int) -> tuple[float, float]:
 
 
 def _confusion(runs: Sequence[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    kind = lambda told: re.split("[:.=]", told)[0]  # of "contact_stiffness.margin=-0.0005"
-    pairs = Counter((kind(r["hidden"]), r["first"]) for r in runs if r["case"] == "one" and r["nats"] >= ENOUGH)
+    judged = [r for r in runs if r["case"] == "one" and r["nats"] >= ENOUGH]
+    pairs = Counter((re.split("[:.=]", r["hidden"])[0], r["first"]) for r in judged)
     return [(hidden, first, str(times)) for (hidden, first), times in sorted(pairs.items())]
 
 
