@@ -47,7 +47,7 @@ def _hidden(text: str, simulator: MujocoSimulator) -> tuple[Atom, Array]:
     wanted = ", ".join(f"{q.name} [{q.unit}]" for q in atom.quantities)
     if len(sizes) != len(atom.quantities):
         raise BadArgument(f"--hide {text!r} must give a number for {wanted} behind '='. Got {values!r}.")
-    if not all(q.low <= size <= q.high for q, size in zip(atom.quantities, sizes, strict=True)):
-        bounds = ", ".join(f"{q.low:g} to {q.high:g}" for q in atom.quantities)
-        raise BadArgument(f"--hide {text!r}: {wanted} must lie within {bounds}. Got {values!r}.")
+    if not all(q.low <= size < np.inf for q, size in zip(atom.quantities, sizes, strict=True)):
+        least = ", ".join(f"{q.low:g}" for q in atom.quantities)
+        raise BadArgument(f"--hide {text!r}: {wanted} must be finite and at least {least}. Got {values!r}.")
     return atom, sizes

@@ -47,8 +47,9 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
         (["hopper", "--hide", "joint_dampin:leg_joint=1"], "Did you mean 'joint_damping'?"),
         (["hopper", "--hide", "joint_damping:leg_joint=much"], "must give a number for damping [N m s/rad]"),
         (["hopper", "--hide", "joint_damping:leg_joint=1,2"], "must give a number"),
-        (["hopper", "--hide", "joint_damping:leg_joint=nan"], "must lie within -1 to"),
-        (["hopper", "--hide", "joint_damping:leg_joint=-5"], "must lie within -1 to"),
+        (["hopper", "--hide", "joint_damping:leg_joint=nan"], "must be finite and at least -1"),
+        (["hopper", "--hide", "joint_damping:leg_joint=-5"], "must be finite and at least -1"),
+        (["hopper", "--hide", "joint_damping:leg_joint=inf"], "must be finite and at least -1"),
         (["slide"], "needs a MuJoCo model"),
     ):
         assert main(["diagnose", *arguments]) == 2, arguments
