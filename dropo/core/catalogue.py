@@ -11,6 +11,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from dropo.core.checks import known
+from dropo.core.effect import Atom, Robot
 
 _EFFECTS = (
     "body_mass", "body_com", "body_inertia", "joint_damping", "joint_friction",
@@ -153,3 +154,16 @@ def _outside(kind: str) -> dict[str, Any]:
 
 def _singular(kind: str) -> str:
     return {"families": "family", "studies": "study"}.get(kind, kind.removesuffix("s"))
+
+
+def atoms_of(robot: Robot, effect: str, place: str = "") -> list[Atom]:
+    """An effect's atoms on a robot, at every place or at one.
+
+    Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
+    """
+    found = list(find("effects", effect)(robot))
+    if not place:
+        return found
+    places = [atom.label.partition(":")[2] for atom in found]
+    known(f"place for {effect}", place, sorted({p for p in places if p}))
+    return [atom for atom, own in zip(found, places, strict=True) if own == place]

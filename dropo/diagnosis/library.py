@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.catalogue import find, names
-from dropo.core.checks import known
+from dropo.core.catalogue import atoms_of, names
 from dropo.core.data import Ints
 from dropo.core.effect import Atom
 from dropo.core.errors import BadArgument, Incompatible
@@ -28,11 +27,7 @@ def atoms_for(problem: Problem, effects: Sequence[str] | None = None, free: Ints
     wanted = [text.partition(":") for text in effects] if effects is not None else [(name, "", "") for name in names("effects")]
     found: list[Atom] = []
     for name, _, place in wanted:
-        every = list(find("effects", name)(robot))
-        if place:
-            known(f"place for {name}", place, sorted({atom.label.partition(":")[2] for atom in every}))
-            every = [atom for atom in every if atom.label.partition(":")[2] == place]
-        found += [atom for atom in every if not declared(problem.simulator, atom, free)]
+        found += [atom for atom in atoms_of(robot, name, place) if not declared(problem.simulator, atom, free)]
     if not found:
         raise BadArgument("No effect is left to look for: all that were named are declared as parameters.")
     return found

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dropo.core.catalogue import find
+from dropo.core.catalogue import atoms_of
 from dropo.core.checks import Array, known, require
 from dropo.core.effect import Atom
 from dropo.core.errors import BadArgument
@@ -35,10 +35,8 @@ def hide(problem: str, effects: Sequence[str], *, seed: int = 0, threads: int = 
 def _hidden(text: str, simulator: MujocoSimulator) -> tuple[Atom, Array]:
     """ "joint_damping:leg_joint=0.6" as an atom with its sizes."""
     name, _, values = text.partition("=")
-    effect, colon, place = name.partition(":")
-    atoms = {atom.label: atom for atom in find("effects", effect.partition(".")[0])(simulator.robot)}
-    if colon:
-        known(f"place for {effect}", place, [label.partition(":")[2] for label in atoms if ":" in label])
+    effect, _, place = name.partition(":")
+    atoms = {atom.label: atom for atom in atoms_of(simulator.robot, effect.partition(".")[0], place)}
     atom = atoms[known("effect", name, atoms)]
     try:
         sizes = np.array([float(value) for value in values.split(",")])
