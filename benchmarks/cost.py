@@ -21,11 +21,11 @@ from threadpoolctl import threadpool_limits
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.robots import problem_of
-from dropo.core.fisher_scoring import maximise_locally
-from dropo.core.problem import Problem
-from dropo.core.table import number
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
+from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.tables import number
 from dropo.estimators.dropo import DROPO
+from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.linear import Linear
 
@@ -128,7 +128,7 @@ def draw(figure: Any, found: dict[str, dict[str, Any]]) -> None:
 
 def write(found: dict[str, dict[str, Any]]) -> None:
     """The table into the README between `<!-- cost -->` and `<!-- end -->`, and the picture."""
-    from dropo.studies.pages import picture
+    from dropo.studies.engine.pages import picture
 
     readme = HERE / "README.md"
     block = f"<!-- cost -->\n{table(found)}\n<!-- end -->"

@@ -21,14 +21,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the slow twin lies beside the tests, not in the package
 
-from dropo.core.data import Segments
-from dropo.core.problem import Problem
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Segments
 from dropo.estimators.dropo import DROPO
-from dropo.likelihoods.gaussian import Gaussian
-from dropo.problems.hopper import hopper
-from dropo.problems.hopper_model import BODIES, FRAME_SKIP
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.families.truncated_gaussian import TruncatedGaussian
+from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.problems.hopper.model import BODIES, FRAME_SKIP
+from dropo.problems.hopper.problem import hopper
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.reference.published_loop import log_likelihood
 
 EPSILON = 1e-5

@@ -3,13 +3,13 @@
 import mujoco
 import numpy as np
 
-from dropo.core.data import Trajectories
-from dropo.core.problem import Problem
-from dropo.problems.hopper import NOISE, hopper_problem
-from dropo.problems.hopper_data import simulate
-from dropo.problems.hopper_model import BODIES, FRAME_SKIP, hopper_spec
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.hopper.data import simulate
+from dropo.problems.hopper.model import BODIES, FRAME_SKIP, hopper_spec
+from dropo.problems.hopper.problem import NOISE, hopper_problem
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 JOINTS, LINKS = ("thigh", "leg", "foot"), 20
 SEEN = range(0, LINKS, 4)  # joints of the chain that have sensors; the others start at rest

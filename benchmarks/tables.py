@@ -16,11 +16,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.cost import timed
-from dropo.core.problem import Problem
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
+from dropo.core.contracts.problem import Problem
 from dropo.estimators.dropo import DROPO
-from dropo.likelihoods.gaussian import Gaussian
-from dropo.studies.hopper_sets import EPSILON, SPREAD, data_set
+from dropo.families.truncated_gaussian import TruncatedGaussian
+from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.studies.tiboni_2021.hopper_sets import EPSILON, SPREAD, data_set
 
 EVALUATIONS, DRAWS = 5000, 100  # of the published method
 

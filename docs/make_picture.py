@@ -12,15 +12,15 @@ import matplotlib as mpl
 import numpy as np
 from numpy.random import Generator
 
-from dropo.core.checks import Array
-from dropo.core.data import Trajectories
-from dropo.core.fit import Fit
-from dropo.core.problem import Problem
-from dropo.distributions.truncated_gaussian import CUT
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.validation import Array
 from dropo.estimators.dropo import DROPO
-from dropo.problems.hopper import hopper_problem
-from dropo.problems.hopper_data import simulate
-from dropo.problems.hopper_model import TRUTH
+from dropo.families.truncated_gaussian import CUT
+from dropo.problems.hopper.data import simulate
+from dropo.problems.hopper.model import TRUTH
+from dropo.problems.hopper.problem import hopper_problem
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

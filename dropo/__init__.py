@@ -4,26 +4,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dropo.analysis.bootstrap import bootstrap
-    from dropo.analysis.identifiability import identify
-    from dropo.analysis.next_data import rank_next
-    from dropo.analysis.predictions import predict
-    from dropo.analysis.profile import profile
-    from dropo.core.data import Segments, Signal, Trajectories
-    from dropo.core.errors import DropoError, Refused
-    from dropo.core.fit import Fit, Status
-    from dropo.core.parameters import Parameter, ParameterSpace
-    from dropo.core.problem import Problem
-    from dropo.core.recipe import fit
-    from dropo.core.task import Task
-    from dropo.data.check import check
-    from dropo.data.delays import estimate_clock, estimate_delay
+    from dropo.core.contracts.fit_by_name import fit
+    from dropo.core.contracts.problem import Problem
+    from dropo.core.records.fit import Fit, Status
+    from dropo.core.records.parameters import Parameter, ParameterSpace
+    from dropo.core.records.task import Task
+    from dropo.core.records.trajectories import Segments, Signal, Trajectories
+    from dropo.core.services.errors import DropoError, Refused
+    from dropo.data.checks.check import check
     from dropo.data.describe import describe
-    from dropo.data.importing import import_logs
-    from dropo.data.reader import read
-    from dropo.data.resampling import resample, resample_rotations
-    from dropo.data.smoother import estimate_states
-    from dropo.data.velocities import estimate_velocities
+    from dropo.data.reading import read
     from dropo.diagnosis.diagnose import Diagnose, diagnose
     from dropo.diagnosis.result import Diagnosis
     from dropo.estimators.adr import ADR
@@ -37,14 +27,24 @@ if TYPE_CHECKING:
     from dropo.estimators.random_effects import RandomEffects
     from dropo.estimators.simopt import SimOpt
     from dropo.estimators.uniform_randomization import UniformRandomization
-    from dropo.problems.hidden import hide
-    from dropo.problems.reader import load
-    from dropo.problems.writer import write_problem
+    from dropo.evaluation.bootstrap import bootstrap
+    from dropo.evaluation.identifiability import identify
+    from dropo.evaluation.next_data import rank_next
+    from dropo.evaluation.predictions import predict
+    from dropo.evaluation.profile import profile
+    from dropo.logs.importing import import_logs
+    from dropo.logs.signals.delays import estimate_clock, estimate_delay
+    from dropo.logs.signals.resampling import resample, resample_rotations
+    from dropo.logs.signals.states import estimate_states
+    from dropo.logs.signals.velocities import estimate_velocities
+    from dropo.mjmodel.fields import FieldParameter
+    from dropo.problems.file.reader import load
+    from dropo.problems.file.writer import write_problem
+    from dropo.problems.simulated.hidden import hide
     from dropo.report.build import write_report
-    from dropo.simulators.fields import FieldParameter
-    from dropo.simulators.general import EnvSimulator, FunctionSimulator
+    from dropo.simulators.function import EnvSimulator, FunctionSimulator
     from dropo.simulators.gymnasium import GymnasiumSimulator
-    from dropo.simulators.mujoco import MujocoSimulator
+    from dropo.simulators.mujoco.simulator import MujocoSimulator
     from dropo.training.ars import ARS
     from dropo.training.environments import randomize
     from dropo.training.evaluate import evaluate
@@ -62,55 +62,55 @@ _HOME = {
     "DROPO": "dropo.estimators.dropo",
     "Diagnose": "dropo.diagnosis.diagnose",
     "Diagnosis": "dropo.diagnosis.result",
-    "DropoError": "dropo.core.errors",
+    "DropoError": "dropo.core.services.errors",
     "EPOpt": "dropo.estimators.epopt",
-    "EnvSimulator": "dropo.simulators.general",
-    "FieldParameter": "dropo.simulators.fields",
-    "Fit": "dropo.core.fit",
-    "FunctionSimulator": "dropo.simulators.general",
+    "EnvSimulator": "dropo.simulators.function",
+    "FieldParameter": "dropo.mjmodel.fields",
+    "Fit": "dropo.core.records.fit",
+    "FunctionSimulator": "dropo.simulators.function",
     "GymnasiumSimulator": "dropo.simulators.gymnasium",
     "LeastSquares": "dropo.estimators.least_squares",
-    "MujocoSimulator": "dropo.simulators.mujoco",
+    "MujocoSimulator": "dropo.simulators.mujoco.simulator",
     "NPE": "dropo.estimators.npe",
     "PPO": "dropo.training.networks",
-    "Parameter": "dropo.core.parameters",
-    "ParameterSpace": "dropo.core.parameters",
+    "Parameter": "dropo.core.records.parameters",
+    "ParameterSpace": "dropo.core.records.parameters",
     "Posterior": "dropo.estimators.posterior",
-    "Problem": "dropo.core.problem",
+    "Problem": "dropo.core.contracts.problem",
     "RandomEffects": "dropo.estimators.random_effects",
-    "Refused": "dropo.core.errors",
+    "Refused": "dropo.core.services.errors",
     "SAC": "dropo.training.networks",
-    "Segments": "dropo.core.data",
-    "Signal": "dropo.core.data",
+    "Segments": "dropo.core.records.trajectories",
+    "Signal": "dropo.core.records.trajectories",
     "SimOpt": "dropo.estimators.simopt",
-    "Status": "dropo.core.fit",
-    "Task": "dropo.core.task",
-    "Trajectories": "dropo.core.data",
+    "Status": "dropo.core.records.fit",
+    "Task": "dropo.core.records.task",
+    "Trajectories": "dropo.core.records.trajectories",
     "UniformRandomization": "dropo.estimators.uniform_randomization",
-    "bootstrap": "dropo.analysis.bootstrap",
-    "check": "dropo.data.check",
+    "bootstrap": "dropo.evaluation.bootstrap",
+    "check": "dropo.data.checks.check",
     "describe": "dropo.data.describe",
     "diagnose": "dropo.diagnosis.diagnose",
-    "estimate_clock": "dropo.data.delays",
-    "estimate_delay": "dropo.data.delays",
-    "estimate_states": "dropo.data.smoother",
-    "estimate_velocities": "dropo.data.velocities",
+    "estimate_clock": "dropo.logs.signals.delays",
+    "estimate_delay": "dropo.logs.signals.delays",
+    "estimate_states": "dropo.logs.signals.states",
+    "estimate_velocities": "dropo.logs.signals.velocities",
     "evaluate": "dropo.training.evaluate",
-    "fit": "dropo.core.recipe",
-    "hide": "dropo.problems.hidden",
-    "identify": "dropo.analysis.identifiability",
-    "import_logs": "dropo.data.importing",
-    "load": "dropo.problems.reader",
+    "fit": "dropo.core.contracts.fit_by_name",
+    "hide": "dropo.problems.simulated.hidden",
+    "identify": "dropo.evaluation.identifiability",
+    "import_logs": "dropo.logs.importing",
+    "load": "dropo.problems.file.reader",
     "load_policy": "dropo.training.policy",
-    "predict": "dropo.analysis.predictions",
-    "profile": "dropo.analysis.profile",
+    "predict": "dropo.evaluation.predictions",
+    "profile": "dropo.evaluation.profile",
     "randomize": "dropo.training.environments",
-    "rank_next": "dropo.analysis.next_data",
-    "read": "dropo.data.reader",
-    "resample": "dropo.data.resampling",
-    "resample_rotations": "dropo.data.resampling",
+    "rank_next": "dropo.evaluation.next_data",
+    "read": "dropo.data.reading",
+    "resample": "dropo.logs.signals.resampling",
+    "resample_rotations": "dropo.logs.signals.resampling",
     "train": "dropo.training.train",
-    "write_problem": "dropo.problems.writer",
+    "write_problem": "dropo.problems.file.writer",
     "write_report": "dropo.report.build",
 }
 

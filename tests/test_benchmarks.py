@@ -9,8 +9,8 @@ import pytest
 from benchmarks import cost, tables
 from benchmarks.objective import EPSILON, TINY, Bare, Sizes, draws_near_truth, predict_beside_bare, problem_of, report
 from benchmarks.robots import problem_of as problem_with
-from dropo.likelihoods.gaussian import Gaussian
-from dropo.problems.hopper_model import BODIES, FRAME_SKIP
+from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.problems.hopper.model import BODIES, FRAME_SKIP
 from tests.reference.published_loop import log_likelihood
 
 SMALL = Sizes(draws=5, transitions=40, loop_draws=5, loop_transitions=5, predict_draws=5, repeats=1, predict_repeats=1)
@@ -68,7 +68,7 @@ def test_a_cell_of_the_cost_table(parameters):
 
 def test_cost_table_and_picture():
     """Cells that were measured are shown, the others are left out."""
-    from dropo.studies.pages import picture
+    from dropo.studies.engine.pages import picture
 
     row = {"seconds": 4.0, "simulation": 3.0, "steps": 1000, "memory_mb": 50.0}
     found = {json.dumps(cell): row for cell in cost.CELLS if cell[2] == 1000}

@@ -19,8 +19,8 @@ from pathlib import Path
 import pytest
 
 from dropo.cli.main import _parser, main
-from dropo.core import catalogue
-from dropo.problems.outside import find_data
+from dropo.core.services import registry as catalogue
+from dropo.problems.measured.external_data import find_data
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "papers").glob("*/README.md"))]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from dropo.core.catalogue import BUILT_IN
+from dropo.core.services.registry import BUILT_IN
 
 ROOT = Path(__file__).parents[1]
 SOURCES = {str(path.relative_to(ROOT / "dropo")): path.read_text() for path in sorted((ROOT / "dropo").rglob("*.py"))}

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import dropo
-from dropo.core import errors
+from dropo.core.services import errors
 
 REFERENCE = (Path(__file__).parents[1] / "docs" / "reference.md").read_text()
 ONCE = {"self", "cls", "rng"}  # rng is explained at the head of the page

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dropo.analysis.disturbances import Disturbances, scan
-from dropo.core.checks import Array, require
-from dropo.core.data import Ints, Segments, Signal, Trajectories
-from dropo.core.ridge import fourier_features, ridge
-from dropo.core.robust import deviation
+from dropo.core.numerics.ridge_regression import fourier_features, ridge
+from dropo.core.numerics.robust_statistics import deviation
+from dropo.core.records.trajectories import Ints, Segments, Signal, Trajectories
+from dropo.core.services.validation import Array, require
+from dropo.data.outliers.disturbances import Disturbances, scan
 
 FEATURES = 100  # of a Gaussian kernel of state and mean command
 PENALTIES = np.logspace(-6, 0, 13)

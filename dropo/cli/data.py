@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 from dropo.cli.output import NOTHING, Progress, computing_options, printing_options, show
 
 if TYPE_CHECKING:
-    from dropo.core.data import Trajectories
-    from dropo.core.problem import Problem
-    from dropo.data.findings import Finding
+    from dropo.core.contracts.problem import Problem
+    from dropo.core.records.trajectories import Trajectories
+    from dropo.data.checks.findings import Finding
 
 
 def add(commands: Any) -> None:
@@ -54,7 +54,7 @@ def _action(below: Any, name: str, function: Any, text: str, threads: str = NOTH
 
 def run_import(arguments: argparse.Namespace) -> int:
     """Imports logs and prints what was made of them."""
-    from dropo.data.importing import import_logs
+    from dropo.logs.importing import import_logs
 
     progress = Progress(silent=arguments.quiet)
     try:
@@ -78,9 +78,9 @@ def run_describe(arguments: argparse.Namespace) -> int:
 
 def run_inputs(arguments: argparse.Namespace) -> int:
     """Prints the inputs, best first."""
-    from dropo.core.errors import Incompatible
-    from dropo.diagnosis.inputs import choose_problem_input
-    from dropo.problems.reader import inputs_of, load
+    from dropo.core.services.errors import Incompatible
+    from dropo.diagnosis.findings.input_choice import choose_problem_input
+    from dropo.problems.file.reader import inputs_of, load
 
     names = inputs_of(arguments.problem)
     if len(names) < 2:
@@ -92,9 +92,9 @@ def run_inputs(arguments: argparse.Namespace) -> int:
 
 def run_states(arguments: argparse.Namespace) -> int:
     """Estimates the states under the nominal parameters, writes the problem with them, and prints how well each signal is known."""
-    from dropo.data.smoother import with_states
-    from dropo.problems.reader import load
-    from dropo.problems.writer import write_problem
+    from dropo.logs.signals.states import with_states
+    from dropo.problems.file.reader import load
+    from dropo.problems.file.writer import write_problem
 
     problem, found = with_states(load(arguments.problem, threads=arguments.threads), arguments.unmeasured, causal=arguments.causal)
     write_problem(problem, arguments.out)
@@ -115,9 +115,9 @@ def run_check(arguments: argparse.Namespace) -> int:
 def _findings(arguments: argparse.Namespace) -> "list[Finding]":
     from dataclasses import replace
 
-    from dropo.core.errors import BadArgument
-    from dropo.data.check import check
-    from dropo.data.findings import errors_first
+    from dropo.core.services.errors import BadArgument
+    from dropo.data.checks.check import check
+    from dropo.data.checks.findings import errors_first
 
     if (arguments.map is None) != (arguments.model is None):
         raise BadArgument("Raw logs are checked with both --map and --model. Got one of them alone.")
@@ -132,10 +132,10 @@ def _findings(arguments: argparse.Namespace) -> "list[Finding]":
 
 
 def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
-    from dropo.data.log_check import check_runs
-    from dropo.data.machine import load_machine
-    from dropo.data.mapping import read_mapping
-    from dropo.data.recordings import read_runs
+    from dropo.logs.log_checks import check_runs
+    from dropo.logs.mapping import read_mapping
+    from dropo.logs.model_joints import load_machine
+    from dropo.logs.recordings import read_runs
 
     machine = load_machine(arguments.model)
     progress = Progress(silent=arguments.quiet)
@@ -147,13 +147,13 @@ def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
 
 def _target(target: str) -> tuple["Trajectories", "Problem | None"]:
     """A problem with its data, or data alone."""
-    from dropo.core.catalogue import names
-    from dropo.core.checks import nearest
-    from dropo.core.errors import UnknownName
-    from dropo.data.reader import MINARI, read
+    from dropo.core.services.errors import UnknownName
+    from dropo.core.services.registry import names
+    from dropo.core.services.validation import nearest
+    from dropo.data.reading import MINARI, read
 
     if target in names("problems") or target.endswith((".yaml", ".yml")):
-        from dropo.problems.reader import load
+        from dropo.problems.file.reader import load
 
         problem = load(target, checked=False)
         return problem.trajectories, problem

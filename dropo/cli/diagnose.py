@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
-    from dropo.core.problem import Problem
+    from dropo.core.contracts.problem import Problem
 
 
 def add(commands: Any) -> None:
@@ -34,7 +34,7 @@ def add(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Diagnoses, prints and saves; 0."""
-    from dropo.core.errors import BadFile
+    from dropo.core.services.errors import BadFile
     from dropo.diagnosis.diagnose import Diagnose
 
     if arguments.out is not None and arguments.out.exists() and not arguments.out.is_dir():
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         progress.close()
     if arguments.out is not None:
         from dropo.cli.record import diagnosis_record, keep_for_report, write_json
-        from dropo.problems.writer import write_problem
+        from dropo.problems.file.writer import write_problem
 
         if found.causes:
             write_problem(found.problem, arguments.out / "extended")
@@ -60,8 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _problem(arguments: argparse.Namespace) -> "Problem":
-    from dropo.problems.hidden import hide
-    from dropo.problems.reader import load
+    from dropo.problems.file.reader import load
+    from dropo.problems.simulated.hidden import hide
 
     if not arguments.hide:
         return load(arguments.problem, threads=arguments.threads, checked=not arguments.unchecked)

@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Plays, prints, and draws where asked; 0."""
     if arguments.video is not None and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
-    from dropo.core.fit import Fit
+    from dropo.core.records.fit import Fit
     from dropo.training.evaluate import evaluate, motion
     from dropo.training.policy import load_policy
 

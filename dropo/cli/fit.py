@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
-    from dropo.analysis.disturbances import Span
-    from dropo.core.estimator import Estimator
-    from dropo.core.fit import Fit
-    from dropo.core.journal import Journal
-    from dropo.core.problem import Problem
+    from dropo.core.contracts.estimator import Estimator
+    from dropo.core.contracts.problem import Problem
+    from dropo.core.records.fit import Fit
+    from dropo.core.services.evaluation_log import Journal
+    from dropo.data.outliers.disturbances import Span
 
 NAMED = {"likelihood": "likelihoods", "optimizer": "optimizers", "family": "families"}
 SETTINGS = (*NAMED, "epsilon", "start_noise", "degrees", "budget", "draws", "start", "starts")
@@ -55,12 +55,12 @@ def add(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fits, prints and saves; 0, or 1 where it was interrupted."""
-    from dropo.analysis.predictions import predict
     from dropo.cli.record import keep_for_report, run_record
-    from dropo.core.fit import Status
-    from dropo.core.journal import Journal
-    from dropo.core.recipe import estimator_for
-    from dropo.estimators.horizon import ChooseHorizon
+    from dropo.core.contracts.fit_by_name import estimator_for
+    from dropo.core.records.fit import Status
+    from dropo.core.services.evaluation_log import Journal
+    from dropo.estimators.support.segment_length import ChooseHorizon
+    from dropo.evaluation.predictions import predict
 
     problem, spans = _undisturbed(arguments, _problem(arguments))
     given = {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _fit(arguments: argparse.Namespace, estimator: "Estimator", problem: "Problem", journal: "Journal") -> "Fit":
-    from dropo.core.errors import Refused
+    from dropo.core.services.errors import Refused
 
     folder_is_new = arguments.out is not None and not arguments.out.exists()
     progress = Progress(silent=arguments.quiet)
@@ -117,7 +117,7 @@ def terminable() -> Iterator[None]:
 
 def _undisturbed(arguments: argparse.Namespace, problem: "Problem") -> "tuple[Problem, tuple[Span, ...]]":
     """A log's problem without the spans in which something pushes, of which it warns, and the spans."""
-    from dropo.analysis.undisturbed import without_pushes
+    from dropo.data.outliers.without_disturbances import without_pushes
 
     searched = arguments.disturbances == AUTO and problem.trajectories.time is not None
     found = without_pushes(problem) if searched else None
@@ -128,9 +128,9 @@ def _undisturbed(arguments: argparse.Namespace, problem: "Problem") -> "tuple[Pr
 
 
 def _problem(arguments: argparse.Namespace) -> "Problem":
-    from dropo.core.errors import BadFile, Incompatible
-    from dropo.data.check import shorter_than_lambda
-    from dropo.problems.reader import load
+    from dropo.core.services.errors import BadFile, Incompatible
+    from dropo.data.checks.check import shorter_than_lambda
+    from dropo.problems.file.reader import load
 
     problem = load(arguments.problem, threads=arguments.threads, checked=not arguments.unchecked)
     if len(problem.space) == 0:
@@ -143,7 +143,7 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
 
 def check_folder(folder: Path | None, record: dict[str, Any]) -> None:
     """Refuses a folder that holds another run's result, and a path that is no folder."""
-    from dropo.core.errors import BadFile
+    from dropo.core.services.errors import BadFile
 
     if folder is None:
         return

@@ -21,7 +21,7 @@ def add(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Prints the names and sentences of one kind."""
-    from dropo.core.checks import known
+    from dropo.core.services.validation import known
 
     entries = sentences(known("kind", arguments.kind, KINDS))
     width = max(map(len, entries), default=0)
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def sentences(kind: str) -> dict[str, str]:
     """Every name of a kind, with the first sentence of its docstring; the plug-ins are imported for it."""
-    from dropo.core.catalogue import find, names
+    from dropo.core.services.registry import find, names
 
     return {name: _sentence(kind, name, find) for name in names(kind)}
 

@@ -9,7 +9,7 @@ from typing import NoReturn
 import dropo
 from dropo.cli import data, diagnose, evaluate, fit, recover, report, train
 from dropo.cli import list as list_
-from dropo.core.errors import BadArgument, DropoError, Refused
+from dropo.core.services.errors import BadArgument, DropoError, Refused
 
 DONE, FAILED, REFUSED = 0, 1, 2
 

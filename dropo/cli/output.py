@@ -73,7 +73,7 @@ def _draw(result: object) -> None:
     """The parts of a result on a terminal: tables drawn, warnings in colour, the other text as it is."""
     from rich.console import Console
 
-    from dropo.core.table import Printed, Table
+    from dropo.core.services.tables import Printed, Table
 
     console = Console(file=sys.stdout)
     for part in result.parts() if isinstance(result, Printed) else str(result).splitlines():

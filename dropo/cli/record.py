@@ -14,11 +14,11 @@ import mujoco
 import numpy as np
 
 from dropo import __version__
-from dropo.core.data import Trajectories
-from dropo.core.estimator import Estimator
-from dropo.core.predictions import Predictions
-from dropo.core.prior import describe
-from dropo.core.problem import Problem
+from dropo.core.contracts.estimator import Estimator
+from dropo.core.contracts.prior import describe
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.predictions import Predictions
+from dropo.core.records.trajectories import Trajectories
 
 
 def run_record(command: str, method: str, estimator: Estimator, problem: Problem, seed: int) -> dict[str, Any]:

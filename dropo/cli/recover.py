@@ -23,8 +23,8 @@ def add(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs the study, prints and saves it; 0, or 1 where it was interrupted."""
-    from dropo.core.errors import DropoError
-    from dropo.studies.recover import recover
+    from dropo.core.services.errors import DropoError
+    from dropo.studies.engine.recover import recover
 
     progress = Progress(silent=arguments.quiet)
     try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from dropo.cli.output import NOTHING, computing_options, printing_options, show
 
 if TYPE_CHECKING:
-    from dropo.core.simulator import Simulator
+    from dropo.core.contracts.simulator import Simulator
     from dropo.report.folder import Result
 
 
@@ -45,8 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _simulator(result: "Result") -> "Simulator":
     """The problem's own, where model and motion are still those of the run."""
     from dropo.cli.record import model_sum
-    from dropo.core.errors import Incompatible
-    from dropo.problems.reader import load
+    from dropo.core.services.errors import Incompatible
+    from dropo.problems.file.reader import load
 
     if result.predictions is None or "problem" not in result.made:
         raise Incompatible(

@@ -10,7 +10,7 @@ from dropo.cli.fit import check_folder, terminable, variance
 from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
-    from dropo.training.laws import Law
+    from dropo.training.distributions import Law
     from dropo.training.train import Algorithm
 
 ALGORITHMS = {"ars": ("dropo.training.ars:ARS", "updates"), "ppo": ("dropo.training.networks:PPO", "steps"),
@@ -38,7 +38,7 @@ def add(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Trains, evaluates under the distribution and on the target, prints and saves; 0."""
-    from dropo.core.errors import DropoError, Refused
+    from dropo.core.services.errors import DropoError, Refused
     from dropo.training.environments import resolve
     from dropo.training.evaluate import Compared, broken, evaluate
     from dropo.training.train import train
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _algorithm(arguments: argparse.Namespace) -> "Algorithm":
     from importlib import import_module
 
-    from dropo.core.extras import need
+    from dropo.core.services.optional_dependencies import need
 
     if arguments.algorithm != "ars":
         need("torch", "stable_baselines3", extra="rl", caller=f"--algorithm {arguments.algorithm}")
@@ -84,9 +84,9 @@ def _algorithm(arguments: argparse.Namespace) -> "Algorithm":
 
 def _law(arguments: argparse.Namespace, target: Any) -> "Law | None":
     """The fit, where it is one of the target's model."""
-    from dropo.core.errors import BadArgument
-    from dropo.core.fit import Fit
-    from dropo.training.laws import Widening
+    from dropo.core.records.fit import Fit
+    from dropo.core.services.errors import BadArgument
+    from dropo.training.distributions import Widening
 
     if arguments.fit is None:
         if arguments.widen is not None:
@@ -100,8 +100,8 @@ def _law(arguments: argparse.Namespace, target: Any) -> "Law | None":
 def _refuse_other_model(folder: Path, target: Any) -> None:
     """A fit says little about a model that it was not made with."""
     from dropo.cli.record import model_sum
-    from dropo.core.errors import Incompatible
-    from dropo.core.problem import Problem
+    from dropo.core.contracts.problem import Problem
+    from dropo.core.services.errors import Incompatible
 
     model = getattr(target.simulator, "model", None) if isinstance(target, Problem) else None
     if model is None or not (folder / "run.json").is_file():
@@ -118,7 +118,7 @@ def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") 
     """Everything that decides the policy."""
     from dropo import __version__
     from dropo.cli.record import problem_record
-    from dropo.core.problem import Problem
+    from dropo.core.contracts.problem import Problem
     from dropo.training.train import settings
 
     fit = None if arguments.fit is None else hashlib.sha256((arguments.fit / "fit.json").read_bytes()).hexdigest()

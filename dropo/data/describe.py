@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array, require
-from dropo.core.data import Signal, Trajectories
-from dropo.core.problem import Problem
-from dropo.core.simulator import Simulator
-from dropo.core.table import Printed, Table, number
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.trajectories import Signal, Trajectories
+from dropo.core.services.tables import Printed, Table, number
+from dropo.core.services.validation import Array, require
 
 
 @dataclass(frozen=True, repr=False)

@@ -8,27 +8,27 @@ from typing import Any, cast
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from dropo.analysis.undisturbed import Undisturbed, undisturbed
-from dropo.core.checks import Array, known, require
-from dropo.core.data import Ints
-from dropo.core.errors import BadArgument
-from dropo.core.estimator import silent, with_cost
-from dropo.core.problem import Problem
-from dropo.diagnosis.causes import causes, suspects
-from dropo.diagnosis.disturbed import left_out, odd_runs
-from dropo.diagnosis.horizons import horizons
-from dropo.diagnosis.length import choose_length, first_noise
-from dropo.diagnosis.library import atoms_for
-from dropo.diagnosis.model import Library
-from dropo.diagnosis.motion import motion
-from dropo.diagnosis.pictures import pictures
-from dropo.diagnosis.remaining import remaining
+from dropo.core.contracts.estimator import silent, with_cost
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.validation import Array, known, require
+from dropo.data.outliers.without_disturbances import Undisturbed, undisturbed
+from dropo.diagnosis.findings.causes import causes, suspects
+from dropo.diagnosis.findings.disturbances import left_out, odd_runs
+from dropo.diagnosis.findings.figures import pictures
+from dropo.diagnosis.findings.horizons import horizons
+from dropo.diagnosis.findings.motion import motion
+from dropo.diagnosis.findings.not_identifiable import undetermined
+from dropo.diagnosis.findings.remaining import remaining
+from dropo.diagnosis.findings.unexplained_forces import impulses
 from dropo.diagnosis.result import Diagnosis
-from dropo.diagnosis.review import Review, review, together
-from dropo.diagnosis.selection import Progress, Selection, State
-from dropo.diagnosis.undetermined import undetermined
-from dropo.diagnosis.unexplained import impulses
-from dropo.diagnosis.windows import Windows, split, spread_of
+from dropo.diagnosis.search.library import atoms_for
+from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.review import Review, review, together
+from dropo.diagnosis.search.selection import Progress, Selection, State
+from dropo.diagnosis.search.window_length import choose_length, first_noise
+from dropo.diagnosis.search.windows import Windows, split, spread_of
 
 WINDOWS = 96  # to fit, and held out
 LEAST = 1e-5  # of a signal's spread: the least noise

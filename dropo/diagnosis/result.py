@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dropo.analysis.odd_runs import OddRun
-from dropo.core.pictures import Pictures
-from dropo.core.predictions import Predictions
-from dropo.core.problem import Problem
-from dropo.core.table import Printed, Table, number
-from dropo.diagnosis.disturbed import LeftOut
-from dropo.diagnosis.horizons import Horizon
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.figure_data import Pictures
+from dropo.core.records.predictions import Predictions
+from dropo.core.services.tables import Printed, Table, number
+from dropo.data.outliers.outlier_runs import OddRun
+from dropo.diagnosis.findings.disturbances import LeftOut
+from dropo.diagnosis.findings.horizons import Horizon
 
 VERDICTS = {
     "consistent": "The simulation explains the data: nothing is missing that they could show.",
@@ -124,7 +124,7 @@ class Diagnosis(Printed):
 
     def to_pandas(self) -> Any:
         """A pandas.DataFrame with a row for each quantity of each cause; empty where none was found."""
-        from dropo.core.frames import frame
+        from dropo.core.services.data_frames import frame
 
         rows = [
             {"effect": c.effect, "target": c.target, "variant": c.variant, "quantity": name, **told, "p_value": c.p_value,

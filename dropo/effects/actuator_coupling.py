@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from functools import partial
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
-from dropo.effects.places import actuators
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import actuators
 
 
 def actuator_coupling(robot: Robot) -> Iterator[Atom]:

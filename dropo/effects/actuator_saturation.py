@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
-from dropo.effects.places import actuators
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import actuators
 
 
 def actuator_saturation(robot: Robot) -> Iterator[Atom]:

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.services.validation import Array
 
 MEDIUM = (("density", "kg/m^3", 100.0), ("viscosity", "Pa s", 5.0))
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
-from dropo.effects.places import bodies
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import bodies
 
 
 def body_com(robot: Robot) -> Iterator[Atom]:

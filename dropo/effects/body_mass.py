@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
-from dropo.effects.places import bodies
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import bodies
 
 
 def body_mass(robot: Robot) -> Iterator[Atom]:

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
-from dropo.effects.places import touching
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import touching
 
 PROBES = (-0.8, -0.5, -0.2, -0.02, 0.02, 0.2)  # contacts that stick feel nothing of a small change
 

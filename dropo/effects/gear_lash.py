@@ -5,10 +5,10 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Moment, Quantity, Robot
-from dropo.effects.places import AFFINE_BIAS, Joint, actuators, motors
-from dropo.effects.play import play
+from dropo.core.contracts.effect import Atom, Moment, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import AFFINE_BIAS, Joint, actuators, motors
+from dropo.effects.support.play_operator import play
 
 
 def gear_lash(robot: Robot) -> Iterator[Atom]:

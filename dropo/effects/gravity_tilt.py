@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.services.validation import Array
 
 
 def gravity_tilt(robot: Robot) -> Iterator[Atom]:

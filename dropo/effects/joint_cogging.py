@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Moment, Quantity, Robot
-from dropo.effects.places import Joint, actuators, torque_scale
+from dropo.core.contracts.effect import Atom, Moment, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import Joint, actuators, torque_scale
 
 PERIODS = (6, 7, 8, 10, 12, 14, 16, 18, 20, 21, 24, 28, 30, 36, 42, 48)  # cogs a turn
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from dropo.core.effect import Atom, Robot
-from dropo.effects.fields import Entry, Field, by_kind
-from dropo.effects.places import joints
+from dropo.core.contracts.effect import Atom, Robot
+from dropo.effects.support.model_field import Entry, Field, by_kind
+from dropo.effects.support.places import joints
 
 FIELD = Field("joint_damping", "dof_damping", "damping")
 

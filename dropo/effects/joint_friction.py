@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from dropo.core.effect import Atom, Robot
-from dropo.effects.fields import Entry, Field, by_kind
-from dropo.effects.places import joints, torque_scale
+from dropo.core.contracts.effect import Atom, Robot
+from dropo.effects.support.model_field import Entry, Field, by_kind
+from dropo.effects.support.places import joints, torque_scale
 
 FIELD = Field("joint_friction", "dof_frictionloss", "frictionloss", reach=50.0)
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from dropo.core.effect import Atom, Quantity, Robot
-from dropo.effects.fields import Entry, Field
-from dropo.effects.places import joints
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.effects.support.model_field import Entry, Field
+from dropo.effects.support.places import joints
 
 FIELD = Field("joint_limit", "jnt_range", "stop")
 

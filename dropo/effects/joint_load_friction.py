@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Moment, Quantity, Robot
-from dropo.effects.places import Joint, motor_force, motors
+from dropo.core.contracts.effect import Atom, Moment, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import Joint, motor_force, motors
 
 ZERO = 1e-2  # [rad/s, m/s] below which the sign of a speed fades out
 

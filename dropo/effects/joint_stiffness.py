@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Moment, Quantity, Robot
-from dropo.effects.places import Joint, joints, torque_scale
+from dropo.core.contracts.effect import Atom, Moment, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import Joint, joints, torque_scale
 
 
 def joint_stiffness(robot: Robot) -> Iterator[Atom]:

@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
-from dropo.core.gate import growing, setting_in
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.contracts.time_profile import growing, setting_in
+from dropo.core.services.validation import Array
 from dropo.effects.actuator_gain import actuator_gain
 from dropo.effects.body_mass import body_mass
 from dropo.effects.contact_friction import contact_friction

@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.effect import Atom, Quantity, Robot
-from dropo.effects.places import is_rotation
+from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.services.validation import Array
+from dropo.effects.support.places import is_rotation
 
 TRIED = (0.02, 0.2, 0.5, 1.0, 2.0)  # control steps: of a fast signal the right one alone stands out
 

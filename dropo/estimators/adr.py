@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dropo.core.catalogue import find
-from dropo.core.checks import Array, require
-from dropo.core.estimator import Run
-from dropo.core.fit import Fit, Status
-from dropo.core.online import Calls, Online, Performance, law
-from dropo.core.parameters import ParameterSpace
-from dropo.core.problem import Problem
-from dropo.estimators.judged import judged
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.interactive_estimator import Calls, Online, Performance, law
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit, Status
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, require
+from dropo.estimators.support.distribution_fit import judged
 
 SIGNATURE = "(values, rng) -> float"
 

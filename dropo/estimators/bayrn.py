@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from dropo.core.alone import alone
-from dropo.core.catalogue import find
-from dropo.core.checks import Array, require
-from dropo.core.estimator import Run
-from dropo.core.extras import need
-from dropo.core.family import Family
-from dropo.core.fit import Fit, Status
-from dropo.core.online import Calls, Evaluate, Online, law
-from dropo.core.problem import Problem
-from dropo.estimators.judged import judged
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.interactive_estimator import Calls, Evaluate, Online, law
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit, Status
+from dropo.core.services.isolated_torch import alone
+from dropo.core.services.optional_dependencies import need
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, require
+from dropo.estimators.support.distribution_fit import judged
 
 SIGNATURE = "(fit, rng) -> float"
 RESTARTS, RAW = 4, 64  # of the search for the acquisition's highest point: starts, and candidates that they are taken from

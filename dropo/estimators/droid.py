@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dropo.core.catalogue import find
-from dropo.core.checks import Array, require
-from dropo.core.errors import Incompatible
-from dropo.core.estimator import Estimator, Run
-from dropo.core.fit import Fit
-from dropo.core.problem import Problem
-from dropo.core.search import maximise
-from dropo.estimators.summary import rounding, summarise
+from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.maximize import maximise
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, require
+from dropo.estimators.support.summary import rounding, summarise
 
 
 @dataclass(frozen=True, kw_only=True)

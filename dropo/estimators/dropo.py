@@ -6,28 +6,28 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dropo.core.catalogue import find
-from dropo.core.checks import Array, known, require
-from dropo.core.data import Ints
-from dropo.core.errors import Incompatible, SimulationFailed
-from dropo.core.estimator import Estimator, Run
-from dropo.core.family import Family
-from dropo.core.fit import Fit
-from dropo.core.likelihood import Likelihood, LogLikelihood
-from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
-from dropo.core.noise import Noise
-from dropo.core.optimizer import Optimizer
-from dropo.core.parameters import ParameterSpace
-from dropo.core.problem import Problem
-from dropo.core.search import SearchResult, maximise
-from dropo.core.simulator import describe_failures
-from dropo.estimators.certificate import certified_scales, paired_check
-from dropo.estimators.filtering import from_filtered_starts
+from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.likelihood import Likelihood, LogLikelihood
+from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.maximize import SearchResult, maximise
+from dropo.core.contracts.noise import Noise
+from dropo.core.contracts.optimizer import Optimizer
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import describe_failures
+from dropo.core.records.fit import Fit
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.errors import Incompatible, SimulationFailed
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, known, require
 from dropo.estimators.least_squares import estimate
-from dropo.estimators.rounds import Rounds
-from dropo.estimators.starting import calmest
-from dropo.estimators.summary import summarise
-from dropo.estimators.tuning import noise_scale, noise_shape, tune
+from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
+from dropo.estimators.support.filtered_starts import from_filtered_starts
+from dropo.estimators.support.sobol_start import calmest
+from dropo.estimators.support.summary import summarise
+from dropo.estimators.support.trust_region import Rounds
+from dropo.evaluation.emulator_check import certified_scales, paired_check
 
 SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
 

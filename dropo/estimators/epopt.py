@@ -7,14 +7,14 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import logsumexp
 
-from dropo.core.checks import Array, require
-from dropo.core.errors import SimulationFailed
-from dropo.core.estimator import Estimator, Run
-from dropo.core.fit import Fit, Status
-from dropo.core.prior import LogPrior
-from dropo.core.problem import Problem
-from dropo.estimators.judged import point_likelihood, posterior_fit
-from dropo.estimators.posterior_targets import PointLikelihood
+from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.prior import LogPrior
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit, Status
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.validation import Array, require
+from dropo.estimators.support.distribution_fit import point_likelihood, posterior_fit
+from dropo.estimators.support.posterior_targets import PointLikelihood
 
 WIDER = 1.5  # times the covariance of the particles is that of the Gaussian which proposes the next ones: wider tails than its target's
 

@@ -6,14 +6,14 @@ from typing import Literal
 import numpy as np
 import scipy.optimize
 
-from dropo.core.catalogue import find
-from dropo.core.checks import Array, float_array, known, require
-from dropo.core.errors import SimulationFailed
-from dropo.core.estimator import Estimator, Run
-from dropo.core.fit import Fit, Status
-from dropo.core.problem import Problem
-from dropo.core.simulator import describe_failures
-from dropo.estimators.summary import STEPS, rounding, summarise
+from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import describe_failures
+from dropo.core.records.fit import Fit, Status
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, float_array, known, require
+from dropo.estimators.support.summary import STEPS, rounding, summarise
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dropo.core.alone import alone
-from dropo.core.checks import Array, known, require
-from dropo.core.errors import SimulationFailed
-from dropo.core.estimator import Estimator, Run
-from dropo.core.extras import need
-from dropo.core.fit import Fit, Status
-from dropo.core.prior import LogPrior
-from dropo.core.problem import Problem
-from dropo.estimators.judged import point_likelihood, posterior_fit
-from dropo.estimators.posterior_targets import PointLikelihood
+from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.prior import LogPrior
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit, Status
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.isolated_torch import alone
+from dropo.core.services.optional_dependencies import need
+from dropo.core.services.validation import Array, known, require
+from dropo.estimators.support.distribution_fit import point_likelihood, posterior_fit
+from dropo.estimators.support.posterior_targets import PointLikelihood
 
 DENSITIES = ("mdn", "maf", "nsf")
 SUMMARIES = ("slopes", "moments")

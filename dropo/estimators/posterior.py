@@ -6,24 +6,24 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dropo.core.catalogue import find
-from dropo.core.checks import Array, known, require
-from dropo.core.draws import ChainTooShort, Draws
-from dropo.core.errors import Incompatible
-from dropo.core.estimator import Estimator, Run
-from dropo.core.family import Family
-from dropo.core.fit import Fit, Status
-from dropo.core.likelihood import Likelihood
-from dropo.core.local_likelihood import LocalLikelihood
-from dropo.core.noise import Noise, NoiseModel
-from dropo.core.parameters import ParameterSpace
-from dropo.core.prior import LogPrior, Prior
-from dropo.core.problem import Problem
-from dropo.core.sampler import Density, Sampler
-from dropo.estimators.around_maximum import AroundMaximum, unit_spread
-from dropo.estimators.posterior_targets import Local, OneByOne, PointLikelihood, Target, log_posterior
-from dropo.estimators.summary import at_bounds
-from dropo.estimators.tuning import noise_scale, noise_shape
+from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.likelihood import Likelihood
+from dropo.core.contracts.local_likelihood import LocalLikelihood
+from dropo.core.contracts.noise import Noise, NoiseModel
+from dropo.core.contracts.prior import LogPrior, Prior
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.sampler import Density, Sampler
+from dropo.core.records.draws import ChainTooShort, Draws
+from dropo.core.records.fit import Fit, Status
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, known, require
+from dropo.estimators.support.around_maximum import AroundMaximum, unit_spread
+from dropo.estimators.support.epsilon import noise_scale, noise_shape
+from dropo.estimators.support.posterior_targets import Local, OneByOne, PointLikelihood, Target, log_posterior
+from dropo.estimators.support.summary import at_bounds
 
 R_HAT, ESS = 1.01, 400  # what Vehtari et al. 2021 ask for before draws are used
 KEPT = 4000, 1_000_000  # row log-likelihoods are kept of at most so many draws, and so many numbers

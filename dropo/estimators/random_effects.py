@@ -6,18 +6,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dropo.core.checks import Array, known
-from dropo.core.errors import Incompatible
-from dropo.core.estimator import Estimator, Run
-from dropo.core.family import Family
-from dropo.core.fit import Fit
-from dropo.core.grouped_likelihood import GroupedLogLikelihood, Groups
-from dropo.core.likelihood import LogLikelihood
-from dropo.core.problem import Problem
-from dropo.core.search import SearchResult
-from dropo.core.table import number, text_table
+from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.grouped_likelihood import GroupedLogLikelihood, Groups
+from dropo.core.contracts.likelihood import LogLikelihood
+from dropo.core.contracts.maximize import SearchResult
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.tables import number, text_table
+from dropo.core.services.validation import Array, known
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.spread_tests import spread_tests
+from dropo.evaluation.variance_components import spread_tests
 
 LEVEL = 0.05  # p-values below it count as a difference
 FEW = 10  # groups below which a spread's relative standard error, 1 / sqrt(2 (G - 1)), is above a quarter

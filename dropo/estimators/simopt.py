@@ -4,16 +4,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dropo.core.catalogue import find
-from dropo.core.checks import Array, require
-from dropo.core.data import Segments, Trajectories
-from dropo.core.errors import SimulationFailed
-from dropo.core.estimator import Run
-from dropo.core.fit import Fit, Status
-from dropo.core.online import Calls, Collect, Online, joined, law
-from dropo.core.problem import Problem
-from dropo.estimators.judged import judged
-from dropo.estimators.summary import at_bounds
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.interactive_estimator import Calls, Collect, Online, joined, law
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit, Status
+from dropo.core.records.trajectories import Segments, Trajectories
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, require
+from dropo.estimators.support.distribution_fit import judged
+from dropo.estimators.support.summary import at_bounds
 
 TEMPERATURES = np.geomspace(1e-6, 1e6, 241)  # eta, in units of the costs' spread
 SIGNATURE = "(fit, rng) -> Trajectories"

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dropo.core.catalogue import find
-from dropo.core.checks import Array, require
-from dropo.core.estimator import Estimator, Run
-from dropo.core.fit import Fit, Status
-from dropo.core.problem import Problem
-from dropo.estimators.summary import summarise
+from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit, Status
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, require
+from dropo.estimators.support.summary import summarise
 
 
 @dataclass(frozen=True, kw_only=True)

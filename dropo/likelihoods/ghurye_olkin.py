@@ -6,15 +6,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from dropo.core.backend import namespace
-from dropo.core.checks import Array, require
-from dropo.core.data import Segments
-from dropo.core.family import Family
-from dropo.core.likelihood import LogLikelihood
-from dropo.core.noise import Epsilon
-from dropo.core.sampled_likelihood import SampledLikelihood
-from dropo.core.simulator import Simulator
-from dropo.likelihoods.gaussian import cholesky_rows, log_determinant, sample_moments, square_distance
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.likelihood import LogLikelihood
+from dropo.core.contracts.noise import Epsilon
+from dropo.core.contracts.sampled_likelihood import SampledLikelihood
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.array_api import namespace
+from dropo.core.records.trajectories import Segments
+from dropo.core.services.validation import Array, require
+from dropo.likelihoods.monte_carlo import cholesky_rows, log_determinant, sample_moments, square_distance
 
 
 @dataclass(frozen=True)

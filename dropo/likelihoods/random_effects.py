@@ -5,20 +5,20 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.backend import constant, is_tensor, namespace, plain
-from dropo.core.checks import Array
-from dropo.core.data import Segments
-from dropo.core.errors import Incompatible
-from dropo.core.family import Family
-from dropo.core.grouped_likelihood import GroupedLogLikelihood, Groups
-from dropo.core.local_likelihood import LocalLikelihood
-from dropo.core.noise import Epsilon, NoiseModel
-from dropo.core.parameters import ParameterSpace
-from dropo.core.simulator import Simulator
-from dropo.likelihoods.axial import along_starts
-from dropo.likelihoods.blocks import row_blocks
-from dropo.likelihoods.gaussian_rows import trusted
-from dropo.likelihoods.polynomials import Emulator, build, orders_for
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.grouped_likelihood import GroupedLogLikelihood, Groups
+from dropo.core.contracts.local_likelihood import LocalLikelihood
+from dropo.core.contracts.noise import Epsilon, NoiseModel
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.array_api import constant, is_tensor, namespace, plain
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.trajectories import Segments
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.validation import Array
+from dropo.likelihoods.support.axial import along_starts
+from dropo.likelihoods.support.blocks import row_blocks
+from dropo.likelihoods.support.gaussian_rows import trusted
+from dropo.likelihoods.support.polynomials import Emulator, build, orders_for
 
 MODE_STEPS = 20  # Gauss-Newton steps to the groups' modes at most
 AT_MODE = 1e-9  # of the width: a step so short ends them

@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.backend import constant, namespace
-from dropo.core.checks import Array
-from dropo.core.data import Segments
-from dropo.core.errors import Incompatible
-from dropo.core.family import Family
-from dropo.core.local_likelihood import LocalLikelihood, LocalLogLikelihood
-from dropo.core.noise import Epsilon
-from dropo.core.simulator import Simulator
-from dropo.likelihoods.axial import Axial
-from dropo.likelihoods.gaussian_rows import Columns, Parts, parts_of_columns
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.noise import Epsilon
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.array_api import constant, namespace
+from dropo.core.records.trajectories import Segments
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.validation import Array
 from dropo.likelihoods.linear import LinearRows, along, coordinates
+from dropo.likelihoods.support.axial import Axial
+from dropo.likelihoods.support.gaussian_rows import Columns, Parts, parts_of_columns
 
 
 @dataclass(frozen=True)

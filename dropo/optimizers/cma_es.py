@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.checks import Array, require
-from dropo.core.optimizer import Optimizer
+from dropo.core.contracts.optimizer import Optimizer
+from dropo.core.services.validation import Array, require
 
 WIDTH = 4.0  # thesis, section 5.3: every coordinate lies in [0, 4], the search starts at 2 with sigma_0 = 1
 TOLERANCE = 1e-12  # of a coordinate: posteriors of noise-free data can be as narrow as 1e-9 of the box

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.optimizer import CallbackOptimizer
+from dropo.core.contracts.optimizer import CallbackOptimizer
+from dropo.core.services.validation import Array
 
 TOLERANCE = 1e-11  # of the box: posteriors of noise-free data can be as narrow as 1e-9 of it
 REASONS = {

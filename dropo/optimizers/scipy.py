@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.checks import Array, require
-from dropo.core.optimizer import CallbackOptimizer
+from dropo.core.contracts.optimizer import CallbackOptimizer
+from dropo.core.services.validation import Array, require
 
 Cost = Callable[[Array], tuple[float, Array | None]]
 STEP_TOLERANCE = 1e-11  # of the box: posteriors of noise-free data can be as narrow as 1e-9 of it

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array, require
-from dropo.core.data import Ints
-from dropo.core.pictures import Bar, Pictures
+from dropo.core.records.figure_data import Bar, Pictures
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.validation import Array, require
 from dropo.plots.distribution import squares
 from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, LIGHT, Axes, axes_of, empty, legend, with_unit
 

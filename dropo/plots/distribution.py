@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.extras import need
-from dropo.core.fit import Fit
-from dropo.core.parameters import ParameterSpace
-from dropo.core.prior import Prior, read_prior
+from dropo.core.contracts.prior import Prior, read_prior
+from dropo.core.records.fit import Fit
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.services.optional_dependencies import need
+from dropo.core.services.validation import Array
 from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, LIGHT, OTHER, Axes, axes_of, empty, folded, legend, with_unit
 
 MOST = 6  # parameters in a corner plot

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array, known, require
-from dropo.core.predictions import Predictions, Side
+from dropo.core.records.predictions import Predictions, Side
+from dropo.core.services.validation import Array, known, require
 from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, Axes, axes_of, empty, legend, plain_log, with_unit
 
 BINS = 10  # of probabilities

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.fit import Fit
-from dropo.core.predictions import Predictions
+from dropo.core.records.fit import Fit
+from dropo.core.records.predictions import Predictions
 from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, OTHER, PURPLE, Axes, axes_of, empty, legend, plain_log
 
 MOST = 6  # lines in a figure

@@ -3,7 +3,7 @@
 import re
 from typing import Any
 
-from dropo.core.extras import need
+from dropo.core.services.optional_dependencies import need
 
 Axes = Any
 """A matplotlib Axes, which has no types of its own."""

@@ -19,10 +19,10 @@ import mujoco
 import numpy as np
 from numpy.random import Generator
 
-from dropo.core.checks import Array
-from dropo.problems.hopper_data import LinearPolicy, healthy, observe, start_states
-from dropo.problems.hopper_model import FRAME_SKIP, hopper_model
-from dropo.simulators.closed_loop import Runs, closed_loop
+from dropo.core.services.validation import Array
+from dropo.problems.hopper.data import LinearPolicy, healthy, observe, start_states
+from dropo.problems.hopper.model import FRAME_SKIP, hopper_model
+from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
 
 STEPS = 500  # control steps of a trajectory
 DIRECTIONS, BEST, STEP, SIZE = 16, 8, 0.02, 0.03  # N, b, alpha, nu of Algorithm 1

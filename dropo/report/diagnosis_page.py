@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dropo import plots
-from dropo.core.pictures import Pictures
+from dropo.core.records.figure_data import Pictures
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
 from dropo.report.folder import Result

@@ -3,9 +3,9 @@
 import numpy as np
 
 from dropo import plots
-from dropo.core.fit import Fit, Status, span
-from dropo.core.prior import Prior
-from dropo.core.table import estimate
+from dropo.core.contracts.prior import Prior
+from dropo.core.records.fit import Fit, Status, span
+from dropo.core.services.tables import estimate
 from dropo.plots.distribution import MOST
 from dropo.report import parts
 from dropo.report.folder import Result

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from dropo import __version__
-from dropo.core.errors import BadFile
-from dropo.core.fit import Fit
-from dropo.core.pictures import Pictures
-from dropo.core.predictions import FILE, Predictions
+from dropo.core.records.figure_data import Pictures
+from dropo.core.records.fit import Fit
+from dropo.core.records.predictions import FILE, Predictions
+from dropo.core.services.errors import BadFile
 from dropo.report.history import History, read_history
 
 RESULT = "a folder that `dropo fit --out` or `dropo diagnose --out` wrote"

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.errors import BadFile
+from dropo.core.services.errors import BadFile
+from dropo.core.services.validation import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from html import escape
 import numpy as np
 
 from dropo import plots
-from dropo.core.predictions import LEVEL, Predictions, Side
+from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.plots.motion import changed, sides, telling
 from dropo.report.folder import Result
 from dropo.report.page import Cell, Section, figure, grid, legend, paragraph, percent, table

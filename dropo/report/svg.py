@@ -7,7 +7,7 @@ from hashlib import sha256
 from html import escape
 from typing import Any
 
-from dropo.core.extras import need
+from dropo.core.services.optional_dependencies import need
 from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, LIGHT, OTHER, PURPLE, SIZE
 
 COLORS = {INK: "ink", GREY: "grey", LIGHT: "light", BEFORE: "before", AFTER: "after", OTHER: "other", PURPLE: "purple"}

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.errors import DropoError
-from dropo.core.extras import need
-from dropo.core.predictions import Predictions, Side
+from dropo.core.records.predictions import Predictions, Side
+from dropo.core.services.errors import DropoError
+from dropo.core.services.optional_dependencies import need
+from dropo.core.services.validation import Array
 
 WIDTH, HEIGHT = 480, 480  # [pixels] of each half
 FRAMES, EACH = 30, 3  # a second; and for each control step

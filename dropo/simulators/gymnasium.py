@@ -5,11 +5,11 @@ from typing import Any
 
 import gymnasium
 
-from dropo.core.checks import nearest
-from dropo.core.errors import Incompatible, UnknownName
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
-from dropo.simulators.quiet import quiet
+from dropo.core.services.errors import Incompatible, UnknownName
+from dropo.core.services.validation import nearest
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.simulators.mujoco.warnings import quiet
 
 
 class GymnasiumSimulator(MujocoSimulator):

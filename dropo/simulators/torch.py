@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.backend import constant, is_tensor
-from dropo.core.checks import Array, float_array
-from dropo.core.data import Segments, Signal
-from dropo.core.errors import SimulationFailed
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.simulator import Simulator, describe_failures
+from dropo.core.contracts.simulator import Simulator, describe_failures
+from dropo.core.numerics.array_api import constant, is_tensor
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.records.trajectories import Segments, Signal
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.validation import Array, float_array
 
 if TYPE_CHECKING:
     from torch import Tensor

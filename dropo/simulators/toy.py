@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from dropo.core.checks import Array, float_array, require
-from dropo.core.data import Signal, Trajectories
-from dropo.core.parameters import Parameter
-from dropo.simulators.general import ReplaySimulator
+from dropo.core.records.parameters import Parameter
+from dropo.core.records.trajectories import Signal, Trajectories
+from dropo.core.services.validation import Array, float_array, require
+from dropo.simulators.function import ReplaySimulator
 
 
 class LinearSimulator(ReplaySimulator):

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.data import Segments
-from dropo.core.effect import Atom, Effect, Moment, Quantity
+from dropo.core.contracts.effect import Atom, Effect, Moment, Quantity
+from dropo.core.records.trajectories import Segments
+from dropo.core.services.validation import Array
 
 HOOKS = ("declared", "start", "command", "actuation", "drive", "force", "wrench", "model", "sense", "late", "gate")
 TINY, SMALL = 1e-6, 1e-2  # of a trial: where nothing may be seen any more, and where an answer is a straight line

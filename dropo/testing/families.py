@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.family import Family
-from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.contracts.family import Family
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.validation import Array
 
 LIMIT = 4.5  # standard errors: chance alone goes beyond once in 150,000
 OPEN = ParameterSpace(tuple(Parameter(name, low, 3 * low, "kg", lower=-np.inf) for name, low in (("a", 1.0), ("b", 0.2), ("c", 30.0))))

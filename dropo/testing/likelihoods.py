@@ -4,16 +4,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dropo.core.catalogue import find
-from dropo.core.checks import Array
-from dropo.core.data import Segments, Signal, Trajectories
-from dropo.core.errors import BadArgument, Incompatible, SimulationFailed
-from dropo.core.family import Family
-from dropo.core.likelihood import Likelihood, LogLikelihood
-from dropo.core.noise import Epsilon, Noise
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.sampled_likelihood import SampledLikelihood
-from dropo.core.simulator import Simulator
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.likelihood import Likelihood, LogLikelihood
+from dropo.core.contracts.noise import Epsilon, Noise
+from dropo.core.contracts.sampled_likelihood import SampledLikelihood
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.records.trajectories import Segments, Signal, Trajectories
+from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array
 
 EPSILON = 0.05
 DRAWS = 50

@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.optimizer import Optimizer
+from dropo.core.contracts.optimizer import Optimizer
+from dropo.core.services.validation import Array
 
 CENTRE = np.array([0.3, 0.6, 0.8])  # where the sphere has its minimum
 FIRST = 12  # batches that are compared

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.draws import Draws
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.sampler import Density, Sampler
+from dropo.core.contracts.sampler import Density, Sampler
+from dropo.core.records.draws import Draws
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.validation import Array
 from dropo.testing.optimizers import no_global_stream
 
 SPACE = ParameterSpace((Parameter("a", -1.0, 3.0), Parameter("b", 0.0, 10.0)))

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.backend import constant, is_tensor, plain
-from dropo.core.checks import Array
-from dropo.core.data import Segments
-from dropo.core.errors import Incompatible
-from dropo.core.simulator import STEP, Simulator
+from dropo.core.contracts.simulator import STEP, Simulator
+from dropo.core.numerics.array_api import constant, is_tensor, plain
+from dropo.core.records.trajectories import Segments
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.validation import Array
 
 
 def check_simulator(

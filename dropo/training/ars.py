@@ -8,12 +8,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.random import Generator
 
-from dropo.core.checks import Array, require
-from dropo.core.errors import BadFile
-from dropo.training.arena import Arena
+from dropo.core.services.errors import BadFile
+from dropo.core.services.validation import Array, require
+from dropo.training.batched_env import Arena
 from dropo.training.policy import LinearPolicy, linear
 from dropo.training.rollouts import play, play_many, seeds_from
-from dropo.training.stage import Progress, Stage
+from dropo.training.setup import Progress, Stage
 
 KEPT = "ars.npz"
 LEAST = 1e-8  # an observation that varies less counts as constant

@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.catalogue import find, names
-from dropo.core.checks import Array, known
-from dropo.core.effect import Atom
-from dropo.core.errors import Incompatible, Refused
-from dropo.core.parameters import Parameter
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
-from dropo.simulators.worker import Present
-from dropo.training.laws import Law, places_of
+from dropo.core.contracts.effect import Atom
+from dropo.core.records.parameters import Parameter
+from dropo.core.services.errors import Incompatible, Refused
+from dropo.core.services.registry import find, names
+from dropo.core.services.validation import Array, known
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.simulators.mujoco.worker import Present
+from dropo.training.distributions import Law, places_of
 
 
 def bind(simulator: MujocoSimulator, law: Law, owner: str) -> tuple[MujocoSimulator, Callable[[Array], Array]]:

@@ -10,20 +10,20 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
-from dropo.core.catalogue import names
-from dropo.core.checks import Array, nearest, require
-from dropo.core.errors import BadArgument, Incompatible, UnknownName
-from dropo.core.parameters import ParameterSpace
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
+from dropo.core.services.registry import names
+from dropo.core.services.validation import Array, nearest, require
 from dropo.simulators.gymnasium import make_environment, observed_columns
-from dropo.simulators.mujoco import MujocoSimulator
-from dropo.simulators.quiet import quiet
-from dropo.simulators.worker import Present
-from dropo.training.arena import Arena
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.simulators.mujoco.warnings import quiet
+from dropo.simulators.mujoco.worker import Present
+from dropo.training.batched_env import Arena
 from dropo.training.binding import bind, declaring
-from dropo.training.gymnasium_arena import GymnasiumArena
-from dropo.training.laws import Law, Point
-from dropo.training.task_arena import TaskArena, task_of
+from dropo.training.distributions import Law, Point
+from dropo.training.gymnasium_env import GymnasiumArena
+from dropo.training.task_env import TaskArena, task_of
 
 Target = Any
 """What policies run in: a Problem, its name or file, the id of a Gymnasium environment, or such an environment."""
@@ -52,7 +52,7 @@ def randomize(
 
 def resolve(target: Target) -> Target:
     """A problem by its name or file; ids of Gymnasium and what is no text stay as they are."""
-    from dropo.problems.reader import is_file, load
+    from dropo.problems.file.reader import is_file, load
 
     if not isinstance(target, str | Path) or target in gymnasium.registry:
         return target

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.checks import Array, require
-from dropo.core.data import Ints
-from dropo.core.errors import SimulationFailed
-from dropo.core.problem import Problem
-from dropo.core.table import Printed, Table, number
-from dropo.training.arena import Arena
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.tables import Printed, Table, number
+from dropo.core.services.validation import Array, require
+from dropo.training.batched_env import Arena
+from dropo.training.distributions import Law, Point, full
 from dropo.training.environments import Target, arena, resolve
-from dropo.training.laws import Law, Point, full
 from dropo.training.policy import Policy
 from dropo.training.rollouts import play_many, seeds_from
 

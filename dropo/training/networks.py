@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from dropo.core.checks import Array, require
-from dropo.core.errors import Incompatible
-from dropo.core.extras import need
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.optional_dependencies import need
+from dropo.core.services.validation import Array, require
 from dropo.training.policy import Policy, write, written_limits
-from dropo.training.stage import Progress, Stage
+from dropo.training.setup import Progress, Stage
 
 MODEL, BUFFER, SCALE, STATE = "model.zip", "buffer.pkl", "scale.pkl", "networks.json"
 """What an interrupted training goes on from."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.checks import Array, float_array
-from dropo.core.errors import BadFile, Incompatible
+from dropo.core.services.errors import BadFile, Incompatible
+from dropo.core.services.validation import Array, float_array
 
 NAME = "policy.json"
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dropo.core.checks import Array
-from dropo.core.data import Ints
-from dropo.core.errors import SimulationFailed
-from dropo.training.arena import REDRAWS, Arena
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.validation import Array
+from dropo.training.batched_env import REDRAWS, Arena
 
 Act = Callable[[Array, Ints], Array]
 """Actions (m, q) from observations (m, o) of the episodes `ids` (m,)."""

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
-from dropo.simulators.worker import Present
+from dropo.simulators.mujoco.worker import Present
 from dropo.training.ars import ARS
+from dropo.training.distributions import Law, Widening
 from dropo.training.environments import Target, resolve
-from dropo.training.laws import Law, Widening
 from dropo.training.policy import Policy
-from dropo.training.stage import Progress, Stage
+from dropo.training.setup import Progress, Stage
 
 
 @runtime_checkable

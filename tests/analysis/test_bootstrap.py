@@ -5,11 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from dropo.analysis.bootstrap import _pieces, bootstrap, resampled
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument
 from dropo.estimators.least_squares import LeastSquares
+from dropo.evaluation.bootstrap import _pieces, bootstrap, resampled
 from dropo.simulators.toy import LinearSimulator, simulate
 
 

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.analysis.disturbances import find_disturbances, robust_values
 from dropo.analysis.without_model import find_disturbances_without_model
-from dropo.core.data import Trajectories
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.records.trajectories import Trajectories
+from dropo.data.outliers.disturbances import find_disturbances, robust_values
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """<mujoco><option timestep="0.005"/><worldbody><body name="link">
 <joint name="hinge" axis="0 1 0" frictionloss="0.15" damping="0.02"/>

@@ -4,14 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.analysis.identifiability import identify
-from dropo.core.data import Trajectories
-from dropo.core.parameters import Parameter
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.parameters import Parameter
+from dropo.core.records.trajectories import Trajectories
 from dropo.estimators.least_squares import LeastSquares
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.general import FunctionSimulator
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.evaluation.identifiability import identify
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.function import FunctionSimulator
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.toy import LinearSimulator, simulate
 from tests.reference.pushes import pushes
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.analysis.inputs import choose_input
-from dropo.core.errors import BadArgument
+from dropo.core.services.errors import BadArgument
+from dropo.data.outliers.input_choice import choose_input
 from tests.analysis.test_disturbances import STEP, recorded, simulator  # noqa: F401 - a fixture
 
 

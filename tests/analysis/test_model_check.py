@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.simulators.toy import LinearSimulator, simulate
-from dropo.studies.coverage import FEW, MANY, data_set
+from dropo.studies.intervals.coverage import FEW, MANY, data_set
 from tests.reference.pushes import pushes
 
 SETS = 15

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dropo.analysis.next_data import rank_next
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument, UnknownName
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.estimators.least_squares import LeastSquares
+from dropo.evaluation.next_data import rank_next
 from dropo.simulators.toy import SlidingBlock, simulate
 
 TRUTH, NOISE = np.array([1.5, 0.8]), 1e-4

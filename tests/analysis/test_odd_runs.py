@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.analysis.odd_runs import compare_runs
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument
+from dropo.data.outliers.outlier_runs import compare_runs
 from tests.analysis.test_disturbances import NOISE, STEP, XML, simulator  # noqa: F401 - a fixture
 
 

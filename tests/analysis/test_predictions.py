@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 from dropo import LeastSquares
-from dropo.analysis.predictions import REACH, predict
-from dropo.core.predictions import LEVEL
-from dropo.core.problem import Problem
-from dropo.problems.slide import NOISE, slide
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.predictions import LEVEL
+from dropo.evaluation.predictions import REACH, predict
+from dropo.problems.simulated.slide import NOISE, slide
 from dropo.simulators.toy import SlidingBlock, simulate
 
 TRUTH = np.array([1.5, 0.8])

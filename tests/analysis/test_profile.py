@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dropo.analysis.profile import profile
-from dropo.core.errors import BadArgument, UnknownName
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.estimators.dropo import DROPO
+from dropo.evaluation.profile import profile
 from dropo.simulators.toy import LinearSimulator, simulate
 
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.analysis.undisturbed import both_sides, undisturbed, without_pushes
 from dropo.cli.main import main
-from dropo.core.problem import Problem
-from dropo.problems.writer import write_problem
+from dropo.core.contracts.problem import Problem
+from dropo.data.outliers.without_disturbances import both_sides, undisturbed, without_pushes
+from dropo.problems.file.writer import write_problem
 from tests.analysis.test_disturbances import PUSHES, recorded, simulator  # noqa: F401 - a fixture
 
 

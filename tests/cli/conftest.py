@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.records.trajectories import Trajectories
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
 <mujoco>

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.core.fit import Fit
-from dropo.core.problem import Problem
-from dropo.core.table import estimate
-from dropo.problems.reader import load
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit
+from dropo.core.services.tables import estimate
+from dropo.problems.file.reader import load
 
 SAMPLED = ("--likelihood", "monte-carlo", "--optimizer", "cma-es")
 SMALL = (*SAMPLED, "--draws", "10", "--budget", "60")
@@ -122,7 +122,7 @@ def test_the_problem_suggests_settings(problem: Path, monkeypatch: pytest.Monkey
     """Where the user says nothing, and only those that the method has."""
     from dataclasses import replace
 
-    from dropo.core import catalogue
+    from dropo.core.services import registry as catalogue
 
     def suggesting(threads: int = 0) -> Problem:
         return replace(load(problem, threads=threads), name="suggesting", settings={"draws": 7, "budget": 40, "colour": "red"})
@@ -185,8 +185,8 @@ def test_refusals_write_nothing(problem: Path, arguments: list[str], message: st
 
 def test_a_refusal_later_in_the_run_writes_nothing(problem: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where some evaluations were recorded already."""
-    from dropo.core.errors import BadArgument
-    from dropo.core.journal import Journal
+    from dropo.core.services.errors import BadArgument
+    from dropo.core.services.evaluation_log import Journal
 
     append, out = Journal._append, problem.parent / "out"
 

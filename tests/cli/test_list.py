@@ -6,7 +6,7 @@ import pytest
 
 from dropo.cli.list import KINDS
 from dropo.cli.main import main
-from dropo.core import catalogue
+from dropo.core.services import registry as catalogue
 
 
 @pytest.mark.parametrize("kind", KINDS)

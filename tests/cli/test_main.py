@@ -8,7 +8,7 @@ import pytest
 
 import dropo
 from dropo.cli.main import main
-from dropo.core.errors import SimulationFailed
+from dropo.core.services.errors import SimulationFailed
 
 HEAVY = ("numpy", "mujoco", "scipy", "torch", "cma", "emcee", "nlopt", "gymnasium", "yaml", "rich")
 

@@ -10,7 +10,7 @@ import pytest
 
 from dropo.cli.main import _parser, main
 from dropo.cli.output import Progress, show, time_left
-from dropo.core.table import Printed, Table
+from dropo.core.services.tables import Printed, Table
 
 FURTHER = {"--threads", "--seed", "--json", "--quiet"}
 

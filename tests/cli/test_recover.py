@@ -5,8 +5,8 @@ import json
 import pytest
 
 from dropo.cli.main import main
-from dropo.core import catalogue
-from dropo.studies.study import Study, Table
+from dropo.core.services import registry as catalogue
+from dropo.studies.engine.study import Study, Table
 
 DONE: list[int] = []
 STOP_AT: list[int] = []

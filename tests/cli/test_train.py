@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.problems.reader import load
+from dropo.problems.file.reader import load
 from dropo.training.policy import load_policy
 
 REWARD = """import numpy as np
@@ -80,7 +80,7 @@ def test_goes_on_after_an_interruption(trained, tmp_path, capsys, monkeypatch):
 
 def test_a_task_travels_with_its_problem(trained, tmp_path):
     """Into the extended problem's folder: `write_problem` names the same functions."""
-    from dropo.problems.writer import write_problem
+    from dropo.problems.file.writer import write_problem
 
     back = load(write_problem(load(trained), tmp_path / "extended"))
     assert back.task.steps == 15
@@ -134,7 +134,7 @@ def test_refusals(trained, tmp_path, capsys, monkeypatch):
     assert main([*arguments(trained, budget=1), "--quiet"]) == 0
     assert main(["evaluate", str(tmp_path / "policy"), "--on", "Hopper-v5"]) == 2
     assert "'Hopper-v5' has 11 and 3" in capsys.readouterr().err
-    monkeypatch.setattr("dropo.core.extras.find_spec", lambda name: None)
+    monkeypatch.setattr("dropo.core.services.optional_dependencies.find_spec", lambda name: None)
     assert main(["train", str(trained), "--algorithm", "sac", "--out", str(out)]) == 2
     assert "pip install 'dropo[rl]'" in capsys.readouterr().err
     assert not out.exists()

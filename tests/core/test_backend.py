@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from dropo.core.backend import checked, cholesky, constant, is_tensor, namespace, ndtri, plain, together
-from dropo.core.errors import BadArgument
+from dropo.core.numerics.array_api import checked, cholesky, constant, is_tensor, namespace, ndtri, plain, together
+from dropo.core.services.errors import BadArgument
 
 torch = pytest.importorskip("torch")
 
@@ -67,8 +67,8 @@ def test_checked(make):
 def test_torch_is_not_imported():
     """The families, the sampled likelihoods and the robots' module work before anyone imports torch."""
     script = (
-        "import numpy as np, sys, dropo.likelihoods.ghurye_olkin, dropo.simulators.robots\n"
-        "from dropo.likelihoods.gaussian import Gaussian\n"
+        "import numpy as np, sys, dropo.likelihoods.ghurye_olkin, dropo.simulators.differentiable\n"
+        "from dropo.likelihoods.monte_carlo import Gaussian\n"
         "Gaussian().log_density(np.random.default_rng(0).normal(size=(9, 3, 2)), np.zeros((3, 2)), 0.1)\n"
         "print('torch' in sys.modules)"
     )

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument, UnknownName
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, UnknownName
 
 
 def trajectories(*lengths, group=None):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dropo.core.draws import Draws
-from dropo.core.errors import BadArgument
+from dropo.core.records.draws import Draws
+from dropo.core.services.errors import BadArgument
 
 
 def draws():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dropo.core.explosion import BEYOND, HOPELESS, flat, ranges, settled
+from dropo.core.numerics.diverged_simulations import BEYOND, HOPELESS, flat, ranges, settled
 
 TARGETS = np.stack([np.linspace(-1.0, 1.0, 21), np.full(21, 0.3), 1e-17 * np.arange(21), 1e-9 * np.arange(21)], axis=1)
 """A signal of range 1, a constant, an angle of 0 but for rounding, and a small signal."""

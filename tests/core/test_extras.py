@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dropo import DropoError, Posterior, load
-from dropo.core import extras
-from dropo.core.draws import Draws
-from dropo.core.extras import need
+from dropo.core.records.draws import Draws
+from dropo.core.services import optional_dependencies as extras
+from dropo.core.services.optional_dependencies import need
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dropo import LeastSquares
-from dropo.core.errors import DropoError
-from dropo.core.frames import frame
-from dropo.problems.slide import slide
+from dropo.core.services.data_frames import frame
+from dropo.core.services.errors import DropoError
+from dropo.problems.simulated.slide import slide
 
 
 def test_a_fits_table():
@@ -26,6 +26,6 @@ def test_a_fits_table():
 def test_without_pandas(monkeypatch):
     """A sentence with the way out."""
     found = importlib.util.find_spec
-    monkeypatch.setattr("dropo.core.extras.find_spec", lambda name: None if name == "pandas" else found(name))
+    monkeypatch.setattr("dropo.core.services.optional_dependencies.find_spec", lambda name: None if name == "pandas" else found(name))
     with pytest.raises(DropoError, match=r"pip install 'dropo\[tables\]'"):
         frame([], "effect")

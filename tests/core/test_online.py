@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.estimator import Run
-from dropo.core.journal import Journal
-from dropo.core.online import Answer, Calls, joined, law
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.interactive_estimator import Answer, Calls, joined, law
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, Incompatible
+from dropo.core.services.evaluation_log import Journal
 from dropo.estimators.adr import ADR
 from dropo.estimators.simopt import SimOpt
-from dropo.problems.slide import slide
+from dropo.problems.simulated.slide import slide
 
 
 def calls(journal=None):

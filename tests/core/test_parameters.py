@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dropo.core.errors import BadArgument, UnknownName
-from dropo.core.parameters import Parameter, ParameterSpace
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument, UnknownName
 
 LINEAR = st.tuples(st.floats(-1e3, 1e3), st.floats(1e-2, 1e4)).map(lambda x: (x[0], x[0] + x[1], "linear"))
 LOG = st.tuples(st.floats(1e-9, 1e3), st.floats(1.1, 1e9)).map(lambda x: (x[0], x[0] * x[1], "log"))

@@ -5,9 +5,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadFile
-from dropo.core.pictures import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
-from dropo.core.predictions import Predictions, Side
+from dropo.core.records.figure_data import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
+from dropo.core.records.predictions import Predictions, Side
+from dropo.core.services.errors import BadFile
 
 
 def side(name, rng):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dropo.core.errors import BadArgument, UnknownName
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.prior import LogPrior, describe, read_prior
+from dropo.core.contracts.prior import LogPrior, describe, read_prior
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument, UnknownName
 
 SPACE = ParameterSpace((Parameter("a", 1.0, 6.0), Parameter("b", 0.1, 10.0, scale="log")))
 POINTS = np.array([[1.5, 0.2], [3.0, 1.0], [5.5, 9.0]])

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 import dropo
-from dropo.core.errors import BadArgument, UnknownName
+from dropo.core.services.errors import BadArgument, UnknownName
 
 
 def test_a_name_in_place_of_a_problem_is_refused_with_the_way_out():

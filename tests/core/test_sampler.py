@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from dropo.core.draws import ChainTooShort, Draws
-from dropo.core.errors import BadArgument
-from dropo.core.estimator import Run
-from dropo.core.journal import Journal
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.core.sampler import Sampler, first_positions
-from dropo.optimizers.emcee import Emcee
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.sampler import Sampler, first_positions
+from dropo.core.records.draws import ChainTooShort, Draws
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.evaluation_log import Journal
+from dropo.optimizers.samplers.emcee import Emcee
 from dropo.simulators.toy import LinearSimulator, simulate
 
 SPACE = ParameterSpace((Parameter("a", -1.0, 3.0), Parameter("b", 0.1, 10.0, scale="log")))

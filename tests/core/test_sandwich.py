@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.core.dependence import MANY, Units, independent, long_run, units_of, variance_of_sum
-from dropo.core.sandwich import sandwich
+from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.records.dependence import MANY, Units, independent, long_run, units_of, variance_of_sum
+from dropo.core.records.trajectories import Trajectories
 
 
 def trajectories(lengths, group=None):

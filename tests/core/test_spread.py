@@ -7,11 +7,11 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.spread import Spread
+from dropo.core.contracts.parallel_simulator import Spread
+from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.estimators.least_squares import LeastSquares
-from dropo.problems.hopper import hopper
-from dropo.problems.slide import slide
+from dropo.problems.hopper.problem import hopper
+from dropo.problems.simulated.slide import slide
 
 
 @pytest.fixture(scope="module")

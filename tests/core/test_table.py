@@ -2,7 +2,7 @@
 
 import pytest
 
-from dropo.core.table import estimate
+from dropo.core.services.tables import estimate
 
 
 @pytest.mark.parametrize(

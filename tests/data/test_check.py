@@ -7,14 +7,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.checks import Array
-from dropo.core.data import Signal, Trajectories
-from dropo.core.errors import BadArgument
-from dropo.core.problem import Problem
-from dropo.data.check import check
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Signal, Trajectories
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.validation import Array
+from dropo.data.checks.check import check
 from dropo.data.describe import columns, controls, describe
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
 <mujoco>

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
-from dropo.data.delays import estimate_clock, estimate_delay
+from dropo.core.services.errors import BadArgument
+from dropo.logs.signals.delays import estimate_clock, estimate_delay
 from tests.data.test_velocities import arm
 
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument, BadFile
-from dropo.data.check import check
-from dropo.data.importing import Import, import_logs
-from dropo.data.reader import read
-from dropo.problems.reader import load
+from dropo.core.services.errors import BadArgument, BadFile
+from dropo.data.checks.check import check
+from dropo.data.reading import read
+from dropo.logs.importing import Import, import_logs
+from dropo.problems.file.reader import load
 
 Columns = dict[str, Any]
 POSITIONS = """

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dropo.data.integrated_noise import Motion, filtered
+from dropo.logs.signals.integrated_noise import Motion, filtered
 
 PATH = Path(__file__).parents[1] / "reference" / "kalman_smoother.py"
 SPEC = importlib.util.spec_from_file_location("kalman_smoother", PATH)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dropo.data.findings import Finding
-from dropo.data.log_check import check_runs
-from dropo.data.machine import load_machine
-from dropo.data.mapping import read_mapping
-from dropo.data.recordings import read_runs
+from dropo.data.checks.findings import Finding
+from dropo.logs.log_checks import check_runs
+from dropo.logs.mapping import read_mapping
+from dropo.logs.model_joints import load_machine
+from dropo.logs.recordings import read_runs
 
 Columns = dict[str, NDArray[Any]]
 

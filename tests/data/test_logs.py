@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadFile
-from dropo.data.logs import open_log
-from dropo.data.machine import load_machine
-from dropo.data.mapping import read_mapping
-from dropo.data.recordings import Run, read_runs
+from dropo.core.services.errors import BadFile
+from dropo.logs.mapping import read_mapping
+from dropo.logs.model_joints import load_machine
+from dropo.logs.readers.reader import open_log
+from dropo.logs.recordings import Run, read_runs
 
 Columns = dict[str, Any]
 N = 50
@@ -76,7 +76,7 @@ def test_csv(folder: Path, columns: Columns, csv: Any, separator: str) -> None:
 
 
 def test_csv_in_blocks(folder: Path, columns: Columns, csv: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dropo.data.tables.BLOCK", 7)
+    monkeypatch.setattr("dropo.logs.readers.tables.BLOCK", 7)
     shares: list[float] = []
     (folder / "map.yaml").write_text(PLAIN)
     mapping = read_mapping(folder / "map.yaml", load_machine(folder / "robot.xml"))

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadFile
-from dropo.data.machine import load_machine
-from dropo.data.mapping import Mapping, read_mapping
-from dropo.data.recordings import read_runs
+from dropo.core.services.errors import BadFile
+from dropo.logs.mapping import Mapping, read_mapping
+from dropo.logs.model_joints import load_machine
+from dropo.logs.recordings import read_runs
 
 BODIES = """
 <mujoco>

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadFile
-from dropo.data.reader import read
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadFile
+from dropo.data.reading import read
 
 Arrays = dict[str, Any]
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dropo.core.errors import BadArgument, UnknownName
-from dropo.data.resampling import resample, resample_rotations
+from dropo.core.services.errors import BadArgument, UnknownName
+from dropo.logs.signals.resampling import resample, resample_rotations
 
 
 def test_a_spline_passes_through_what_was_measured():

@@ -4,12 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.data.smoother import estimate_states
-from dropo.data.velocities import estimate_velocities
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, Incompatible
+from dropo.logs.signals.states import estimate_states
+from dropo.logs.signals.velocities import estimate_velocities
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="shoulder" axis="0 1 0" damping="0.05"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/><body name="lower" pos="0 0 -0.3">

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
-from dropo.data.velocities import estimate_velocities, quantum
+from dropo.core.services.errors import BadArgument
+from dropo.logs.signals.velocities import estimate_velocities, quantum
 
 
 def arm(time):

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from dropo.core.catalogue import find
-from dropo.core.problem import Problem
-from dropo.problems.machines import machine
-from dropo.problems.recording import record
-from dropo.simulators.fields import FieldParameter
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.registry import find
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.simulated.recording import record
+from dropo.problems.simulated.robots import machine
 
 UPPER = FieldParameter("upper_mass", 0.5, 2.0, "kg", field="body_mass", element="upper")
 

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from dropo.core.effect import Atom, Quantity
-from dropo.diagnosis.causes import _shape
+from dropo.core.contracts.effect import Atom, Quantity
+from dropo.diagnosis.findings.causes import _shape
 
 HALVES = (Quantity("sine", "N m", -1, 1, (0.01,)), Quantity("cosine", "N m", -1, 1, (0.01,)))
 

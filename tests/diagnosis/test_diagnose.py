@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from dropo import Diagnose, diagnose
-from dropo.core.data import Trajectories
-from dropo.core.effect import Atom, Quantity
-from dropo.core.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
-from dropo.core.problem import Problem
-from dropo.problems.slide import slide
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
+from dropo.problems.simulated.slide import slide
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.diagnosis.arms import UPPER, problem
 
 SOME = ("joint_damping", "joint_friction", "joint_stiffness", "actuator_gain", "actuator_delay", "actuator_lag", "sensor_bias", "body_mass")

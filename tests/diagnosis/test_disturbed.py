@@ -6,9 +6,9 @@ import mujoco
 import pytest
 
 from dropo import Diagnose
-from dropo.core.problem import Problem
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.contracts.problem import Problem
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.analysis import test_odd_runs as payloads
 from tests.analysis.test_disturbances import PUSHES, STEP, XML, recorded
 

@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dropo.analysis.open_loop import open_loop
-from dropo.diagnosis.experiment import LENGTH, _candidates, _commands, experiment
-from dropo.diagnosis.model import Library
-from dropo.diagnosis.selection import Selection
-from dropo.diagnosis.windows import split
+from dropo.diagnosis.findings.experiment import LENGTH, _candidates, _commands, experiment
+from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.windows import split
+from dropo.evaluation.open_loop import open_loop
 from tests.diagnosis.arms import atom, problem
 
 SIGMA = 3e-3
@@ -55,7 +55,7 @@ def test_commands_that_make_the_simulation_diverge_tell_nothing(lagging, monkeyp
         states[large, 2:] = np.nan
         return states
 
-    monkeypatch.setattr("dropo.diagnosis.experiment.open_loop", failing)
+    monkeypatch.setattr("dropo.diagnosis.findings.experiment.open_loop", failing)
     found = experiment(library, state, *library.atoms, np.array([0.002]))
     assert 0 < found.nats < whole.nats
 

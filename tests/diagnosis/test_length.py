@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from dropo.diagnosis import length
-from dropo.diagnosis.length import LENGTHS, SHORTEST, choose_length
+from dropo.diagnosis.search import window_length as length
+from dropo.diagnosis.search.window_length import LENGTHS, SHORTEST, choose_length
 from tests.diagnosis.arms import problem
 
 

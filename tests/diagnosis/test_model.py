@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from dropo import diagnose
-from dropo.core.catalogue import find
-from dropo.core.problem import Problem
-from dropo.core.simulator import Simulator
-from dropo.diagnosis.model import Library, look, moved, noise_of, whitener
-from dropo.diagnosis.whitening import Whitener
-from dropo.diagnosis.windows import split
-from dropo.problems.machines import machine
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.services.registry import find
+from dropo.diagnosis.search.linearization import Library, look, moved, noise_of, whitener
+from dropo.diagnosis.search.whitening import Whitener
+from dropo.diagnosis.search.windows import split
+from dropo.problems.simulated.robots import machine
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.diagnosis.arms import problem
 
 NOISE = 1e-4

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.diagnosis import selection as search
-from dropo.diagnosis.one_step import size_in_single_steps
+from dropo.core.records.trajectories import Trajectories
+from dropo.diagnosis.search import selection as search
+from dropo.diagnosis.search.single_steps import size_in_single_steps
 from tests.diagnosis.toy import DT, GAIN, atoms, selection
 
 RUNS, FORCE = 12, 1.0  # sd of the random forces [m/s^2]

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dropo.diagnosis import causes
-from dropo.diagnosis import refit as refitting
-from dropo.diagnosis.causes import standard_errors
-from dropo.diagnosis.model import Library, look, noise_of
-from dropo.diagnosis.refit import refit
-from dropo.diagnosis.windows import split
+from dropo.diagnosis.findings import causes
+from dropo.diagnosis.findings.causes import standard_errors
+from dropo.diagnosis.search import refit as refitting
+from dropo.diagnosis.search.linearization import Library, look, noise_of
+from dropo.diagnosis.search.refit import refit
+from dropo.diagnosis.search.windows import split
 from tests.diagnosis import arms
 
 TRUE = {"contact_stiffness.margin": -0.001, "body_mass:foot": -0.2, "body_inertia:foot": -0.1}

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dropo.core.gate import growing, setting_in
-from dropo.diagnosis.causes import estimate, standard_errors
-from dropo.diagnosis.invariance import invariance
-from dropo.diagnosis.omnibus import omnibus
-from dropo.diagnosis.review import ambiguity, review
-from dropo.diagnosis.screening import Candidate, Screening, with_constant
-from dropo.diagnosis.selection import Round, commonest_first, confirmed, gain_of
+from dropo.core.contracts.time_profile import growing, setting_in
+from dropo.diagnosis.findings.causes import estimate, standard_errors
+from dropo.diagnosis.findings.omnibus import omnibus
+from dropo.diagnosis.search.invariance import invariance
+from dropo.diagnosis.search.review import ambiguity, review
+from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
+from dropo.diagnosis.search.selection import Round, commonest_first, confirmed, gain_of
 from tests.diagnosis.toy import atoms, measured, selection
 
 SIZES = {"damping": 0.05, "spring": -0.05, "bias": 0.02, "gain": -0.05, "friction": 0.03, "drag": 0.03}
@@ -59,7 +59,7 @@ def test_trials_that_a_wrong_noise_holds_up_are_fitted_to_the_end(monkeypatch, s
     tried, trials = search.tried, []
     monkeypatch.setattr(search, "tried", lambda *asked: trials.extend(more := tried(*asked)) or more)
     as_they_are = lambda after: any(trial.state.test is after for trial in trials)
-    monkeypatch.setattr("dropo.diagnosis.selection.confirmed", lambda *asked: not as_they_are(asked[1]) and confirmed(*asked))
+    monkeypatch.setattr("dropo.diagnosis.search.selection.confirmed", lambda *asked: not as_they_are(asked[1]) and confirmed(*asked))
     last = search.step(first, atoms(), first)
     assert (last is not None) == found
     assert not found or ([atom.effect for atom in last.accepted], search.origins["damping:mass"].trials) == (["damping"], trials)

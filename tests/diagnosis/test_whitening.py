@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from dropo.diagnosis.whitening import DEGREES, Whitener, learn_noise
+from dropo.diagnosis.search.whitening import DEGREES, Whitener, learn_noise
 
 W, STEPS, P, M = 7, 4, 3, 5
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
-from dropo.core.problem import Problem
-from dropo.diagnosis.windows import held_out_windows, split
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.errors import BadArgument
+from dropo.diagnosis.search.windows import held_out_windows, split
 from tests.diagnosis.toy import Mass, measured
 
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from dropo.core.data import Signal, Trajectories
-from dropo.core.effect import Atom, Quantity
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.core.simulator import Simulator
-from dropo.diagnosis.model import Library
-from dropo.diagnosis.selection import Selection
-from dropo.diagnosis.windows import split
+from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.records.trajectories import Signal, Trajectories
+from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.windows import split
 
 DT, GAIN = 0.1, 2.0
 SIGNALS = (Signal("x", "m"), Signal("v", "m/s"))

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dropo.core.catalogue import find
-from dropo.core.errors import BadArgument
-from dropo.core.family import means_and_scales
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.distributions.full_gaussian import FullGaussian
-from dropo.distributions.log_normal import LogNormal
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
-from dropo.distributions.uniform import Uniform
+from dropo.core.contracts.family import means_and_scales
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.registry import find
+from dropo.families.full_gaussian import FullGaussian
+from dropo.families.log_normal import LogNormal
+from dropo.families.truncated_gaussian import TruncatedGaussian
+from dropo.families.uniform import Uniform
 from dropo.testing import check_family
 
 SPACE = ParameterSpace((Parameter("mass", 1.0, 3.0, "kg"), Parameter("friction", 0.2, 0.8), Parameter("length", 0.5, 5.0, "m")))

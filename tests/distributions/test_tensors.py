@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.core.errors import BadArgument
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.standard_law import NORMAL, TRUNCATED_NORMAL, UNIFORM
-from dropo.distributions.full_gaussian import FullGaussian
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
+from dropo.core.numerics.standard_distributions import NORMAL, TRUNCATED_NORMAL, UNIFORM
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.registry import find
+from dropo.families.full_gaussian import FullGaussian
+from dropo.families.truncated_gaussian import TruncatedGaussian
 
 torch = pytest.importorskip("torch")
 SPACE = ParameterSpace((Parameter("mass", 1.0, 3.0), Parameter("friction", 0.2, 0.8, lower=0.18), Parameter("length", 0.5, 5.0, upper=5.0)))

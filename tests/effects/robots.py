@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dropo.core.data import Trajectories
-from dropo.problems.hopper import hopper_simulator
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.records.trajectories import Trajectories
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.hopper.problem import hopper_simulator
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 ARM = """<mujoco><compiler angle="radian"/><option timestep="0.004"/><worldbody>
   <body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="0.3" armature="0.02" frictionloss="0.1"/>

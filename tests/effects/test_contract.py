@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find, names
+from dropo.core.services.registry import find, names
 from dropo.testing import check_effect
 from tests.effects.robots import ROBOTS
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.core.errors import Incompatible
-from dropo.core.gate import place_in_data
-from dropo.core.problem import Problem
-from dropo.problems.reader import load
-from dropo.problems.writer import write_problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.time_profile import place_in_data
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.registry import find
+from dropo.problems.file.reader import load
+from dropo.problems.file.writer import write_problem
 from tests.effects.robots import ROBOTS
 from tests.effects.test_physics import atom
 

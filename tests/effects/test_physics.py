@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.core.errors import Incompatible
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.registry import find
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.effects.robots import ARM, CART, CUBE, ROBOTS, STRANGE
 from tests.reference.effects import replay
 

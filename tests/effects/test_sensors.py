@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.simulators.observation import exponential, multiply
+from dropo.core.records.trajectories import Trajectories
+from dropo.mjmodel.observation import exponential, multiply
 from tests.effects.robots import ARM, ROBOTS
 from tests.effects.test_physics import atom, predicted, same
 from tests.reference.effects import replay

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
-from dropo.core.fit import Status
+from dropo.core.records.fit import Status
+from dropo.core.services.errors import BadArgument
 from dropo.estimators.adr import ADR
-from dropo.problems.slide import slide
+from dropo.problems.simulated.slide import slide
 
 LOW, HIGH = np.array([1.0, 0.9]), np.array([3.0, 2.2])  # where the policy succeeds, inside mass 0.5..4 and damping 0.1..3
 

@@ -5,13 +5,13 @@ import pytest
 
 pytest.importorskip("botorch", reason="needs the extra bo")
 
-from dropo.core.errors import BadArgument, MissingPackage
-from dropo.core.fit import Status
-from dropo.core.journal import Journal
-from dropo.core.online import Answer
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
+from dropo.core.contracts.interactive_estimator import Answer
+from dropo.core.records.fit import Status
+from dropo.core.services.errors import BadArgument, MissingPackage
+from dropo.core.services.evaluation_log import Journal
 from dropo.estimators.bayrn import BayRn, posterior_mean, propose
-from dropo.problems.slide import slide
+from dropo.families.truncated_gaussian import TruncatedGaussian
+from dropo.problems.simulated.slide import slide
 
 BEST = np.array([0.3, 0.6, 0.5, 0.7])  # of the unit box of means and scales
 
@@ -86,7 +86,7 @@ def test_a_journal_resumes(tmp_path):
 def test_refusals(monkeypatch):
     with pytest.raises(BadArgument, match="'budget' of BayRn must be at least first = 5"):
         BayRn(evaluate=lambda fit, rng: 0.0, budget=4)
-    monkeypatch.setattr("dropo.core.extras.find_spec", lambda name: None if name == "botorch" else object())
+    monkeypatch.setattr("dropo.core.services.optional_dependencies.find_spec", lambda name: None if name == "botorch" else object())
     with pytest.raises(MissingPackage) as refusal:
         BayRn(evaluate=lambda fit, rng: 0.0)
     assert str(refusal.value) == "Method 'bayrn' needs botorch, which is not installed: pip install 'dropo[bo]'."

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.fit import Status
+from dropo.core.records.fit import Status
+from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.estimators.droid import DROID
 from dropo.estimators.least_squares import LeastSquares
-from dropo.problems.slide import slide
+from dropo.problems.simulated.slide import slide
 
 
 def test_mean_is_that_of_least_squares():

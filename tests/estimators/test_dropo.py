@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from dropo.core.catalogue import names
-from dropo.core.data import Signal
-from dropo.core.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
-from dropo.core.estimator import Run
-from dropo.core.fit import Status
-from dropo.core.journal import Journal
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.distributions.truncated_gaussian import SD as CUT_SD
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Status
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.records.trajectories import Signal
+from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
+from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.registry import names
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.tuning import noise_scale
+from dropo.estimators.support.epsilon import noise_scale
+from dropo.families.truncated_gaussian import SD as CUT_SD
 from dropo.likelihoods.emulated import Emulated
-from dropo.likelihoods.gaussian import Gaussian
-from dropo.problems.hopper import hopper, hopper_noisy, hopper_problem
-from dropo.problems.hopper_data import simulate as simulate_hopper
-from dropo.problems.hopper_model import TRUTH
-from dropo.problems.slide import MEAN, SD, slide
-from dropo.simulators.general import ReplaySimulator
+from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.problems.hopper.data import simulate as simulate_hopper
+from dropo.problems.hopper.model import TRUTH
+from dropo.problems.hopper.problem import hopper, hopper_noisy, hopper_problem
+from dropo.problems.simulated.slide import MEAN, SD, slide
+from dropo.simulators.function import ReplaySimulator
 from dropo.simulators.toy import SlidingBlock, simulate
 from tests.reference.pushes import pushes, z_of_mean, z_of_sd
 

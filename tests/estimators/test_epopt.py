@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.fit import Fit, Status
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit, Status
+from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.estimators.epopt import EPOpt
 from dropo.simulators.toy import LinearSimulator, simulate
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dropo.core.catalogue import find
-from dropo.core.data import Trajectories
-from dropo.core.errors import Incompatible, UnknownName
-from dropo.core.estimator import Run
-from dropo.core.parameters import Parameter
-from dropo.core.problem import Problem
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.parameters import Parameter
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import Incompatible, UnknownName
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.filtering import filtered
-from dropo.simulators.general import FunctionSimulator
+from dropo.estimators.support.filtered_starts import filtered
+from dropo.simulators.function import FunctionSimulator
 from tests.reference.pushes import z_of_mean
 
 DT, STIFFNESS, DAMPING = 0.1, 2.0, 0.5

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.fit import Status
-from dropo.core.journal import Journal
+from dropo.core.records.fit import Status
+from dropo.core.services.errors import BadArgument, Incompatible
+from dropo.core.services.evaluation_log import Journal
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.horizon import ChooseHorizon, choose, split
-from dropo.problems.slide import MEAN, slide
+from dropo.estimators.support.segment_length import ChooseHorizon, choose, split
+from dropo.problems.simulated.slide import MEAN, slide
 from tests.reference.pushes import pushes, z_of_mean
 
 NOISY = 4e-4  # variance on every measurement

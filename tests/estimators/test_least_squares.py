@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument, SimulationFailed, UnknownName
-from dropo.core.fit import Status
-from dropo.core.parameters import Parameter
+from dropo.core.records.fit import Status
+from dropo.core.records.parameters import Parameter
+from dropo.core.services.errors import BadArgument, SimulationFailed, UnknownName
 from dropo.estimators.least_squares import LeastSquares
-from dropo.problems.slide import MEAN, slide
-from dropo.simulators.general import FunctionSimulator
+from dropo.problems.simulated.slide import MEAN, slide
+from dropo.simulators.function import FunctionSimulator
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from tests.reference.pushes import Problem, pushes, z_of_mean
 

@@ -5,9 +5,9 @@ import pytest
 
 pytest.importorskip("sbi", reason="needs the extra sbi")
 
-from dropo.core.errors import BadArgument, MissingPackage, UnknownName
-from dropo.core.fit import Status
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Status
+from dropo.core.services.errors import BadArgument, MissingPackage, UnknownName
 from dropo.estimators import npe
 from dropo.estimators.npe import NPE
 from dropo.simulators.toy import LinearSimulator, simulate
@@ -94,8 +94,8 @@ def test_learning_leaves_nothing_behind(tmp_path, monkeypatch, capsys):
 
 def test_slopes_are_the_estimate_of_least_squares():
     """Where the simulator is linear, the summary of the measurements is the least-squares estimate, in shares of the box."""
-    from dropo.core.estimator import Run
-    from dropo.estimators.posterior_targets import PointLikelihood
+    from dropo.core.contracts.estimator import Run
+    from dropo.estimators.support.posterior_targets import PointLikelihood
 
     one = problem(epsilon=NOISE)
     target = PointLikelihood(one, NOISE)
@@ -110,7 +110,7 @@ def test_refusals(monkeypatch):
         NPE(density="made")
     with pytest.raises(BadArgument, match="'simulations' of NPE must be at least 50"):
         NPE(simulations=49)
-    monkeypatch.setattr("dropo.core.extras.find_spec", lambda name: None if name == "sbi" else object())
+    monkeypatch.setattr("dropo.core.services.optional_dependencies.find_spec", lambda name: None if name == "sbi" else object())
     with pytest.raises(MissingPackage) as refusal:
         NPE()
     assert str(refusal.value) == "Method 'npe' needs sbi, which is not installed: pip install 'dropo[sbi]'."

@@ -5,19 +5,19 @@ import json
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.core.draws import Draws
-from dropo.core.errors import BadArgument, Incompatible, UnknownName
-from dropo.core.fit import Fit, Status
-from dropo.core.journal import Journal
-from dropo.core.noise import Noise
-from dropo.core.problem import Problem
+from dropo.core.contracts.noise import Noise
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.draws import Draws
+from dropo.core.records.fit import Fit, Status
+from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
+from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.posterior import PointLikelihood, Posterior, judge
-from dropo.optimizers.emcee import Emcee
-from dropo.optimizers.pyro_nuts import PyroNuts
-from dropo.optimizers.pyro_svi import PyroSvi
-from dropo.problems.slide import slide
+from dropo.optimizers.samplers.emcee import Emcee
+from dropo.optimizers.samplers.pyro_nuts import PyroNuts
+from dropo.optimizers.samplers.pyro_svi import PyroSvi
+from dropo.problems.simulated.slide import slide
 from dropo.simulators.toy import LinearSimulator, simulate
 
 TRUTH, NOISE = np.array([1.5, -0.7]), 0.04

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from dropo.core.catalogue import find
-from dropo.core.errors import Incompatible, UnknownName
-from dropo.core.fisher_scoring import maximise_locally
-from dropo.core.fit import Fit
-from dropo.core.problem import Problem
-from dropo.estimators import spread_tests as spreads
+from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit
+from dropo.core.services.errors import Incompatible, UnknownName
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.random_effects import RandomEffects
-from dropo.problems.hopper import hopper_problem
-from dropo.problems.hopper_data import TRUTH, simulate
+from dropo.evaluation import variance_components as spreads
+from dropo.problems.hopper.data import TRUTH, simulate
+from dropo.problems.hopper.problem import hopper_problem
 from dropo.simulators.toy import LinearSimulator
 from dropo.simulators.toy import simulate as toy_trajectories
 

@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
-from dropo.core.estimator import Estimator
-from dropo.core.fit import Status
-from dropo.core.journal import Journal
-from dropo.core.problem import Problem
+from dropo.core.contracts.estimator import Estimator
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Status
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.evaluation_log import Journal
 from dropo.estimators.simopt import SimOpt, divergence, step
 from dropo.simulators.toy import LinearSimulator, simulate
 

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dropo.core.catalogue import names
-from dropo.core.dependence import independent
-from dropo.core.errors import BadArgument, BadFile
-from dropo.core.fit import Fit
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.core.table import estimate
-from dropo.estimators import summary
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.dependence import independent
+from dropo.core.records.fit import Fit
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument, BadFile
+from dropo.core.services.registry import names
+from dropo.core.services.tables import estimate
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
-from dropo.estimators.summary import at_bounds
+from dropo.estimators.support import summary
+from dropo.estimators.support.summary import at_bounds
 from dropo.estimators.uniform_randomization import UniformRandomization
-from dropo.problems.slide import slide
+from dropo.problems.simulated.slide import slide
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from tests.reference.pushes import MEAN, SD, pushes, z_of_mean, z_of_sd
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
-from dropo.core.fit import Status
+from dropo.core.records.fit import Status
+from dropo.core.services.errors import BadArgument
 from dropo.estimators.uniform_randomization import UniformRandomization, random_bounds
-from dropo.problems.slide import slide
+from dropo.problems.simulated.slide import slide
 
 
 def test_ten_bounds_inside_the_box():

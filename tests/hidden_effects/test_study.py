@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.problems.machines import MACHINES, machine
-from dropo.studies.hidden_effects import CASES, draw, hidden_effects, interval, judge, run
-from dropo.studies.work import Work
+from dropo.core.services.registry import find
+from dropo.problems.simulated.robots import MACHINES, machine
+from dropo.studies.engine.work import Work
+from dropo.studies.hidden_effects.study import CASES, draw, hidden_effects, interval, judge, run
 
 QUICK = [("torque-arm", "one", 0), ("torque-arm", "nothing", 1), ("position-arm", "two", 0)]
 

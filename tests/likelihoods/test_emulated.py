@@ -9,20 +9,20 @@ import pytest
 import scipy.optimize
 from scipy import integrate, stats
 
-from dropo.core.catalogue import find
-from dropo.core.errors import BadArgument, Incompatible, SimulationFailed
-from dropo.core.fisher_scoring import maximise_locally
-from dropo.core.local_likelihood import LocalLogLikelihood
-from dropo.core.noise import Noise
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.core.standard_law import NORMAL, TRUNCATED_NORMAL, UNIFORM
-from dropo.distributions.truncated_gaussian import SD, TruncatedGaussian
+from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.noise import Noise
+from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.standard_distributions import NORMAL, TRUNCATED_NORMAL, UNIFORM
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
-from dropo.likelihoods import blocks
+from dropo.families.truncated_gaussian import SD, TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
-from dropo.likelihoods.polynomials import POINTS, SPARE, build, design_points, index_set, orders_for
-from dropo.simulators.general import FunctionSimulator
+from dropo.likelihoods.support import blocks
+from dropo.likelihoods.support.polynomials import POINTS, SPARE, build, design_points, index_set, orders_for
+from dropo.simulators.function import FunctionSimulator
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from dropo.testing import check_likelihood
 

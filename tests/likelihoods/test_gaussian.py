@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from dropo.core.errors import BadArgument
-from dropo.core.noise import Noise
-from dropo.distributions.truncated_gaussian import SD, TruncatedGaussian
-from dropo.likelihoods import gaussian
-from dropo.likelihoods.gaussian import Gaussian
+from dropo.core.contracts.noise import Noise
+from dropo.core.services.errors import BadArgument
+from dropo.families.truncated_gaussian import SD, TruncatedGaussian
+from dropo.likelihoods import monte_carlo as gaussian
+from dropo.likelihoods.monte_carlo import Gaussian
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.testing import check_likelihood
 from tests.reference.densities import gaussian_one_by_one

@@ -7,25 +7,25 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dropo.core.catalogue import find
-from dropo.core.errors import BadArgument, Incompatible, SimulationFailed
-from dropo.core.estimator import Run
-from dropo.core.fisher_scoring import maximise_locally
-from dropo.core.noise import Noise, NoiseModel
-from dropo.core.parameters import Parameter
-from dropo.distributions.full_gaussian import FullGaussian
-from dropo.distributions.point import Point
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
-from dropo.estimators.rounds import Rounds
-from dropo.likelihoods import axial, blocks
-from dropo.likelihoods.axial import along_parameters, along_starts
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.noise import Noise, NoiseModel
+from dropo.core.records.parameters import Parameter
+from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
+from dropo.core.services.registry import find
+from dropo.estimators.support.trust_region import Rounds
+from dropo.families.full_gaussian import FullGaussian
+from dropo.families.point import Point
+from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.linear import Linear
+from dropo.likelihoods.support import axial, blocks
+from dropo.likelihoods.support.axial import along_parameters, along_starts
 from dropo.likelihoods.unscented import Unscented
-from dropo.problems.hopper import hopper_problem
-from dropo.problems.hopper_data import TRUTH
-from dropo.problems.hopper_data import simulate as hopper_transitions
-from dropo.simulators.general import FunctionSimulator
+from dropo.problems.hopper.data import TRUTH
+from dropo.problems.hopper.data import simulate as hopper_transitions
+from dropo.problems.hopper.problem import hopper_problem
+from dropo.simulators.function import FunctionSimulator
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 
 LIKELIHOODS = {"emulated": Emulated(), "linear": Linear(), "unscented": Unscented()}

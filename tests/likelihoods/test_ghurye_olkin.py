@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from dropo.core.errors import BadArgument
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
-from dropo.likelihoods.gaussian import Gaussian
+from dropo.core.services.errors import BadArgument
+from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.ghurye_olkin import GhuryeOlkin
+from dropo.likelihoods.monte_carlo import Gaussian
 from dropo.testing import check_likelihood
 from dropo.testing.likelihoods import Line, line_data
 from tests.reference.densities import ghurye_olkin_one_by_one

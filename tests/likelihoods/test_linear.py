@@ -7,17 +7,17 @@ import pytest
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
-from dropo.core.catalogue import find
-from dropo.core.problem import Problem
-from dropo.core.simulator import Simulator
-from dropo.distributions.full_gaussian import FullGaussian
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
+from dropo.families.full_gaussian import FullGaussian
+from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.linear import Linear, moments_of
-from dropo.problems.hopper_data import simulate as hopper_transitions
-from dropo.problems.hopper_model import BODIES, FRAME_SKIP, hopper_spec
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.hopper.data import simulate as hopper_transitions
+from dropo.problems.hopper.model import BODIES, FRAME_SKIP, hopper_spec
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from dropo.testing import check_likelihood
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dropo.core.catalogue import find
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.noise import Noise
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.distributions.full_gaussian import FullGaussian
+from dropo.core.contracts.noise import Noise
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument, Incompatible
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
-from dropo.likelihoods import blocks
+from dropo.families.full_gaussian import FullGaussian
 from dropo.likelihoods.random_effects import RandomEffects
+from dropo.likelihoods.support import blocks
 from dropo.simulators.toy import LinearSimulator, SlidingBlock
 from dropo.simulators.toy import simulate as toy_trajectories
 from dropo.testing.likelihoods import check_likelihood

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.noise import Noise
-from dropo.distributions.full_gaussian import FullGaussian
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
-from dropo.likelihoods.gaussian import Gaussian
+from dropo.core.contracts.noise import Noise
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, Incompatible
+from dropo.families.full_gaussian import FullGaussian
+from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.ghurye_olkin import GhuryeOlkin
+from dropo.likelihoods.monte_carlo import Gaussian
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from tests.reference.densities import gaussian_one_by_one
 
 torch = pytest.importorskip("torch")
-from dropo.simulators.robots import Pendulum  # noqa: E402
+from dropo.simulators.differentiable import Pendulum  # noqa: E402
 
 KINDS = [Gaussian(60), Gaussian(60, degrees=5.0), GhuryeOlkin(60)]
 

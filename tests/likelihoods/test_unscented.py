@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.core.errors import Incompatible
-from dropo.core.parameters import Parameter
-from dropo.distributions.truncated_gaussian import TruncatedGaussian
+from dropo.core.records.parameters import Parameter
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.registry import find
+from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.linear import Linear
 from dropo.likelihoods.unscented import Unscented
-from dropo.simulators.general import FunctionSimulator
+from dropo.simulators.function import FunctionSimulator
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.testing import check_likelihood
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from dropo.core.optimizer import CallbackOptimizer, Optimizer
-from dropo.core.sampler import first_positions
+from dropo.core.contracts.optimizer import CallbackOptimizer, Optimizer
+from dropo.core.contracts.sampler import first_positions
 from dropo.optimizers.cma_es import CMAES
-from dropo.optimizers.emcee import Emcee
+from dropo.optimizers.samplers.emcee import Emcee
 from dropo.testing import check_optimizer, check_sampler
 
 

@@ -7,15 +7,15 @@ import threading
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find, names
-from dropo.core.errors import BadArgument, Incompatible
-from dropo.core.estimator import Run
-from dropo.core.fit import Status
-from dropo.core.journal import Journal
-from dropo.core.optimizer import CallbackOptimizer, Optimizer
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.core.search import maximise
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.maximize import maximise
+from dropo.core.contracts.optimizer import CallbackOptimizer, Optimizer
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Status
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument, Incompatible
+from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.registry import find, names
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.testing import check_optimizer
 from dropo.testing.optimizers import drive
@@ -260,6 +260,6 @@ def test_unusable_settings_are_refused():
 
 def test_libraries_are_imported_late():
     """Importing the plug-ins imports neither pycma nor NLopt nor emcee."""
-    modules = "import dropo.optimizers.cma_es, dropo.optimizers.nlopt, dropo.optimizers.scipy, dropo.optimizers.emcee, sys"
+    modules = "import dropo.optimizers.cma_es, dropo.optimizers.nlopt, dropo.optimizers.scipy, dropo.optimizers.samplers.emcee, sys"
     late = f"{modules}; print([m for m in ('cma', 'nlopt', 'emcee', 'matplotlib') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", late], capture_output=True, text=True, check=True).stdout.strip() == "[]"

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from dropo.core.draws import Draws
-from dropo.core.errors import BadArgument, Incompatible, Refused
-from dropo.core.estimator import Run
-from dropo.core.journal import Journal
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.optimizers.pyro_nuts import PyroNuts
-from dropo.optimizers.pyro_svi import PyroSvi, _rising
-from dropo.optimizers.real_line import RealLine
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.draws import Draws
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadArgument, Incompatible, Refused
+from dropo.core.services.evaluation_log import Journal
+from dropo.optimizers.samplers.pyro_nuts import PyroNuts
+from dropo.optimizers.samplers.pyro_svi import PyroSvi, _rising
+from dropo.optimizers.support.real_line import RealLine
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.testing import check_sampler
 from dropo.testing.samplers import SPACE, gaussian

@@ -12,13 +12,13 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from dropo import LeastSquares, plots
-from dropo.analysis.predictions import predict
-from dropo.core.errors import BadArgument, UnknownName
-from dropo.core.pictures import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
+from dropo.core.records.figure_data import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
+from dropo.core.services.errors import BadArgument, UnknownName
+from dropo.evaluation.predictions import predict
 from dropo.plots.causes import in_order, words
 from dropo.plots.motion import telling
 from dropo.plots.style import AFTER, BEFORE, OTHER, folded
-from dropo.problems.slide import slide
+from dropo.problems.simulated.slide import slide
 
 BARS = (Bar("joint_friction:knee", 7.0, 2.0, False, True), Bar("joint_damping:knee", 20.0, 2.0, True, True),
         Bar("actuator_lag", 18.0, 3.0, False, False), Bar("actuator_delay", None, None, False, False))  # fmt: skip

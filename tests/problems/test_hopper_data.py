@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from mujoco import rollout
 
-from dropo.core.errors import BadArgument
+from dropo.core.services.errors import BadArgument
 from dropo.problems.find_hopper_policy import Moments, as_json, found, returns, run, search
-from dropo.problems.hopper_data import LinearPolicy, healthy, hopper_policy, observe, simulate, start_states
-from dropo.problems.hopper_model import BODIES, FRAME_SKIP, TRUTH, hopper_model
-from dropo.problems.outside import find_data
-from dropo.simulators.closed_loop import closed_loop
+from dropo.problems.hopper.data import LinearPolicy, healthy, hopper_policy, observe, simulate, start_states
+from dropo.problems.hopper.model import BODIES, FRAME_SKIP, TRUTH, hopper_model
+from dropo.problems.measured.external_data import find_data
+from dropo.simulators.mujoco.closed_loop import closed_loop
 
 MASSES = np.array(list(TRUTH.values()))
 

@@ -6,11 +6,12 @@ import numpy as np
 import pooch
 import pytest
 
-from dropo.core.errors import BadFile
-from dropo.problems import hopper_published, outside
-from dropo.problems.hopper import NOISE, hopper_simulator
-from dropo.problems.hopper_model import TRUTH
-from dropo.problems.outside import fetch_arrays, find_data, missing
+from dropo.core.services.errors import BadFile
+from dropo.problems.hopper.model import TRUTH
+from dropo.problems.hopper.problem import NOISE, hopper_simulator
+from dropo.problems.hopper.problem import published as hopper_published
+from dropo.problems.measured.external_data import fetch_arrays, find_data, missing
+from dropo.problems.measured.recordings import external_data as outside
 
 MASSES = np.array(list(TRUTH.values()))
 BASE = "https://example.org/sets"

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from dropo import Diagnose, import_logs, load
-from dropo.analysis.inputs import choose_input
-from dropo.core.catalogue import names
-from dropo.diagnosis.inputs import choose_problem_input
+from dropo.core.services.registry import names
+from dropo.data.outliers.input_choice import choose_input
+from dropo.diagnosis.findings.input_choice import choose_problem_input
 from dropo.estimators.dropo import DROPO
 from dropo.likelihoods.emulated import Emulated
-from dropo.problems.cube_toss import toss
-from dropo.problems.machines import machine
-from dropo.problems.measured import Runs, gridded, measured, trajectories
-from dropo.problems.outside import find_data
-from dropo.problems.reader import inputs_of
+from dropo.problems.file.reader import inputs_of
+from dropo.problems.measured.cube_toss import toss
+from dropo.problems.measured.external_data import find_data
+from dropo.problems.measured.recordings import Runs, gridded, measured, trajectories
+from dropo.problems.simulated.robots import machine
 
 HERE = find_data("double-pendulum/runs.npz") is not None
 outside = pytest.mark.skipif(not HERE, reason="the measured data are not at hand (DROPO_DATA names their folder)")

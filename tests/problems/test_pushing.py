@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
+from dropo.core.records.trajectories import Trajectories
 from dropo.estimators.dropo import DROPO
-from dropo.problems import pushing as pushing_problem
-from dropo.problems.pin import BOX, JOINT_ACCELERATION, Arms, angles_at, boxes_of, drive
-from dropo.problems.pushing import (
+from dropo.problems.panda import pushing as pushing_problem
+from dropo.problems.panda.pusher import BOX, JOINT_ACCELERATION, Arms, angles_at, boxes_of, drive
+from dropo.problems.panda.pushing import (
     FRAME_SKIP,
     LENGTH,
     NOISE,

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument, BadFile, Refused, UnknownName
-from dropo.problems.reader import load
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, BadFile, Refused, UnknownName
+from dropo.core.services.registry import find
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.file.reader import load
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
 <mujoco>
@@ -382,7 +382,7 @@ def test_built_in_problems_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also their held-out data, where they have some: here the clock stands still."""
     whole = find("problems", "slide")()
     still = replace(whole.trajectories, time=np.zeros(len(whole.trajectories)))
-    monkeypatch.setattr("dropo.problems.reader.find", lambda kind, name: lambda threads: replace(whole, held_out=still))
+    monkeypatch.setattr("dropo.problems.file.reader.find", lambda kind, name: lambda threads: replace(whole, held_out=still))
     with pytest.raises(BadArgument, match=r"^slide: held_out: time: \d+ rows are not later .* --unchecked"):
         load("slide")
     assert load("slide", checked=False).held_out is still

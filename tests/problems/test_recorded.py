@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dropo import fit, hide, load
-from dropo.core.errors import SimulationFailed
-from dropo.problems.hidden import NOISE
-from dropo.problems.machines import machine
+from dropo.core.services.errors import SimulationFailed
+from dropo.problems.simulated.hidden import NOISE
+from dropo.problems.simulated.robots import machine
 
 
 def test_masses_of_an_arm_are_found():

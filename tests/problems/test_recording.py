@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dropo.problems.machines import machine
-from dropo.problems.recording import record
+from dropo.problems.simulated.recording import record
+from dropo.problems.simulated.robots import machine
 from tests.diagnosis.arms import atom
 
 ARM = machine("torque-arm")

@@ -4,12 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
-from dropo.core.recipe import estimator_for
-from dropo.problems import hits as hitting
-from dropo.problems.hits import hits, rest, speed_and_direction
-from dropo.problems.reaching import joint_path
-from dropo.problems.sliding import (
+from dropo.core.contracts.fit_by_name import estimator_for
+from dropo.core.services.errors import BadArgument
+from dropo.problems.panda import strikes as hitting
+from dropo.problems.panda.reaching import joint_path
+from dropo.problems.panda.sliding import (
     FRAME_SKIP,
     GOALS,
     NOISE,
@@ -22,6 +21,7 @@ from dropo.problems.sliding import (
     sliding_spec,
     stops,
 )
+from dropo.problems.panda.strikes import hits, rest, speed_and_direction
 
 STEP = 0.004  # [s] of control
 FASTEST = np.radians([110, 110, 128, 128, 204, 184, 184])  # [rad/s] the LWR4+'s limits

@@ -59,7 +59,7 @@ def test_a_fit_of_positions_alone_finds_the_damping(tmp_path):
 
 def test_observed_velocities_are_left_alone():
     """A problem that observes them stays the same object."""
-    from dropo.problems.velocities import with_velocities
+    from dropo.problems.file.estimated_velocities import with_velocities
 
     whole = arm_problem([], parameters=[UPPER], episodes=4, steps=10)
     assert with_velocities(whole) is whole

@@ -7,13 +7,13 @@ import pytest
 import yaml
 
 from dropo import diagnose, fit, hide
-from dropo.core.catalogue import find, names
-from dropo.core.errors import BadFile, Incompatible, Refused
-from dropo.diagnosis.library import declared
-from dropo.problems.reader import load
-from dropo.problems.slide import slide
-from dropo.problems.writer import write_problem
-from dropo.simulators.fields import FieldParameter
+from dropo.core.services.errors import BadFile, Incompatible, Refused
+from dropo.core.services.registry import find, names
+from dropo.diagnosis.search.library import declared
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.file.reader import load
+from dropo.problems.file.writer import write_problem
+from dropo.problems.simulated.slide import slide
 from tests.diagnosis.arms import UPPER, atom, problem
 
 DIGITS = 2e-5  # relative: MJCF is written with six digits, and five steps add up

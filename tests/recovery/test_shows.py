@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.core.fit import Status
-from dropo.core.recipe import fit as fit_as_commanded
+from dropo.core.contracts.fit_by_name import fit as fit_as_commanded
+from dropo.core.records.fit import Status
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
-from dropo.problems.outside import find_data
+from dropo.problems.measured.external_data import find_data
 
 pytestmark = pytest.mark.study
 

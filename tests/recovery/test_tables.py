@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
-from dropo.problems.outside import find_data
-from dropo.studies.hopper_fits import AUTHORS
-from dropo.studies.hopper_sets import PUBLISHED_STEPS
-from dropo.studies.recover import recover
+from dropo.problems.measured.external_data import find_data
+from dropo.studies.engine.recover import recover
+from dropo.studies.tiboni_2021.hopper_fits import AUTHORS
+from dropo.studies.tiboni_2021.hopper_sets import PUBLISHED_STEPS
 
 pytestmark = pytest.mark.study
 CLEAN, NOISY = f"{AUTHORS}, clean, epsilon 1e-08", f"{AUTHORS}, noisy, epsilon 1e-05"

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
 from dropo.simulators.toy import SlidingBlock, simulate
 
 MEAN, SD = np.array([1.5, 0.8]), np.array([0.1, 0.05])  # kg, N s/m

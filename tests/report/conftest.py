@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from dropo.cli.main import main
-from dropo.problems.writer import write_problem
+from dropo.problems.file.writer import write_problem
 from dropo.report.build import write_report
 from tests.diagnosis.arms import problem
 

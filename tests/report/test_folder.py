@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadFile
+from dropo.core.services.errors import BadFile
 from dropo.report.build import write_report
 from dropo.report.folder import read_result
 from dropo.report.history import read_history

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.core.predictions import Predictions
+from dropo.core.records.predictions import Predictions
 from dropo.report import parts
 
 

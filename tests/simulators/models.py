@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dropo.core.data import Trajectories
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.records.trajectories import Trajectories
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 PENDULUM = """<mujoco><option timestep="0.01"/><worldbody>
   <body name="rod" pos="0 0 1"><joint name="pivot" axis="0 1 0" damping="0.1"/>

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.core.errors import Incompatible
-from dropo.simulators.demonstrations import by_ideal_controllers, by_inverse_dynamics
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import Incompatible
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.inferred_actions import by_ideal_controllers, by_inverse_dynamics
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
 <mujoco>

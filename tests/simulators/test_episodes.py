@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.core.catalogue import find
-from dropo.core.data import Trajectories
-from dropo.core.effect import Atom, Quantity
-from dropo.core.errors import Incompatible
-from dropo.problems.hopper import hopper_simulator
-from dropo.problems.hopper_data import start_states
-from dropo.simulators.episodes import Episodes
+from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.registry import find
+from dropo.problems.hopper.data import start_states
+from dropo.problems.hopper.problem import hopper_simulator
+from dropo.simulators.mujoco.episodes import Episodes
 
 STEPS = 25
 ONE = np.array([1])

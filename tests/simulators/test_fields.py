@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument, UnknownName
-from dropo.simulators.fields import Binding, FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.services.errors import BadArgument, UnknownName
+from dropo.mjmodel.fields import Binding, FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.reference.stepping import load, replay_one_by_one
 from tests.simulators.models import BALL, BOX, CART, CASES, PENDULUM, VALVE, mass, places
 

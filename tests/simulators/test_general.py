@@ -5,10 +5,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Signal, Trajectories
-from dropo.core.errors import BadArgument
-from dropo.core.parameters import Parameter
-from dropo.simulators.general import EnvSimulator, FunctionSimulator
+from dropo.core.records.parameters import Parameter
+from dropo.core.records.trajectories import Signal, Trajectories
+from dropo.core.services.errors import BadArgument
+from dropo.simulators.function import EnvSimulator, FunctionSimulator
 from dropo.testing import check_simulator
 from tests.simulators.models import CUTS
 

@@ -5,11 +5,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.core.errors import Incompatible, UnknownName
-from dropo.simulators.fields import FieldParameter
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import Incompatible, UnknownName
+from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.gymnasium import GymnasiumSimulator
-from dropo.simulators.quiet import quiet
+from dropo.simulators.mujoco.warnings import quiet
 from dropo.testing import check_simulator
 
 

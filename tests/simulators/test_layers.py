@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.core.effect import Atom, Quantity
-from dropo.core.errors import Incompatible
-from dropo.simulators.layers import by_gate, clamp, commands_of, declared_values, lateness, seen_late, sensed
+from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import Incompatible
+from dropo.simulators.mujoco.layers import by_gate, clamp, commands_of, declared_values, lateness, seen_late, sensed
 
 SIZE = Quantity("size", "1", -1.0, 1.0, (0.5,))
 MODEL = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody><actuator>

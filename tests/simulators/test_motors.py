@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument, BadFile, Refused, UnknownName
-from dropo.problems.reader import load
-from dropo.simulators.fields import Binding, FieldParameter
-from dropo.simulators.motors import Motor, motor_of, motor_parameters, mount, read_motors
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, BadFile, Refused, UnknownName
+from dropo.mjmodel.fields import Binding, FieldParameter
+from dropo.mjmodel.motors import Motor, motor_of, motor_parameters, mount, read_motors
+from dropo.problems.file.reader import load
 
 XML = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>

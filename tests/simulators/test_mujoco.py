@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument, BadFile
-from dropo.problems.machines import machine, masses
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
-from dropo.simulators.quiet import quiet
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, BadFile
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.simulated.robots import machine, masses
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.simulators.mujoco.warnings import quiet
 from dropo.testing import check_simulator
 from tests.reference.stepping import load, replay_one_by_one
 from tests.simulators.models import BOX, CART, CASES, CUTS, PENDULUM, SENSED, Case, mass, places

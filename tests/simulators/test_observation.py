@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument, UnknownName
-from dropo.simulators.observation import Layout, exponential, logarithm, multiply
+from dropo.core.services.errors import BadArgument, UnknownName
+from dropo.mjmodel.observation import Layout, exponential, logarithm, multiply
 from tests.simulators.models import BALL, BOX, CART, SENSED, VALVE
 
 

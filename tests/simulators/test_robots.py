@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from dropo.core.catalogue import find
-from dropo.core.data import Trajectories
-from dropo.core.errors import BadArgument
-from dropo.core.fit import Status
-from dropo.core.problem import Problem
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Status
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.testing import check_simulator

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dropo.core.data import Signal, Trajectories
-from dropo.core.errors import Incompatible, SimulationFailed
-from dropo.core.parameters import Parameter
+from dropo.core.records.parameters import Parameter
+from dropo.core.records.trajectories import Signal, Trajectories
+from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.simulators.toy import SlidingBlock
 from dropo.testing import check_simulator
 from tests.simulators.models import CUTS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
+from dropo.core.services.errors import BadArgument
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from dropo.testing import check_simulator
 from tests.simulators.models import CUTS

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
-from dropo.core.noise import Noise
-from dropo.core.problem import Problem
-from dropo.estimators.posterior_targets import PointLikelihood
-from dropo.optimizers.emcee import Emcee
+from dropo.core.contracts.noise import Noise
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.errors import BadArgument
+from dropo.estimators.support.posterior_targets import PointLikelihood
+from dropo.optimizers.samplers.emcee import Emcee
 from dropo.simulators.toy import LinearSimulator, simulate
-from dropo.studies.calibration import SAMPLERS, calibration, ranks, replication, uniformity
-from dropo.studies.work import Work
+from dropo.studies.engine.work import Work
+from dropo.studies.intervals.calibration import SAMPLERS, calibration, ranks, replication, uniformity
 
 
 def test_ranks_by_hand():

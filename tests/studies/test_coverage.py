@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument
+from dropo.core.services.errors import BadArgument
 from dropo.simulators.toy import SlidingBlock
-from dropo.studies.coverage import CASES, DRY, MANY, DryBlock, autocorrelated, coverage, data_set
-from dropo.studies.work import Work
+from dropo.studies.engine.work import Work
+from dropo.studies.intervals.coverage import CASES, DRY, MANY, DryBlock, autocorrelated, coverage, data_set
 
 
 def test_intervals_cover_and_missing_friction_is_told():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dropo.studies import figure_6_3, light_torso
-from dropo.studies.figure_6_3 import Size, difference, holm
-from dropo.studies.light_torso import EXTENDED, TRUTH, UNIFORM, Training, found, machine, trained, whole
-from dropo.studies.pages import picture
-from dropo.studies.work import Work
+from dropo.studies.engine.pages import picture
+from dropo.studies.engine.work import Work
+from dropo.studies.tiboni_2021 import figure_6_3, light_torso
+from dropo.studies.tiboni_2021.figure_6_3 import Size, difference, holm
+from dropo.studies.tiboni_2021.light_torso import EXTENDED, TRUTH, UNIFORM, Training, found, machine, trained, whole
 
 TINY = Training(updates=2, episodes=4, steps=60)
 

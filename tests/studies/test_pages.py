@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from dropo.core import catalogue
-from dropo.core.errors import BadArgument, BadFile, Incompatible, UnknownName
-from dropo.studies.pages import write
-from dropo.studies.recover import recover
-from dropo.studies.study import Study, Table
+from dropo.core.services import registry as catalogue
+from dropo.core.services.errors import BadArgument, BadFile, Incompatible, UnknownName
+from dropo.studies.engine.pages import write
+from dropo.studies.engine.recover import recover
+from dropo.studies.engine.study import Study, Table
 
 TABLE = Table("numbers", ("name", "value"), (("one", "1"), ("ten", "10")))
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from dropo.problems.pushing import TRUTH, target_model
-from dropo.studies import transfer
-from dropo.studies.pages import picture
-from dropo.studies.pushing import POLICY, Size, ends, pushing_study
-from dropo.studies.work import Work
+from dropo.problems.panda.pushing import TRUTH, target_model
+from dropo.studies.engine.pages import picture
+from dropo.studies.engine.work import Work
+from dropo.studies.tiboni_2021 import transfer
+from dropo.studies.tiboni_2021.pushing import POLICY, Size, ends, pushing_study
 
 
 def test_where_the_pin_aims_decides():

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dropo.problems.hopper_model import FRAME_SKIP
-from dropo.studies import related_methods
-from dropo.studies.hopper_sets import MEAN, SPREAD, data_set
-from dropo.studies.related_fits import METHODS, TRUTH, Machine, Size, fitted, item
-from dropo.studies.work import Work
+from dropo.problems.hopper.model import FRAME_SKIP
+from dropo.studies.engine.work import Work
+from dropo.studies.related_methods.fits import METHODS, TRUTH, Machine, Size, fitted, item
+from dropo.studies.related_methods.study import study as related_methods
+from dropo.studies.tiboni_2021.hopper_sets import MEAN, SPREAD, data_set
 
 SETTINGS = {
     "simopt": {"iterations": 2, "updates": 2, "samples": 20, "draws": 20}, "npe": {"simulations": 50, "rounds": 1, "draws": 100},

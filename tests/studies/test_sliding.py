@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from dropo.estimators.least_squares import LeastSquares
-from dropo.problems.sliding import STEPS, TRUTH, sliding_simulator, stops
-from dropo.studies import sliding, transfer
-from dropo.studies.pages import picture
-from dropo.studies.sliding import Size, on_target, policy, sliding_study
-from dropo.studies.work import Work
+from dropo.problems.panda.sliding import STEPS, TRUTH, sliding_simulator, stops
+from dropo.studies.engine.pages import picture
+from dropo.studies.engine.work import Work
+from dropo.studies.tiboni_2021 import sliding, transfer
+from dropo.studies.tiboni_2021.sliding import Size, on_target, policy, sliding_study
 
 SMALL = Size(transitions=STEPS, fits=1, bounds=1, droid=12, published=14, draws=2, grid=6)
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from dropo.studies import distribution_recovery, figure_6_2, figure_6_4, hopper_fits
-from dropo.studies.hopper_fits import fitted, item
-from dropo.studies.hopper_sets import MEAN, SPREAD, Size, data_set
-from dropo.studies.pages import picture
-from dropo.studies.rows import over_data_sets, z_of
-from dropo.studies.table_6_1 import table_6_1
-from dropo.studies.table_6_2 import table_6_2
-from dropo.studies.table_6_4 import light_torso, table_6_4
-from dropo.studies.work import Work
+from dropo.studies.engine.pages import picture
+from dropo.studies.engine.work import Work
+from dropo.studies.tiboni_2021 import distribution_recovery, figure_6_2, figure_6_4, hopper_fits
+from dropo.studies.tiboni_2021.hopper_fits import fitted, item
+from dropo.studies.tiboni_2021.hopper_sets import MEAN, SPREAD, Size, data_set
+from dropo.studies.tiboni_2021.rows import over_data_sets, z_of
+from dropo.studies.tiboni_2021.table_6_1 import table_6_1
+from dropo.studies.tiboni_2021.table_6_2 import table_6_2
+from dropo.studies.tiboni_2021.table_6_4 import light_torso, table_6_4
 
 SMALL = Size(transitions=20, starts=1, droid=16, draws=8, published=(3, 12, 4))
 

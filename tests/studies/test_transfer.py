@@ -3,8 +3,19 @@
 import numpy as np
 import pytest
 
-from dropo.studies import transfer
-from dropo.studies.transfer import NOMINAL, TRUE, UNIFORM, apart, by_unit, comparison, differences, items, mean_and_error, verdict
+from dropo.studies.tiboni_2021 import transfer
+from dropo.studies.tiboni_2021.transfer import (
+    NOMINAL,
+    TRUE,
+    UNIFORM,
+    apart,
+    by_unit,
+    comparison,
+    differences,
+    items,
+    mean_and_error,
+    verdict,
+)
 
 
 def runs(**distances):

@@ -9,8 +9,8 @@ import pytest
 
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
-from dropo.problems.slide import slide
-from dropo.studies.work import Work
+from dropo.problems.simulated.slide import slide
+from dropo.studies.engine.work import Work
 
 CALLS: list[int] = []
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.core.effect import Atom, Quantity
+from dropo.core.contracts.effect import Atom, Quantity
 from dropo.testing import check_effect
 from tests.effects.robots import ROBOTS
 

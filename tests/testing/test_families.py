@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from dropo.core.family import Family
-from dropo.core.parameters import ParameterSpace
-from dropo.core.standard_law import NORMAL
-from dropo.distributions.full_gaussian import FullGaussian
-from dropo.distributions.truncated_gaussian import SD, TruncatedGaussian
-from dropo.distributions.uniform import Uniform
+from dropo.core.contracts.family import Family
+from dropo.core.numerics.standard_distributions import NORMAL
+from dropo.core.records.parameters import ParameterSpace
+from dropo.families.full_gaussian import FullGaussian
+from dropo.families.truncated_gaussian import SD, TruncatedGaussian
+from dropo.families.uniform import Uniform
 from dropo.testing import check_family
 
 

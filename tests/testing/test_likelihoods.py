@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from dropo.core.likelihood import LogLikelihood
-from dropo.core.noise import Noise
-from dropo.core.sampled_likelihood import SampledLikelihood
-from dropo.likelihoods.gaussian import Gaussian
+from dropo.core.contracts.likelihood import LogLikelihood
+from dropo.core.contracts.noise import Noise
+from dropo.core.contracts.sampled_likelihood import SampledLikelihood
+from dropo.likelihoods.monte_carlo import Gaussian
 from dropo.testing import check_likelihood
 
 

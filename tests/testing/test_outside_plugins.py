@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.stats import t, triang
 
-from dropo.core import catalogue
-from dropo.core.data import Signal, Trajectories
-from dropo.core.errors import UnknownName
-from dropo.core.family import Family, means_and_scales
-from dropo.core.optimizer import Optimizer
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.problem import Problem
-from dropo.core.sampled_likelihood import SampledLikelihood
-from dropo.core.simulator import Simulator
+from dropo.core.contracts.family import Family, means_and_scales
+from dropo.core.contracts.optimizer import Optimizer
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.sampled_likelihood import SampledLikelihood
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.records.trajectories import Signal, Trajectories
+from dropo.core.services import registry as catalogue
+from dropo.core.services.errors import UnknownName
 from dropo.testing import check_family, check_likelihood, check_optimizer, check_simulator
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dropo.core.data import Trajectories
+from dropo.core.records.trajectories import Trajectories
 from dropo.simulators.toy import SlidingBlock
 from dropo.testing import check_simulator
 

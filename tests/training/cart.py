@@ -3,13 +3,13 @@
 import mujoco
 import numpy as np
 
-from dropo.core.data import Trajectories
-from dropo.core.fit import Fit, Status
-from dropo.core.problem import Problem
-from dropo.core.task import Task
-from dropo.distributions.full_gaussian import FullGaussian
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit, Status
+from dropo.core.records.task import Task
+from dropo.core.records.trajectories import Trajectories
+from dropo.families.full_gaussian import FullGaussian
+from dropo.mjmodel.fields import FieldParameter
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """<mujoco><option timestep="0.01"/><worldbody>
   <body name="cart"><joint name="rail" type="slide" axis="1 0 0" damping="0.5"/><geom name="box" size="0.1" mass="2"/></body>

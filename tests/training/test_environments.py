@@ -8,16 +8,16 @@ import pytest
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.utils.env_checker import check_env
 
-from dropo.core.catalogue import find
-from dropo.core.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
-from dropo.core.fit import Fit
-from dropo.core.parameters import Parameter, ParameterSpace
-from dropo.core.task import Task
-from dropo.problems.hopper import hopper_simulator
-from dropo.simulators.fields import FieldParameter
-from dropo.simulators.mujoco import MujocoSimulator
+from dropo.core.records.fit import Fit
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.records.task import Task
+from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
+from dropo.core.services.registry import find
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.hopper.problem import hopper_simulator
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.training.distributions import Point, Uniform, Widening, draw
 from dropo.training.environments import randomize
-from dropo.training.laws import Point, Uniform, Widening, draw
 from tests.training.cart import aside, cart, fit_of, near, to_goal
 
 pytestmark = pytest.mark.filterwarnings(

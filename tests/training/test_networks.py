@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dropo.core.errors import Incompatible
-from dropo.core.task import Task
+from dropo.core.records.task import Task
+from dropo.core.services.errors import Incompatible
 from dropo.training.evaluate import evaluate
 from dropo.training.networks import PPO, SAC
 from dropo.training.policy import load_policy

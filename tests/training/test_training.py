@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from dropo.core.errors import BadArgument, BadFile, Incompatible, MissingPackage, SimulationFailed, UnknownName
-from dropo.core.task import Task
+from dropo.core.records.task import Task
+from dropo.core.services.errors import BadArgument, BadFile, Incompatible, MissingPackage, SimulationFailed, UnknownName
 from dropo.training.ars import ARS, Search
+from dropo.training.distributions import Point, Uniform, Widening
 from dropo.training.evaluate import Compared, evaluate, motion
-from dropo.training.laws import Point, Uniform, Widening
 from dropo.training.policy import LinearPolicy, load_policy
 from dropo.training.train import train
 from tests.training.cart import STEPS, aside, cart, fit_of, near, on_rail
@@ -186,7 +186,7 @@ def test_refusals(policy, problem):
 
 
 def test_a_missing_extra_says_how_to_get_it(problem, monkeypatch):
-    from dropo.core import extras
+    from dropo.core.services import optional_dependencies as extras
     from dropo.training.networks import PPO, SAC
 
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
@@ -198,7 +198,7 @@ def test_a_missing_extra_says_how_to_get_it(problem, monkeypatch):
 @pytest.mark.study
 def test_hopping_is_learned_under_a_fit():
     """Above 1500 in 500 steps of the target; and it still hops in Gymnasium's own Hopper-v5. Four minutes of one core."""
-    from dropo.problems.hopper import hopper
+    from dropo.problems.hopper.problem import hopper
 
     target = hopper(1)
     law = fit_of(target.space, target.simulator.nominal, np.full(4, 0.01), epsilon=1e-8, signals=11, problem="hopper")

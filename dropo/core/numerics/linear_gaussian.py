@@ -1,0 +1,27 @@
+"""The linear-Gaussian model of compared rows around a member of a family: scores and information.
+
+With J = d f / d xi at the mean, xi ~ N(mu, S) gives y ~ N(f(mu), J S J' + diag(epsilon)).
+"""
+
+import numpy as np
+
+from dropo.core.services.validation import Array
+
+
+def scores_and_information(residuals: Array, jacobian: Array, covariance: Array, epsilon: Array) -> tuple[Array, Array]:
+    """Scores (R, 2 d) in (mu, v), v the parameters' variances, and the Fisher information (2 d, 2 d), block diagonal.
+
+    residuals: (R, p) measured - predicted; jacobian: (R, p, d); covariance: S (d, d); epsilon: (p,).
+    d log L / d mu = J' Sigma^-1 r; d log L / d v_i = ((J_i' Sigma^-1 r)^2 - J_i' Sigma^-1 J_i) / 2.
+    """
+    sigma = jacobian @ covariance @ jacobian.swapaxes(1, 2)
+    sigma[:, np.arange(len(epsilon)), np.arange(len(epsilon))] += epsilon
+    solved = np.linalg.solve(sigma, jacobian)  # (R, p, d)
+    gram = jacobian.swapaxes(1, 2) @ solved  # (R, d, d) = J' Sigma^-1 J
+    by_mean = np.einsum("rpd,rp->rd", solved, residuals)
+    by_variance = 0.5 * (by_mean**2 - np.einsum("rdd->rd", gram))
+    d = jacobian.shape[2]
+    information = np.zeros((2 * d, 2 * d))
+    information[:d, :d] = gram.sum(axis=0)
+    information[d:, d:] = 0.5 * (gram**2).sum(axis=0)
+    return np.concatenate([by_mean, by_variance], axis=1), information

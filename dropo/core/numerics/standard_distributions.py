@@ -1,0 +1,64 @@
+"""One-dimensional laws that families map affinely, with their orthonormal polynomials."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import ndtr, roots_hermitenorm, roots_legendre
+
+from dropo.core.numerics.array_api import namespace, ndtri
+from dropo.core.services.validation import Array
+
+NODES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class StandardLaw:
+    """quantile: (0, 1) -> the law's values; nodes, weights: (Q,) a Gauss rule, weights summing to 1."""
+
+    quantile: Callable[[Array], Array]
+    nodes: Array
+    weights: Array
+
+    @cached_property
+    def _recurrence(self) -> tuple[Array, Array]:
+        """The three-term recurrence's coefficients by the Stieltjes procedure on the rule (Gautschi 2004, section 2.2)."""
+        a, b = np.zeros(NODES // 2), np.ones(NODES // 2)
+        before, now = np.zeros_like(self.nodes), np.ones_like(self.nodes)
+        for k in range(len(a) - 1):
+            a[k] = self.weights @ (self.nodes * now**2)
+            after = (self.nodes - a[k]) * now - b[k] * before
+            b[k + 1] = np.sqrt(self.weights @ after**2)
+            before, now = now, after / b[k + 1]
+        return a, b
+
+    def orthonormal(self, x: Array, degree: int) -> Array:
+        """Orthonormal polynomials of degree 0 ... degree at x (...,), array or tensor: (..., degree + 1)."""
+        xp, (a, b) = namespace(x), self._recurrence
+        out = [xp.ones_like(x), (x - a[0]) / b[1]]
+        for k in range(1, degree):
+            out.append(((x - a[k]) * out[k] - b[k] * out[k - 1]) / b[k + 1])
+        stacked: Array = xp.stack(out[: degree + 1], axis=-1)
+        return stacked
+
+
+def _normal() -> StandardLaw:
+    nodes, weights = roots_hermitenorm(NODES)
+    return StandardLaw(ndtri, nodes, weights / weights.sum())
+
+
+def _uniform() -> StandardLaw:
+    nodes, weights = roots_legendre(NODES)
+    return StandardLaw(lambda base: 2 * base - 1, nodes, weights / 2)
+
+
+def _truncated_normal(cut: float) -> StandardLaw:
+    """A standard normal given |x| <= cut."""
+    nodes, weights = roots_legendre(NODES)
+    density = weights * np.exp(-((cut * nodes) ** 2) / 2)
+    tail = float(ndtr(-cut))
+    return StandardLaw(lambda base: ndtri(tail + (1 - 2 * tail) * base), cut * nodes, density / density.sum())
+
+
+NORMAL, UNIFORM, TRUNCATED_NORMAL = _normal(), _uniform(), _truncated_normal(2.0)

@@ -1,0 +1,134 @@
+"""Which compared rows depend on each other, and how much a sum over them varies."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.records.trajectories import Ints, Segments
+from dropo.core.services.validation import Array
+
+MANY = 20  # trajectories or groups from which their number is enough for errors clustered by them
+NEAR_ONE = 0.97  # the largest autoregression that is taken out before smoothing (Andrews and Monahan 1992)
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Independent units of R rows. label: (R,) 0, 1, ...; serial: whether there are too few of them to compare with each other,
+    so that the dependence is measured along time within each; order: (R,) the rows by unit, then time; kind: their name."""
+
+    label: Ints
+    serial: bool
+    order: Ints
+    kind: str
+
+    @property
+    def count(self) -> int:
+        """G, the number of units."""
+        return int(self.label.max()) + 1
+
+
+def independent(rows: int) -> Units:
+    """Every row a unit of its own."""
+    return Units(np.arange(rows), False, np.arange(rows), "rows")
+
+
+def units_of(segments: Segments) -> Units:
+    """The units of the compared rows: trajectories that share no group, trajectories, or groups, the first of them that are
+    many; else the trajectories as series in time."""
+    segment, step = segments.rows
+    trajectory, group = segments.trajectory[segment], segments.group[segment]
+    named = segments.trajectories.group is not None
+    choices = [("trajectories", _joined(trajectory, group))] if named else []
+    choices += [("trajectories", trajectory)] + ([("groups", group)] if named else [])
+    time = segments.steps[segment, step]
+    for kind, label in choices:
+        dense = np.unique(label, return_inverse=True)[1]
+        if int(dense.max()) + 1 >= MANY:
+            return Units(dense, False, np.lexsort((time, dense)), kind)
+    dense = np.unique(trajectory, return_inverse=True)[1]
+    return Units(dense, True, np.lexsort((time, dense)), "time")
+
+
+def _joined(trajectory: Ints, group: Ints) -> Ints:
+    """(R,) the parts of the data that neither a trajectory nor a group crosses."""
+    label = np.unique(trajectory, return_inverse=True)[1]
+    while True:
+        by_group = np.full(int(group.max()) + 1, len(label))
+        np.minimum.at(by_group, group, label)
+        by_trajectory = np.full(int(trajectory.max()) + 1, len(label))
+        np.minimum.at(by_trajectory, trajectory, by_group[group])
+        new = by_trajectory[trajectory]
+        if np.array_equal(new, label):
+            return label
+        label = new
+
+
+def unit_sums(values: Array, units: Units) -> Array:
+    """(G, m) the sum of the rows (R, m) of each unit."""
+    sums = np.zeros((units.count, values.shape[1]))
+    np.add.at(sums, units.label, values)
+    return sums
+
+
+def variance_of_sum(values: Array, units: Units) -> tuple[Array, Array]:
+    """The covariance (m, m) of the sum over rows (R, m) that have mean 0, and the degrees of freedom (m,) of its diagonal.
+
+    G/(G-1) sum_g u_g u_g' with G - 1 degrees over units; where they are too few, the long-run covariance along time.
+    """
+    if units.serial:
+        return long_run(values[units.order], units.label[units.order])
+    sums, count = unit_sums(values, units), units.count
+    return sums.T @ sums * count / max(count - 1, 1), np.full(values.shape[1], max(count - 1, 1.0))
+
+
+def long_run(values: Array, series: Ints) -> tuple[Array, Array]:
+    """The covariance of the sum of serially dependent rows (R, m) in time order, never across series (R,); and its degrees (m,).
+
+    Each column is prewhitened by its own first-order autoregression, its residuals are smoothed by the quadratic spectral
+    kernel with Andrews' automatic bandwidth S, and both are put together again (Andrews 1991, eq. 6.2 and 6.4; Andrews and
+    Monahan 1992). Degrees: 2 / (2 S/R + 4 (1 + r) / ((1 - r) R)), from the variances of a kernel estimate and of the
+    autoregression r.
+    """
+    rows, m = values.shape
+    follows = np.flatnonzero(series[1:] == series[:-1]) + 1  # rows with a row before them
+    if len(follows) < 2:
+        return values.T @ values, np.full(m, max(rows - 1.0, 1.0))
+    rho = np.clip(_autoregression(values, follows), -NEAR_ONE, NEAR_ONE)
+    white = values.copy()  # the first row of a series has nothing before it: it is scaled to the same variance
+    white[follows] -= rho * values[follows - 1]
+    first = np.setdiff1d(np.arange(rows), follows)
+    white[first] *= np.sqrt(1 - rho**2)
+    width = _bandwidth(white, follows, rows)
+    smooth = white.T @ white
+    for lag in range(1, min(int(np.ceil(6 * width)), rows - 1) + 1):
+        same = series[lag:] == series[:-lag]
+        product = white[lag:][same].T @ white[:-lag][same]
+        smooth += _quadratic_spectral(lag / width) * (product + product.T)
+    recolour = 1 / (1 - rho)
+    relative = 2 * width / rows + 4 * (1 + rho) / ((1 - rho) * rows)
+    return smooth * np.outer(recolour, recolour), np.maximum(2 / relative, 1.0)
+
+
+def _autoregression(values: Array, follows: Ints) -> Array:
+    """(m,) first-order coefficients, corrected for their bias -(1 + 3 r) / R (Kendall 1954)."""
+    now, before = values[follows], values[follows - 1]
+    size = np.sum(before**2, axis=0)
+    rho = np.sum(now * before, axis=0) / np.where(size > 0, size, 1.0)
+    return rho + (1 + 3 * rho) / len(follows)
+
+
+def _bandwidth(white: Array, follows: Ints, rows: int) -> float:
+    """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5) for the quadratic spectral kernel, alpha from autoregressions."""
+    now, before = white[follows], white[follows - 1]
+    size = np.sum(before**2, axis=0)
+    good = size > 0
+    if not good.any():
+        return 1.0
+    rho = np.clip(np.sum(now * before, axis=0)[good] / size[good], -NEAR_ONE, NEAR_ONE)
+    return max(1.0, 1.3221 * float(np.mean(4 * rho**2 / (1 - rho) ** 4) * rows) ** 0.2)
+
+
+def _quadratic_spectral(x: float) -> float:
+    """Andrews 1991, eq. 2.7."""
+    z = 6 * np.pi * x / 5
+    return float(25 / (12 * np.pi**2 * x**2) * (np.sin(z) / z - np.cos(z)))

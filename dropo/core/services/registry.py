@@ -1,0 +1,169 @@
+"""Names of plug-ins. A plug-in is imported when it is asked for, so that `dropo list` imports none.
+
+Packages outside announce theirs as entry points of the group `dropo.<kind>` (for example `dropo.optimizers`);
+a script or a notebook calls `register`.
+"""
+
+import importlib
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+from dropo.core.contracts.effect import Atom, Robot
+from dropo.core.services.validation import known
+
+_EFFECTS = (
+    "body_mass", "body_com", "body_inertia", "joint_damping", "joint_friction",
+    "joint_stribeck", "joint_stiffness", "joint_armature", "joint_load_friction", "joint_cogging",
+    "joint_limit", "actuator_gain", "actuator_bias", "actuator_delay", "actuator_lag",
+    "actuator_coupling", "actuator_torque_speed", "actuator_saturation", "actuator_deadband", "gravity_tilt",
+    "external_force", "air_drag", "wind", "contact_friction", "contact_stiffness",
+    "sensor_bias", "sensor_gain", "sensor_delay", "gear_lash", "parameter_drift",
+)  # fmt: skip
+BUILT_IN: dict[str, dict[str, str]] = {
+    "methods": {
+        "dropo": "dropo.estimators.dropo:DROPO",
+        "random-effects": "dropo.estimators.random_effects:RandomEffects",
+        "droid": "dropo.estimators.droid:DROID",
+        "least-squares": "dropo.estimators.least_squares:LeastSquares",
+        "uniform-randomization": "dropo.estimators.uniform_randomization:UniformRandomization",
+        "posterior": "dropo.estimators.posterior:Posterior",
+        "epopt": "dropo.estimators.epopt:EPOpt",
+        "npe": "dropo.estimators.npe:NPE",
+        "simopt": "dropo.estimators.simopt:SimOpt",
+        "bayrn": "dropo.estimators.bayrn:BayRn",
+        "adr": "dropo.estimators.adr:ADR",
+    },
+    "likelihoods": {
+        "monte-carlo": "dropo.likelihoods.monte_carlo:Gaussian",
+        "emulated": "dropo.likelihoods.emulated:Emulated",
+        "linear": "dropo.likelihoods.linear:Linear",
+        "unscented": "dropo.likelihoods.unscented:Unscented",
+        "random-effects": "dropo.likelihoods.random_effects:RandomEffects",
+        "ghurye-olkin": "dropo.likelihoods.ghurye_olkin:GhuryeOlkin",
+    },
+    "families": {
+        "truncated_gaussian": "dropo.families.truncated_gaussian:TruncatedGaussian",
+        "full": "dropo.families.full_gaussian:FullGaussian",
+        "uniform": "dropo.families.uniform:Uniform",
+        "point": "dropo.families.point:Point",
+        "log_normal": "dropo.families.log_normal:LogNormal",
+    },
+    "optimizers": {
+        "cma-es": "dropo.optimizers.cma_es:CMAES",
+        "nlopt-bobyqa": "dropo.optimizers.nlopt:Bobyqa",
+        "nlopt-sbplx": "dropo.optimizers.nlopt:Sbplx",
+        "nlopt-crs2": "dropo.optimizers.nlopt:Crs2",
+        "nlopt-direct-l": "dropo.optimizers.nlopt:DirectL",
+        "nlopt-lbfgs": "dropo.optimizers.nlopt:Lbfgs",
+        "nlopt-slsqp": "dropo.optimizers.nlopt:Slsqp",
+        "scipy-nelder-mead": "dropo.optimizers.scipy:NelderMead",
+        "scipy-l-bfgs-b": "dropo.optimizers.scipy:LbfgsB",
+        "scipy-differential-evolution": "dropo.optimizers.scipy:DifferentialEvolution",
+    },
+    "samplers": {
+        "emcee": "dropo.optimizers.samplers.emcee:Emcee",
+        "pyro-nuts": "dropo.optimizers.samplers.pyro_nuts:PyroNuts",
+        "pyro-svi": "dropo.optimizers.samplers.pyro_svi:PyroSvi",
+    },
+    "simulators": {
+        "mujoco": "dropo.simulators.mujoco.simulator:MujocoSimulator",
+        "gymnasium": "dropo.simulators.gymnasium:GymnasiumSimulator",
+        "function": "dropo.simulators.function:FunctionSimulator",
+        "env": "dropo.simulators.function:EnvSimulator",
+        "linear": "dropo.simulators.toy:LinearSimulator",
+        "sliding-block": "dropo.simulators.toy:SlidingBlock",
+        "pendulum": "dropo.simulators.differentiable:Pendulum",
+        "cart-pole": "dropo.simulators.differentiable:CartPole",
+        "sliding-puck": "dropo.simulators.differentiable:SlidingPuck",
+    },
+    "effects": {name: f"dropo.effects.{name}:{name}" for name in _EFFECTS},
+    "problems": {
+        "hopper": "dropo.problems.hopper.problem:hopper",
+        "hopper-noisy": "dropo.problems.hopper.problem:hopper_noisy",
+        "hopper-published": "dropo.problems.hopper.published:hopper_published",
+        "hopper-published-noisy": "dropo.problems.hopper.published:hopper_published_noisy",
+        "hopper-v5": "dropo.problems.hopper.v5:hopper_v5",
+        "half-cheetah": "dropo.problems.simulated.recorded:half_cheetah",
+        "walker2d": "dropo.problems.simulated.recorded:walker2d",
+        "torque-arm": "dropo.problems.simulated.recorded:torque_arm",
+        "position-arm": "dropo.problems.simulated.recorded:position_arm",
+        "cube-toss": "dropo.problems.measured.cube_toss:cube_toss",
+        "double-pendulum": "dropo.problems.measured.double_pendulum:double_pendulum",
+        "double-pendulum-c0": "dropo.problems.measured.double_pendulum:double_pendulum_c0",
+        "simple-pendulum": "dropo.problems.measured.simple_pendulum:simple_pendulum",
+        "swinging-pendulum": "dropo.problems.measured.swinging_pendulum:swinging_pendulum",
+        "swinging-pendulum-double": "dropo.problems.measured.swinging_pendulum:swinging_pendulum_double",
+        "slide": "dropo.problems.simulated.slide:slide",
+        "sliding": "dropo.problems.panda.sliding:sliding",
+        "pushing": "dropo.problems.panda.pushing:pushing",
+    },
+    "studies": {
+        "table-6.1": "dropo.studies.tiboni_2021.table_6_1:table_6_1",
+        "table-6.2": "dropo.studies.tiboni_2021.table_6_2:table_6_2",
+        "table-6.3": "dropo.studies.tiboni_2021.table_6_3:table_6_3",
+        "table-6.4": "dropo.studies.tiboni_2021.table_6_4:table_6_4",
+        "figure-6.2": "dropo.studies.tiboni_2021.figure_6_2:figure_6_2",
+        "figure-6.3": "dropo.studies.tiboni_2021.figure_6_3:figure_6_3",
+        "figure-6.4": "dropo.studies.tiboni_2021.figure_6_4:figure_6_4",
+        "calibration": "dropo.studies.intervals.calibration:calibration",
+        "coverage": "dropo.studies.intervals.coverage:coverage",
+        "hidden-effects": "dropo.studies.hidden_effects.study:hidden_effects",
+        "measured": "dropo.studies.measured.study:measured",
+        "hopper-v5": "dropo.studies.hidden_effects.hopper_v5:hopper_v5_study",
+        "sliding": "dropo.studies.tiboni_2021.sliding:sliding_study",
+        "pushing": "dropo.studies.tiboni_2021.pushing:pushing_study",
+        "related-methods": "dropo.studies.related_methods.study:related_methods",
+    },
+}
+_registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}
+
+
+def register(kind: str, name: str, plugin: Callable[..., Any]) -> None:
+    """Makes a plug-in of this process available by its name; the kind is one of `kinds()`."""
+    _registered[known("kind of plug-in", kind, BUILT_IN)][name] = plugin
+
+
+def kinds() -> list[str]:
+    """What can be named: methods, likelihoods, families, ..."""
+    return sorted(BUILT_IN)
+
+
+def names(kind: str) -> list[str]:
+    """The names of one kind, sorted."""
+    known("kind of plug-in", kind, BUILT_IN)
+    return sorted({*BUILT_IN[kind], *_outside(kind), *_registered[kind]})
+
+
+def find(kind: str, name: str) -> Any:
+    """The plug-in of that kind and name; UnknownName, with the nearest valid name, where there is none."""
+    known(_singular(kind), name, names(kind))
+    if name in _registered[kind]:
+        return _registered[kind][name]
+    if name in BUILT_IN[kind]:
+        module, attribute = BUILT_IN[kind][name].split(":")
+        return getattr(importlib.import_module(module), attribute)
+    return _outside(kind)[name].load()
+
+
+@cache
+def _outside(kind: str) -> dict[str, Any]:
+    return {point.name: point for point in entry_points(group=f"dropo.{kind}")}
+
+
+def _singular(kind: str) -> str:
+    return {"families": "family", "studies": "study"}.get(kind, kind.removesuffix("s"))
+
+
+def atoms_of(robot: Robot, effect: str, place: str = "") -> list[Atom]:
+    """An effect's atoms on a robot, at every place or at one.
+
+    Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
+    """
+    found = list(find("effects", effect)(robot))
+    if not place:
+        return found
+    places = [atom.label.partition(":")[2] for atom in found]
+    known(f"place for {effect}", place, sorted({p for p in places if p}))
+    return [atom for atom, own in zip(found, places, strict=True) if own == place]

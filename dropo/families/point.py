@@ -1,0 +1,35 @@
+"""A single value of every parameter: what a point estimate is as a distribution."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dropo.core.contracts.family import Family
+from dropo.core.numerics.array_api import constant, namespace
+from dropo.core.numerics.standard_distributions import NORMAL
+from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.validation import Array
+
+
+class Point(Family):
+    """All draws equal the mean: no spread, and no scale to find."""
+
+    standard = NORMAL
+
+    def __init__(self, space: ParameterSpace):
+        super().__init__(space)
+        self.unknowns = ParameterSpace(tuple(Parameter(f"mean.{p.name}", p.low, p.high, p.unit) for p in space))
+
+    def _draw(self, phi: Array, base: Array) -> Array:
+        return phi + constant(np.zeros(base.shape), phi)
+
+    def mean(self, phi: Array) -> Array:
+        return phi
+
+    def sd(self, phi: Array) -> Array:
+        return namespace(phi).zeros_like(phi)
+
+    def scale(self, phi: Array) -> Array:
+        return self.sd(phi)
+
+    def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
+        return np.clip(np.asarray(mean, dtype=float), self.unknowns.low, self.unknowns.high)

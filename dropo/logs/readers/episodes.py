@@ -1,0 +1,109 @@
+"""Episodes of data sets for learning: LeRobot's Parquet layout, and Minari's."""
+
+import json
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dropo.core.services.errors import BadFile
+from dropo.logs.readers.reader import Arrays, Log, Report, expanded, joined, package
+from dropo.logs.readers.tables import ParquetLog
+
+
+class LeRobotLog(Log):
+    """A folder with meta/info.json and episodes as Parquet files under data/, in LeRobot's layout.
+
+    Columns are "observation.state[0]", or by the names that info.json gives its elements: "observation.state[elbow.pos]".
+    """
+
+    run_column, time_column = "episode_index", "timestamp"
+
+    @cached_property
+    def _names(self) -> dict[str, str]:
+        """ "observation.state[elbow]" -> "observation.state[0]"."""
+        path = self.path / "meta" / "info.json"
+        try:
+            features = json.loads(path.read_text()).get("features", {})
+        except ValueError as error:
+            raise BadFile(path, "", "JSON", str(error)) from None
+        return {
+            f"{feature}[{name}]": f"{feature}[{i}]"
+            for feature, content in features.items()
+            for i, name in enumerate(_listed(content.get("names") if isinstance(content, dict) else None))
+        }
+
+    @cached_property
+    def _files(self) -> list[ParquetLog]:
+        files = [ParquetLog(path) for path in sorted((self.path / "data").rglob("*.parquet"))]
+        if not files:
+            raise BadFile(self.path / "data", "", "Parquet files of episodes", "none")
+        return files
+
+    def columns(self, topic: str | None) -> list[str]:
+        own = self._files[0].columns(None)
+        return [*own, *(name for name, place in self._names.items() if place in own)]
+
+    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+        places = [self._names.get(name, name) for name in columns]
+        blocks = []
+        for i, file in enumerate(self._files):
+            blocks.append(file.read(None, places, lambda share, text, i=i: progress((i + share) / len(self._files), text)))  # type: ignore[misc]
+        found = joined(blocks, places)
+        return {name: found[place] for name, place in zip(columns, places, strict=True)}
+
+
+def _listed(names: Any) -> list[str]:
+    """The names of a feature's elements: a list, or lists under some word ("motors")."""
+    if isinstance(names, dict):
+        names = next((value for value in names.values() if isinstance(value, list)), list(names))
+    return [str(name) for name in names or ()]
+
+
+class MinariLog(Log):
+    """A Minari data set's folder: columns "observations[0]", "actions[0]", or "observations.position[0]" of a dictionary.
+
+    Each episode is a run with one more observation than actions: the last row has no action. It has no time stamps: rows are
+    a control step apart, which the mapping's `rate` gives.
+    """
+
+    run_column, time_column, separate_runs = "episode", None, True
+
+    @cached_property
+    def _runs(self) -> list[Arrays]:
+        minari = package("minari", self.path, "minari")
+        place = self.path / "data" if (self.path / "data").is_dir() else self.path
+        try:
+            episodes = list(minari.MinariDataset(place).iterate_episodes())
+        except (OSError, ValueError, KeyError, ImportError) as error:
+            raise self.broken("a Minari data set", "", error) from None
+        return [_episode(episode) for episode in episodes if len(episode.rewards)]
+
+    def columns(self, topic: str | None) -> list[str]:
+        return [*(self._runs[0] if self._runs else ()), "episode"]
+
+    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+        blocks = []
+        for i, run in enumerate(self._runs):
+            rows = len(next(iter(run.values())))
+            blocks.append({name: np.full(rows, i) if name == "episode" else run[name] for name in columns})
+            progress((i + 1) / len(self._runs), f"reading {self.path.name}")
+        return joined(blocks, columns)
+
+
+def _episode(episode: Any) -> Arrays:
+    """An episode's columns, T + 1 rows; the action of the last is NaN."""
+    parts = {**_flat("observations", episode.observations), **_flat("actions", episode.actions)}
+    rows = max(len(array) for array in parts.values())
+    padded = {}
+    for name, array in parts.items():
+        padded[name] = np.full((rows, *array.shape[1:]), np.nan)
+        padded[name][: len(array)] = array
+    return expanded(padded)
+
+
+def _flat(name: str, value: Any) -> Arrays:
+    if isinstance(value, dict):
+        return {key: array for inner, item in value.items() for key, array in _flat(f"{name}.{inner}", item).items()}
+    return {name: np.asarray(value, dtype=float)}

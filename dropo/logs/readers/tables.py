@@ -1,0 +1,160 @@
+"""Tables of columns: CSV and Parquet, read in blocks."""
+
+import csv
+import itertools
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dropo.core.services.errors import BadFile
+from dropo.logs.readers.reader import Arrays, Log, Report, expanded, joined, package
+
+BLOCK = 1 << 16
+"""Rows that are held as text or as Python objects at a time."""
+MAGIC = b"PAR1"
+
+
+class CsvLog(Log):
+    """Text with a row of names, then one row of values a line; separated by commas, semicolons, tabs or blanks.
+
+    An empty cell, "nan" or "null" is no value. Cells may be dates as ISO 8601 writes them; other texts only tell runs apart.
+    """
+
+    @cached_property
+    def _header(self) -> tuple[list[str], str]:
+        """Names and separator; a leading "#" belongs to neither."""
+        with self.path.open("rb") as file:
+            line = file.readline()
+        try:
+            text = line.decode("utf-8-sig").strip().lstrip("#").strip()
+        except UnicodeDecodeError as error:
+            raise self.broken("a table of text", f"byte {error.start}", "no text") from None
+        separator = max(",;\t", key=text.count)
+        separator = separator if separator in text else " "
+        names = [name.strip() for name in next(csv.reader([text], delimiter=separator, skipinitialspace=True))]
+        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+        if twice is not None:
+            raise BadFile(self.path, "line 1", "every column's name once", f"{twice!r} twice")
+        if names and all(_number(name) is not None for name in names):
+            raise BadFile(self.path, "line 1", "the names of the columns", "numbers")
+        return names, separator
+
+    def columns(self, topic: str | None) -> list[str]:
+        return self._header[0]
+
+    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+        with self.path.open("rb") as file:
+            return joined(self._blocks(file, columns, progress), columns)
+
+    def _blocks(self, file: IO[bytes], columns: Sequence[str], progress: Report) -> Iterator[Arrays]:
+        names, separator = self._header
+        places = [names.index(name) for name in columns]
+        size, line = self.path.stat().st_size, 2
+        file.readline()
+        rows = csv.reader(self._lines(file), delimiter=separator, skipinitialspace=True)
+        while block := list(itertools.islice(rows, BLOCK)):
+            filled = [row for row in block if row]
+            wrong = next((i for i, row in enumerate(block) if row and len(row) != len(names)), None)
+            if wrong is not None:
+                got = f"{len(block[wrong])} cells for {len(names)} columns"
+                raise self.broken("as many cells in every line", f"line {line + wrong}", got)
+            yield {name: self._column([row[i] for row in filled], name, block, line, i) for name, i in zip(columns, places, strict=True)}
+            line += len(block)
+            progress(file.tell() / size, f"reading {self.path.name}")
+
+    def _lines(self, file: IO[bytes]) -> Iterator[str]:
+        start = 0
+        for raw in file:
+            try:
+                yield raw.decode().rstrip(" \r\n") if raw.strip() else "\n"
+            except UnicodeDecodeError as error:
+                raise self.broken("a table of text", f"byte {file.tell() - len(raw) + error.start}", "no text") from None
+            start += len(raw)
+
+    def _column(self, cells: list[str], name: str, block: list[list[str]], line: int, place: int) -> NDArray[Any]:
+        """Numbers, else dates, else texts; a text among numbers is refused with its line."""
+        try:
+            return np.array([cell if cell else "nan" for cell in cells], dtype=float)
+        except ValueError:
+            pass
+        numbers = [_number(cell) for cell in cells]
+        if any(number is not None for number in numbers):
+            if all(number is not None for number in numbers):
+                return np.array(numbers, dtype=float)
+            row = next(i for i, cells in enumerate(block) if cells and _number(cells[place]) is None)
+            raise BadFile(self.path, f"line {line + row}, column {name!r}", "a number", repr(block[row][place]))
+        try:
+            return np.array([cell.rstrip("Z") for cell in cells], dtype="datetime64[ns]")
+        except ValueError:
+            return np.array(cells)
+
+
+def _number(cell: str) -> float | None:
+    text = cell.strip()
+    if text.lower() in ("", "nan", "null", "none", "na"):
+        return float("nan")
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+class ParquetLog(Log):
+    """A Parquet file, read one group of rows at a time; needs pyarrow. Columns of lists of fixed length are expanded."""
+
+    expected = "a Parquet file"
+
+    @cached_property
+    def _file(self) -> Any:
+        parquet = package("pyarrow.parquet", self.path, "logs")
+        with self.path.open("rb") as file:
+            first = file.read(4)
+            size = file.seek(0, 2)
+            file.seek(max(0, size - 4))
+            last = file.read(4)
+        if first != MAGIC:
+            raise BadFile(self.path, "byte 0", f"a Parquet file, which begins with {MAGIC!r}", repr(first))
+        if last != MAGIC:
+            raise self.broken(self.expected, f"byte {size}", "it ends before the table of its contents")
+        try:
+            return parquet.ParquetFile(self.path)
+        except (OSError, ValueError) as error:
+            raise self.broken(self.expected, f"byte {size}", error) from None
+
+    def columns(self, topic: str | None) -> list[str]:
+        first = next(self._batches(0, size=1), None) if self._file.metadata.num_row_groups else None
+        return [field.name for field in self._file.schema_arrow] if first is None else list(first)
+
+    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+        own = [field.name for field in self._file.schema_arrow]
+        needed = list(dict.fromkeys(name if name in own else name.rsplit("[", 1)[0] for name in columns))
+        return joined(self._groups(needed, progress), columns)
+
+    def _groups(self, names: list[str], progress: Report) -> Iterator[Arrays]:
+        groups = self._file.metadata.num_row_groups
+        for group in range(groups):
+            yield from self._batches(group, names)
+            progress((group + 1) / groups, f"reading {self.path.name}")
+
+    def _batches(self, group: int, names: list[str] | None = None, size: int = BLOCK) -> Iterator[Arrays]:
+        """The rows of a group, some at a time."""
+        try:
+            for batch in self._file.iter_batches(batch_size=size, row_groups=[group], columns=names):
+                yield expanded(_arrays(batch))
+        except (OSError, ValueError) as error:
+            first = sum(self._file.metadata.row_group(i).num_rows for i in range(group))
+            raise self.broken(self.expected, f"rows from {first} (row group {group})", error) from None
+
+
+def _arrays(batch: Any) -> Arrays:
+    """A batch's columns as arrays: lists of one length as (n, k), missing numbers as NaN."""
+    out: Arrays = {}
+    for name, column in zip(batch.schema.names, batch.columns, strict=True):
+        values = column.to_numpy(zero_copy_only=False)
+        if values.dtype == object and len(values) and isinstance(values[0], np.ndarray | list):
+            values = np.array([np.asarray(row, dtype=float).reshape(-1) for row in values])
+        out[name] = values.astype(str) if values.dtype == object else values
+    return out

@@ -1,0 +1,43 @@
+"""Units that a mapping file may name, as factors on SI units."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dropo.core.services.validation import Array
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units of time."""
+
+_BY_SI: dict[str, dict[str, float]] = {
+    "rad": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "rev/s": 2 * math.pi},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "N m": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "mNm": 1e-3, "N mm": 1e-3},
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "A": {"A": 1.0, "mA": 1e-3},
+    "V": {"V": 1.0, "mV": 1e-3},
+    "": {"": 1.0, "1": 1.0, "%": 1e-2},
+}
+UNITS: dict[str, tuple[str, float]] = {name: (si, factor) for si, names in _BY_SI.items() for name, factor in names.items()}
+"""Unit -> (its SI unit, factor)."""
+
+
+def units_of(si: tuple[str, ...]) -> list[str]:
+    """The units that may stand for quantities of these SI units."""
+    return [name for name, (base, _) in UNITS.items() if base in si]
+
+
+def seconds(stamps: NDArray[Any], unit: str, origin: Any = None) -> Array:
+    """Time stamps (n,) as float64 seconds behind `origin`; whole numbers and dates are subtracted before they are rounded.
+
+    origin: a stamp of the same kind; by default the value 0, or 1970 for dates.
+    """
+    if stamps.dtype.kind == "M":
+        stamps, unit = stamps.astype("datetime64[ns]").astype(np.int64), "ns"
+        origin = None if origin is None else np.asarray(origin).astype("datetime64[ns]").astype(np.int64)
+    since = stamps if origin is None else stamps - origin
+    return np.asarray(since, dtype=np.float64) * SECONDS[unit]

@@ -1,0 +1,54 @@
+"""Writes a study into a folder: its text, its numbers, its picture, and its block in the folder's README."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from dropo.core.services.errors import BadFile
+from dropo.studies.engine.study import Study
+
+
+def write(study: Study, folder: Path) -> None:
+    """<study>.md, .json and, where it draws, .svg; and what stands between `<!-- study: <name> -->` and `<!-- end -->` in README.md."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if study.draw is not None:
+        (folder / f"{study.name}.svg").write_text(picture(study.draw))
+    (folder / f"{study.name}.json").write_text(json.dumps(study.to_json(), indent=1, allow_nan=False) + "\n")
+    (folder / f"{study.name}.md").write_text(f"# {study.name}\n\n{markdown(study)}")
+    readme = folder / "README.md"
+    if readme.is_file():
+        readme.write_text(with_block(readme.read_text(), study, readme))
+
+
+def markdown(study: Study) -> str:
+    """What is printed, as a block of text, and the picture."""
+    shown = f"\n![{study.title}]({study.name}.svg)\n" if study.draw is not None else ""
+    return f"```text\n{study}\n```\n{shown}"
+
+
+def with_block(text: str, study: Study, path: Path) -> str:
+    """The page with the study's block replaced; without such a block, the page as it is."""
+    begin = f"<!-- study: {study.name} -->\n"
+    if begin not in text:
+        return text
+    if "<!-- end -->" not in text.split(begin, 1)[1].split("<!-- study:")[0]:
+        raise BadFile(path, begin.strip(), "an `<!-- end -->` below it", "none")
+    block = re.compile(re.escape(begin) + r".*?<!-- end -->", re.DOTALL)
+    return block.sub(lambda _: f"{begin}{markdown(study)}<!-- end -->", text, count=1)
+
+
+def picture(draw: Callable[[Any], None]) -> str:
+    """The figure as SVG; the same text for the same numbers, so without a date and with fixed names inside."""
+    import io
+
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    out = io.StringIO()
+    with mpl.rc_context({"svg.hashsalt": "dropo", "svg.fonttype": "none", "font.size": 9}):
+        figure = Figure(figsize=(8, 3.4), layout="constrained")
+        draw(figure)
+        figure.savefig(out, format="svg", metadata={"Date": None})
+    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
