@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.robots import problem_of
-from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.tables import number
 from dropo.estimators.dropo import DROPO
@@ -54,8 +54,8 @@ def one_round(problem: Problem) -> dict[str, Any]:
     centre, width = truth * (1 + OFF * signs), WIDTH * truth
     assert problem.epsilon is not None
     _, likelihood = likelihood_of(len(truth))
-    local = likelihood.around(problem.simulator, problem.segments, family, problem.epsilon, centre, width, np.random.default_rng(0))
-    found = maximise_locally(local, np.clip(family.phi(centre, 0.05 * width), local.unknowns.low, local.unknowns.high))
+    local = likelihood.linearize_at(problem.simulator, problem.segments, family, problem.epsilon, centre, width, np.random.default_rng(0))
+    found = maximize_locally(local, np.clip(family.phi(centre, 0.05 * width), local.unknowns.low, local.unknowns.high))
     return {"log_likelihood": found.value}
 
 

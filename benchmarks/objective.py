@@ -99,7 +99,7 @@ def draws_near_truth(problem: Problem, count: int) -> np.ndarray:
 def published_loop(sizes: Sizes) -> Timing:
     """The published way, on fewer draws and transitions, its time scaled up to all of them: it is linear in both."""
     problem = problem_of(sizes, 1)
-    model, data = simulator_of(problem).model, problem.trajectories.first(sizes.loop_transitions)
+    model, data = simulator_of(problem).model, problem.trajectories.head(sizes.loop_transitions)
     masses = draws_near_truth(problem, sizes.loop_draws)
     begun = time.perf_counter()
     _, steps = log_likelihood(model, BODIES, masses, data, EPSILON, FRAME_SKIP)

@@ -22,8 +22,8 @@ def problem_of(parameters: int, transitions: int, threads: int) -> Problem:
         return chain_problem(transitions, threads)
     data, _ = simulate(min(500, transitions // 2), -(-transitions // min(500, transitions // 2)), rng=0, noise_variance=NOISE)
     if parameters == 4:
-        return hopper_problem("hopper, 4", data.first(transitions), NOISE, threads)
-    return Problem("hopper, 18", hopper_with_18(threads), data.first(transitions), epsilon=NOISE, truth=ones(hopper_with_18(1)))
+        return hopper_problem("hopper, 4", data.head(transitions), NOISE, threads)
+    return Problem("hopper, 18", hopper_with_18(threads), data.head(transitions), epsilon=NOISE, truth=ones(hopper_with_18(1)))
 
 
 def ones(simulator: MujocoSimulator) -> dict[str, float]:

@@ -36,9 +36,9 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.training.policy import load_policy
 
     policy = load_policy(arguments.policy)
-    law = None if arguments.fit is None else Fit.load(arguments.fit)
+    distribution = None if arguments.fit is None else Fit.load(arguments.fit)
     found = evaluate(
-        policy, arguments.on, law=law, episodes=arguments.episodes, steps=arguments.steps, noise=arguments.noise, rng=arguments.seed,
+        policy, arguments.on, distribution=distribution, episodes=arguments.episodes, steps=arguments.steps, noise=arguments.noise, rng=arguments.seed,
         threads=arguments.threads,
     )  # fmt: skip
     content, video = found.to_json(), None

@@ -117,10 +117,10 @@ def terminable() -> Iterator[None]:
 
 def _undisturbed(arguments: argparse.Namespace, problem: "Problem") -> "tuple[Problem, tuple[Span, ...]]":
     """A log's problem without the spans in which something pushes, of which it warns, and the spans."""
-    from dropo.data.outliers.without_disturbances import without_pushes
+    from dropo.data.outliers.without_disturbances import remove_disturbances
 
     searched = arguments.disturbances == AUTO and problem.trajectories.time is not None
-    found = without_pushes(problem) if searched else None
+    found = remove_disturbances(problem) if searched else None
     if found is None:
         return problem, ()
     told = (f"left out, since no command explains it: {span}" for span in found.spans)

@@ -55,7 +55,7 @@ def _bar(stream: TextIO) -> Any:
 
     text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1))
     columns = (BarColumn(24), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}"), text)
-    return Bar(*columns, console=Console(file=stream), transient=True, expand=True)
+    return Bar(*columns, console=Console(file=stream), transient=True, value_score_information=True)
 
 
 def show(arguments: argparse.Namespace, result: object, content: Any) -> None:

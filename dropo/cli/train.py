@@ -10,7 +10,7 @@ from dropo.cli.fit import check_folder, terminable, variance
 from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
-    from dropo.training.distributions import Law
+    from dropo.training.distributions import ParameterDistribution
     from dropo.training.train import Algorithm
 
 ALGORITHMS = {"ars": ("dropo.training.ars:ARS", "updates"), "ppo": ("dropo.training.networks:PPO", "steps"),
@@ -44,14 +44,14 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.training.train import train
 
     target, algorithm = resolve(arguments.problem), _algorithm(arguments)
-    law = _law(arguments, target)
+    distribution = _distribution(arguments, target)
     record = _record(arguments, target, algorithm)
     check_folder(arguments.out, record)
     options: dict[str, Any] = {"noise": arguments.noise, "steps": arguments.steps, "threads": arguments.threads}
     progress, new = Progress(silent=arguments.quiet), _keep(arguments.out, record)
     try:
         with terminable():
-            policy = train(target, law, algorithm, rng=arguments.seed, out=arguments.out, progress=progress, **options)
+            policy = train(target, distribution, algorithm, rng=arguments.seed, out=arguments.out, progress=progress, **options)
     except KeyboardInterrupt:
         kept = "the same command goes on from here" if arguments.out else "with --out, training can be resumed"
         raise DropoError(f"Interrupted: {kept}.") from None
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         progress.close()
     path = None if arguments.out is None else policy.save(arguments.out)
-    found = {"under the fit": evaluate(policy, target, law=law, rng=arguments.seed, **options)} if law is not None else {}
+    found = {"under the fit": evaluate(policy, target, distribution=distribution, rng=arguments.seed, **options)} if distribution is not None else {}
     found["as it is"] = evaluate(policy, target, rng=arguments.seed, **(options | {"noise": 0.0}))
     content = {"policy": path and str(path), "about": policy.about, "returns": {name: value.to_json() for name, value in found.items()}}
     failures = policy.about["failed_simulations"]
@@ -82,11 +82,11 @@ def _algorithm(arguments: argparse.Namespace) -> "Algorithm":
     return made
 
 
-def _law(arguments: argparse.Namespace, target: Any) -> "Law | None":
+def _distribution(arguments: argparse.Namespace, target: Any) -> "ParameterDistribution | None":
     """The fit, where it is one of the target's model."""
     from dropo.core.records.fit import Fit
     from dropo.core.services.errors import BadArgument
-    from dropo.training.distributions import Widening
+    from dropo.training.distributions import Curriculum
 
     if arguments.fit is None:
         if arguments.widen is not None:
@@ -94,7 +94,7 @@ def _law(arguments: argparse.Namespace, target: Any) -> "Law | None":
         return None
     fit = Fit.load(arguments.fit)
     _refuse_other_model(arguments.fit, target)
-    return fit if arguments.widen is None else Widening(fit, arguments.widen)
+    return fit if arguments.widen is None else Curriculum(fit, arguments.widen)
 
 
 def _refuse_other_model(folder: Path, target: Any) -> None:

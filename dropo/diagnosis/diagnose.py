@@ -13,9 +13,9 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known, require
-from dropo.data.outliers.without_disturbances import Undisturbed, undisturbed
+from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.findings.causes import causes, suspects
-from dropo.diagnosis.findings.disturbances import left_out, odd_runs
+from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import pictures
 from dropo.diagnosis.findings.horizons import horizons
 from dropo.diagnosis.findings.motion import motion
@@ -23,7 +23,7 @@ from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.unexplained_forces import impulses
 from dropo.diagnosis.result import Diagnosis
-from dropo.diagnosis.search.library import atoms_for
+from dropo.diagnosis.search.library import instances_for
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.review import Review, review, together
 from dropo.diagnosis.search.selection import Progress, Selection, State
@@ -67,15 +67,15 @@ class Diagnose:
         return cast(int, problem.settings.get("windows", WINDOWS)) if self.windows is None else self.windows
 
     def _judged(
-        self, problem: Problem, generator: np.random.Generator, progress: Progress, quiet: Undisturbed | None = None, spent: int = 0
+        self, problem: Problem, generator: np.random.Generator, progress: Progress, quiet: WithoutDisturbances | None = None, spent: int = 0
     ) -> Diagnosis:
         """The diagnosis of a problem, or of what is left of it without disturbances, for which so many simulator steps were spent."""
         whole, problem = problem, problem if quiet is None else quiet.problem
         free = _free(problem, self.parameters)
-        atoms, simulator = atoms_for(problem, self.effects, free), cast(Any, problem.simulator)
+        instances, simulator = instances_for(problem, self.effects, free), cast(Any, problem.simulator)
         length = choose_length(problem, self._most(problem)) if self.length is None else self.length
         hidden = impulses(simulator.model, length)
-        library = Library(simulator.with_effects([*atoms, *hidden]), [*atoms, *hidden], len(problem.space))
+        library = Library(simulator.with_effects([*instances, *hidden]), [*instances, *hidden], len(problem.space))
         progress = with_cost(progress, library.simulator)
         train, test = split(problem, length, self._most(problem))
         _refuse_constant(problem, train)
@@ -84,28 +84,28 @@ class Diagnose:
         first, last, reviews = _search(problem, library, selection, train, test, free)
         progress(0.9, "what remains")
         rest = remaining(problem, library, last, selection.floor, generator)
-        fixed = [(atom, last.theta[library.places[atom.label]]) for atom in last.accepted]
+        fixed = [(instance, last.theta[library.places[instance.label]]) for instance in last.accepted]
         extended, declared = replace(problem, simulator=simulator.with_effects((), fixed)), last.theta[: len(problem.space)]
         if quiet is None and self.disturbances:
-            quiet = undisturbed(problem, extended.simulator, declared)
+            quiet = without_disturbances(problem, extended.simulator, declared)
             if quiet is not None and _enough(quiet.problem, length, self._most(problem)):
                 return self._judged(whole, generator, progress, quiet, library.simulator.steps)
             quiet = None
-        found = causes(library, last, reviews, len(atoms))
+        found = causes(library, last, reviews, len(instances))
         thetas = [nominal_of(library), first.theta, last.theta]
         chance = generator.spawn(1)[0]
         nominal, before, after = horizons(problem, library, thetas, last, chance)
         progress(0.95, "what the pictures show")
-        shown, moved = pictures(library, selection, first, last, reviews, rest.force, len(atoms)), motion(problem, library, first, last)
+        shown, moved = pictures(library, selection, first, last, reviews, rest.force, len(instances)), motion(problem, library, first, last)
         return Diagnosis(
             problem.name, _verdict(bool(found), rest.wrong or any(cause.acts_like for cause in found)), found,
-            suspects(selection, last, len(atoms)), per_step(first), per_step(last), before, after, rest.to_json(), extended,
+            suspects(selection, last, len(instances)), per_step(first), per_step(last), before, after, rest.to_json(), extended,
             dict(zip([s.name for s in simulator.signals], last.train.whiten.sigma.tolist(), strict=True)),
             simulator_steps=spent + library.simulator.steps, warnings=problem.warnings, details={"window_steps": length},
             nominal=nominal if len(free) else (), undetermined=undetermined(library, last),
             pictures=shown, motion=moved, parameters=dict(zip(problem.space.names, declared.tolist(), strict=True)),
             disturbances=None if quiet is None else left_out(quiet, horizons(whole, library, thetas, last, chance, [length])),
-            odd_runs=odd_runs(problem, extended, declared) if self.disturbances and rest.wrong else (),
+            outlier_runs=outlier_runs(problem, extended, declared) if self.disturbances and rest.wrong else (),
         )  # fmt: skip
 
     def baseline(self, problem: Problem) -> float:
@@ -141,15 +141,15 @@ def _search(
 ) -> tuple[State, State, dict[str, Review]]:
     """The model as it is, the one that the search ends with, and what became of each of its effects when it was judged again."""
     first = _first(problem, library, selection, train, test, free)
-    atoms = [atom for atom in library.atoms if atom.effect != "unexplained_force"]
-    found = selection.run(first, first, atoms)
+    instances = [instance for instance in library.instances if instance.effect != "unexplained_force"]
+    found = selection.run(first, first, instances)
     last, reviews = review(selection, found)
     while last is not found:  # after an exchange, others may be confirmed
-        found = selection.run(first, last, atoms)
+        found = selection.run(first, last, instances)
         if found is last:
             break
         last, reviews = review(selection, found)
-    whole = together(selection, last, atoms)
+    whole = together(selection, last, instances)
     return first, whole, reviews if whole is last else review(selection, whole)[1]
 
 

@@ -10,7 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.figure_data import Pictures
 from dropo.core.records.predictions import Predictions
 from dropo.core.services.tables import Printed, Table, number
-from dropo.data.outliers.outlier_runs import OddRun
+from dropo.data.outliers.outlier_runs import OutlierRun
 from dropo.diagnosis.findings.disturbances import LeftOut
 from dropo.diagnosis.findings.horizons import Horizon
 
@@ -83,7 +83,7 @@ class Diagnosis(Printed):
     motion: Predictions | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     disturbances: LeftOut | None = None
-    odd_runs: tuple[OddRun, ...] = ()
+    outlier_runs: tuple[OutlierRun, ...] = ()
 
     def headline(self) -> str:
         """The finding in a few sentences."""
@@ -96,7 +96,7 @@ class Diagnosis(Printed):
                 parts += [f"To tell it from {_place(c)}, {c['to_tell']}." for c in cause.confused_with[:1] if "to_tell" in c]
         where = self.remaining.get("where") if self.verdict in ("partly", "unexplained") else None
         left = [f"Left out: {self.disturbances}."] if self.disturbances else []
-        odd = [f"{str(run).capitalize()}." for run in self.odd_runs]
+        odd = [f"{str(run).capitalize()}." for run in self.outlier_runs]
         return " ".join([*parts, VERDICTS[self.verdict], *([f"It shows in {'; '.join(where)}."] if where else []), *left, *odd])
 
     def _error(self) -> str:
@@ -155,7 +155,7 @@ class Diagnosis(Printed):
             "verdict": self.verdict, "headline": self.headline(), "problem": self.name, "causes": causes, "suspects": list(self.suspects),
             **sides, "remaining": self.remaining, "noise": self.noise, "extended_problem": "extended/problem.yaml" if self.causes else None,
             "disturbances": self.disturbances.to_json() if self.disturbances else None,
-            "odd_runs": [asdict(run) for run in self.odd_runs], "parameters": self.parameters,
+            "odd_runs": [asdict(run) for run in self.outlier_runs], "parameters": self.parameters,
             "nominal": {"horizons": [h.to_json() for h in self.nominal]}, "undetermined": list(self.undetermined),
             "warnings": list(self.warnings), "seed": self.seed, "version": __version__, "simulator_steps": self.simulator_steps,
             "wall_time_s": round(self.wall_time_s, 3), **self.details,

@@ -3,20 +3,20 @@
 from collections.abc import Iterator
 from functools import partial
 
-from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import actuators
 
 
-def actuator_bias(robot: Robot) -> Iterator[Atom]:
+def actuator_bias(context: EffectContext) -> Iterator[EffectInstance]:
     """A constant that is added to an actuator's command after it was clamped: u' = u + b."""
-    for actuator in actuators(robot.model):
+    for actuator in actuators(context.model):
         reach = actuator.reach
         size = Quantity("bias", "command", -reach, reach, (-0.03 * reach, -0.003 * reach, 0.003 * reach, 0.03 * reach))
-        yield Atom("actuator_bias", actuator.name, (size,), actuation=partial(_shift, actuator.id))
+        yield EffectInstance("actuator_bias", actuator.name, (size,), actuation=partial(_shift, actuator.id))
 
 
-def _shift(place: int, commands: Array, step: float, sizes: Array) -> Array:
+def _shift(place: int, commands: Array, step: float, magnitudes: Array) -> Array:
     out = commands.copy()
-    out[:, place] += sizes[0]
+    out[:, place] += magnitudes[0]
     return out

@@ -6,24 +6,24 @@ from functools import partial
 import numpy as np
 from scipy.signal import lfilter
 
-from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import actuators, each_and_all
 
 
-def actuator_lag(robot: Robot) -> Iterator[Atom]:
+def actuator_lag(context: EffectContext) -> Iterator[EffectInstance]:
     """A first-order lag of an actuator, or of all of them alike: T dx/dt = u - x, exact for commands that are held.
 
     What acts in a physics step is the mean of x over it. A trajectory begins settled on its first command.
     """
-    dt = robot.control_step
-    for target, ids in each_and_all(actuators(robot.model)):
+    dt = context.control_step
+    for target, ids in each_and_all(actuators(context.model)):
         size = Quantity("time constant", "s", 0.0, 20 * dt, (0.02 * dt, 0.2 * dt, dt), smooth=False)
-        yield Atom("actuator_lag", target, (size,), actuation=partial(_lagged, list(ids)))
+        yield EffectInstance("actuator_lag", target, (size,), actuation=partial(_lagged, list(ids)))
 
 
-def _lagged(ids: Sequence[int], commands: Array, step: float, sizes: Array) -> Array:
-    time = max(float(sizes[0]), 1e-12)
+def _lagged(ids: Sequence[int], commands: Array, step: float, magnitudes: Array) -> Array:
+    time = max(float(magnitudes[0]), 1e-12)
     keep = np.exp(-step / time)
     behind = commands[:, ids] - commands[:1, ids]
     before = lfilter([0.0, 1 - keep], [1.0, -keep], behind, axis=0) + commands[:1, ids]  # at the start of each step

@@ -4,19 +4,19 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
 from dropo.core.services.validation import Array
 
 MEDIUM = (("density", "kg/m^3", 100.0), ("viscosity", "Pa s", 5.0))
 
 
-def air_drag(robot: Robot) -> Iterator[Atom]:
+def air_drag(context: EffectContext) -> Iterator[EffectInstance]:
     """The density or the viscosity of the medium: MuJoCo's drag on each body's box of equal inertia."""
     for name, unit, scale in MEDIUM:
-        base = float(getattr(robot.model.opt, name))
+        base = float(getattr(context.model.opt, name))
         size = Quantity(name, unit, -base, 20 * scale, (0.01 * scale, 0.2 * scale), base=base)
-        yield Atom("air_drag", None, (size,), name, model=partial(_add, name))
+        yield EffectInstance("air_drag", None, (size,), name, model=partial(_add, name))
 
 
-def _add(name: str, model: Any, sizes: Array) -> None:
-    setattr(model.opt, name, getattr(model.opt, name) + float(sizes[0]))
+def _add(name: str, model: Any, magnitudes: Array) -> None:
+    setattr(model.opt, name, getattr(model.opt, name) + float(magnitudes[0]))

@@ -4,18 +4,18 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import bodies
 
 
-def body_inertia(robot: Robot) -> Iterator[Atom]:
+def body_inertia(context: EffectContext) -> Iterator[EffectInstance]:
     """The rotational inertia of a body, all its principal moments by one factor: I' = (1 + s) I."""
-    for body, name in bodies(robot.model):
-        base = float(robot.model.body_inertia[body].max())
+    for body, name in bodies(context.model):
+        base = float(context.model.body_inertia[body].max())
         size = Quantity("inertia", "1", -0.8, 4.0, (-0.2, -0.02, 0.02, 0.2), relative=True, base=base)
-        yield Atom("body_inertia", name, (size,), model=partial(_scale, body))
+        yield EffectInstance("body_inertia", name, (size,), model=partial(_scale, body))
 
 
-def _scale(body: int, model: Any, sizes: Array) -> None:
-    model.body_inertia[body] *= 1 + sizes[0]
+def _scale(body: int, model: Any, magnitudes: Array) -> None:
+    model.body_inertia[body] *= 1 + magnitudes[0]

@@ -4,18 +4,18 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import bodies
 
 
-def body_mass(robot: Robot) -> Iterator[Atom]:
+def body_mass(context: EffectContext) -> Iterator[EffectInstance]:
     """The mass of a body; its rotational inertia stays: m' = m + d."""
-    for body, name in bodies(robot.model):
-        mass = float(robot.model.body_mass[body])
+    for body, name in bodies(context.model):
+        mass = float(context.model.body_mass[body])
         size = Quantity("mass", "kg", -0.8 * mass, 3 * mass, (-0.1 * mass, -0.02 * mass, 0.02 * mass, 0.1 * mass), base=mass)
-        yield Atom("body_mass", name, (size,), model=partial(_add, body))
+        yield EffectInstance("body_mass", name, (size,), model=partial(_add, body))
 
 
-def _add(body: int, model: Any, sizes: Array) -> None:
-    model.body_mass[body] += sizes[0]
+def _add(body: int, model: Any, magnitudes: Array) -> None:
+    model.body_mass[body] += magnitudes[0]

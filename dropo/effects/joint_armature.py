@@ -2,15 +2,15 @@
 
 from collections.abc import Iterator
 
-from dropo.core.contracts.effect import Atom, Robot
+from dropo.core.contracts.effect import EffectInstance, EffectContext
 from dropo.effects.support.model_field import Entry, Field, by_kind
 from dropo.effects.support.places import joints
 
 FIELD = Field("joint_armature", "dof_armature", "armature")
 
 
-def joint_armature(robot: Robot) -> Iterator[Atom]:
+def joint_armature(context: EffectContext) -> Iterator[EffectInstance]:
     """The reflected inertia of a joint's rotor and gear, or of all of them alike."""
-    for kind, same in by_kind(joints(robot.model)):
-        entries = [Entry(joint.name, (joint.velocity,), 0.1 * float(robot.model.dof_M0[joint.velocity])) for joint in same]
-        yield from FIELD.atoms(robot.model, entries, same[0].inertia, kind)
+    for kind, same in by_kind(joints(context.model)):
+        entries = [Entry(joint.name, (joint.velocity,), 0.1 * float(context.model.dof_M0[joint.velocity])) for joint in same]
+        yield from FIELD.instances(context.model, entries, same[0].inertia, kind)

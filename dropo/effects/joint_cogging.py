@@ -5,26 +5,26 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom, Moment, Quantity, Robot
+from dropo.core.contracts.effect import EffectInstance, StepState, Quantity, EffectContext
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import Joint, actuators, torque_scale
 
 PERIODS = (6, 7, 8, 10, 12, 14, 16, 18, 20, 21, 24, 28, 30, 36, 42, 48)  # cogs a turn
 
 
-def joint_cogging(robot: Robot) -> Iterator[Atom]:
+def joint_cogging(context: EffectContext) -> Iterator[EffectInstance]:
     """Torque a sin(n q) + b cos(n q) of a driven hinge, for each of some numbers n of cogs a turn; the variant names n."""
-    driven = {actuator.joint.id: actuator.joint for actuator in actuators(robot.model) if actuator.joint is not None}
+    driven = {actuator.joint.id: actuator.joint for actuator in actuators(context.model) if actuator.joint is not None}
     for joint in driven.values():
         if joint.length != "rad":
             continue
-        scale = torque_scale(robot.model, joint)
+        scale = torque_scale(context.model, joint)
         parts = tuple(Quantity(name, joint.force, -scale, scale, (0.01 * scale,)) for name in ("sine", "cosine"))
         for cogs in PERIODS:
-            yield Atom("joint_cogging", joint.name, parts, f"{cogs}-a-turn", force=partial(_cogs, joint, cogs), order=cogs)
+            yield EffectInstance("joint_cogging", joint.name, parts, f"{cogs}-a-turn", force=partial(_cogs, joint, cogs), order=cogs)
 
 
-def _cogs(joint: Joint, cogs: int, moment: Moment, sizes: Array) -> Array:
-    out, angle = np.zeros_like(moment.qvel), cogs * moment.qpos[:, joint.position]
-    out[:, joint.velocity] = sizes[0] * np.sin(angle) + sizes[1] * np.cos(angle)
+def _cogs(joint: Joint, cogs: int, state: StepState, magnitudes: Array) -> Array:
+    out, angle = np.zeros_like(state.qvel), cogs * state.qpos[:, joint.position]
+    out[:, joint.velocity] = magnitudes[0] * np.sin(angle) + magnitudes[1] * np.cos(angle)
     return out

@@ -2,22 +2,22 @@
 
 from collections.abc import Iterator
 
-from dropo.core.contracts.effect import Atom, Quantity, Robot
+from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
 from dropo.effects.support.model_field import Entry, Field
 from dropo.effects.support.places import joints
 
 FIELD = Field("joint_limit", "jnt_range", "stop")
 
 
-def joint_limit(robot: Robot) -> Iterator[Atom]:
+def joint_limit(context: EffectContext) -> Iterator[EffectInstance]:
     """The position of a joint's lower or upper stop."""
-    for joint in joints(robot.model):
-        if not robot.model.jnt_limited[joint.id]:
+    for joint in joints(context.model):
+        if not context.model.jnt_limited[joint.id]:
             continue
-        width = float(robot.model.jnt_range[joint.id, 1] - robot.model.jnt_range[joint.id, 0])
+        width = float(context.model.jnt_range[joint.id, 1] - context.model.jnt_range[joint.id, 0])
         for side, name in enumerate(("lower", "upper")):
             probes = tuple(share * width for share in (-0.05, -0.005, 0.005, 0.05))
-            base = float(robot.model.jnt_range[joint.id, side])
+            base = float(context.model.jnt_range[joint.id, side])
             shift = Quantity(name, joint.length, -0.5 * width, 0.5 * width, probes, smooth=False, base=base)
             change = FIELD.change([Entry(joint.name, (joint.id, side), width)])
-            yield Atom("joint_limit", joint.name, (shift,), name, model=change)
+            yield EffectInstance("joint_limit", joint.name, (shift,), name, model=change)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.interactive_estimator import Calls, Online, Performance, law
+from dropo.core.contracts.interactive_estimator import Callbacks, InteractiveEstimator, Performance, distribution
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.parameters import ParameterSpace
@@ -17,7 +17,7 @@ SIGNATURE = "(values, rng) -> float"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ADR(Online):
+class ADR(InteractiveEstimator):
     """Automatic domain randomization: a uniform law that grows as far as the policy can follow (OpenAI 2019, arXiv:1910.07113, section 5).
 
     It begins as a point, the model's own values, in the middle of the box where there are none. Each of `budget` calls puts one parameter
@@ -43,7 +43,7 @@ class ADR(Online):
         require(min(self.buffer, self.budget) >= 1, "buffer, budget", "at least 1", (self.buffer, self.budget), "ADR")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        calls, bounds = Calls(run), Bounds(problem.space, _start(problem), self)
+        calls, bounds = Callbacks(run), Bounds(problem.space, _start(problem), self)
         history = [bounds.ends.copy()]
         status, message = Status.OUT_OF_BUDGET, f"The bounds after {self.budget} calls; ADR has no end of its own."
         try:
@@ -56,13 +56,13 @@ class ADR(Online):
             status, message = Status.INTERRUPTED, f"Interrupted after {len(history) - 1} calls: these are the bounds so far."
         low, high = bounds.ends
         family = find("families", "uniform")(problem.space)
-        fit = law(
+        fit = distribution(
             problem, self.name, "uniform", family.phi((low + high) / 2, (high - low) / 2), status=status, message=message,
             arrays={"bounds": np.array(history)}, details={"target_transitions": calls.transitions},
         )  # fmt: skip
         return judged(problem, run, fit, self.draws, run.rng.spawn(1)[0])
 
-    def _performance(self, calls: Calls, values: Array) -> float:
+    def _performance(self, calls: Callbacks, values: Array) -> float:
         assert self.performance is not None
         performance = self.performance
         return calls.number(values, lambda rng: performance(values, rng))

@@ -7,7 +7,7 @@ from scipy.stats import qmc
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.interactive_estimator import Calls, Evaluate, Online, law
+from dropo.core.contracts.interactive_estimator import Callbacks, Evaluate, InteractiveEstimator, distribution
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.services.isolated_torch import alone
@@ -21,7 +21,7 @@ RESTARTS, RAW = 4, 64  # of the search for the acquisition's highest point: star
 
 
 @dataclass(frozen=True, kw_only=True)
-class BayRn(Online):
+class BayRn(InteractiveEstimator):
     """Bayesian domain randomization: the law under which a policy is to be trained, by its return (Muratore et al. 2021, arXiv:2003.02471).
 
     evaluate(fit, rng) trains a policy under the law of `fit` and gives its return on the target. The numbers of the law (means and scales
@@ -46,7 +46,7 @@ class BayRn(Online):
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         family: Family = find("families", self.family)(problem.space)
-        calls, rng = Calls(run), run.rng.spawn(1)[0]
+        calls, rng = Callbacks(run), run.rng.spawn(1)[0]
         points = qmc.Sobol(len(family.unknowns), rng=rng).random_base2(int(np.ceil(np.log2(self.first))))[: self.first]
         returns: list[float] = []
         status, message = Status.OUT_OF_BUDGET, f"The best of {self.budget} laws, by the posterior mean of its return."
@@ -62,17 +62,17 @@ class BayRn(Online):
             status, message = Status.INTERRUPTED, f"Interrupted after {len(returns)} laws: this is the best so far."
         points = points[: len(returns)]
         expected = posterior_mean(points, np.array(returns), rng)
-        laws = family.unknowns.from_unit(points)
-        fit = law(
-            problem, self.name, self.family, laws[int(expected.argmax())], status=status, message=message,
-            arrays={"laws": laws, "returns": np.array(returns), "expected": expected},
+        distributions = family.unknowns.from_unit(points)
+        fit = distribution(
+            problem, self.name, self.family, distributions[int(expected.argmax())], status=status, message=message,
+            arrays={"laws": distributions, "returns": np.array(returns), "expected": expected},
             details={"target_transitions": calls.transitions, "return": float(expected.max())},
         )  # fmt: skip
         return judged(problem, run, fit, self.draws, run.rng.spawn(1)[0])
 
-    def _return(self, problem: Problem, calls: Calls, phi: Array) -> float:
+    def _return(self, problem: Problem, calls: Callbacks, phi: Array) -> float:
         assert self.evaluate is not None
-        evaluate, present = self.evaluate, law(problem, self.name, self.family, phi)
+        evaluate, present = self.evaluate, distribution(problem, self.name, self.family, phi)
         return calls.number(phi, lambda rng: evaluate(present, rng))
 
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
-from dropo.core.contracts.maximize import maximise
+from dropo.core.contracts.maximize import maximize
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
-from dropo.estimators.support.summary import rounding, summarise
+from dropo.estimators.support.summary import rounding, summarize
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class DROID(Estimator):
             raise Incompatible(
                 f"DROID reads its distribution from the optimizer's covariance, and {self.optimizer!r} has none. Use 'cma-es'."
             )
-        result = maximise(minus_distance, space, search, run, batched=True)
+        result = maximize(minus_distance, space, search, run, batched=True)
         width = space.high - space.low
         covariance = search.covariance * np.outer(width, width)
         family = find("families", "full")(space)
@@ -54,7 +54,7 @@ class DROID(Estimator):
         residual = np.mean((predicted - targets) ** 2, axis=0)
         noise = np.maximum(residual, rounding(problem))
         log_likelihood = -0.5 * float(np.sum(np.log(2 * np.pi * noise) + residual / noise)) * len(targets)
-        return summarise(
+        return summarize(
             problem, run, method=self.name, family=family, family_name="full", phi=family.phi_of(result.point, covariance), epsilon=noise,
             weighted_by=np.ones(targets.shape[1]), log_likelihood=log_likelihood, mean_prediction=predicted, message=result.reason,
             status=result.status, details={"squared_distance": -result.value},

@@ -10,7 +10,7 @@ from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import Likelihood, LogLikelihood
 from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
-from dropo.core.contracts.maximize import SearchResult, maximise
+from dropo.core.contracts.maximize import SearchResult, maximize
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
@@ -24,8 +24,8 @@ from dropo.core.services.validation import Array, known, require
 from dropo.estimators.least_squares import estimate
 from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
 from dropo.estimators.support.filtered_starts import from_filtered_starts
-from dropo.estimators.support.sobol_start import calmest
-from dropo.estimators.support.summary import summarise
+from dropo.estimators.support.sobol_start import best_sobol_point
+from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import Rounds
 from dropo.evaluation.emulator_check import certified_scales, paired_check
 
@@ -117,7 +117,7 @@ class DROPO(Estimator):
         check_start(problem, run, family, start)
         unit = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
         optimizer = find("optimizers", self.optimizer or "cma-es")(len(unit), search, start=unit, budget=self.budget)
-        return self._summary(problem, run, family, objective, maximise(objective, objective.unknowns, optimizer, run))
+        return self._summary(problem, run, family, objective, maximize(objective, objective.unknowns, optimizer, run))
 
     def _centre(self, problem: Problem, run: Run, rng: np.random.Generator) -> Array:
         """(d,) the first mean."""
@@ -140,7 +140,7 @@ class DROPO(Estimator):
         try:
             objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(centre)
         except SimulationFailed:  # even on a narrow design: most of the box may explode
-            objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(calmest(problem, run))
+            objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(best_sobol_point(problem, run))
         if self.starts == "filtered":
             refit = lambda seen, noise, centre, width: Rounds(seen, run, family, likelihood, noise, rng, optimizer).fit(centre, width)
             seen, objective, found, details = from_filtered_starts(refit, problem, run, family, noise, objective, found)
@@ -155,7 +155,7 @@ class DROPO(Estimator):
     ) -> Fit:  # fmt: skip
         with run.counting():
             mean = objective.mean(found.point)
-        return summarise(
+        return summarize(
             problem, run, method=self.name, family=family, family_name=self.family, phi=found.point, epsilon=objective.epsilon(found.point),
             log_likelihood=found.value, mean_prediction=mean, status=found.status, message=found.reason,
             objective=objective, details={**self._parts(objective), **(checked or {})}, warnings=warnings,

@@ -13,7 +13,7 @@ from dropo.core.records.fit import Fit, Status
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, float_array, known, require
-from dropo.estimators.support.summary import STEPS, rounding, summarise
+from dropo.estimators.support.summary import STEPS, rounding, summarize
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class LeastSquares(Estimator):
         rows = len(problem.segments.rows[0])
         noise = np.maximum(found.noise, rounding(problem))  # a perfect fit would have no density
         log_likelihood = -0.5 * rows * float(np.sum(np.log(2 * np.pi * noise) + found.noise / noise))
-        return summarise(
+        return summarize(
             problem, run, method=self.name, family=family, family_name="point", phi=family.phi(found.value, np.zeros(len(problem.space))),
             epsilon=noise, weighted_by=found.weighted_by, log_likelihood=log_likelihood, mean_prediction=found.predicted,
             status=Status.CONVERGED if found.converged else Status.OUT_OF_BUDGET, message=found.message,
@@ -114,7 +114,7 @@ def _solve(problem: Problem, run: Run, variances: Array, start: Array, budget: i
         if unit.tobytes() not in kept:
             with run.counting(evaluations=1):
                 kept.clear()
-                kept[unit.tobytes()] = simulator.linearise(space.low + unit * width, segments, step=step)
+                kept[unit.tobytes()] = simulator.linearize(space.low + unit * width, segments, step=step)
             run.progress(min(0.99, run.evaluations / budget), f"least squares, {run.evaluations} evaluations")
         return kept[unit.tobytes()]
 

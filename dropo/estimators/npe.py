@@ -83,14 +83,14 @@ class NPE(Estimator):
         """Draws (K, d) of the posterior, in coordinates of the box (2, d)."""
         low, high = box
         rng, seed = run.rng.spawn(1)[0], int(run.rng.integers(2**63))
-        summarise = _slopes(problem, run, target, box) if self.summary == "slopes" else _moments(problem, run, box)
+        summarize = _slopes(problem, run, target, box) if self.summary == "slopes" else _moments(problem, run, box)
         noise = np.sqrt(target.epsilon(np.zeros(len(problem.space))))
 
         def simulate(points: Array) -> Array:
             out = []
             for part in np.array_split(points, -(-len(points) // 50)):  # few at once: all rows of all signals are kept
                 predictions = problem.simulator.predict(problem.space.from_unit(part), problem.segments)
-                out.append(summarise(predictions + noise * rng.standard_normal(predictions.shape)))
+                out.append(summarize(predictions + noise * rng.standard_normal(predictions.shape)))
             return np.concatenate(out)
 
         points = rng.random((self.simulations, len(problem.space)))
@@ -98,7 +98,7 @@ class NPE(Estimator):
         good = np.isfinite(summaries).all(axis=1)
         if good.sum() < 50:
             raise SimulationFailed(f"Only {good.sum()} of {len(points)} simulations did not diverge: narrow the bounds.")
-        return learn(points[good], summaries[good], summarise(target.targets[None])[0], self.density, self.draws, seed)
+        return learn(points[good], summaries[good], summarize(target.targets[None])[0], self.density, self.draws, seed)
 
 
 def learn(points: Array, summaries: Array, observed: Array, density: str, draws: int, seed: int) -> Array:
@@ -156,7 +156,7 @@ def _slopes(problem: Problem, run: Run, target: PointLikelihood, box: Array) -> 
     """(J' W J)^-1 J' W r of residuals r from the middle, W = diag(1 / epsilon): in linear models the estimate of least squares."""
     ends = problem.space.from_unit(box)
     with run.counting(evaluations=1):
-        middle, jacobian = problem.simulator.linearise(_middle(problem, box), problem.segments, step=STEP * (ends[1] - ends[0]))
+        middle, jacobian = problem.simulator.linearize(_middle(problem, box), problem.segments, step=STEP * (ends[1] - ends[0]))
     variance = np.maximum(target.epsilon(np.zeros(len(problem.space))), 1e-300)
     white = (jacobian * (ends[1] - ends[0]) / np.sqrt(variance)[:, None]).reshape(-1, len(problem.space))
     project = np.linalg.pinv(white, rcond=1e-12)
@@ -170,9 +170,9 @@ def _moments(problem: Problem, run: Run, box: Array) -> Summarise:
     segment, step = problem.segments.rows
     actions = problem.trajectories.actions[problem.segments.steps[segment, step]]  # (R, q)
 
-    def summarise(rows: Array) -> Array:
+    def summarize(rows: Array) -> Array:
         residuals = rows - middle
         products = np.einsum("krp,rq->kpq", residuals, actions) / len(actions)
         return np.concatenate([residuals.mean(axis=1), residuals.var(axis=1), products.reshape(len(rows), -1)], axis=1)
 
-    return summarise
+    return summarize

@@ -110,7 +110,7 @@ class Posterior(Estimator):
 
     def _sample_locally(self, place: AroundMaximum, run: Run, sampler: Sampler, prior: LogPrior) -> tuple[Local, Draws, list[str]]:
         """The draws from the local model around the maximum; where they reach its edge, from a wider one around them."""
-        target = place.first()
+        target = place.head()
         draws = _sample(run, sampler, target, prior, target.best, unit_spread(target))
         edges = place.edges(draws, target)
         if edges:

@@ -84,7 +84,7 @@ class _Population(DROPO):
     ) -> Fit:  # fmt: skip
         assert isinstance(objective, GroupedLogLikelihood)
         fit = super()._summary(problem, run, family, objective, found, checked, warnings)
-        groups, information = objective.groups(found.point), objective.expand(found.point)[2]
+        groups, information = objective.groups(found.point), objective.value_score_information(found.point)[2]
         d = len(fit.mean)
         kept, covariance = _posterior(groups, fit.correlation * np.outer(fit.sd, fit.sd), information[:d, :d])
         tests = spread_tests(objective, problem.space.names, found.point, run.rng)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.interactive_estimator import Calls, Collect, Online, joined, law
+from dropo.core.contracts.interactive_estimator import Callbacks, Collect, InteractiveEstimator, joined, distribution
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.trajectories import Segments, Trajectories
@@ -20,7 +20,7 @@ SIGNATURE = "(fit, rng) -> Trajectories"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimOpt(Online):
+class SimOpt(InteractiveEstimator):
     """Moves a Gaussian over the parameters so that simulated motion comes near the target's (Chebotar et al. 2019, arXiv:1810.05687).
 
     In each of `iterations`, collect(fit, rng) trains a policy under the present law and brings data that it collected on the target.
@@ -55,7 +55,7 @@ class SimOpt(Online):
     def _fit(self, problem: Problem, run: Run) -> Fit:
         d = len(problem.space)
         require(self.samples >= 4 * d, "samples", f"at least {4 * d}, four a parameter", self.samples, "SimOpt")
-        family, calls = find("families", "full")(problem.space), Calls(run)
+        family, calls = find("families", "full")(problem.space), Callbacks(run)
         mean = (problem.space.low + problem.space.high) / 2
         covariance = np.diag((self.spread * (problem.space.high - problem.space.low)) ** 2)
         phi, means, covariances, seen = family.phi_of(mean, covariance), [mean], [covariance], list[Trajectories]()
@@ -80,15 +80,15 @@ class SimOpt(Online):
             if not seen:
                 raise
         everything = replace(problem, trajectories=joined(seen), everything=None)
-        fit = law(
+        fit = distribution(
             everything, self.name, "full", phi, status=status, message=message, warnings=tuple(at_bounds(family.unknowns, phi)),
             arrays={"means": np.array(means), "covariances": np.array(covariances)}, details={"target_transitions": calls.transitions},
         )  # fmt: skip
         return judged(everything, run, fit, self.draws, run.rng.spawn(1)[0])
 
-    def _collect(self, problem: Problem, calls: Calls, phi: Array) -> Trajectories:
+    def _collect(self, problem: Problem, calls: Callbacks, phi: Array) -> Trajectories:
         assert self.collect is not None
-        collect, present = self.collect, law(problem, self.name, "full", phi)
+        collect, present = self.collect, distribution(problem, self.name, "full", phi)
         return calls.data(phi, lambda rng: collect(present, rng))
 
     def _costs(self, problem: Problem, run: Run, segments: Segments, values: Array, size: Array) -> Array:

@@ -9,7 +9,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
-from dropo.estimators.support.summary import summarise
+from dropo.estimators.support.summary import summarize
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class UniformRandomization(Estimator):
         epsilon = np.mean((mean - targets) ** 2, axis=0) if problem.epsilon is None else np.broadcast_to(problem.epsilon, targets.shape[1:])
         with run.counting(evaluations=1):
             value = likelihood.bind(problem.simulator, problem.segments, family, np.asarray(epsilon, dtype=float), base)(phi)
-        return summarise(
+        return summarize(
             problem, run, method=self.name, family=family, family_name="uniform", phi=phi, epsilon=np.asarray(epsilon, dtype=float),
             log_likelihood=value, mean_prediction=mean, status=Status.DONE, message="Bounds drawn at random; nothing was fitted.",
             arrays={"bounds": bounds},

@@ -26,7 +26,7 @@ def paired_check(
     family_phi = phi[: len(family.unknowns)]
     base = family.base(DRAWS, rng)
     values, warnings = family.draw(family_phi, base), _outside(family, family.map(family_phi, base[0]))
-    chosen = problem.segments.spread_out(ROWS)
+    chosen = problem.segments.thin(ROWS)
     segments = problem.segments.take(chosen)
     rows = np.isin(problem.segments.rows[0], chosen)
     with run.counting(evaluations=1):
@@ -59,7 +59,7 @@ def _finite(value: float) -> float | None:
 
 def certified_scales(family: Family, local: LocalLogLikelihood, phi: Array) -> list[str]:
     """The parameters whose scale is at its lower bound with a negative score: the likelihood itself says that they do not vary."""
-    score = local.expand(phi)[1].sum(axis=0)
+    score = local.value_score_information(phi)[1].sum(axis=0)
     places = {name: local.unknowns.names.index(f"scale.{name}") for name in family.space.names if f"scale.{name}" in local.unknowns.names}
     low = {name: family.unknowns[f"scale.{name}"].low for name in places}
     return [name for name, i in places.items() if phi[i] <= low[name] * (1 + 1e-6) and score[i] < 0]

@@ -19,7 +19,7 @@ SHARE = 0.05  # of a direction's largest component: smaller ones are left out of
 def identify(problem: Problem, fit: Fit) -> list[str]:
     """Sentences on parameters and combinations of them that the data do not determine, parameters on a bound, signals that do
     not move or carry no information, and actions that never change; none where all is well."""
-    _, jacobian = problem.simulator.linearise(fit.mean, problem.segments)
+    _, jacobian = problem.simulator.linearize(fit.mean, problem.segments)
     directions = null_directions(problem.space, jacobian, fit.epsilon)
     return [*blind_spots(problem, fit.mean, jacobian, directions), *_bounds(problem.space, fit.mean)]
 

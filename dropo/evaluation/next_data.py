@@ -60,7 +60,7 @@ def simulated(problem: Problem, fit: Fit, start: Array, actions: Array) -> Traje
 
 def _information(problem: Problem, fit: Fit, segments: Segments) -> Array:
     """(d, d) of the means."""
-    _, jacobian = problem.simulator.linearise(fit.mean, segments)
+    _, jacobian = problem.simulator.linearize(fit.mean, segments)
     spread = fit.correlation * np.outer(fit.sd, fit.sd)
     d = len(fit.mean)
     return scores_and_information(np.zeros(jacobian.shape[:2]), jacobian, spread, fit.epsilon)[1][:d, :d]

@@ -91,7 +91,7 @@ def _from_the_start(problem: Problem) -> bool:
 def _rows(problem: Problem, data: Trajectories) -> Segments:
     """Segments like those of the fit, as many as make about `ROWS` control steps."""
     segments = problem.cut(data)
-    return segments.take(segments.spread_out(max(1, int(ROWS / segments.lengths.mean()))))
+    return segments.take(segments.thin(max(1, int(ROWS / segments.lengths.mean()))))
 
 
 def _side(
@@ -113,9 +113,9 @@ def _side(
 
 def _pit(draws: Array, targets: Array, sigma: Array, degrees: float | None) -> Array:
     """(R p,) the share of the prediction (K, R, p), with its noise, that lies below each target (R, p)."""
-    law = stats.norm if degrees is None else stats.t(degrees)
+    distribution = stats.norm if degrees is None else stats.t(degrees)
     tiny = 1e-12 * np.maximum(np.abs(targets).max(axis=0), 1e-300)
-    below = np.mean(law.cdf((targets - draws) / np.maximum(sigma, tiny)), axis=0)
+    below = np.mean(distribution.cdf((targets - draws) / np.maximum(sigma, tiny)), axis=0)
     return np.asarray(below[np.isfinite(below)])
 
 

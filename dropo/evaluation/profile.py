@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon, Noise
 from dropo.core.contracts.problem import Problem
@@ -67,13 +67,13 @@ def profile(
         known("parameter", name, problem.space.names)
     objective = _around(problem, fit, likelihood, epsilon, np.random.default_rng(rng))
     start = np.clip(_start(objective, fit), objective.unknowns.low, objective.unknowns.high)
-    top = maximise_locally(objective, start)
+    top = maximize_locally(objective, start)
     places = [objective.unknowns.names.index(f"mean.{name}") for name in parameters]
     grids = [_grid(objective, top.phi, place, points) for place in places]
     values = np.full([points] * len(places), -np.inf)
     for index in np.ndindex(*values.shape):
         held = _Held(objective, top.phi, places, np.array([grid[i] for grid, i in zip(grids, index, strict=True)]))
-        values[index] = maximise_locally(held, top.phi[held.free]).value if held.free.any() else held.expand(np.empty(0))[0]
+        values[index] = maximize_locally(held, top.phi[held.free]).value if held.free.any() else held.value_score_information(np.empty(0))[0]
     return Profile(tuple(parameters), tuple(grids), values, max(top.value, float(values.max())))
 
 
@@ -91,8 +91,8 @@ class _Held(LocalLogLikelihood):
         full[self.free] = phi
         return full
 
-    def expand(self, phi: Array) -> tuple[float, Array, Array]:
-        value, scores, information = self.objective.expand(self._at(phi))
+    def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
+        value, scores, information = self.objective.value_score_information(self._at(phi))
         return value, scores[:, self.free], information[np.ix_(self.free, self.free)]
 
     def predict(self, values: Array) -> Array:
@@ -123,7 +123,7 @@ def _around(
     error = np.where(np.isfinite(fit.mean_se), fit.mean_se, box / 6)
     width = np.clip(np.maximum(fit.sd, (REACH + 1) / 2 * error), 1e-6 * box, box / 6)
     family = find("families", fit.family)(problem.space)
-    return likelihood.around(problem.simulator, problem.segments, family, epsilon, fit.mean, width, rng)
+    return likelihood.linearize_at(problem.simulator, problem.segments, family, epsilon, fit.mean, width, rng)
 
 
 def _start(objective: LocalLogLikelihood, fit: Fit) -> Array:
@@ -134,7 +134,7 @@ def _start(objective: LocalLogLikelihood, fit: Fit) -> Array:
 
 def _grid(objective: LocalLogLikelihood, phi: Array, place: int, points: int) -> Array:
     """Values within `REACH` standard errors of the maximum, by the information, and within the local likelihood's bounds."""
-    information = objective.expand(phi)[2]
+    information = objective.value_score_information(phi)[2]
     error = float(np.sqrt(np.linalg.pinv(information, hermitian=True)[place, place]))
     low, high = objective.unknowns.low[place], objective.unknowns.high[place]
     return np.linspace(max(low, phi[place] - REACH * error), min(high, phi[place] + REACH * error), points)

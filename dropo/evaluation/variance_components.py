@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
-from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.local_likelihood import LocalLogLikelihood
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
@@ -46,7 +46,7 @@ def spread_tests(objective: LocalLogLikelihood, names: tuple[str, ...], phi: Arr
 def restricted(objective: LocalLogLikelihood, phi: Array) -> float:
     """The log-likelihood with the means integrated out, up to a constant: the spreads are not judged by a mean that was fitted to
     the same groups (Harville 1977, J. Am. Stat. Assoc. 72)."""
-    value, _, information = objective.expand(phi)
+    value, _, information = objective.value_score_information(phi)
     mean = _places(objective, "mean.")
     information = information[np.ix_(mean, mean)]
     size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
@@ -84,8 +84,8 @@ def _information_at_none(objective: LocalLogLikelihood, phi: Array) -> Array:
     """The information (d, d) of the variances where all of them are 0, up to a factor for each, with noise and means found too."""
     mean, scale, other = (_places(objective, kinds) for kinds in ("mean.", "scale.", ("mean.", "epsilon")))
     phi = phi.copy()
-    phi[scale] = NO_SPREAD / np.sqrt(np.maximum(np.diagonal(objective.expand(phi)[2])[mean], 1e-300))
-    information = objective.expand(phi)[2]
+    phi[scale] = NO_SPREAD / np.sqrt(np.maximum(np.diagonal(objective.value_score_information(phi)[2])[mean], 1e-300))
+    information = objective.value_score_information(phi)[2]
     size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     information = information / np.outer(size, size)
     cross = information[np.ix_(scale, other)]
@@ -104,7 +104,7 @@ class _Held(LocalLogLikelihood):
 
     def maximum(self, phi: Array) -> Array:
         """Where it is, found from the objective's own phi (m,)."""
-        return maximise_locally(self, phi[self.free]).phi
+        return maximize_locally(self, phi[self.free]).phi
 
     def whole(self, phi: Array) -> Array:
         """The objective's phi of the free unknowns'."""
@@ -124,6 +124,6 @@ class _Held(LocalLogLikelihood):
     def predict(self, values: Array) -> Array:
         return self.objective.predict(values)
 
-    def expand(self, phi: Array) -> tuple[float, Array, Array]:
-        value, scores, information = self.objective.expand(self.whole(phi))
+    def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
+        value, scores, information = self.objective.value_score_information(self.whole(phi))
         return value, scores[:, self.free], information[np.ix_(self.free, self.free)]

@@ -29,8 +29,7 @@ class Emulated(LocalLikelihood):
 
     order: int | None = None
 
-    def around(
-        self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
+    def linearize_at(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
         rng: np.random.Generator, *, rough: bool = False,
     ) -> LocalLogLikelihood:  # fmt: skip
         if family.standard is None:

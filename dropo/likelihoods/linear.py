@@ -26,8 +26,7 @@ class Linear(LocalLikelihood):
     Nothing stands for what the linear model leaves: with a small epsilon and a wide member, 'emulated' is the exact one.
     """
 
-    def around(
-        self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
+    def linearize_at(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
         rng: np.random.Generator, *, rough: bool = False,
     ) -> LocalLogLikelihood:  # fmt: skip
         axial = along(simulator, segments, family, centre, SHARE * width)

@@ -35,8 +35,7 @@ class RandomEffects(LocalLikelihood):
 
     order: int | None = None
 
-    def around(
-        self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
+    def linearize_at(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
         rng: np.random.Generator, *, rough: bool = False,
     ) -> GroupedLogLikelihood:  # fmt: skip
         if family.logarithmic:
@@ -96,7 +95,7 @@ class _RandomEffects(GroupedLogLikelihood):
         return self._integrate(phi, self._modes(plain(phi))).values
 
     def gradient(self, phi: Any) -> Array:
-        return self.expand(np.asarray(phi, dtype=float))[1].sum(axis=0)
+        return self.value_score_information(np.asarray(phi, dtype=float))[1].sum(axis=0)
 
     def mean(self, phi: Array) -> Array:
         """(R, p) the prediction at each group's own mode: what the population explains, the noise left out."""
@@ -169,7 +168,7 @@ class _RandomEffects(GroupedLogLikelihood):
         total: Array = np.add.reduceat(rows[self._order], self._first, axis=0)
         return total
 
-    def expand(self, phi: Array) -> tuple[float, Array, Array]:
+    def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
         at, (_, spread) = self._integrate(phi, self._modes(phi)), self._population(phi)
         q, matrix = np.einsum("gde,ge->gd", at.inner, at.e), at.inner @ at.precision  # M = (S + G^-1)^-1, q = M (xi_hat - mean)
         by_mean, by_spread = self._population_slopes(phi)

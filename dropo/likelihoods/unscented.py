@@ -27,8 +27,7 @@ class Unscented(LocalLikelihood):
     simulations. A good first phase for many parameters.
     """
 
-    def around(
-        self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
+    def linearize_at(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
         rng: np.random.Generator, *, rough: bool = False,
     ) -> LocalLogLikelihood:  # fmt: skip
         if family.standard is None:

@@ -72,13 +72,13 @@ class TorchSimulator(Simulator):
             steps.append(states)
         return torch.stack(steps, dim=2)
 
-    def linearise(self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None) -> tuple[Array, Array]:
+    def linearize(self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None) -> tuple[Array, Array]:
         """The prediction (R, p) and its exact sensitivities (R, p, d): d equal draws, each with the tangent of one parameter.
 
         With a `step` given, central differences as in the contract.
         """
         if step is not None:
-            return super().linearise(values, segments, step=step)
+            return super().linearize(values, segments, step=step)
         import torch
 
         d = len(self.space)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom, Effect, Moment, Quantity
+from dropo.core.contracts.effect import EffectInstance, Effect, StepState, Quantity
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array
 
-HOOKS = ("declared", "start", "command", "actuation", "drive", "force", "wrench", "model", "sense", "late", "gate")
+HOOKS = ("declared", "start", "command", "actuation", "command_feedback", "force", "wrench", "model", "measurement", "sensor_delay", "time_profile")
 TINY, SMALL = 1e-6, 1e-2  # of a trial: where nothing may be seen any more, and where an answer is a straight line
 UNSEEN, CURVED = 1e-2, 0.2  # shares of an answer that count as nothing, and as still straight
 
@@ -23,18 +23,18 @@ def check_effect(effect: Effect, simulator: Any, segments: Segments) -> None:
     in proportion to them where the quantities are said to be smooth; that no simulation fails at a trial; and that hooks
     give what they must, and leave what they are given as it is.
     """
-    atoms = list(effect(simulator.robot))
-    labels = [atom.label for atom in atoms]
+    instances = list(effect(simulator.effect_context))
+    labels = [instance.label for instance in instances]
     assert len(set(labels)) == len(labels), f"labels appear twice: {sorted({x for x in labels if labels.count(x) > 1})}"
-    assert len({atom.effect for atom in atoms}) <= 1, f"atoms of one plug-in have several names: {sorted({a.effect for a in atoms})}"
-    for atom in atoms:
-        assert any(getattr(atom, hook) is not None for hook in HOOKS if hook != "gate"), f"{atom.label} does nothing: it has no hook"
-        assert atom.quantities, f"{atom.label} has no quantity to be found"
-        for quantity in atom.quantities:
-            _check_quantity(atom.label, quantity)
-        _check_trials(atom)
-    if atoms:
-        _check_answers(atoms, simulator, segments)
+    assert len({instance.effect for instance in instances}) <= 1, f"atoms of one plug-in have several names: {sorted({a.effect for a in instances})}"
+    for instance in instances:
+        assert any(getattr(instance, hook) is not None for hook in HOOKS if hook != "time_profile"), f"{instance.label} does nothing: it has no hook"
+        assert instance.quantities, f"{instance.label} has no quantity to be found"
+        for quantity in instance.quantities:
+            _check_quantity(instance.label, quantity)
+        _check_trials(instance)
+    if instances:
+        _check_answers(instances, simulator, segments)
 
 
 def _check_quantity(label: str, q: Quantity) -> None:
@@ -48,21 +48,21 @@ def _check_quantity(label: str, q: Quantity) -> None:
     assert q.unit, f"{name} has no unit; a pure number's is '1'"
 
 
-def _check_trials(atom: Atom) -> None:
-    low, high = np.array([(q.low, q.high) for q in atom.quantities]).T
-    for trials in atom.trials:
+def _check_trials(instance: EffectInstance) -> None:
+    low, high = np.array([(q.low, q.high) for q in instance.quantities]).T
+    for trials in instance.trials:
         for trial in trials:
-            assert len(trial) == len(low), f"{atom.label} has a trial {trial} for {len(low)} quantities"
-            assert np.any(trial), f"{atom.label} has a trial of size 0"
+            assert len(trial) == len(low), f"{instance.label} has a trial {trial} for {len(low)} quantities"
+            assert np.any(trial), f"{instance.label} has a trial of size 0"
             inside = np.all((low <= trial) & (trial <= high))
-            assert inside, f"{atom.label} has a trial {trial} outside of its bounds {low.tolist()}, {high.tolist()}"
+            assert inside, f"{instance.label} has a trial {trial} outside of its bounds {low.tolist()}, {high.tolist()}"
 
 
-def _check_answers(atoms: list[Atom], simulator: Any, segments: Segments) -> None:
-    extended = simulator.with_effects([_watched(atom) for atom in atoms])
+def _check_answers(instances: list[EffectInstance], simulator: Any, segments: Segments) -> None:
+    extended = simulator.with_effects([_watched(instance) for instance in instances])
     own, d = 0.5 * (simulator.space.low + simulator.space.high), len(simulator.space)
     base = simulator.predict(own[None], segments)[0]
-    rows = [(atom, place, np.array(trial)) for atom, place in _places(atoms) for trials in atom.trials for trial in trials]
+    rows = [(instance, place, np.array(trial)) for instance, place in _places(instances) for trials in instance.trials for trial in trials]
 
     def answers(share: float) -> Array:
         values = np.zeros((len(rows), len(extended.space)))
@@ -74,13 +74,13 @@ def _check_answers(atoms: list[Atom], simulator: Any, segments: Segments) -> Non
     nothing = answers(0.0)
     full, small, half, tiny = (answers(share) for share in (1.0, SMALL, SMALL / 2, TINY))
     floor = 1e-9 * (1 + np.abs(base).sum())  # rounding
-    for i, (atom, _, trial) in enumerate(rows):
-        at = f"{atom.label} at {trial.tolist()}"
+    for i, (instance, _, trial) in enumerate(rows):
+        at = f"{instance.label} at {trial.tolist()}"
         assert np.isfinite(full[i]).all(), f"simulations fail under {at}"
-        assert not nothing[i].any(), f"{atom.label} changes predictions at size 0, by {np.abs(nothing[i]).max():.3g}"
+        assert not nothing[i].any(), f"{instance.label} changes predictions at size 0, by {np.abs(nothing[i]).max():.3g}"
         seen, whole = np.abs(tiny[i]).sum(), np.abs(full[i]).sum()
         assert seen <= UNSEEN * whole + floor, f"{at} still changes predictions by {seen / whole:.2g} of that at {TINY:g} of the size"
-        if all(q.smooth for q in atom.quantities):
+        if all(q.smooth for q in instance.quantities):
             bent = _bend(full[i], small[i], half[i], floor)
             assert bent <= CURVED, f"{at}: small answers are not in proportion to the size, by {bent:.2g}, though it is said to be smooth"
 
@@ -95,10 +95,10 @@ def _bend(full: Array, small: Array, half: Array, floor: float) -> float:
     return float(np.median(bent[sloped] / straight[sloped])) if sloped.any() else 0.0
 
 
-def _places(atoms: list[Atom]) -> list[tuple[Atom, int]]:
+def _places(instances: list[EffectInstance]) -> list[tuple[EffectInstance, int]]:
     """The atoms with the place of each one's first quantity."""
-    ends = np.cumsum([len(atom.quantities) for atom in atoms]).tolist()
-    return [(atom, end - len(atom.quantities)) for atom, end in zip(atoms, ends, strict=True)]
+    ends = np.cumsum([len(instance.quantities) for instance in instances]).tolist()
+    return [(instance, end - len(instance.quantities)) for instance, end in zip(instances, ends, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -121,19 +121,19 @@ class _Watch:
         return out
 
     def _shape(self, given: tuple[Any, ...]) -> tuple[int, ...] | None:
-        if self.name in ("drive", "force"):
-            return np.shape(given[0].ctrl if self.name == "drive" else given[0].qvel)
-        if self.name in ("model", "late"):
+        if self.name in ("command_feedback", "force"):
+            return np.shape(given[0].ctrl if self.name == "command_feedback" else given[0].qvel)
+        if self.name in ("model", "sensor_delay"):
             return None
-        return (6,) if self.name == "wrench" else (len(given[0]),) if self.name == "gate" else np.shape(given[0])
+        return (6,) if self.name == "wrench" else (len(given[0]),) if self.name == "time_profile" else np.shape(given[0])
 
 
 def _arrays(given: tuple[Any, ...]) -> list[Array]:
     """The arrays that a hook must not change."""
-    moments = [array for item in given if isinstance(item, Moment) for array in (item.qpos, item.qvel, item.ctrl, item.act)]
+    moments = [array for item in given if isinstance(item, StepState) for array in (item.qpos, item.qvel, item.ctrl, item.act)]
     return [*moments, *(item for item in given if isinstance(item, np.ndarray))]
 
 
-def _watched(atom: Atom) -> Atom:
-    hooks: dict[str, Any] = {name: _Watch(atom.label, name, hook) for name in HOOKS if (hook := getattr(atom, name)) is not None}
-    return replace(atom, **hooks)
+def _watched(instance: EffectInstance) -> EffectInstance:
+    hooks: dict[str, Any] = {name: _Watch(instance.label, name, hook) for name in HOOKS if (hook := getattr(instance, name)) is not None}
+    return replace(instance, **hooks)

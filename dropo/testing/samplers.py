@@ -20,9 +20,9 @@ class Gaussian:
     precision = np.linalg.inv(COVARIANCE)
 
     def __call__(self, points: Array) -> Array:
-        return self.expand(points)[0]
+        return self.value_score_information(points)[0]
 
-    def expand(self, points: Array) -> tuple[Array, Array]:
+    def value_score_information(self, points: Array) -> tuple[Array, Array]:
         """(W, 2) -> (W,), (W, 2)."""
         solved = (points - MEAN) @ self.precision
         return -0.5 * ((points - MEAN) * solved).sum(axis=1), -solved
@@ -34,7 +34,7 @@ class Flat:
     def __call__(self, points: Array) -> Array:
         return np.zeros(len(points))
 
-    def expand(self, points: Array) -> tuple[Array, Array]:
+    def value_score_information(self, points: Array) -> tuple[Array, Array]:
         """(W, 2) -> (W,), (W, 2)."""
         return np.zeros(len(points)), np.zeros(points.shape)
 
@@ -77,15 +77,15 @@ def _check_randomness(sampler: Sampler, draws: Draws, name: str) -> None:
     assert not np.array_equal(_draw(sampler, gaussian, seed=1).chain, draws.chain), f"{name} does not use its rng"
 
 
-def _check_moments(draws: Draws, mean: Array, sd: Array, name: str, law: str, kurtosis: float = 3.0) -> None:
+def _check_moments(draws: Draws, mean: Array, sd: Array, name: str, distribution: str, kurtosis: float = 3.0) -> None:
     values, size = draws.flat(), draws.effective_sample_size()
     off = np.abs(values.mean(axis=0) - mean) * np.sqrt(size) / sd
-    assert (off < TOLERANCE).all(), f"{name}: the mean of draws from {law} is {values.mean(axis=0)}, not {mean}: {off} standard errors"
+    assert (off < TOLERANCE).all(), f"{name}: the mean of draws from {distribution} is {values.mean(axis=0)}, not {mean}: {off} standard errors"
     squares = Draws((draws.chain - mean) ** 2, draws.log_density, draws.names)
     error = sd**2 * np.sqrt((kurtosis - 1) / squares.effective_sample_size())  # var((x - mean)^2) = (kurtosis - 1) sd^4
     found = squares.flat().mean(axis=0)
     off = np.abs(found - sd**2) / error
-    assert (off < TOLERANCE).all(), f"{name}: the variance of draws from {law} is {found}, not {sd**2}: {off} standard errors"
+    assert (off < TOLERANCE).all(), f"{name}: the variance of draws from {distribution} is {found}, not {sd**2}: {off} standard errors"
 
 
 def _check_correlation(draws: Draws, correlation: float, name: str) -> None:

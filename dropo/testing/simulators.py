@@ -105,7 +105,7 @@ def _check_offsets(simulator: Simulator, segments: Segments, values: Array, pred
 
 def _check_sensitivities(simulator: Simulator, segments: Segments, centre: Array, prediction: Array, rtol: float) -> None:
     name, width = type(simulator).__name__, simulator.space.high - simulator.space.low
-    value, slopes = simulator.linearise(centre, segments)
+    value, slopes = simulator.linearize(centre, segments)
     wanted = (*prediction.shape, len(centre))
     assert slopes.shape == wanted, f"{name}.linearise gives sensitivities of shape {slopes.shape}, not {wanted}"
     near = np.allclose(value, prediction, rtol=1e-9, atol=1e-12)

@@ -10,10 +10,10 @@ from numpy.random import Generator
 
 from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array, require
-from dropo.training.batched_env import Arena
+from dropo.training.batched_env import BatchedEnv
 from dropo.training.policy import LinearPolicy, linear
-from dropo.training.rollouts import play, play_many, seeds_from
-from dropo.training.setup import Progress, Stage
+from dropo.training.rollouts import rollout, rollout_many, seeds_from
+from dropo.training.setup import Progress, TrainingSetup
 
 KEPT = "ars.npz"
 LEAST = 1e-8  # an observation that varies less counts as constant
@@ -102,48 +102,48 @@ class ARS:
         require(self.best <= self.directions, "best", f"at most directions = {self.directions}", self.best, "ARS")
         require(min(self.step, self.size) > 0, "step, size", "positive", (self.step, self.size), "ARS")
 
-    def train(self, stage: Stage, rng: Generator, folder: Path | None, progress: Progress) -> LinearPolicy:
+    def train(self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress) -> LinearPolicy:
         """The best policy of the search on a stage; with a folder, it goes on from what is there, to the same result.
 
         progress: called with the share done and a text, after every update.
         """
-        arena, trial = stage.arena(2 * self.directions), stage.arena(self.trials, whole=True)
-        q = arena.limits.shape[1]
+        batched_env, trial = setup.batched_env(2 * self.directions), setup.batched_env(self.trials, whole=True)
+        q = batched_env.limits.shape[1]
         going_on = folder is not None and (folder / KEPT).is_file()
-        search = Search.load(folder) if going_on and folder is not None else Search.new(q, arena.observations)
+        search = Search.load(folder) if going_on and folder is not None else Search.new(q, batched_env.observations)
         seeds = seeds_from(rng.spawn(1)[0], self.trials)
         rng.spawn(search.update)  # each update has a child of its own: those of the updates made are passed over
-        arena.steps, arena.failures = search.steps, search.failures
+        batched_env.steps, batched_env.failures = search.steps, search.failures
         while search.update < self.updates:
-            self._update(search, arena, rng.spawn(1)[0])
+            self._update(search, batched_env, rng.spawn(1)[0])
             if search.update % self.every == 0 or search.update == self.updates:
                 self._try(search, trial, seeds)
             if folder is not None:
                 search.save(folder)
             progress(search.update / self.updates, f"{search.steps:,} steps, best return {search.best_return:.0f}")
-        arena.close()
+        batched_env.close()
         trial.close()
         about = {"history": search.history.tolist(), "control_steps": search.steps, "failed_simulations": search.failures}
-        return LinearPolicy(search.best, search.best_mean, search.best_deviation, arena.limits, about)
+        return LinearPolicy(search.best, search.best_mean, search.best_deviation, batched_env.limits, about)
 
-    def _update(self, search: Search, arena: Arena, rng: Generator) -> None:
+    def _update(self, search: Search, batched_env: BatchedEnv, rng: Generator) -> None:
         """One step of Algorithm 1."""
         n = self.directions
         tried = rng.standard_normal((n, *search.weights.shape))
         both = search.weights + self.size * np.concatenate([tried, -tried])
         mean, deviation = search.mean, search.deviation
-        found = play(arena, lambda seen, ids: linear(both[ids], mean, deviation, arena.limits, seen), np.tile(seeds_from(rng, n), 2))
+        found = rollout(batched_env, lambda seen, ids: linear(both[ids], mean, deviation, batched_env.limits, seen), np.tile(seeds_from(rng, n), 2))
         gains = (found.returns - found.bonus).reshape(2, n)
         best = np.argsort(-gains.max(axis=0), kind="stable")[: self.best]
         change = ((gains[0] - gains[1])[best, None, None] * tried[best]).sum(axis=0)
         search.weights = search.weights + self.step / (self.best * (float(gains[:, best].std()) or 1.0)) * change
         search.see(found.observations)
-        search.update, search.steps, search.failures = search.update + 1, arena.steps, arena.failures
+        search.update, search.steps, search.failures = search.update + 1, batched_env.steps, batched_env.failures
 
-    def _try(self, search: Search, arena: Arena, seeds: Any) -> None:
+    def _try(self, search: Search, batched_env: BatchedEnv, seeds: Any) -> None:
         """Keeps the policy where it is the best so far."""
         weights, mean, deviation = search.weights, search.mean, search.deviation
-        returns = play_many(arena, lambda seen, ids: linear(weights, mean, deviation, arena.limits, seen), seeds).returns
+        returns = rollout_many(batched_env, lambda seen, ids: linear(weights, mean, deviation, batched_env.limits, seen), seeds).returns
         error = returns.std(ddof=1) / math.sqrt(len(returns)) if len(returns) > 1 else 0.0
         search.history = np.vstack([search.history, [search.update, search.steps, returns.mean(), error]])
         if returns.mean() > search.best_return:

@@ -13,7 +13,7 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, require
 from dropo.simulators.mujoco.episodes import Episodes
-from dropo.training.distributions import Law, draw, variances_of
+from dropo.training.distributions import ParameterDistribution, draw, variances_of
 
 REDRAWS = 20
 """How often in a row parameters under which the simulation breaks are drawn again (thesis, section 5.3)."""
@@ -57,7 +57,7 @@ class _Streams:
         return cls(*np.random.default_rng(seed).spawn(3))
 
 
-class Arena(ABC):
+class BatchedEnv(ABC):
     """`count` environments in one batch of simulations; each begins its episodes when it is told to.
 
     name: of what is simulated; observations: o; limits: (2, q) of the actions; length: steps of a whole episode; draws: (count, d) the
@@ -69,21 +69,21 @@ class Arena(ABC):
     limits: Array
     length: int
 
-    def __init__(self, name: str, episodes: Episodes, fill: Callable[[Array], Array], law: Law, noise: ArrayLike | None):
-        self.name, self.episodes, self.law = name, episodes, law
+    def __init__(self, name: str, episodes: Episodes, fill: Callable[[Array], Array], distribution: ParameterDistribution, noise: ArrayLike | None):
+        self.name, self.episodes, self.distribution = name, episodes, distribution
         self.count, self.steps, self.failures = episodes.count, 0, 0
-        self.draws = np.zeros((self.count, len(law.space)))
+        self.draws = np.zeros((self.count, len(distribution.space)))
         self._fill = fill
-        self._deviation = noise_deviation(noise, law, len(episodes.simulator.signals))
+        self._deviation = noise_deviation(noise, distribution, len(episodes.simulator.signals))
         self._streams = [_Streams.of(None) for _ in range(self.count)]
 
-    def begin(self, ids: Ints, seeds: Seeds) -> Array:
+    def reset(self, ids: Ints, seeds: Seeds) -> Array:
         """Starts an episode in the environments `ids` and gives what they observe (m, o). A seed of None: random numbers go on."""
         for i, seed in zip(ids.tolist(), seeds, strict=True):
             if seed is not None:
                 self._streams[i] = _Streams.of(seed)
         self._draw(ids)
-        return self._begin(ids, seeds)
+        return self._reset(ids, seeds)
 
     def step(self, ids: Ints, actions: Array) -> Outcome:
         """One step of the environments `ids` under actions (m, q)."""
@@ -94,13 +94,13 @@ class Arena(ABC):
 
     def describe(self, i: int) -> dict[str, float]:
         """The parameters of environment i's episode by name."""
-        return dict(zip(self.law.space.names, self.draws[i].tolist(), strict=True))
+        return dict(zip(self.distribution.space.names, self.draws[i].tolist(), strict=True))
 
     def close(self) -> None:  # noqa: B027 - most hold nothing
         """Frees what environments hold."""
 
     @abstractmethod
-    def _begin(self, ids: Ints, seeds: Seeds) -> Array:
+    def _reset(self, ids: Ints, seeds: Seeds) -> Array:
         """Starts episodes under the models that are set; observations (m, o)."""
 
     @abstractmethod
@@ -110,7 +110,7 @@ class Arena(ABC):
     def _draw(self, ids: Ints) -> None:
         """New parameters for episodes; those that MuJoCo refuses are drawn again."""
         for _ in range(REDRAWS):
-            values = np.stack([draw(self.law, self._streams[i].draws, self.steps) for i in ids.tolist()])
+            values = np.stack([draw(self.distribution, self._streams[i].draws, self.steps) for i in ids.tolist()])
             self.draws[ids] = values
             refused = ~self.episodes.set(ids, self._fill(values))
             self.failures += int(refused.sum())
@@ -128,9 +128,9 @@ class Arena(ABC):
         return self.episodes.simulator.layout.move(rows, self._deviation * errors)
 
 
-def noise_deviation(noise: ArrayLike | None, law: Law, signals: int) -> Array:
+def noise_deviation(noise: ArrayLike | None, distribution: ParameterDistribution, signals: int) -> Array:
     """(p,) the standard deviation of each signal's noise from variances: those given, or else those that the fit learned."""
-    variances = variances_of(law) if noise is None else np.asarray(noise, dtype=float)
+    variances = variances_of(distribution) if noise is None else np.asarray(noise, dtype=float)
     if variances is None:
         return np.zeros(signals)
     require(bool((np.asarray(variances) >= 0).all()), "noise", "variances of 0 or more", noise, "randomize")

@@ -10,7 +10,7 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.validation import Array, float_array, require
 
 
-class Law(Protocol):
+class ParameterDistribution(Protocol):
     """A distribution over the parameters of `space`: every `Fit` is one."""
 
     @property
@@ -72,55 +72,55 @@ class Uniform:
 
 
 @dataclass(frozen=True, eq=False)
-class Widening:
+class Curriculum:
     """A law that grows from a share `start` of its width to all of it over the first so many control `steps` of training."""
 
-    law: Law
+    distribution: ParameterDistribution
     steps: int
     start: float = 0.0
 
     def __post_init__(self) -> None:
-        require(self.steps >= 1, "steps", "at least 1", self.steps, "Widening")
-        require(0 <= self.start <= 1, "start", "a share from 0 to 1", self.start, "Widening")
+        require(self.steps >= 1, "steps", "at least 1", self.steps, "Curriculum")
+        require(0 <= self.start <= 1, "start", "a share from 0 to 1", self.start, "Curriculum")
 
     @property
     def space(self) -> ParameterSpace:
         """The d parameters."""
-        return self.law.space
+        return self.distribution.space
 
     @property
     def mean(self) -> Array:
         """(d,) that of the law."""
-        return self.law.mean
+        return self.distribution.mean
 
     def sample(self, draws: int, rng: Generator) -> Array:
         """(K, d) draws at its full width."""
-        return self.law.sample(draws, rng)
+        return self.distribution.sample(draws, rng)
 
     def share(self, done: int) -> float:
         """The share of the width after so many control steps."""
         return self.start + (1 - self.start) * min(1.0, done / self.steps)
 
 
-def full(law: Law | None) -> Law | None:
+def full(distribution: ParameterDistribution | None) -> ParameterDistribution | None:
     """The law at its full width."""
-    return law.law if isinstance(law, Widening) else law
+    return distribution.distribution if isinstance(distribution, Curriculum) else distribution
 
 
-def draw(law: Law, rng: Generator, done: int) -> Array:
+def draw(distribution: ParameterDistribution, rng: Generator, done: int) -> Array:
     """(d,) one parameter vector, after `done` control steps of training."""
-    value = law.sample(1, rng)[0]
-    return law.mean + law.share(done) * (value - law.mean) if isinstance(law, Widening) else value
+    value = distribution.sample(1, rng)[0]
+    return distribution.mean + distribution.share(done) * (value - distribution.mean) if isinstance(distribution, Curriculum) else value
 
 
-def variances_of(law: Law) -> Array | None:
+def variances_of(distribution: ParameterDistribution) -> Array | None:
     """(p,) the noise variances that a fit learned; None where the law is no fit."""
-    return variances_of(law.law) if isinstance(law, Widening) else getattr(law, "epsilon", None)
+    return variances_of(distribution.distribution) if isinstance(distribution, Curriculum) else getattr(distribution, "epsilon", None)
 
 
-def places_of(law: Law) -> dict[str, dict[str, Any]]:
+def places_of(distribution: ParameterDistribution) -> dict[str, dict[str, Any]]:
     """Where in a model each parameter is, as a fit keeps it; effects and parameters of other simulators have none."""
-    if isinstance(law, Widening):
-        return places_of(law.law)
-    own = {p.name: place for p in law.space if (place := p.place)}
-    return {**getattr(law, "details", {}).get("places", {}), **own}
+    if isinstance(distribution, Curriculum):
+        return places_of(distribution.distribution)
+    own = {p.name: place for p in distribution.space if (place := p.place)}
+    return {**getattr(distribution, "details", {}).get("places", {}), **own}

@@ -18,19 +18,19 @@ from dropo.core.services.validation import Array, nearest, require
 from dropo.simulators.gymnasium import make_environment, observed_columns
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.warnings import quiet
-from dropo.simulators.mujoco.worker import Present
-from dropo.training.batched_env import Arena
+from dropo.simulators.mujoco.worker import ActiveEffects
+from dropo.training.batched_env import BatchedEnv
 from dropo.training.binding import bind, declaring
-from dropo.training.distributions import Law, Point
-from dropo.training.gymnasium_env import GymnasiumArena
-from dropo.training.task_env import TaskArena, task_of
+from dropo.training.distributions import ParameterDistribution, Point
+from dropo.training.gymnasium_env import BatchedGymnasiumEnv
+from dropo.training.task_env import BatchedTaskEnv, task_of
 
 Target = Any
 """What policies run in: a Problem, its name or file, the id of a Gymnasium environment, or such an environment."""
 
 
 def randomize(
-    target: Target, law: Law | None = None, count: int | None = None, *, noise: ArrayLike | None = None, effects: Present = (),
+    target: Target, distribution: ParameterDistribution | None = None, count: int | None = None, *, noise: ArrayLike | None = None, effects: ActiveEffects = (),
     steps: int | None = None, threads: int = 1, **options: Any,
 ) -> "RandomizedEnv | TaskEnv | RandomizedVectorEnv":  # fmt: skip
     """A Gymnasium environment whose parameters are drawn anew at the start of every episode.
@@ -45,8 +45,8 @@ def randomize(
     require(count is None or count >= 1, "count", "None or at least 1", count, "randomize")
     target = resolve(target)
     if count is None and not isinstance(target, Problem):
-        return RandomizedEnv(_made(target, steps, options), law, noise=noise, effects=effects)
-    made = arena(target, law, count or 1, noise=noise, effects=effects, steps=steps, threads=threads, **options)
+        return RandomizedEnv(_made(target, steps, options), distribution, noise=noise, effects=effects)
+    made = batched_env(target, distribution, count or 1, noise=noise, effects=effects, steps=steps, threads=threads, **options)
     return TaskEnv(made) if count is None else RandomizedVectorEnv(made)
 
 
@@ -63,20 +63,20 @@ def resolve(target: Target) -> Target:
     )
 
 
-def arena(
-    target: Target, law: Law | None, count: int, *, noise: ArrayLike | None = None, effects: Present = (), steps: int | None = None,
+def batched_env(
+    target: Target, distribution: ParameterDistribution | None, count: int, *, noise: ArrayLike | None = None, effects: ActiveEffects = (), steps: int | None = None,
     threads: int = 1, **options: Any,
-) -> Arena:  # fmt: skip
+) -> BatchedEnv:  # fmt: skip
     """`count` environments in one batch; arguments as for `randomize`."""
     target = resolve(target)
     if isinstance(target, Problem):
         if effects or options:
             raise BadArgument(f"The problem {target.name!r} has its own effects and takes no options of gymnasium.make.")
-        return _of_problem(target, law, count, noise, steps, threads)
+        return _of_problem(target, distribution, count, noise, steps, threads)
     envs = [_made(target, steps, options) for _ in range(count)]
     if count > 1 and envs[0] is target:
         raise Incompatible("Of an environment that is made there is one. Give its id for several.")
-    return _of_gymnasium(envs, law, noise, effects, threads)
+    return _of_gymnasium(envs, distribution, noise, effects, threads)
 
 
 def _made(target: Target, steps: int | None, options: dict[str, Any]) -> Any:
@@ -90,16 +90,16 @@ def _made(target: Target, steps: int | None, options: dict[str, Any]) -> Any:
         return gymnasium.make(target, max_episode_steps=steps, **options)
 
 
-def _of_gymnasium(envs: Sequence[Any], law: Law | None, noise: ArrayLike | None, effects: Present, threads: int) -> GymnasiumArena:
+def _of_gymnasium(envs: Sequence[Any], distribution: ParameterDistribution | None, noise: ArrayLike | None, effects: ActiveEffects, threads: int) -> BatchedGymnasiumEnv:
     inner = envs[0].unwrapped
     name = getattr(envs[0].spec, "id", type(inner).__name__)
     if not all(hasattr(inner, has) for has in ("model", "data", "frame_skip", "do_simulation")):
         raise Incompatible(f"{name!r} is not one of Gymnasium's MuJoCo environments, whose model and simulation can be reached.")
     columns, visible = _columns(name, inner)
-    law = Point(ParameterSpace(()), np.zeros(0)) if law is None else law
-    simulator = declaring(inner.model, law, repr(name), columns, int(inner.frame_skip), effects)
-    free, fill = bind(simulator, law, repr(name))
-    return GymnasiumArena(name, envs, free, fill, law, visible=visible, noise=noise, threads=threads)
+    distribution = Point(ParameterSpace(()), np.zeros(0)) if distribution is None else distribution
+    simulator = declaring(inner.model, distribution, repr(name), columns, int(inner.frame_skip), effects)
+    free, fill = bind(simulator, distribution, repr(name))
+    return BatchedGymnasiumEnv(name, envs, free, fill, distribution, visible=visible, noise=noise, threads=threads)
 
 
 def _columns(name: str, inner: Any) -> tuple[tuple[str, ...], bool]:
@@ -110,14 +110,14 @@ def _columns(name: str, inner: Any) -> tuple[tuple[str, ...], bool]:
         return ("qpos", "qvel"), False
 
 
-def _of_problem(problem: Problem, law: Law | None, count: int, noise: ArrayLike | None, steps: int | None, threads: int) -> TaskArena:
+def _of_problem(problem: Problem, distribution: ParameterDistribution | None, count: int, noise: ArrayLike | None, steps: int | None, threads: int) -> BatchedTaskEnv:
     simulator = problem.simulator
     if not isinstance(simulator, MujocoSimulator):
         raise Incompatible(f"Policies are trained in MuJoCo, and the problem {problem.name!r} has a {type(simulator).__name__}.")
     task_of(problem)
-    law = Point(simulator.space, cast(Array, simulator.nominal)) if law is None else law
-    free, fill = bind(simulator, law, f"the problem {problem.name!r}")
-    return TaskArena(problem, free, fill, law, count, noise=noise, steps=steps, threads=threads)
+    distribution = Point(simulator.space, cast(Array, simulator.nominal)) if distribution is None else distribution
+    free, fill = bind(simulator, distribution, f"the problem {problem.name!r}")
+    return BatchedTaskEnv(problem, free, fill, distribution, count, noise=noise, steps=steps, threads=threads)
 
 
 ONE = np.zeros(1, dtype=np.int64)
@@ -129,48 +129,48 @@ class RandomizedEnv(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     env: the environment; law, noise, effects: as for `randomize`.
     """
 
-    def __init__(self, env: Any, law: Law | None = None, *, noise: ArrayLike | None = None, effects: Present = ()):
-        gymnasium.utils.RecordConstructorArgs.__init__(self, law=law, noise=noise, effects=effects)
+    def __init__(self, env: Any, distribution: ParameterDistribution | None = None, *, noise: ArrayLike | None = None, effects: ActiveEffects = ()):
+        gymnasium.utils.RecordConstructorArgs.__init__(self, distribution=distribution, noise=noise, effects=effects)
         gymnasium.Wrapper.__init__(self, env)
-        self.arena = _of_gymnasium([env], law, noise, effects, 1)
+        self.batched_env = _of_gymnasium([env], distribution, noise, effects, 1)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """As `gymnasium.Env.reset`; the same seed gives the same draws, starts and noise."""
-        observed = self.arena.begin(ONE, [seed])[0]
-        return observed.copy(), {"parameters": self.arena.describe(0)}
+        observed = self.batched_env.reset(ONE, [seed])[0]
+        return observed.copy(), {"parameters": self.batched_env.describe(0)}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """As `gymnasium.Env.step`."""
-        return _one_step(self.arena, action)
+        return _one_step(self.batched_env, action)
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
     """A problem's task as a Gymnasium environment, with a draw of the parameters for every episode."""
 
-    def __init__(self, made: Arena):
-        self.arena = made
+    def __init__(self, made: BatchedEnv):
+        self.batched_env = made
         self.observation_space, self.action_space = _spaces(made)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """As `gymnasium.Env.reset`; the same seed gives the same draws, starts and noise."""
         super().reset(seed=seed)
-        observed = self.arena.begin(ONE, [seed])[0]
-        return observed.copy(), {"parameters": self.arena.describe(0)}
+        observed = self.batched_env.reset(ONE, [seed])[0]
+        return observed.copy(), {"parameters": self.batched_env.describe(0)}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """As `gymnasium.Env.step`."""
-        return _one_step(self.arena, action)
+        return _one_step(self.batched_env, action)
 
 
-def _one_step(made: Arena, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+def _one_step(made: BatchedEnv, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
     found = made.step(ONE, np.ravel(action)[None])
     info = {**found.infos[0], **({"broken": True} if found.broken[0] else {})}
     return found.observations[0].copy(), float(found.rewards[0]), bool(found.terminated[0]), bool(found.truncated[0]), info
 
 
-def _spaces(made: Arena) -> tuple[spaces.Box, spaces.Box]:
+def _spaces(made: BatchedEnv) -> tuple[spaces.Box, spaces.Box]:
     """Of observations and actions."""
-    if isinstance(made, GymnasiumArena):
+    if isinstance(made, BatchedGymnasiumEnv):
         return made.envs[0].observation_space, made.envs[0].action_space
     low, high = made.limits.astype(np.float32)
     return spaces.Box(-np.inf, np.inf, (made.observations,), np.float64), spaces.Box(low, high, dtype=np.float32)
@@ -179,8 +179,8 @@ def _spaces(made: Arena) -> tuple[spaces.Box, spaces.Box]:
 class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """Many environments simulated together; one that ended begins anew in the next step, whose action it does not take."""
 
-    def __init__(self, made: Arena):
-        self.arena, self.num_envs = made, made.count
+    def __init__(self, made: BatchedEnv):
+        self.batched_env, self.num_envs = made, made.count
         self.single_observation_space, self.single_action_space = _spaces(made)
         self.observation_space = batch_space(self.single_observation_space, made.count)
         self.action_space = batch_space(self.single_action_space, made.count)
@@ -192,25 +192,25 @@ class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """As `gymnasium.vector.VectorEnv.reset`: environment i takes the seed + i."""
         seeds = seed if isinstance(seed, list) else [None if seed is None else seed + i for i in range(self.num_envs)]
         self._ended[:] = False
-        self._shown[:] = self.arena.begin(np.arange(self.num_envs), seeds)
+        self._shown[:] = self.batched_env.reset(np.arange(self.num_envs), seeds)
         return self._shown.copy(), {"parameters": self._parameters()}
 
     def step(self, actions: Any) -> tuple[Array, Array, np.ndarray, np.ndarray, dict[str, Any]]:
         """As `gymnasium.vector.VectorEnv.step`."""
         going, over = np.flatnonzero(~self._ended), np.flatnonzero(self._ended)
         if len(over):
-            self._shown[over] = self.arena.begin(over, [None] * len(over))
+            self._shown[over] = self.batched_env.reset(over, [None] * len(over))
         rewards, terminated, truncated, broken = np.zeros(self.num_envs), *np.zeros((3, self.num_envs), dtype=bool)
         if len(going):
-            found = self.arena.step(going, np.asarray(actions).reshape(self.num_envs, -1)[going])
+            found = self.batched_env.step(going, np.asarray(actions).reshape(self.num_envs, -1)[going])
             self._shown[going], rewards[going] = found.observations, found.rewards
             terminated[going], truncated[going], broken[going] = found.terminated, found.truncated, found.broken
         self._ended = terminated | truncated
         return self._shown.copy(), rewards, terminated, truncated, {"parameters": self._parameters(), "broken": broken}
 
     def _parameters(self) -> dict[str, Array]:
-        return dict(zip(self.arena.law.space.names, self.arena.draws.T.copy(), strict=True))
+        return dict(zip(self.batched_env.distribution.space.names, self.batched_env.draws.T.copy(), strict=True))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Closes the environments."""
-        self.arena.close()
+        self.batched_env.close()

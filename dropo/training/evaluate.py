@@ -12,11 +12,11 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.tables import Printed, Table, number
 from dropo.core.services.validation import Array, require
-from dropo.training.batched_env import Arena
-from dropo.training.distributions import Law, Point, full
-from dropo.training.environments import Target, arena, resolve
+from dropo.training.batched_env import BatchedEnv
+from dropo.training.distributions import ParameterDistribution, Point, full
+from dropo.training.environments import Target, batched_env, resolve
 from dropo.training.policy import Policy
-from dropo.training.rollouts import play_many, seeds_from
+from dropo.training.rollouts import rollout_many, seeds_from
 
 TOGETHER = 32
 
@@ -88,7 +88,7 @@ def _row(found: Returns) -> tuple[str, ...]:
 
 
 def evaluate(
-    policy: Policy, target: Target, *, law: Law | None = None, episodes: int = 100, steps: int | None = None,
+    policy: Policy, target: Target, *, distribution: ParameterDistribution | None = None, episodes: int = 100, steps: int | None = None,
     noise: ArrayLike | None = None, rng: np.random.Generator | int = 0, threads: int = 1,
 ) -> Returns:  # fmt: skip
     """Plays a policy on a target in so many independent episodes; the same `rng` gives every policy the same draws and starts.
@@ -98,20 +98,20 @@ def evaluate(
     episode; None: those that the policy was trained on. noise: as for `randomize`; threads: 0 for all cores.
     """
     require(episodes >= 1, "episodes", "at least 1", episodes, "evaluate")
-    made = stage(policy, target, law, min(episodes, TOGETHER), steps, noise, threads)
+    made = setup(policy, target, distribution, min(episodes, TOGETHER), steps, noise, threads)
     try:
-        found = play_many(made, lambda observed, ids: policy(observed), seeds_from(np.random.default_rng(rng), episodes))
+        found = rollout_many(made, lambda observed, ids: policy(observed), seeds_from(np.random.default_rng(rng), episodes))
         return Returns(made.name, found.returns, found.lengths, made.length, made.failures)
     finally:
         made.close()
 
 
-def stage(policy: Policy, target: Target, law: Law | None, count: int, steps: int | None, noise: ArrayLike | None, threads: int) -> Arena:
+def setup(policy: Policy, target: Target, distribution: ParameterDistribution | None, count: int, steps: int | None, noise: ArrayLike | None, threads: int) -> BatchedEnv:
     """The target as an arena that the policy fits."""
     target = resolve(target)
-    if law is None and isinstance(target, Problem) and target.truth is not None:
-        law = Point(target.space, target.space.vector({**dict(zip(target.space.names, _nominal(target), strict=True)), **target.truth}))
-    made = arena(target, full(law), count, noise=noise, steps=steps or policy.about.get("steps"), threads=threads)
+    if distribution is None and isinstance(target, Problem) and target.truth is not None:
+        distribution = Point(target.space, target.space.vector({**dict(zip(target.space.names, _nominal(target), strict=True)), **target.truth}))
+    made = batched_env(target, full(distribution), count, noise=noise, steps=steps or policy.about.get("steps"), threads=threads)
     policy.check(made.observations, made.limits, repr(made.name))
     return made
 
@@ -123,9 +123,9 @@ def _nominal(problem: Problem) -> list[float]:
 
 def motion(policy: Policy, target: Target, *, steps: int | None = None, rng: np.random.Generator | int = 0) -> tuple[Array, Any, float]:
     """One episode to look at: joint positions (L + 1, nq), the MuJoCo model that moved, and the seconds between them."""
-    made = stage(policy, target, None, 1, steps, None, 1)
+    made = setup(policy, target, None, 1, steps, None, 1)
     one = np.zeros(1, dtype=np.int64)
-    observed, states = made.begin(one, seeds_from(np.random.default_rng(rng), 1).tolist()), [made.episodes.states(one)[0]]
+    observed, states = made.reset(one, seeds_from(np.random.default_rng(rng), 1).tolist()), [made.episodes.states(one)[0]]
     ended = False
     while not ended:
         found = made.step(one, policy(observed))

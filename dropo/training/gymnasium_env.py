@@ -13,8 +13,8 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.simulators.mujoco.episodes import Episodes
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.training.batched_env import Arena, Outcome, Seeds
-from dropo.training.distributions import Law
+from dropo.training.batched_env import BatchedEnv, Outcome, Seeds
+from dropo.training.distributions import ParameterDistribution
 
 ALIVE = "reward_survive"
 """What Gymnasium's walkers call the bonus in their infos."""
@@ -24,7 +24,7 @@ class _Diverged(Exception):
     """The simulation of an environment left the numbers that MuJoCo can handle."""
 
 
-class GymnasiumArena(Arena):
+class BatchedGymnasiumEnv(BatchedEnv):
     """Gymnasium environments of one kind, whose `do_simulation` is answered from the batch.
 
     Where an environment hands its action to the simulation once and as it is, as all of Gymnasium's do, all of them are
@@ -33,13 +33,13 @@ class GymnasiumArena(Arena):
     """
 
     def __init__(
-        self, name: str, envs: Sequence[Any], simulator: MujocoSimulator, fill: Callable[[Array], Array], law: Law, *, visible: bool,
+        self, name: str, envs: Sequence[Any], simulator: MujocoSimulator, fill: Callable[[Array], Array], distribution: ParameterDistribution, *, visible: bool,
         noise: ArrayLike | None = None, threads: int = 1,
     ):  # fmt: skip
         self.envs, inner = list(envs), envs[0].unwrapped
         episodes = Episodes(simulator, len(self.envs), threads=threads, flags=int(inner.model.opt.disableflags), whole=True)
-        super().__init__(name, episodes, fill, law, noise)
-        changed = self._deviation.any() or any(atom.sense is not None or atom.late is not None for atom, _ in simulator.fixed)
+        super().__init__(name, episodes, fill, distribution, noise)
+        changed = self._deviation.any() or any(instance.measurement is not None or instance.sensor_delay is not None for instance, _ in simulator.fixed)
         if changed and not visible:
             raise Incompatible(
                 f"The observation of {name!r} does not begin with positions and velocities as they are, so that noise and effects of"
@@ -55,7 +55,7 @@ class GymnasiumArena(Arena):
         for i, env in enumerate(self.envs):
             env.unwrapped.do_simulation = partial(self._simulate, i)
 
-    def _begin(self, ids: Ints, seeds: Seeds) -> Array:
+    def _reset(self, ids: Ints, seeds: Seeds) -> Array:
         for i, seed in zip(ids.tolist(), seeds, strict=True):
             env = self.envs[i]
             self.episodes.give(i, model=env.unwrapped.model)

@@ -13,7 +13,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array, require
 from dropo.training.policy import Policy, write, written_limits
-from dropo.training.setup import Progress, Stage
+from dropo.training.setup import Progress, TrainingSetup
 
 MODEL, BUFFER, SCALE, STATE = "model.zip", "buffer.pkl", "scale.pkl", "networks.json"
 """What an interrupted training goes on from."""
@@ -83,7 +83,7 @@ class SAC:
     def __post_init__(self) -> None:
         require(min(self.steps, self.every) >= 1, "steps, every", "at least 1", (self.steps, self.every), "SAC")
 
-    def train(self, stage: Stage, rng: Generator, folder: Path | None, progress: Progress) -> NetworkPolicy:
+    def train(self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress) -> NetworkPolicy:
         """The policy after `steps` steps on a stage; with a folder, it goes on from what is there.
 
         progress: called with the share done and a text, after every step.
@@ -91,7 +91,7 @@ class SAC:
         settings: dict[str, Any] = {
             "learning_rate": 1e-3, "batch_size": 256, "buffer_size": self.steps, "policy_kwargs": {"net_arch": [256, 256]},
         }  # fmt: skip
-        return _Training(self.name, settings, 1, False, self.steps, self.every).run(stage, rng, folder, progress)
+        return _Training(self.name, settings, 1, False, self.steps, self.every).run(setup, rng, folder, progress)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +111,7 @@ class PPO:
         counts = (self.steps, self.count, self.every)
         require(min(counts) >= 1, "steps, count, every", "at least 1", counts, "PPO")
 
-    def train(self, stage: Stage, rng: Generator, folder: Path | None, progress: Progress) -> NetworkPolicy:
+    def train(self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress) -> NetworkPolicy:
         """The policy after `steps` steps on a stage; with a folder, it goes on from what is there.
 
         progress: called with the share done and a text, after every step.
@@ -120,7 +120,7 @@ class PPO:
         import torch
 
         kind = {"net_arch": {"pi": [128, 128], "vf": [128, 128]}, "activation_fn": torch.nn.Tanh}
-        return _Training(self.name, {"policy_kwargs": kind}, self.count, True, self.steps, self.every).run(stage, rng, folder, progress)
+        return _Training(self.name, {"policy_kwargs": kind}, self.count, True, self.steps, self.every).run(setup, rng, folder, progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +134,14 @@ class _Training:
     steps: int
     every: int
 
-    def run(self, stage: Stage, rng: Generator, folder: Path | None, progress: Progress) -> NetworkPolicy:
+    def run(self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress) -> NetworkPolicy:
         """Trains to the end."""
         library = _library()
         import torch
         from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
         torch.set_num_threads(1)  # such small networks are slower on more
-        envs = [stage.env() for _ in range(self.count)]
+        envs = [setup.env() for _ in range(self.count)]
         if not np.isfinite([envs[0].action_space.low, envs[0].action_space.high]).all():
             raise Incompatible(
                 "A network's actions need limits, and some actuators have none. Give them a ctrlrange, or the task `limits`."
@@ -164,7 +164,7 @@ class _Training:
             done = int(model.num_timesteps)
             if folder is not None:
                 self._keep(model, vector, folder, done)
-        failures = sum(env.arena.failures for env in envs)
+        failures = sum(env.batched_env.failures for env in envs)
         limits = np.array([envs[0].action_space.low, envs[0].action_space.high], dtype=float)
         mean, deviation = _scale(vector) if self.scaled else (None, None)
         vector.close()
@@ -176,7 +176,7 @@ class _Training:
         def tell(here: dict[str, Any], beyond: dict[str, Any]) -> bool:
             model = here["self"]
             for env in envs:
-                env.arena.steps = model.num_timesteps
+                env.batched_env.steps = model.num_timesteps
             latest = [row["r"] for row in model.ep_info_buffer or ()]
             text = f", return {np.mean(latest):.0f}" if latest else ""
             progress(model.num_timesteps / self.steps, f"{model.num_timesteps:,} steps{text}")

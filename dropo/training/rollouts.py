@@ -8,14 +8,14 @@ import numpy as np
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
-from dropo.training.batched_env import REDRAWS, Arena
+from dropo.training.batched_env import REDRAWS, BatchedEnv
 
 Act = Callable[[Array, Ints], Array]
 """Actions (m, q) from observations (m, o) of the episodes `ids` (m,)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Played:
+class Rollout:
     """n episodes: returns (n,) with the bonus, bonus (n,) that is in them, lengths (n,) in steps, observations (S, o) that were acted on,
     in an order that is always the same."""
 
@@ -25,35 +25,35 @@ class Played:
     observations: Array
 
 
-def play(arena: Arena, act: Act, seeds: Ints) -> Played:
+def rollout(batched_env: BatchedEnv, act: Act, seeds: Ints) -> Rollout:
     """An episode for each seed (n,), n at most the arena's count; those whose simulation diverges are played again from another draw."""
     n = len(seeds)
     returns, bonus, lengths, seen = np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64), []
     todo, now = np.arange(n), np.array(seeds)
     for _ in range(REDRAWS):
-        gained, extra, made, broken, observed = _once(arena, act, todo, now[todo])
+        gained, extra, made, broken, observed = _once(batched_env, act, todo, now[todo])
         whole = ~broken
         returns[todo[whole]], bonus[todo[whole]], lengths[todo[whole]] = gained[whole], extra[whole], made[whole]
         seen.append(observed)
         if whole.all():
-            return Played(returns, bonus, lengths, np.concatenate(seen))
+            return Rollout(returns, bonus, lengths, np.concatenate(seen))
         todo = todo[broken]
         now[todo] = [int(np.random.default_rng([seed, 1]).integers(2**62)) for seed in now[todo].tolist()]
-    where = arena.describe(int(todo[0]))
+    where = batched_env.describe(int(todo[0]))
     raise SimulationFailed(f"The simulation diverged in {REDRAWS} episodes in a row, the last under {where}.")
 
 
-def _once(arena: Arena, act: Act, todo: Ints, seeds: Ints) -> tuple[Array, Array, Ints, np.ndarray, Array]:
+def _once(batched_env: BatchedEnv, act: Act, todo: Ints, seeds: Ints) -> tuple[Array, Array, Ints, np.ndarray, Array]:
     """Returns, bonus, lengths and whether they broke, of episodes `todo`, and the observations of those that did not."""
-    n = arena.count
+    n = batched_env.count
     returns, bonus, lengths, broken = np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
     seen: list[Array] = []
     owners: list[Ints] = []
-    ids, observed = todo, arena.begin(todo, seeds.tolist())
+    ids, observed = todo, batched_env.reset(todo, seeds.tolist())
     while len(ids):
         seen.append(observed.copy())
         owners.append(ids)
-        found = arena.step(ids, act(observed, ids))
+        found = batched_env.step(ids, act(observed, ids))
         returns[ids] += found.rewards
         bonus[ids] += found.bonus
         lengths[ids] += 1
@@ -64,11 +64,11 @@ def _once(arena: Arena, act: Act, todo: Ints, seeds: Ints) -> tuple[Array, Array
     return returns[todo], bonus[todo], lengths[todo], broken[todo], kept
 
 
-def play_many(arena: Arena, act: Act, seeds: Ints) -> Played:
+def rollout_many(batched_env: BatchedEnv, act: Act, seeds: Ints) -> Rollout:
     """The same for any number of seeds, in blocks of the arena's count; the observations are not kept."""
-    parts = [play(arena, act, seeds[first : first + arena.count]) for first in range(0, len(seeds), arena.count)]
+    parts = [rollout(batched_env, act, seeds[first : first + batched_env.count]) for first in range(0, len(seeds), batched_env.count)]
     returns, bonus, lengths = (np.concatenate([getattr(part, name) for part in parts]) for name in ("returns", "bonus", "lengths"))
-    return Played(returns, bonus, lengths, np.zeros((0, arena.observations)))
+    return Rollout(returns, bonus, lengths, np.zeros((0, batched_env.observations)))
 
 
 def seeds_from(rng: np.random.Generator, n: int) -> Ints:

@@ -12,18 +12,18 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.simulators.mujoco.episodes import Episodes
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.training.batched_env import Arena, Outcome, Seeds
-from dropo.training.distributions import Law
+from dropo.training.batched_env import BatchedEnv, Outcome, Seeds
+from dropo.training.distributions import ParameterDistribution
 
 
-class TaskArena(Arena):
+class BatchedTaskEnv(BatchedEnv):
     """`count` environments of a problem with a task; steps: of an episode, in place of the task's."""
 
     def __init__(
-        self, problem: Problem, simulator: MujocoSimulator, fill: Callable[[Array], Array], law: Law, count: int, *,
+        self, problem: Problem, simulator: MujocoSimulator, fill: Callable[[Array], Array], distribution: ParameterDistribution, count: int, *,
         noise: ArrayLike | None = None, steps: int | None = None, threads: int = 1,
     ):  # fmt: skip
-        super().__init__(problem.name, Episodes(simulator, count, threads=threads), fill, law, noise)
+        super().__init__(problem.name, Episodes(simulator, count, threads=threads), fill, distribution, noise)
         self.task, self.length = task_of(problem), steps or task_of(problem).steps
         self.limits = self._limits()
         self.goals = self.task.draw_goals(np.random.default_rng(0), count)
@@ -39,9 +39,9 @@ class TaskArena(Arena):
         limited = np.asarray(model.actuator_ctrllimited[places], dtype=bool)
         return np.where(limited, model.actuator_ctrlrange[places].T, np.array([[-np.inf], [np.inf]]))
 
-    def _begin(self, ids: Ints, seeds: Seeds) -> Array:
+    def _reset(self, ids: Ints, seeds: Seeds) -> Array:
         streams = [self._streams[i].starts for i in ids.tolist()]
-        self.episodes.begin(ids, np.concatenate([self.task.starts(stream, 1) for stream in streams]))
+        self.episodes.reset(ids, np.concatenate([self.task.starts(stream, 1) for stream in streams]))
         self.goals[ids] = np.concatenate([self.task.draw_goals(stream, 1) for stream in streams])
         self._age[ids] = 0
         return self._observe(ids)

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
-from dropo.simulators.mujoco.worker import Present
+from dropo.simulators.mujoco.worker import ActiveEffects
 from dropo.training.ars import ARS
-from dropo.training.distributions import Law, Widening
+from dropo.training.distributions import ParameterDistribution, Curriculum
 from dropo.training.environments import Target, resolve
 from dropo.training.policy import Policy
-from dropo.training.setup import Progress, Stage
+from dropo.training.setup import Progress, TrainingSetup
 
 
 @runtime_checkable
@@ -25,12 +25,12 @@ class Algorithm(Protocol):
     def name(self) -> str:
         """What the command line calls it."""
 
-    def train(self, stage: Stage, rng: Generator, folder: Path | None, progress: Progress) -> Policy:
+    def train(self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress) -> Policy:
         """A policy for the stage; the folder is where an interrupted training is kept and goes on from."""
 
 
 def train(
-    target: Target, law: Law | None = None, algorithm: Algorithm | None = None, *, noise: ArrayLike | None = None, effects: Present = (),
+    target: Target, distribution: ParameterDistribution | None = None, algorithm: Algorithm | None = None, *, noise: ArrayLike | None = None, effects: ActiveEffects = (),
     steps: int | None = None, rng: Generator | int = 0, threads: int = 1, out: str | Path | None = None, progress: Progress | None = None,
 ) -> Policy:  # fmt: skip
     """Trains a policy for a target whose parameters are drawn from a law at the start of every episode.
@@ -45,21 +45,21 @@ def train(
     folder = None if out is None else Path(out)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    stage = Stage(target, law, noise, effects, steps, threads)
-    policy = algorithm.train(stage, np.random.default_rng(rng), folder, progress or (lambda share, text: None))
-    policy.about.update(about(stage, algorithm))
+    setup = TrainingSetup(target, distribution, noise, effects, steps, threads)
+    policy = algorithm.train(setup, np.random.default_rng(rng), folder, progress or (lambda share, text: None))
+    policy.about.update(about(setup, algorithm))
     return policy
 
 
-def about(stage: Stage, algorithm: Algorithm) -> dict[str, Any]:
+def about(setup: TrainingSetup, algorithm: Algorithm) -> dict[str, Any]:
     """What a policy's file says of its training."""
     from dropo import __version__
 
-    one = stage.arena(1)
+    one = setup.batched_env(1)
     steps, name = one.length, one.name
     one.close()
     return {
-        "algorithm": algorithm.name, "settings": settings(algorithm), "target": name, "law": law_name(stage.law), "steps": steps,
+        "algorithm": algorithm.name, "settings": settings(algorithm), "target": name, "law": distribution_name(setup.distribution), "steps": steps,
         "version": __version__,
     }  # fmt: skip
 
@@ -71,11 +71,11 @@ def settings(algorithm: Algorithm) -> dict[str, Any]:
     return asdict(algorithm)
 
 
-def law_name(law: Law | None) -> str:
+def distribution_name(distribution: ParameterDistribution | None) -> str:
     """A few words on a law."""
-    if isinstance(law, Widening):
-        return f"{law_name(law.law)}, widening over {law.steps} steps"
-    if law is None:
+    if isinstance(distribution, Curriculum):
+        return f"{distribution_name(distribution.distribution)}, widening over {distribution.steps} steps"
+    if distribution is None:
         return "the model as it is"
-    method = getattr(law, "method", None)
-    return f"{method} fit of {getattr(law, 'problem', '?')}" if method else type(law).__name__.lower()
+    method = getattr(distribution, "method", None)
+    return f"{method} fit of {getattr(distribution, 'problem', '?')}" if method else type(distribution).__name__.lower()

@@ -116,5 +116,5 @@ def test_signals_actions_and_bounds():
 def test_fewer_rows_than_parameters(count):
     """One row for two parameters: only their combination is told, and nothing fails."""
     problem = linear([[1, 1]], low=-3.0)
-    few = Problem("few", problem.simulator, problem.trajectories.first(count))
+    few = Problem("few", problem.simulator, problem.trajectories.head(count))
     assert any("only a + b" in sentence for sentence in told(few))

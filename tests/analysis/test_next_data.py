@@ -45,7 +45,7 @@ def test_the_first_one_shrinks_the_error_most(known, about):
     entropies = []
     for forces in CANDIDATES:
         more = Problem("more", problem.simulator, together(problem.trajectories, pushed(forces[None], 3)))
-        _, jacobian = problem.simulator.linearise(LeastSquares().fit(more).mean, more.segments)
+        _, jacobian = problem.simulator.linearize(LeastSquares().fit(more).mean, more.segments)
         covariance = NOISE * np.linalg.inv(np.einsum("rpd,rpe->de", jacobian, jacobian))
         chosen = [problem.space.names.index(name) for name in about or problem.space.names]
         entropies.append(np.linalg.slogdet(covariance[np.ix_(chosen, chosen)])[1])

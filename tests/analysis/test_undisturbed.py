@@ -8,7 +8,7 @@ import pytest
 
 from dropo.cli.main import main
 from dropo.core.contracts.problem import Problem
-from dropo.data.outliers.without_disturbances import both_sides, undisturbed, without_pushes
+from dropo.data.outliers.without_disturbances import both_sides, without_disturbances, remove_disturbances
 from dropo.problems.file.writer import write_problem
 from tests.analysis.test_disturbances import PUSHES, recorded, simulator  # noqa: F401 - a fixture
 
@@ -22,7 +22,7 @@ def pushed(simulator):  # noqa: F811
 
 def test_both_sides_lose_their_spans(pushed):
     """Spans of data held out are numbered by their own trajectories, and said to be such."""
-    found = without_pushes(pushed)
+    found = remove_disturbances(pushed)
     assert [(span.trajectory, span.held_out) for span in found.spans] == [(0, False), (2, False), (1, True)]
     lost = [sum(span.last - span.first for span in found.spans if span.held_out == side) for side in (False, True)]
     assert len(found.problem.trajectories) == len(pushed.trajectories) - lost[0]
@@ -34,8 +34,8 @@ def test_both_sides_lose_their_spans(pushed):
 
 def test_nothing_is_left_out_of_quiet_data(pushed, simulator):  # noqa: F811
     """No pushes; and no search where segments cannot begin anew behind a span."""
-    assert without_pushes(replace(pushed, trajectories=recorded(simulator, {}), held_out=None)) is None
-    assert without_pushes(replace(pushed, reset="start")) is None
+    assert remove_disturbances(replace(pushed, trajectories=recorded(simulator, {}), held_out=None)) is None
+    assert remove_disturbances(replace(pushed, reset="start")) is None
 
 
 def test_what_most_runs_show_is_the_models(simulator):  # noqa: F811
@@ -43,7 +43,7 @@ def test_what_most_runs_show_is_the_models(simulator):  # noqa: F811
     for count, expected in ((5, 0), (2, 2)):
         data = [recorded(simulator, {(i, 250, 290): 2.0 for i in range(3) if 3 * k + i < count}, seed=k) for k in range(3)]
         joined = both_sides(Problem("p", simulator, both_sides(Problem("p", simulator, data[0], held_out=data[1])), held_out=data[2]))
-        found = undisturbed(Problem("p", simulator, joined), simulator, simulator.nominal)
+        found = without_disturbances(Problem("p", simulator, joined), simulator, simulator.nominal)
         assert (0 if found is None else len(found.spans)) == expected
 
 

@@ -112,16 +112,16 @@ def test_groups():
 def test_some_of_the_rows():
     """The first transitions, and some of the trajectories: each piece ends where the next row is missing."""
     data = trajectories(3, 2, 3, group=[5, 5, 6, 6, 6, 8, 8, 8])
-    assert data.first(4).spans == [(0, 3), (3, 4)]
-    assert len(data.first(100)) == 8
-    kept = data.only([0, 2])
+    assert data.head(4).spans == [(0, 3), (3, 4)]
+    assert len(data.head(100)) == 8
+    kept = data.select([0, 2])
     assert kept.spans == [(0, 3), (3, 6)]
     np.testing.assert_array_equal(kept.observations[:, 0], [0, 1, 2, 5, 6, 7])
     np.testing.assert_array_equal(kept.group, [0, 0, 1, 2, 2, 2])
     with pytest.raises(BadArgument, match="'rows' of Trajectories must be at least one"):
-        data.only([3])
+        data.select([3])
     with pytest.raises(BadArgument, match=r"'transitions' of Trajectories.first must be at least 1"):
-        data.first(0)
+        data.head(0)
 
 
 def arrays(**changes):

@@ -5,7 +5,7 @@ import pytest
 
 from dropo.cli.main import main
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.interactive_estimator import Answer, Calls, joined, law
+from dropo.core.contracts.interactive_estimator import Answer, Callbacks, joined, distribution
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.evaluation_log import Journal
@@ -15,7 +15,7 @@ from dropo.problems.simulated.slide import slide
 
 
 def calls(journal=None):
-    return Calls(Run(slide(), np.random.default_rng(0), journal or Journal()))
+    return Callbacks(Run(slide(), np.random.default_rng(0), journal or Journal()))
 
 
 def pushes(rng, rows=3):
@@ -76,7 +76,7 @@ def test_the_target_is_asked_once(tmp_path):
 def test_a_law_as_a_callback_gets_it():
     """It draws, has the problem's own noise, and no likelihood."""
     problem = slide()
-    fit = law(problem, "simopt", "uniform", np.array([1.5, 0.8, 0.5, 0.1]))
+    fit = distribution(problem, "simopt", "uniform", np.array([1.5, 0.8, 0.5, 0.1]))
     draws = fit.sample(1000, 0)
     assert (np.abs(draws - [1.5, 0.8]) <= [0.5, 0.1]).all()
     assert np.isnan(fit.log_likelihood)

@@ -12,13 +12,13 @@ SPACE = ParameterSpace((Parameter("a", 1.0, 6.0), Parameter("b", 0.1, 10.0, scal
 POINTS = np.array([[1.5, 0.2], [3.0, 1.0], [5.5, 9.0]])
 
 
-@pytest.mark.parametrize(("text", "law"), [
+@pytest.mark.parametrize(("text", "distribution"), [
     ("normal(3.5, 0.2)", stats.norm(3.5, 0.2)), ("lognormal(1.0, 0.3)", stats.lognorm(0.3, scale=np.e)),
     (" halfnormal( 2 ) ", stats.halfnorm(scale=2)),
     ("uniform(0, 8)", stats.uniform(0, 8)), ("uniform", stats.uniform(1, 5)), (stats.gamma(4, scale=0.5), stats.gamma(4, scale=0.5)),
 ])  # fmt: skip
-def test_texts_are_the_distributions_they_name(text, law):
-    np.testing.assert_allclose(read_prior(text, SPACE["a"]).logpdf(POINTS[:, 0]), law.logpdf(POINTS[:, 0]), rtol=1e-12)
+def test_texts_are_the_distributions_they_name(text, distribution):
+    np.testing.assert_allclose(read_prior(text, SPACE["a"]).logpdf(POINTS[:, 0]), distribution.logpdf(POINTS[:, 0]), rtol=1e-12)
 
 
 def test_a_density_in_own_units_carries_the_value_on_a_log_scale():
@@ -28,9 +28,9 @@ def test_a_density_in_own_units_carries_the_value_on_a_log_scale():
     points = SPACE.from_unit(np.column_stack([np.full(20000, 0.5), u]))
     weight = np.exp(prior(points))
     share = weight[points[:, 1] < 1.5].sum() / weight.sum()
-    law = stats.norm(2, 0.5)
-    assert share == pytest.approx((law.cdf(1.5) - law.cdf(0.1)) / (law.cdf(10) - law.cdf(0.1)), abs=1e-4)
-    wrong = law.pdf(points[:, 1])  # without the value
+    distribution = stats.norm(2, 0.5)
+    assert share == pytest.approx((distribution.cdf(1.5) - distribution.cdf(0.1)) / (distribution.cdf(10) - distribution.cdf(0.1)), abs=1e-4)
+    wrong = distribution.pdf(points[:, 1])  # without the value
     assert wrong[points[:, 1] < 1.5].sum() / wrong.sum() > share + 0.05
 
 

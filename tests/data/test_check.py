@@ -171,6 +171,6 @@ def test_describe() -> None:
         "angle       rad    0     2    4   1.633\n"
         "action[0]          1     2    4  1.4142"
     )
-    assert str(describe(data.only(0))).startswith("2 transitions in 1 trajectory of 2, 1 group, 0.5 s\n")
+    assert str(describe(data.select(0))).startswith("2 transitions in 1 trajectory of 2, 1 group, 0.5 s\n")
     with pytest.raises(BadArgument, match="must be 1 and 1 columns"):
         describe(data, [Signal("angle"), Signal("speed")])

@@ -85,7 +85,7 @@ def test_a_list_is_concatenated(tmp_path: Path, arrays: Arrays) -> None:
     assert len(found) == 10
     assert found.group is not None
     assert found.group.tolist() == [0, 0, 0, 1, 1, 2, 2, 2, 3, 3]
-    assert same(found.only([2, 3]), read(two))
+    assert same(found.select([2, 3]), read(two))
 
 
 def test_numbers_of_other_kinds(tmp_path: Path, arrays: Arrays) -> None:

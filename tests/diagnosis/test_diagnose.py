@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dropo import Diagnose, diagnose
-from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
@@ -144,7 +144,7 @@ def test_white_torque_noise_is_said_to_be_forces():
     drawn = np.random.default_rng(0).standard_normal((200, 2))
     drawn -= drawn.mean(axis=0)  # else it has a constant load in it, which is named
     push = lambda commands, step, sizes: commands + sizes[0] * np.resize(np.roll(drawn, int(1e6 * commands[0, 0]), axis=0), commands.shape)
-    noise = Atom("white", None, (Quantity("sd", "1", 0, 1, (0.1,)),), actuation=push)
+    noise = EffectInstance("white", None, (Quantity("sd", "1", 0, 1, (0.1,)),), actuation=push)
     found = FAST.run(problem([(noise, [0.1])]))
     assert (found.verdict, found.causes) == ("unexplained", ())
     assert "forces of" in " ".join(found.remaining["where"])

@@ -58,13 +58,13 @@ def test_without_pushes_nothing_is_left_out(smooth):
     found = diagnosed(smooth, recorded(smooth[1], {}))
     assert "joint_friction" in [cause.effect for cause in found.causes]
     assert found.disturbances is None
-    assert found.odd_runs == ()
+    assert found.outlier_runs == ()
     assert found.to_json()["disturbances"] is None
 
 
 def test_a_run_with_another_payload_is_named(smooth):
     """Of six runs the one with a heavier link, by its mass."""
     found = diagnosed(smooth, payloads.recorded([0.6, 0.6, 0.6, 0.9, 0.6, 0.6]))
-    assert {run.run for run in found.odd_runs} == {3}
+    assert {run.run for run in found.outlier_runs} == {3}
     assert "Run 3 disagrees with the others" in found.headline()
     assert found.to_json()["odd_runs"][0]["run"] == 3

@@ -6,7 +6,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis.search import selection as search
 from dropo.diagnosis.search.single_steps import size_in_single_steps
-from tests.diagnosis.toy import DT, GAIN, atoms, selection
+from tests.diagnosis.toy import DT, GAIN, instances, selection
 
 RUNS, FORCE = 12, 1.0  # sd of the random forces [m/s^2]
 
@@ -29,7 +29,7 @@ def closed_loop(seed, *, gain=GAIN, force=FORCE):
 
 def named(data):
     finder, first = selection(data, length=10)
-    return [atom.effect for atom in finder.run(first, first, atoms()).accepted]
+    return [instance.effect for instance in finder.run(first, first, instances()).accepted]
 
 
 def test_answers_to_chance_are_not_named(monkeypatch):
@@ -43,8 +43,8 @@ def test_answers_to_chance_are_not_named(monkeypatch):
 def test_a_true_gain_is_named_beside_random_forces(seed):
     """It is named, and in single steps it has its size, within a tenth."""
     finder, first = selection(closed_loop(seed, gain=1.3 * GAIN, force=0.05 * FORCE), length=10)
-    found = finder.run(first, first, atoms())
-    assert [atom.effect for atom in found.accepted] == ["gain"]
+    found = finder.run(first, first, instances())
+    assert [instance.effect for instance in found.accepted] == ["gain"]
     share, error = size_in_single_steps(finder.library, (found.train, found.test), found.accepted[0], finder.floor)
     assert share == pytest.approx(1.0, abs=0.1)
     assert error < 0.03

@@ -8,7 +8,7 @@ import pytest
 from dropo.diagnosis.findings import causes
 from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.search import refit as refitting
-from dropo.diagnosis.search.linearization import Library, look, noise_of
+from dropo.diagnosis.search.linearization import Library, linearize, noise_of
 from dropo.diagnosis.search.refit import refit
 from dropo.diagnosis.search.windows import split
 from tests.diagnosis import arms
@@ -19,12 +19,12 @@ TRUE = {"contact_stiffness.margin": -0.001, "body_mass:foot": -0.2, "body_inerti
 def fitted(off):
     """The hopper's noise-free data fitted with three numbers, begun so far off: library, look, free numbers, and their errors (3,)."""
     problem = arms.problem([(label, [size]) for label, size in TRUE.items()], sigma=1e-9, name="hopper")
-    atoms = [arms.atom(problem.simulator, label) for label in TRUE]
-    library, declared = Library(problem.simulator.with_effects(atoms), atoms, len(problem.space)), problem.simulator.nominal
+    instances = [arms.instance(problem.simulator, label) for label in TRUE]
+    library, declared = Library(problem.simulator.with_effects(instances), instances, len(problem.space)), problem.simulator.nominal
     truth, free = np.array(list(TRUE.values())), len(declared) + np.arange(len(TRUE))
     train, floor = split(problem, 5, 96)[0], np.full(len(problem.simulator.signals), 1e-6)
-    begun = look(library, train, np.concatenate([declared, (1 + off) * truth]), 1e3 * floor)
-    begun = look(library, train, begun.theta, noise_of(begun, begun.whiten.sigma, floor))
+    begun = linearize(library, train, np.concatenate([declared, (1 + off) * truth]), 1e3 * floor)
+    begun = linearize(library, train, begun.theta, noise_of(begun, begun.whiten.sigma, floor))
     found = refit(library, begun, free, floor)
     return library, found, free, found.theta[free] - truth
 

@@ -12,7 +12,7 @@ from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.review import ambiguity, review
 from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
 from dropo.diagnosis.search.selection import Round, commonest_first, confirmed, gain_of
-from tests.diagnosis.toy import atoms, measured, selection
+from tests.diagnosis.toy import instances, measured, selection
 
 SIZES = {"damping": 0.05, "spring": -0.05, "bias": 0.02, "gain": -0.05, "friction": 0.03, "drag": 0.03}
 
@@ -24,12 +24,12 @@ def test_hidden_effect_is_found(name, declared):
     parameter that does the same, nothing is needed."""
     search, first = selection(measured({name: SIZES[name]}), declared)
     if declared and name == "gain":
-        assert search.run(first, first, atoms()) is first
+        assert search.run(first, first, instances()) is first
         return
-    screened = Screening(search.library, search.floor)(first.train, first.free, atoms())
-    assert screened[0].atom.effect == name
-    last, _ = review(search, search.run(first, first, atoms()))
-    assert [atom.effect for atom in last.accepted] == [name]
+    screened = Screening(search.library, search.floor)(first.train, first.free, instances())
+    assert screened[0].instance.effect == name
+    last, _ = review(search, search.run(first, first, instances()))
+    assert [instance.effect for instance in last.accepted] == [name]
     told = estimate(search.library, last, last.accepted[0], standard_errors(search.library, last))["size"]
     assert abs(told["value"] - SIZES[name]) < 4 * told["se"] < 0.5 * abs(SIZES[name])
     assert gain_of(first.test, last.test)[0] > 20
@@ -40,29 +40,29 @@ def test_nothing_hidden_nothing_named():
     named = 0
     for seed in range(30):
         search, first = selection(measured({}, sigma=10 ** (-4 + seed / 15), seed=seed))
-        named += search.run(first, first, atoms()) is not first
+        named += search.run(first, first, instances()) is not first
     assert named == 0
 
 
 def test_two_effects():
     """Both are found, one after the other, and no third."""
     search, first = selection(measured({"damping": 0.2, "spring": 0.3}))
-    last = search.run(first, first, atoms())
-    assert {atom.effect for atom in last.accepted} == {"damping", "spring"}
+    last = search.run(first, first, instances())
+    assert {instance.effect for instance in last.accepted} == {"damping", "spring"}
 
 
 @pytest.mark.parametrize(("size", "found"), [(0.2, True), (0.003, False)])
 def test_trials_that_a_wrong_noise_holds_up_are_fitted_to_the_end(monkeypatch, size, found):
     """No trial is confirmed as it is: one that leaves far less noise is fitted to the end before the search gives up, another is not."""
     search, first = selection(measured({"damping": size}))
-    assert search.step(first, atoms(), first).accepted[0].effect == "damping"
+    assert search.step(first, instances(), first).accepted[0].effect == "damping"
     tried, trials = search.tried, []
     monkeypatch.setattr(search, "tried", lambda *asked: trials.extend(more := tried(*asked)) or more)
     as_they_are = lambda after: any(trial.state.test is after for trial in trials)
     monkeypatch.setattr("dropo.diagnosis.search.selection.confirmed", lambda *asked: not as_they_are(asked[1]) and confirmed(*asked))
-    last = search.step(first, atoms(), first)
+    last = search.step(first, instances(), first)
     assert (last is not None) == found
-    assert not found or ([atom.effect for atom in last.accepted], search.origins["damping:mass"].trials) == (["damping"], trials)
+    assert not found or ([instance.effect for instance in last.accepted], search.origins["damping:mass"].trials) == (["damping"], trials)
 
 
 def test_noise_is_learned():
@@ -73,11 +73,11 @@ def test_noise_is_learned():
 
 def added(search, state, effect):
     """The state with one more effect, whether it is the best or not, and the round that it is of."""
-    screened = search.screening(state.train, state.free, atoms())
-    chosen = [c for c in screened if c.atom.effect in (effect, "damping") and c.atom not in state.accepted]
+    screened = search.screening(state.train, state.free, instances())
+    chosen = [c for c in screened if c.instance.effect in (effect, "damping") and c.instance not in state.accepted]
     search.rounds.append(origin := Round(state, screened, search.tried(state, chosen)))
-    trial = next(t for t in origin.trials if t.candidate.atom.effect == effect)
-    search.origins[trial.candidate.atom.label] = origin
+    trial = next(t for t in origin.trials if t.candidate.instance.effect == effect)
+    search.origins[trial.candidate.instance.label] = origin
     return search.polish(trial.state)
 
 
@@ -85,9 +85,9 @@ def test_review_takes_out_what_became_unnecessary():
     """A first guess that a better one replaces does not stay: friction by itself, then the damping that it stood for."""
     search, first = selection(measured({"damping": 0.2}))
     both = added(search, added(search, first, "friction"), "damping")
-    assert [atom.effect for atom in both.accepted] == ["friction", "damping"]
+    assert [instance.effect for instance in both.accepted] == ["friction", "damping"]
     last, found = review(search, both)
-    assert [atom.label for atom in last.accepted] == list(found) == ["damping:mass"]
+    assert [instance.label for instance in last.accepted] == list(found) == ["damping:mass"]
 
 
 def test_review_exchanges_a_first_guess_that_another_beats():
@@ -95,7 +95,7 @@ def test_review_exchanges_a_first_guess_that_another_beats():
     search, first = selection(measured({"damping": 0.2, "spring": 0.3}))
     wrong = added(search, added(search, first, "friction"), "spring")
     last, _ = review(search, wrong)
-    assert {atom.effect for atom in last.accepted} == {"damping", "spring"}
+    assert {instance.effect for instance in last.accepted} == {"damping", "spring"}
     assert review(search, last)[0] is last
 
 
@@ -104,9 +104,9 @@ def test_alike_effects_are_said_to_be():
     others = []
     for size, sigma in ((0.1, 0.03), (0.1, 1e-3)):
         search, first = selection(measured({"damping": size}, sigma=sigma))
-        last, found = review(search, search.run(first, first, atoms()))
+        last, found = review(search, search.run(first, first, instances()))
         assert last.accepted[0].effect in ("damping", "drag")
-        others.append({other.atom.effect for _, other, _ in ambiguity(last, last.accepted[0], found[last.accepted[0].label])})
+        others.append({other.instance.effect for _, other, _ in ambiguity(last, last.accepted[0], found[last.accepted[0].label])})
     assert others[0] & {"damping", "drag", "friction"}
     assert not others[1]
 
@@ -127,7 +127,7 @@ def test_what_acts_seldom_is_confirmed_where_no_window_loses():
 def test_size_of_a_proxy_differs_between_regimes(hidden, constant):
     """Damping has one size in all regimes where it is the cause; friction taken for damping has not."""
     search, first = selection(measured({hidden: 0.2}), effects=("damping", "bias"))
-    last = search.run(first, first, atoms(("damping", "bias")))
+    last = search.run(first, first, instances(("damping", "bias")))
     assert last.accepted[0].effect == "damping"
     found = invariance(search.library, last.test, last.accepted[0])
     assert found.constant == constant
@@ -146,24 +146,24 @@ def test_structure_that_remains_is_seen():
 
 def test_what_is_always_there_is_tried_before_what_sets_in():
     """With the size that was promised, once, also where a screening promised it less or nothing; the control: no effect, none added."""
-    damping, spring = atoms(("damping", "spring"))
+    damping, spring = instances(("damping", "spring"))
     late, grown = setting_in(damping), growing(damping)
     promised = [Candidate(late, np.array([0.4, -0.45]), 900.0, np.ones(1)), Candidate(spring, np.array([0.1]), 20.0, np.ones(1))]
     tried = with_constant([*promised, Candidate(grown, np.array([0.2]), 9.0, np.ones(1))], [damping, spring])
-    assert [candidate.atom for candidate in tried] == [damping, late, spring, grown]
+    assert [candidate.instance for candidate in tried] == [damping, late, spring, grown]
     assert tried[0].sizes.tolist() == [0.4]
     moved_up = with_constant([*promised, Candidate(damping, np.array([0.3]), 9.0, np.ones(1))], [damping, spring])
-    assert [candidate.atom for candidate in moved_up] == [damping, late, spring]
+    assert [candidate.instance for candidate in moved_up] == [damping, late, spring]
     assert with_constant(promised, [spring]) == promised
 
 
 @pytest.mark.parametrize(("better", "first"), [(3.0, 1), (30.0, 2)])
 def test_fewer_numbers_where_windows_held_out_do_not_tell(better, first):
     """One that needs two numbers comes first only where it is clearly better on data that it was not fitted to."""
-    look = lambda gain: SimpleNamespace(log_likelihood=np.full(10, gain / 10), windows=SimpleNamespace(block=np.arange(10)))
+    linearize = lambda gain: SimpleNamespace(log_likelihood=np.full(10, gain / 10), windows=SimpleNamespace(block=np.arange(10)))
     trial = lambda numbers, gain: SimpleNamespace(
-        candidate=SimpleNamespace(signature=np.eye(2)[numbers - 1], atom=atoms()[numbers]), sizes=np.ones(numbers), worth=gain,
-        state=SimpleNamespace(test=look(gain)),
+        candidate=SimpleNamespace(signature=np.eye(2)[numbers - 1], instance=instances()[numbers]), sizes=np.ones(numbers), worth=gain,
+        state=SimpleNamespace(test=linearize(gain)),
     )  # fmt: skip
     trials = commonest_first([trial(2, 100 + better), trial(1, 100.0)])
     assert len(trials[0].sizes) == first

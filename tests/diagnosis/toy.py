@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.parameters import Parameter, ParameterSpace
@@ -46,9 +46,9 @@ class Mass(Simulator):
         return out.reshape(len(values), -1, 2) if segments.every_step else out[:, :, -1]
 
 
-def atoms(effects=tuple(EFFECTS)):
+def instances(effects=tuple(EFFECTS)):
     """One atom an effect, found between -20 and 20."""
-    return [Atom(name, "mass", (Quantity("size", "1", -20.0, 20.0, (-0.1, 0.1)),)) for name in effects]
+    return [EffectInstance(name, "mass", (Quantity("size", "1", -20.0, 20.0, (-0.1, 0.1)),)) for name in effects]
 
 
 def measured(hidden, sigma=1e-3, seed=0, episodes=20, steps=40, shake=0.0):
@@ -70,7 +70,7 @@ def measured(hidden, sigma=1e-3, seed=0, episodes=20, steps=40, shake=0.0):
 def selection(data, declared=False, effects=tuple(EFFECTS), length=5, windows=60):
     """A search about to begin, and its first state."""
     simulator = Mass(declared, effects)
-    library = Library(simulator, atoms(effects), int(declared))
+    library = Library(simulator, instances(effects), int(declared))
     train, test = split(Problem("mass", simulator, data), length, windows)
     search = Selection(library, np.full(2, 1e-9))
     start = np.concatenate([simulator.nominal, np.zeros(len(effects))])

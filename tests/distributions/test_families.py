@@ -23,17 +23,17 @@ def test_every_family_keeps_to_the_contract(name):
     check_family(find("families", name))
 
 
-@pytest.mark.parametrize(("family", "law"), [
+@pytest.mark.parametrize(("family", "distribution"), [
     (TruncatedGaussian, lambda m, s: stats.truncnorm(-2, 2, loc=m, scale=s)),
     (Uniform, lambda m, s: stats.uniform(m - s, 2 * s)),
     (LogNormal, lambda m, s: stats.lognorm(s, scale=m * np.exp(-(s**2) / 2))),
 ])  # fmt: skip
-def test_moments_and_quantiles_are_those_of_the_law(family, law):
+def test_moments_and_quantiles_are_those_of_the_law(family, distribution):
     """Mean, sd and the map of base points agree with scipy's distribution."""
     member = family(ParameterSpace(tuple(Parameter(p.name, p.low, p.high, lower=-np.inf) for p in SPACE)))
     phi = member.phi([1.5, 0.5, 2.0], [0.3, 0.1, 0.7])
     base = np.random.default_rng(0).random((1 + member.redraws, 100, 3))
-    same = law(np.array([1.5, 0.5, 2.0]), np.array([0.3, 0.1, 0.7]))
+    same = distribution(np.array([1.5, 0.5, 2.0]), np.array([0.3, 0.1, 0.7]))
     np.testing.assert_allclose(member.mean(phi), same.mean(), rtol=1e-12)
     np.testing.assert_allclose(member.sd(phi), same.std(), rtol=1e-9)
     np.testing.assert_allclose(member.draw(phi, base), same.ppf(base[0]), rtol=1e-9)

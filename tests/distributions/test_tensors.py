@@ -69,14 +69,14 @@ def test_a_draw_on_the_bound_has_no_slope():
     np.testing.assert_array_equal(slopes[1], 0.0)
 
 
-@pytest.mark.parametrize("law", [NORMAL, UNIFORM, TRUNCATED_NORMAL])
-def test_polynomials_and_quantiles_of_tensors(law):
+@pytest.mark.parametrize("distribution", [NORMAL, UNIFORM, TRUNCATED_NORMAL])
+def test_polynomials_and_quantiles_of_tensors(distribution):
     """The orthonormal polynomials and the quantiles take tensors as they take arrays."""
     base = np.random.default_rng(1).random((5, 3))
-    x = law.quantile(base)
-    np.testing.assert_allclose(law.quantile(torch.tensor(base)), x, rtol=1e-13, atol=1e-14)
-    found = law.orthonormal(torch.tensor(x, requires_grad=True), 6)
-    np.testing.assert_allclose(found.detach().numpy(), law.orthonormal(x, 6), rtol=1e-13, atol=1e-14)
+    x = distribution.quantile(base)
+    np.testing.assert_allclose(distribution.quantile(torch.tensor(base)), x, rtol=1e-13, atol=1e-14)
+    found = distribution.orthonormal(torch.tensor(x, requires_grad=True), 6)
+    np.testing.assert_allclose(found.detach().numpy(), distribution.orthonormal(x, 6), rtol=1e-13, atol=1e-14)
     assert found.requires_grad
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.effects.robots import ARM, CART, ROBOTS
-from tests.effects.test_physics import atom, predicted, same
+from tests.effects.test_physics import instance, predicted, same
 from tests.reference import effects as slow
 
 STEP, SKIP = 0.004, 4
@@ -80,7 +80,7 @@ def test_coupling():
 def test_delay_knows_what_came_before():
     """A segment in the middle starts with the command of the step before it; one at a trajectory's start with its own first."""
     robot = arm()
-    delayed = robot.simulator.with_effects((), [(atom(robot, "actuator_delay"), np.array([STEP * SKIP]))])
+    delayed = robot.simulator.with_effects((), [(instance(robot, "actuator_delay"), np.array([STEP * SKIP]))])
     cut = robot.data.segments()
     shifted = robot.data.actions[np.where(np.isin(np.arange(len(robot.data)), [first for first, _ in robot.data.spans]),
                                           np.arange(len(robot.data)), np.arange(len(robot.data)) - 1)]  # fmt: skip
@@ -101,7 +101,7 @@ def test_lash_of_a_motor():
     """What passes the play is what a rotor that crosses it against its drag lets through, to the fine steps' width."""
     rng = np.random.default_rng(0)
     robot, size = arm(), 1.3 * STEP
-    hook = atom(robot, "gear_lash:shoulder").actuation
+    hook = instance(robot, "gear_lash:shoulder").actuation
     for trial in range(5):
         commands = np.repeat(rng.uniform(-1, 1, (12, 2)), 2 if trial % 2 else 1, axis=0)
         found = hook(commands, STEP, np.array([size]))
@@ -117,7 +117,7 @@ def test_lash_loses_one_impulse_a_reversal():
     robot, size = arm(), 0.5 * STEP
     commands = np.zeros((40, 2))
     commands[:, 0] = np.repeat([0.9, -0.4, 0.7, -0.9], 10)
-    found = atom(robot, "gear_lash:shoulder").actuation(commands, STEP, np.array([size]))
+    found = instance(robot, "gear_lash:shoulder").actuation(commands, STEP, np.array([size]))
     lost = STEP * (commands[:, 0] - found[:, 0]).reshape(4, 10).sum(axis=1)
     np.testing.assert_allclose(lost, [0, -size, size, -size], atol=1e-15)
 
@@ -133,4 +133,4 @@ def test_lash_of_a_servo():
         felt = np.sign(error) * max(abs(error) - LEVER * play / 2, 0)
         return np.array([0.0, LEVER * 12 * (felt - error)])
 
-    same(robot, predicted(robot, "gear_lash:elbow", play), slow.replay(model, robot, held, push=spring))
+    same(robot, predicted(robot, "gear_lash:elbow", play), slow.replay(model, robot, held, applied_force=spring))

@@ -32,9 +32,9 @@ def robot(name):
 
 
 @pytest.fixture(scope="module")
-def atoms(robot):
+def instances(robot):
     """All its atoms."""
-    return [atom for effect in names("effects") for atom in find("effects", effect)(robot.simulator.robot)]
+    return [instance for effect in names("effects") for instance in find("effects", effect)(robot.simulator.effect_context)]
 
 
 @pytest.mark.parametrize("effect", names("effects"))
@@ -43,31 +43,31 @@ def test_contract(robot, effect):
     check_effect(find("effects", effect), robot.simulator, robot.segments)
 
 
-def largest(simulator, atoms):
+def largest(simulator, instances):
     """(K, d) for each atom its first and last trial, all else 0."""
-    rows, place = [], len(simulator.space) - sum(len(atom.quantities) for atom in atoms)
-    for atom in atoms:
-        for trial in (atom.trials[0][0], atom.trials[-1][-1]):
+    rows, place = [], len(simulator.space) - sum(len(instance.quantities) for instance in instances)
+    for instance in instances:
+        for trial in (instance.trials[0][0], instance.trials[-1][-1]):
             rows.append(simulator.nominal.copy())
             rows[-1][place : place + len(trial)] = trial
-        place += len(atom.quantities)
+        place += len(instance.quantities)
     return np.array(rows)
 
 
-def test_seen_where_they_can_be(name, robot, atoms):
+def test_seen_where_they_can_be(name, robot, instances):
     """Of each atom a trial changes the predictions, but for those that nothing can show on this robot."""
-    labels = [atom.label for atom in atoms]
+    labels = [instance.label for instance in instances]
     assert len(set(labels)) == len(labels)
-    extended = robot.simulator.with_effects(atoms)
-    values = largest(extended, atoms)
+    extended = robot.simulator.with_effects(instances)
+    values = largest(extended, instances)
     changes = extended.predict(values, robot.segments) != robot.simulator.predict(robot.simulator.nominal[None], robot.segments)
-    unseen = [label for label, pair in zip(labels, changes.reshape(len(atoms), -1), strict=True) if not pair.any()]
+    unseen = [label for label, pair in zip(labels, changes.reshape(len(instances), -1), strict=True) if not pair.any()]
     assert [label for label in unseen if not re.fullmatch(NOWHERE[name], label)] == []
 
 
-def test_any_number_of_threads_and_any_process(name, robot, atoms):
+def test_any_number_of_threads_and_any_process(name, robot, instances):
     """Two threads, and a copy that went through pickle, give what one thread gives, bit for bit; the control: effects did act."""
-    some = atoms[::3]
+    some = instances[::3]
     one = robot.simulator.with_effects(some)
     values = largest(one, some)
     wanted = one.predict(values, robot.segments)
@@ -82,11 +82,11 @@ def test_any_number_of_threads_and_any_process(name, robot, atoms):
 
 def test_none_where_there_is_nothing():
     """Effects of actuators are not offered for a cube, nor rotations' gains and delays; bodies at rest have no mass to be found."""
-    offered = {name: [a.label for a in find("effects", name)(ROBOTS["cube"]().simulator.robot)] for name in names("effects")}
+    offered = {name: [a.label for a in find("effects", name)(ROBOTS["cube"]().simulator.effect_context)] for name in names("effects")}
     assert [name for name in offered if name.startswith(("actuator", "joint", "gear")) and offered[name]] == []
     assert "sensor_bias:qpos.cube.rx" in offered["sensor_bias"]
     assert not [label for kind in ("sensor_gain", "sensor_delay") for label in offered[kind] if label.endswith("rx")]
-    strange = ROBOTS["strange"]().simulator.robot
-    assert not [atom for atom in find("effects", "body_mass")(strange) if atom.target == "0"]
+    strange = ROBOTS["strange"]().simulator.effect_context
+    assert not [instance for instance in find("effects", "body_mass")(strange) if instance.target == "0"]
     assert [a.target for a in find("effects", "actuator_gain")(strange)] == ["0", "1", "socket", "3", "speed", None]
     assert [a.label for a in find("effects", "gear_lash")(strange)] == []

@@ -10,7 +10,7 @@ from dropo.core.services.registry import find
 from dropo.problems.file.reader import load
 from dropo.problems.file.writer import write_problem
 from tests.effects.robots import ROBOTS
-from tests.effects.test_physics import atom
+from tests.effects.test_physics import instance
 
 PAYLOAD = "parameter_drift:body_mass:upper"
 
@@ -20,9 +20,9 @@ def arm():
     return ROBOTS["arm"]()
 
 
-def under(robot, label, *sizes):
+def under(robot, label, *magnitudes):
     """Predictions of every single step with an effect."""
-    simulator = robot.simulator.with_effects((), [(atom(robot, label), np.array(sizes))])
+    simulator = robot.simulator.with_effects((), [(instance(robot, label), np.array(magnitudes))])
     return simulator.predict(simulator.nominal[None], robot.data.segments())[0]
 
 
@@ -75,7 +75,7 @@ def test_declared_parameter():
 def test_moment_is_a_parameter():
     """Size and moment are found as numbers of the simulator, a draw each."""
     robot = arm()
-    free = robot.simulator.with_effects([atom(robot, f"{PAYLOAD}.from")])
+    free = robot.simulator.with_effects([instance(robot, f"{PAYLOAD}.from")])
     values = np.column_stack([np.full(3, robot.simulator.nominal), [0.4, 0.4, 0.0], [-0.25, 0.3, 0.3]])
     early, late, absent = free.predict(values, robot.data.segments())
     assert np.array_equal(early, under(robot, f"{PAYLOAD}.from", 0.4, -0.25))
@@ -86,7 +86,7 @@ def test_moment_is_a_parameter():
 def test_parts_and_order_do_not_matter():
     """Segments keep their place in the data whichever come together."""
     robot = arm()
-    simulator = robot.simulator.with_effects((), [(atom(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))])
+    simulator = robot.simulator.with_effects((), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))])
     segments, nominal = robot.data.segments(length=3, every_step=True), robot.simulator.nominal[None]
     whole = simulator.predict(nominal, segments)[0].reshape(6, 3, -1)
     some = simulator.predict(nominal, segments.take([1, 4, 5]))[0].reshape(3, 3, -1)
@@ -96,7 +96,7 @@ def test_parts_and_order_do_not_matter():
 def test_chained_segments_are_refused():
     """What goes on where another segment ended cannot have another model; said with the way out."""
     robot = arm()
-    simulator = robot.simulator.with_effects((), [(atom(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))])
+    simulator = robot.simulator.with_effects((), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))])
     chained = robot.data.segments(length=2, reset="partial", set_columns=[True, True, False, False])
     with pytest.raises(Incompatible, match="reset='partial'"):
         simulator.predict(robot.simulator.nominal[None], chained)
@@ -104,10 +104,10 @@ def test_chained_segments_are_refused():
 
 def test_what_can_change():
     """Every declared parameter, and what changes on machines, in both ways."""
-    labels = [a.label for a in find("effects", "parameter_drift")(arm().simulator.robot)]
+    labels = [a.label for a in find("effects", "parameter_drift")(arm().simulator.effect_context)]
     assert {"parameter_drift:lower_mass.from", "parameter_drift:lower_mass.ramp", "parameter_drift:actuator_gain:push.ramp"} <= set(labels)
     assert len(labels) == len(set(labels))
-    trials = atom(arm(), f"{PAYLOAD}.from").trials
+    trials = instance(arm(), f"{PAYLOAD}.from").trials
     assert {trial[0][1] for trial in trials} == {-0.25, 0.0, 0.25}
     assert {np.sign(trial[0][0]) for trial in trials} == {-1.0, 1.0}
 
@@ -115,7 +115,7 @@ def test_what_can_change():
 def test_written_and_read(tmp_path):
     """A problem file keeps what changes and when, beside the model, which stays as it is; predictions agree."""
     robot = arm()
-    drifts = [(atom(robot, f"{PAYLOAD}.from"), np.array([0.4, -0.25])), (atom(robot, "parameter_drift:lower_mass.ramp"), np.array([0.2]))]
+    drifts = [(instance(robot, f"{PAYLOAD}.from"), np.array([0.4, -0.25])), (instance(robot, "parameter_drift:lower_mass.ramp"), np.array([0.2]))]
     changing = robot.simulator.with_effects((), drifts)
     read = load(write_problem(Problem("arm", changing, robot.data, epsilon=1e-4), tmp_path))
     wanted = changing.predict(changing.nominal[None], robot.data.segments())

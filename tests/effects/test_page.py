@@ -24,11 +24,11 @@ def test_every_effect_has_a_row():
 
 def test_quantities_and_layers_are_named():
     """Every quantity and every hook of every atom on all robots stands in its effect's row."""
-    hooks = ("start", "command", "actuation", "drive", "force", "wrench", "model", "sense", "late")
-    for robot in (make().simulator.robot for make in ROBOTS.values()):
+    hooks = ("start", "command", "actuation", "command_feedback", "force", "wrench", "model", "measurement", "sensor_delay")
+    for robot in (make().simulator.effect_context for make in ROBOTS.values()):
         for name in set(names("effects")) - {"parameter_drift"}:
-            for atom in find("effects", name)(robot):
-                for quantity in atom.quantities:
-                    assert quantity.name in rows()[name][2], (atom.label, quantity.name)
+            for instance in find("effects", name)(robot):
+                for quantity in instance.quantities:
+                    assert quantity.name in rows()[name][2], (instance.label, quantity.name)
                 for hook in hooks:
-                    assert getattr(atom, hook) is None or hook in rows()[name][4], (atom.label, hook)
+                    assert getattr(instance, hook) is None or hook in rows()[name][4], (instance.label, hook)

@@ -13,15 +13,15 @@ from tests.reference.effects import replay
 XML = {"arm": ARM, "cube": CUBE, "cart": CART, "strange": STRANGE}
 
 
-def atom(robot, label):
+def instance(robot, label):
     """The atom of that label."""
-    found = {a.label: a for a in find("effects", label.split(":")[0].split(".")[0])(robot.simulator.robot)}
+    found = {a.label: a for a in find("effects", label.split(":")[0].split(".")[0])(robot.simulator.effect_context)}
     return found[label]
 
 
-def predicted(robot, label, *sizes):
+def predicted(robot, label, *magnitudes):
     """(R, nq + nv) what the simulator with the effect predicts; of a free body, its orientation's three numbers in place of four."""
-    simulator = robot.simulator.with_effects((), [(atom(robot, label), np.array(sizes))])
+    simulator = robot.simulator.with_effects((), [(instance(robot, label), np.array(magnitudes))])
     found = simulator.predict(simulator.nominal[None], robot.segments)[0]
     assert not np.allclose(found, robot.simulator.predict(simulator.nominal[None], robot.segments)[0], rtol=1e-7, atol=1e-9)
     return found
@@ -70,14 +70,14 @@ MODELS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "label", "sizes", "changes"), [(n, e, s, c) for n, e, s, *c in MODELS])
-def test_model_of_another_text(name, label, sizes, changes):
+@pytest.mark.parametrize(("name", "label", "magnitudes", "changes"), [(n, e, s, c) for n, e, s, *c in MODELS])
+def test_model_of_another_text(name, label, magnitudes, changes):
     """Predictions are those of a model whose MJCF says so, derived constants included."""
     robot, text = ROBOTS[name](), XML[name]
     for old, new in changes:
         assert text.count(old) == 1
         text = text.replace(old, new)
-    same(robot, predicted(robot, label, *sizes), replay(mujoco.MjModel.from_xml_string(text), robot))
+    same(robot, predicted(robot, label, *magnitudes), replay(mujoco.MjModel.from_xml_string(text), robot))
 
 
 TWO = CUBE.replace("</worldbody>", '<body name="other" pos="1 0 0.1"><freejoint/><geom type="sphere" size="0.1"/></body></worldbody>')
@@ -90,7 +90,7 @@ SOFTER = [("time-constant", 0.5, 'solref="0.03 1"'), ("damping-ratio", -0.5, 'so
 def test_contact_stiffness_of_one_geom(variant, size, text):
     """One geom's numbers alone change, of several that can touch."""
     spec = mujoco.MjSpec.from_string(TWO)
-    robot = MujocoSimulator(spec, ()).robot
+    robot = MujocoSimulator(spec, ()).effect_context
     found = {a.label: a for a in find("effects", "contact_stiffness")(robot)}[f"contact_stiffness:shell.{variant}"]
     own, other = mujoco.MjModel.from_xml_string(TWO), mujoco.MjModel.from_xml_string(TWO.replace('name="shell"', f'name="shell" {text}'))
     found.model(own, np.array([size]))
@@ -100,7 +100,7 @@ def test_contact_stiffness_of_one_geom(variant, size, text):
 
 def test_contacts_that_give_stiffness_themselves_are_left():
     """A negative solref is stiffness and damping, which a factor on the time constant does not mean."""
-    robot = MujocoSimulator(mujoco.MjSpec.from_string(TWO.replace('name="shell"', 'name="shell" solref="-900 -40"')), ()).robot
+    robot = MujocoSimulator(mujoco.MjSpec.from_string(TWO.replace('name="shell"', 'name="shell" solref="-900 -40"')), ()).effect_context
     found = {a.label: a for a in find("effects", "contact_stiffness")(robot)}
     assert "contact_stiffness:shell.margin" in found
     assert "contact_stiffness:shell.time-constant" not in found
@@ -113,9 +113,9 @@ def test_contacts_that_give_stiffness_themselves_are_left():
 def test_centre_of_mass_needs_a_source():
     """Where a free body cannot be compiled anew its centre of mass is not offered, and refused with the way out."""
     free = ROBOTS["cube"]()
-    com = atom(free, "body_com:cube.x")
+    com = instance(free, "body_com:cube.x")
     compiled = MujocoSimulator(mujoco.MjModel.from_xml_string(CUBE), (), frame_skip=4, threads=1)
-    assert list(find("effects", "body_com")(compiled.robot)) == []
+    assert list(find("effects", "body_com")(compiled.effect_context)) == []
     with pytest.raises(Incompatible, match="from an MJCF file or an MjSpec"):
         compiled.with_effects([com])
 
@@ -153,16 +153,16 @@ def weaker(force, speed, slope):
     return -min(slope * abs(speed), 1) * force if force * speed > 0 else 0.0
 
 
-@pytest.mark.parametrize(("name", "label", "sizes", "joint", "law"), FORCES, ids=[case[1] for case in FORCES])
-def test_force_step_by_step(name, label, sizes, joint, law):
+@pytest.mark.parametrize(("name", "label", "magnitudes", "joint", "distribution"), FORCES, ids=[case[1] for case in FORCES])
+def test_force_step_by_step(name, label, magnitudes, joint, distribution):
     """Predictions are those of a loop that applies the effect's law as a generalised force, with MuJoCo's own motor forces."""
     robot = ROBOTS[name]()
     dof, place = on(robot, joint)
 
     def push(model, data):
-        return np.where(np.arange(model.nv) == dof, law(data, dof, place), 0.0)
+        return np.where(np.arange(model.nv) == dof, distribution(data, dof, place), 0.0)
 
-    same(robot, predicted(robot, label, *sizes), replay(mujoco.MjModel.from_xml_string(XML[name]), robot, push=push))
+    same(robot, predicted(robot, label, *magnitudes), replay(mujoco.MjModel.from_xml_string(XML[name]), robot, applied_force=push))
 
 
 @pytest.mark.parametrize(("name", "label", "axis"), [("arm", "external_force:lower.x", 0), ("cube", "external_force:cube.y", 1)])
@@ -177,9 +177,9 @@ def test_external_force(name, label, axis):
 def test_two_at_once():
     """Effects of several layers add up, in the twin as in the simulator."""
     robot = ROBOTS["arm"]()
-    fixed = [(atom(robot, "joint_damping:shoulder"), np.array([0.7])), (atom(robot, "external_force:lower.x"), np.array([3.0]))]
-    simulator = robot.simulator.with_effects([atom(robot, "joint_stiffness:shoulder.rest")], fixed)
+    fixed = [(instance(robot, "joint_damping:shoulder"), np.array([0.7])), (instance(robot, "external_force:lower.x"), np.array([3.0]))]
+    simulator = robot.simulator.with_effects([instance(robot, "joint_stiffness:shoulder.rest")], fixed)
     found = simulator.predict(np.append(robot.simulator.nominal, [2.0, 0.7])[None], robot.segments)[0]
     model = mujoco.MjModel.from_xml_string(ARM.replace('damping="0.3"', 'damping="1.0"'))
     wrench = (model.body("lower").id, 3.0 * np.eye(6)[0])
-    same(robot, found, replay(model, robot, push=lambda m, d: np.array([0.7 - 2.0 * d.qpos[0], 0.0]), wrench=wrench))
+    same(robot, found, replay(model, robot, applied_force=lambda m, d: np.array([0.7 - 2.0 * d.qpos[0], 0.0]), wrench=wrench))

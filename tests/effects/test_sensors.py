@@ -7,7 +7,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.mjmodel.observation import exponential, multiply
 from tests.effects.robots import ARM, ROBOTS
-from tests.effects.test_physics import atom, predicted, same
+from tests.effects.test_physics import instance, predicted, same
 from tests.reference.effects import replay
 
 
@@ -55,7 +55,7 @@ def test_bias_of_an_orientation():
     robot, turn = ROBOTS["cube"](), np.array([0.2, 0.0, 0.0])
     own, none = robot.simulator, np.zeros((1, 0))
     segments = recorded(robot, stepped(robot), turn).segments()
-    turned = own.with_effects((), [(atom(robot, "sensor_bias:qpos.cube.rx"), turn[:1])])
+    turned = own.with_effects((), [(instance(robot, "sensor_bias:qpos.cube.rx"), turn[:1])])
     np.testing.assert_allclose(turned.predict(none, segments)[0], own.targets(segments), atol=1e-9)
     assert np.abs(own.predict(none, segments)[0] - own.targets(segments)).max() > 0.01
 
@@ -98,7 +98,7 @@ def test_delay_of_a_sensor():
     """A sensor's reading a control step late is its reading a step before, at the start that of the start; others stay."""
     robot, none = ROBOTS["strange"](), np.zeros((1, 0))
     height = [signal.name for signal in robot.simulator.signals].index("sensordata.height")
-    late = robot.simulator.with_effects((), [(atom(robot, "sensor_delay:sensordata.height"), np.array([0.02]))])
+    late = robot.simulator.with_effects((), [(instance(robot, "sensor_delay:sensordata.height"), np.array([0.02]))])
     found, prompt = (simulator.predict(none, robot.segments)[0] for simulator in (late, robot.simulator))
     assert np.array_equal(np.delete(found, height, axis=1), np.delete(prompt, height, axis=1))
     np.testing.assert_allclose(np.delete(found[:, height], [0, 3, 6]), np.delete(prompt[:, height], [2, 5, 8]), rtol=1e-9)
@@ -111,8 +111,8 @@ def test_doubt_of_late_starts(delay, longer):
     """Half the delay times the root mean square of how much the signal's speed changes between steps, more of delays above a control step
     (16 ms); none of prompt signals."""
     robot = ROBOTS["arm"]()
-    late = robot.simulator.with_effects((), [(atom(robot, "sensor_delay:qvel.elbow"), np.array([delay]))])
-    found = late.start_doubt(np.zeros(0), robot.segments)
+    late = robot.simulator.with_effects((), [(instance(robot, "sensor_delay:qvel.elbow"), np.array([delay]))])
+    found = late.extra_start_sd(np.zeros(0), robot.segments)
     for first, doubt in zip(robot.segments.steps[:, 0], found, strict=True):
         begin, end = next(span for span in robot.data.spans if span[0] <= first < span[1])
         signal = np.append(robot.data.observations[begin:end, 3], robot.data.next_observations[end - 1, 3])
@@ -121,4 +121,4 @@ def test_doubt_of_late_starts(delay, longer):
         wanted = longer * 0.5 * delay / robot.simulator.control_step * np.sqrt(np.mean(np.square(bends)))
         np.testing.assert_allclose(doubt, [0, 0, 0, wanted], rtol=1e-9)
     assert found[:, 3].min() > 0
-    assert not robot.simulator.start_doubt(np.zeros(0), robot.segments).any()
+    assert not robot.simulator.extra_start_sd(np.zeros(0), robot.segments).any()

@@ -197,9 +197,9 @@ def test_the_problem_says_what_the_noise_is_like():
     seen = []
 
     class Spy(Emulated):
-        def around(self, simulator, segments, family, epsilon, *rest, **more):
+        def linearize_at(self, simulator, segments, family, epsilon, *rest, **more):
             seen.append((epsilon.start, epsilon.degrees))
-            return super().around(simulator, segments, family, epsilon, *rest, **more)
+            return super().linearize_at(simulator, segments, family, epsilon, *rest, **more)
 
     problem = replace(slide(), start_noise=True, noise_degrees=8.0)
     for settings in ({}, {"start_noise": False, "degrees": 5.0}):

@@ -76,11 +76,11 @@ def test_close_scores_are_settled_by_standard_errors():
 def test_what_is_held_out():
     """The problem's own data; every third trajectory; the last third of one or two."""
     problem = slide()
-    own = replace(problem, held_out=problem.trajectories.only([0]))
+    own = replace(problem, held_out=problem.trajectories.select([0]))
     assert split(own) == (own, own.held_out)
     training, unseen = split(problem)
     assert (len(training.trajectories.spans), len(unseen.spans)) == (34, 16)
-    single = replace(problem, trajectories=problem.trajectories.only([3, 4]))
+    single = replace(problem, trajectories=problem.trajectories.select([3, 4]))
     training, unseen = split(single)
     assert (len(training.trajectories), len(unseen)) == (26, 14)
     np.testing.assert_array_equal(unseen.observations[0], single.trajectories.observations[13])

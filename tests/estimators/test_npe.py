@@ -99,10 +99,10 @@ def test_slopes_are_the_estimate_of_least_squares():
 
     one = problem(epsilon=NOISE)
     target = PointLikelihood(one, NOISE)
-    summarise = npe._slopes(one, Run(one, np.random.default_rng(0)), target, np.array([[0.0, 0.0], [1.0, 1.0]]))
-    np.testing.assert_allclose(20 * summarise(target.targets[None])[0], conjugate(one)[0], rtol=1e-9)
+    summarize = npe._slopes(one, Run(one, np.random.default_rng(0)), target, np.array([[0.0, 0.0], [1.0, 1.0]]))
+    np.testing.assert_allclose(20 * summarize(target.targets[None])[0], conjugate(one)[0], rtol=1e-9)
     moved = target.targets + 0.1
-    assert np.abs(20 * summarise(moved[None])[0] - conjugate(one)[0]).max() > 0.01
+    assert np.abs(20 * summarize(moved[None])[0] - conjugate(one)[0]).max() > 0.01
 
 
 def test_refusals(monkeypatch):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.services.errors import Incompatible, UnknownName
@@ -71,7 +71,7 @@ def test_unbalanced_groups_with_correlations_agree_with_a_direct_search():
     data = two_way(rng, [0.5, 0.2]).trajectories.rows(np.flatnonzero(rng.random(60) < 0.7))
     problem = Problem("two", TWO, data, epsilon=NOISE)
     fit = RandomEffects(family="full").fit(problem, rng=0)
-    predicted, jacobian = TWO.linearise([0.0, 0.0], problem.segments)
+    predicted, jacobian = TWO.linearize([0.0, 0.0], problem.segments)
     of_row, residuals = problem.segments.group, problem.segments.targets - predicted
     stacked = [(residuals[of_row == g].ravel(), jacobian[of_row == g].reshape(-1, 2)) for g in np.unique(of_row)]
 
@@ -102,11 +102,11 @@ def test_more_groups_shrink_the_ignorance_and_not_the_spread():
 def p_values(rng, sd):
     """The p-values of one data set of 30 groups: overall, x0, x1; without the rounds that find the region."""
     problem = two_way(rng, sd, groups=30, rows=4)
-    law = find("families", "truncated_gaussian")(TWO.space)
+    distribution = find("families", "truncated_gaussian")(TWO.space)
     likelihood = find("likelihoods", "random-effects")(order=1)
-    objective = likelihood.around(TWO, problem.segments, law, NOISE, np.array([1.0, -2.0]), np.full(2, 0.15), np.random.default_rng(0))
+    objective = likelihood.linearize_at(TWO, problem.segments, distribution, NOISE, np.array([1.0, -2.0]), np.full(2, 0.15), np.random.default_rng(0))
     start = objective.unknowns.from_unit(np.full(len(objective.unknowns), 0.5))
-    phi = maximise_locally(objective, np.where([n.startswith("scale") for n in objective.unknowns.names], 0.02, start)).phi
+    phi = maximize_locally(objective, np.where([n.startswith("scale") for n in objective.unknowns.names], 0.02, start)).phi
     tests = spreads.spread_tests(objective, TWO.space.names, phi, rng.spawn(1)[0])
     return [tests["p_value"], *(test["p_value"] for test in tests["parameters"].values())]
 

@@ -41,8 +41,8 @@ def test_a_step_is_that_of_the_closed_form():
         return wide @ (precision @ mu + 2 * curvature @ best / eta), wide
 
     grid = [exact(eta) for eta in np.geomspace(0.1, 100, 4001)]
-    near = lambda bound: min(grid, key=lambda law: abs(divergence(law, before) - bound))
-    found = min(grid, key=lambda law: abs(divergence(law, before) - divergence((mean, covariance), before)))
+    near = lambda bound: min(grid, key=lambda distribution: abs(divergence(distribution, before) - bound))
+    found = min(grid, key=lambda distribution: abs(divergence(distribution, before) - divergence((mean, covariance), before)))
     error = np.sqrt(np.diagonal(covariance) / 4_000)  # at least a tenth of the samples count
     assert (np.abs(mean - found[0]) < 4.5 * error).all()
     assert (np.abs(mean - near(0.25)[0]) > 4.5 * error).any()
@@ -62,9 +62,9 @@ def test_every_update_keeps_the_bound():
     """The divergence of each law from the one before it is at most `bound`; of one that is four times as large, it is not."""
     for bound, kept in ((0.3, True), (1.2, False)):
         fit = SimOpt(collect=lambda fit, rng: data(rng), iterations=1, updates=3, bound=bound).fit(problem())
-        laws = list(zip(fit.arrays["means"], fit.arrays["covariances"], strict=True))
-        assert len(laws) == 4
-        assert (max(divergence(laws[i + 1], laws[i]) for i in range(3)) <= 0.3) is kept
+        distributions = list(zip(fit.arrays["means"], fit.arrays["covariances"], strict=True))
+        assert len(distributions) == 4
+        assert (max(divergence(distributions[i + 1], distributions[i]) for i in range(3)) <= 0.3) is kept
 
 
 def test_it_goes_where_the_target_is():

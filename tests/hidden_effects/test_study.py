@@ -79,10 +79,10 @@ def test_draws_are_within_bounds():
     """Every kind of effect that an arm can have is drawn within its bounds, and not 0."""
     arm, rng = machine("torque-arm"), np.random.default_rng(0)
     for kind in ("joint_damping", "joint_cogging", "actuator_delay", "wind", "sensor_gain", "joint_limit", "parameter_drift"):
-        atom, sizes = draw(arm, kind, rng)
-        assert atom.effect == kind
+        instance, sizes = draw(arm, kind, rng)
+        assert instance.effect == kind
         assert sizes[0] != 0
-        assert all(q.low <= size <= q.high for q, size in zip(atom.quantities, sizes, strict=True))
+        assert all(q.low <= size <= q.high for q, size in zip(instance.quantities, sizes, strict=True))
 
 
 def test_judging():
@@ -100,7 +100,7 @@ def test_judging():
             self.causes = causes
 
     arm = machine("torque-arm")
-    hidden = [(next(a for a in find("effects", "joint_damping")(arm.simulator.robot)
+    hidden = [(next(a for a in find("effects", "joint_damping")(arm.simulator.effect_context)
                     if a.target == "elbow"), np.array([0.1]))]  # fmt: skip
     right = judge("one", hidden, Diagnosis(Found("joint_damping")))
     assert (right["right"], right["among"], right["extra"]) == (True, True, False)

@@ -9,7 +9,7 @@ import pytest
 import scipy.optimize
 from scipy import integrate, stats
 
-from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.local_likelihood import LocalLogLikelihood
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
@@ -41,7 +41,7 @@ def member(family, mean, scale):
 
 def built(likelihood, simulator, segments, family, epsilon, width, seed=0):
     """The likelihood around (1.5 kg, 0.8 N s/m)."""
-    return likelihood.around(simulator, segments, family, epsilon, np.array([1.5, 0.8]), np.array(width), np.random.default_rng(seed))
+    return likelihood.linearize_at(simulator, segments, family, epsilon, np.array([1.5, 0.8]), np.array(width), np.random.default_rng(seed))
 
 
 def block_data(rng, rows=12):
@@ -71,7 +71,7 @@ def test_linear_simulator_has_the_closed_form(name):
     segments, epsilon = data.segments(), np.array([0.01, 0.02, 0.05])
     family = find("families", name)(simulator.space)
     phi = member(family, [1.0, -2.0], [0.5, 0.9])
-    local = Emulated().around(simulator, segments, family, epsilon, np.array([1.1, -1.9]), np.array([0.4, 0.7]), rng)
+    local = Emulated().linearize_at(simulator, segments, family, epsilon, np.array([1.1, -1.9]), np.array([0.4, 0.7]), rng)
 
     def closed_form(sd):
         covariance = family.correlation(phi) * np.outer(sd, sd)
@@ -126,7 +126,7 @@ def test_moments_of_a_polynomial_are_exact(name):
     rng = np.random.default_rng(0)
     data = simulate(simulator, np.full((6, 2), 1.1), rng.uniform(0.5, 2, (6, 1, 2)), np.zeros(2))
     segments, family = data.segments(), find("families", name)(simulator.space)
-    local = Emulated(order=3).around(simulator, segments, family, 1e-12, np.array([1.1, 1.0]), np.array([0.2, 0.1]), rng)
+    local = Emulated(order=3).linearize_at(simulator, segments, family, 1e-12, np.array([1.1, 1.0]), np.array([0.2, 0.1]), rng)
     found, sigma = local.moments(member(family, mean, scale))
     nodes, weights = quadrature(name, mean, scale)
     exact = np.stack([cubic(x, np.zeros((len(segments), 2)), segments.actions)[:, 0] for x in nodes])  # (Q, R, p)
@@ -208,7 +208,7 @@ def test_gradient_is_that_of_the_value(name, kind):
 
     by_difference = np.array([(4 * slope(i, h / 2) - slope(i, h)) / 3 for i, h in enumerate(half)])  # Richardson: truncation ~ h^4
     np.testing.assert_allclose(local.gradient(phi), by_difference, rtol=1e-5)
-    assert local.expand(phi)[0] == pytest.approx(local(phi), rel=1e-13)
+    assert local.value_score_information(phi)[0] == pytest.approx(local(phi), rel=1e-13)
     assert local.has_gradients
 
 
@@ -231,7 +231,7 @@ def test_information_is_the_covariance_of_the_score(name):
         scores[i] = local.gradient(phi)
         if i < len(others):
             others[i] = local.gradient(away)
-    information = local.expand(phi)[2]
+    information = local.value_score_information(phi)[2]
     z_of_mean = lambda s: s.mean(axis=0) * np.sqrt(len(s)) / s.std(axis=0)
     assert np.abs(z_of_mean(scores)).max() < 4.5 < np.abs(z_of_mean(others)).max()
     products = scores[:, :, None] * scores[:, None]
@@ -449,25 +449,25 @@ LAWS = {
 @pytest.mark.parametrize("name", LAWS)
 def test_polynomials_are_orthonormal(name):
     """Degrees 0 to 5, by adaptive integration against scipy's density; the normal's polynomials under another law are not."""
-    law, reference, reach = LAWS[name]
+    distribution, reference, reach = LAWS[name]
     x = np.linspace(-reach, reach, 40_001)
     gram = lambda own: integrate.simpson(
         np.einsum("xi,xj,x->xij", own.orthonormal(x, 5), own.orthonormal(x, 5), reference.pdf(x)), x=x, axis=0
     )
-    np.testing.assert_allclose(gram(law), np.eye(6), atol=1e-8)
-    other = UNIFORM if law is NORMAL else NORMAL
+    np.testing.assert_allclose(gram(distribution), np.eye(6), atol=1e-8)
+    other = UNIFORM if distribution is NORMAL else NORMAL
     assert np.abs(gram(other) - np.eye(6)).max() > 0.1
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_rule_and_quantiles_are_those_of_the_law(name):
     """The Gauss rule's first eight moments, and the quantiles, are scipy's."""
-    law, reference, _ = LAWS[name]
-    assert law.weights.sum() == pytest.approx(1.0, rel=1e-13)
+    distribution, reference, _ = LAWS[name]
+    assert distribution.weights.sum() == pytest.approx(1.0, rel=1e-13)
     for k in range(1, 9):
-        assert law.weights @ law.nodes**k == pytest.approx(reference.moment(k), rel=1e-8, abs=1e-10)
+        assert distribution.weights @ distribution.nodes**k == pytest.approx(reference.moment(k), rel=1e-8, abs=1e-10)
     base = np.linspace(0.01, 0.99, 99)
-    np.testing.assert_allclose(law.quantile(base), reference.ppf(base), atol=1e-12)
+    np.testing.assert_allclose(distribution.quantile(base), reference.ppf(base), atol=1e-12)
 
 
 def test_a_normal_cut_at_two_has_sd_0_8796():
@@ -484,10 +484,10 @@ def test_a_normal_cut_at_two_has_sd_0_8796():
 class Textbook(LocalLogLikelihood):
     """A log-likelihood from a function to its value, score and information."""
 
-    def __init__(self, expand, *parameters):
-        self.unknowns, self._expand = ParameterSpace(parameters), expand
+    def __init__(self, value_score_information, *parameters):
+        self.unknowns, self._expand = ParameterSpace(parameters), value_score_information
 
-    def expand(self, phi):
+    def value_score_information(self, phi):
         value, score, information = self._expand(phi)
         return value, score[None], information
 
@@ -509,8 +509,8 @@ def regression(low, high):
     rng = np.random.default_rng(0)
     x = rng.normal(size=(40, 3)) @ np.array([[1, 0.8, 0], [0, 1, 0.5], [0, 0, 1]])
     y = x @ [1.0, -2.0, 0.5] + rng.normal(size=40)
-    expand = lambda b: (-0.5 * float(np.sum((y - x @ b) ** 2)), x.T @ (y - x @ b), x.T @ x)
-    return Textbook(expand, *(Parameter(f"b{i}", low, high) for i in range(3))), scipy.optimize.lsq_linear(x, y, (low, high), tol=1e-14).x
+    value_score_information = lambda b: (-0.5 * float(np.sum((y - x @ b) ** 2)), x.T @ (y - x @ b), x.T @ x)
+    return Textbook(value_score_information, *(Parameter(f"b{i}", low, high) for i in range(3))), scipy.optimize.lsq_linear(x, y, (low, high), tol=1e-14).x
 
 
 def logistic(low, high):
@@ -519,14 +519,14 @@ def logistic(low, high):
     x = np.column_stack([np.ones(200), rng.normal(size=(200, 2))])
     y = rng.random(200) < 1 / (1 + np.exp(-x @ [0.3, 1.0, -1.5]))
 
-    def expand(b):
+    def value_score_information(b):
         chance = 1 / (1 + np.exp(-x @ b))
         value = float(np.sum(np.where(y, np.log(chance), np.log1p(-chance))))
         return value, x.T @ (y - chance), (x * (chance * (1 - chance))[:, None]).T @ x
 
-    cost = lambda b: (-expand(b)[0], -expand(b)[1])
+    cost = lambda b: (-value_score_information(b)[0], -value_score_information(b)[1])
     answer = scipy.optimize.minimize(cost, np.zeros(3), jac=True, bounds=[(low, high)] * 3, options={"ftol": 1e-15, "gtol": 1e-9}).x
-    return Textbook(expand, *(Parameter(f"b{i}", low, high) for i in range(3))), answer
+    return Textbook(value_score_information, *(Parameter(f"b{i}", low, high) for i in range(3))), answer
 
 
 def schools(effects):
@@ -534,7 +534,7 @@ def schools(effects):
     error = np.array([15.0, 10, 16, 11, 9, 11, 10, 18])
     y = np.array(effects, dtype=float)
 
-    def expand(phi):
+    def value_score_information(phi):
         variance = error**2 + phi[1] ** 2
         score = np.array([np.sum((y - phi[0]) / variance), phi[1] * np.sum((y - phi[0]) ** 2 / variance**2 - 1 / variance)])
         information = np.diag([np.sum(1 / variance), 2 * phi[1] ** 2 * np.sum(1 / variance**2)])
@@ -544,23 +544,23 @@ def schools(effects):
         weight = 1 / (error**2 + scale**2)
         return weight @ y / weight.sum()
 
-    profile = scipy.optimize.minimize_scalar(lambda s: -expand(np.array([best_mean(s), s]))[0], bounds=(0, 60), method="bounded",
+    profile = scipy.optimize.minimize_scalar(lambda s: -value_score_information(np.array([best_mean(s), s]))[0], bounds=(0, 60), method="bounded",
                                              options={"xatol": 1e-10})  # fmt: skip
     scale = max(1e-5, profile.x)
-    if expand(np.array([best_mean(1e-5), 1e-5]))[0] >= -profile.fun:
+    if value_score_information(np.array([best_mean(1e-5), 1e-5]))[0] >= -profile.fun:
         scale = 1e-5
     space = Parameter("mean.effect", -100, 100), Parameter("scale.effect", 1e-5, 60, scale="log")
-    return Textbook(expand, *space), np.array([best_mean(scale), scale])
+    return Textbook(value_score_information, *space), np.array([best_mean(scale), scale])
 
 
 def noise_variance():
     """A normal variance, searched in logarithms: the answer is the mean square."""
     y = np.random.default_rng(2).normal(0.0, 0.02, 300)
-    expand = lambda v: (
+    value_score_information = lambda v: (
         -0.5 * float(np.sum(y**2) / v[0] + len(y) * np.log(v[0])), np.array([0.5 * (np.sum(y**2) / v[0] ** 2 - len(y) / v[0])]),
         np.array([[0.5 * len(y) / v[0] ** 2]]),
     )  # fmt: skip
-    return Textbook(expand, Parameter("epsilon", 1e-8, 1e4, scale="log")), np.array([np.mean(y**2)])
+    return Textbook(value_score_information, Parameter("epsilon", 1e-8, 1e4, scale="log")), np.array([np.mean(y**2)])
 
 
 PROBLEMS = {
@@ -582,16 +582,16 @@ def test_scoring_finds_the_textbook_answer(name):
     units = [np.full(len(answer), u) for u in (0.5, 0.0, 1.0)] + list(np.random.default_rng(0).random((5, len(answer))))
     for unit in units:
         start = problem.unknowns.from_unit(unit)
-        found = maximise_locally(problem, start)
+        found = maximize_locally(problem, start)
         assert found.converged, (name, start)
-        assert found.value >= problem.expand(answer)[0] - 1e-8
+        assert found.value >= problem.value_score_information(answer)[0] - 1e-8
         np.testing.assert_allclose(found.phi, answer, atol=2e-5 * width.max(), rtol=2e-3 if "schools" in name or name == "variance" else 0)
 
 
 def test_eight_schools_have_a_certified_spread_of_zero():
     """The published effects have their maximum at scale 0 with the weighted mean 7.686; tripled, at a positive one."""
     problem, answer = PROBLEMS["eight schools, no spread"]()
-    found = maximise_locally(problem, np.array([0.0, 20.0]))
+    found = maximize_locally(problem, np.array([0.0, 20.0]))
     assert found.phi[0] == pytest.approx(7.686, abs=5e-4)
     assert found.phi[1] == problem.unknowns.low[1] == answer[1]
     assert found.score[1] < 0  # in the variance: the likelihood falls as it leaves 0
@@ -600,4 +600,4 @@ def test_eight_schools_have_a_certified_spread_of_zero():
 
 def test_scoring_without_rounds_says_so():
     problem, _ = PROBLEMS["logistic, inside"]()
-    assert not maximise_locally(problem, np.full(3, 4.0), rounds=2).converged
+    assert not maximize_locally(problem, np.full(3, 4.0), rounds=2).converged

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.noise import Noise, NoiseModel
 from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
@@ -51,7 +51,7 @@ def built(kind, name="truncated_gaussian", noise=1e-3, **settings):
     """A likelihood of the block data around (1.5 kg, 0.8 N s/m), and phi near by."""
     simulator, segments = block_data(**settings)
     family = find("families", name)(simulator.space)
-    local = LIKELIHOODS[kind].around(simulator, segments, family, noise, CENTRE, WIDTH, np.random.default_rng(0))
+    local = LIKELIHOODS[kind].linearize_at(simulator, segments, family, noise, CENTRE, WIDTH, np.random.default_rng(0))
     relative = CENTRE if name == "log_normal" else 1.0
     phi = family.phi([1.45, 0.85], None if name == "point" else np.array([0.17, 0.09]) / relative)
     if name == "full":
@@ -75,7 +75,7 @@ def test_gradient_is_that_of_the_value(kind, name, noise):
 
     by_difference = np.array([(4 * slope(i, h / 2) - slope(i, h)) / 3 for i, h in enumerate(1e-4 * np.abs(phi))])
     np.testing.assert_allclose(local.gradient(phi), by_difference, rtol=1e-6)
-    assert local.expand(phi)[0] == pytest.approx(local(phi), rel=1e-13)
+    assert local.value_score_information(phi)[0] == pytest.approx(local(phi), rel=1e-13)
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -114,7 +114,7 @@ def test_information_is_the_covariance_of_the_score(kind, noise):
         stretch = 1.0 if degrees is None else np.sqrt(degrees / rng.chisquare(degrees, (len(mean), 1)))
         local.targets = mean + stretch * np.einsum("rpq,rq->rp", root, rng.standard_normal(mean.shape))
         scores[i] = local.gradient(phi)
-    information = local.expand(phi)[2]
+    information = local.value_score_information(phi)[2]
     assert np.abs(scores.mean(axis=0) * np.sqrt(count) / scores.std(axis=0)).max() < 4.5
     products = scores[:, :, None] * scores[:, None]
     error = products.std(axis=0) / np.sqrt(count)
@@ -134,7 +134,7 @@ def test_blocks_change_nothing(kind, monkeypatch):
     pieces, _ = built(kind, "full", NOISES["start, Student"])
     assert len(pieces.blocks) == len(whole.targets) > len(whole.blocks)
     np.testing.assert_allclose(pieces.rows(phi), whole.rows(phi), rtol=1e-11)
-    for one, other in zip(pieces.expand(phi), whole.expand(phi), strict=True):
+    for one, other in zip(pieces.value_score_information(phi), whole.value_score_information(phi), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11 * np.abs(other).max())
 
 
@@ -167,7 +167,7 @@ def test_memory_does_not_grow_with_rows_times_unknowns(kind, monkeypatch):
         local = around(simulator, data.segments(), family, 0.01, np.ones(8), np.full(8, 0.02), np.random.default_rng(0))
         phi = family.phi(np.ones(8), np.full(8, 0.02))
         tracemalloc.start()
-        local.expand(phi)
+        local.value_score_information(phi)
         most = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return most
@@ -186,7 +186,7 @@ def test_memory_of_a_design_is_bounded(monkeypatch):
     def peak(rows):
         data = simulate(simulator, np.ones((rows, 6)), rng.normal(size=(rows, 1, 2)), np.zeros(3)).segments()
         tracemalloc.start()
-        built = Emulated(order=2).around(simulator, data, TruncatedGaussian(simulator.space), 0.01, np.ones(6), np.full(6, 0.02), rng)
+        built = Emulated(order=2).linearize_at(simulator, data, TruncatedGaussian(simulator.space), 0.01, np.ones(6), np.full(6, 0.02), rng)
         most = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return most - built.emulator.coefficients.nbytes - built.emulator.residual.nbytes
@@ -220,10 +220,10 @@ def test_outliers_lose_their_pull(kind):
     segments, family = replace(data, next_observations=following).segments(), Point(simulator.space)
 
     def z(noise):
-        local = LIKELIHOODS[kind].around(simulator, segments, family, noise, truth + 0.1, np.array([0.5, 0.5]), np.random.default_rng(0))
-        found = maximise_locally(local, np.append(truth + 0.02, np.ones(len(local.unknowns) - 2)))
+        local = LIKELIHOODS[kind].linearize_at(simulator, segments, family, noise, truth + 0.1, np.array([0.5, 0.5]), np.random.default_rng(0))
+        found = maximize_locally(local, np.append(truth + 0.02, np.ones(len(local.unknowns) - 2)))
         assert found.converged
-        error = np.sqrt(np.diagonal(np.linalg.inv(local.expand(found.phi)[2])))
+        error = np.sqrt(np.diagonal(np.linalg.inv(local.value_score_information(found.phi)[2])))
         return np.abs((found.phi[:2] - truth) / error[:2]).max()
 
     assert z(Noise(1e-4, degrees=4.0)) < 4
@@ -278,7 +278,7 @@ def test_start_noise_goes_through_the_curvature():
     variance = 1e-4
     centre, width = np.zeros(1), np.ones(1)
     family, noise = Point(simulator.space), Noise(variance, start=True)
-    local = Linear().around(simulator, data.segments(), family, noise, centre, width, np.random.default_rng(0))
+    local = Linear().linearize_at(simulator, data.segments(), family, noise, centre, width, np.random.default_rng(0))
     mean, sigma = local.moments(np.zeros(1))
     np.testing.assert_allclose(mean[:, 0], starts**2 + variance, rtol=1e-9)
     np.testing.assert_allclose(sigma[:, 0, 0], variance + 4 * starts**2 * variance + 2 * variance**2, rtol=1e-7)
@@ -306,11 +306,11 @@ def test_start_noise_is_not_taken_for_spread():
     segments, family = replace(data, observations=measured).segments(), TruncatedGaussian(simulator.space)
 
     def fitted(noise):
-        local = Linear().around(simulator, segments, family, noise, truth, np.full(2, 0.5), rng)
-        return local, maximise_locally(local, np.append(family.phi(truth, [0.2, 0.2]), np.ones(len(local.unknowns) - 4)))
+        local = Linear().linearize_at(simulator, segments, family, noise, truth, np.full(2, 0.5), rng)
+        return local, maximize_locally(local, np.append(family.phi(truth, [0.2, 0.2]), np.ones(len(local.unknowns) - 4)))
 
     local, found = fitted(Noise(np.full(3, variance), "factor", start=True))
-    error = np.sqrt(np.diagonal(np.linalg.inv(local.expand(found.phi)[2][:2, :2])))
+    error = np.sqrt(np.diagonal(np.linalg.inv(local.value_score_information(found.phi)[2][:2, :2])))
     assert (np.abs(found.phi[:2] - truth) < 3.5 * error).all()
     assert found.phi[4] == pytest.approx(1.0, abs=0.15)  # 1800 numbers: its standard error is near 0.04
     at_bound = lambda maximum: (maximum.phi[2:4] == local.unknowns.low[2:4]) & (maximum.score[2:4] < 0)
@@ -336,7 +336,7 @@ def hopper_fitted(noise, seed=2):
 def test_hopper_with_noise_on_both_ends():
     """Every mass within 1 % and 3.5 standard errors, all scales at their bound; without propagation they run away."""
     local, phi, truth = hopper_fitted(Noise(np.full(11, 1e-5), "factor", start=True))
-    error = np.sqrt(np.diagonal(np.linalg.inv(local.expand(phi)[2][:4, :4])))
+    error = np.sqrt(np.diagonal(np.linalg.inv(local.value_score_information(phi)[2][:4, :4])))
     assert np.abs(phi[:4] / truth - 1).max() < 0.01
     assert (np.abs(phi[:4] - truth) / error).max() < 3.5
     np.testing.assert_allclose(phi[4:8], 1e-5, rtol=1e-6)
@@ -378,13 +378,13 @@ def test_signals_that_never_change(kind):
     actions = rng.normal(size=(30, 1, 1))
     data = simulate(simulator, np.ones((30, 1)), actions, np.zeros(2))
     only = simulate(one, np.ones((30, 1)), actions, np.zeros(1))
-    make = lambda s, d, noise: LIKELIHOODS[kind].around(
+    make = lambda s, d, noise: LIKELIHOODS[kind].linearize_at(
         s, d.segments(), TruncatedGaussian(s.space), noise, np.array([0.9]), np.array([0.1]), np.random.default_rng(0)
     )
     phi = np.array([0.95, 0.1])
     np.testing.assert_allclose(make(simulator, data, 1e-4).gradient(phi), make(one, only, 1e-4).gradient(phi), rtol=1e-6)
     for noise in (Noise(np.array([1e-4, 1e-30]), "each"), Noise(np.array([1e-4, 1e-30]), "each", start=True)):
-        value, scores, _ = make(simulator, data, noise).expand(np.append(phi, [1.0, 1.0]))
+        value, scores, _ = make(simulator, data, noise).value_score_information(np.append(phi, [1.0, 1.0]))
         assert np.isfinite(value)
         assert np.isfinite(scores).all()
 
@@ -395,7 +395,7 @@ def test_a_covariance_without_an_inverse_is_named():
     simulator = LinearSimulator(np.ones((1, 2, 1)))
     segments = simulate(simulator, np.zeros((3, 1)), np.ones((3, 1, 1)), np.zeros(2)).segments()
     family = TruncatedGaussian(simulator.space)
-    local = Linear().around(simulator, segments, family, 1e-30, np.zeros(1), np.ones(1), np.random.default_rng(0))
+    local = Linear().linearize_at(simulator, segments, family, 1e-30, np.zeros(1), np.ones(1), np.random.default_rng(0))
     for phi in (np.array([0.0, 1.0]), torch.tensor([0.0, 1.0])):
         with pytest.raises(BadArgument, match=r"covariance of row 0 is not positive definite: .* Give a larger epsilon"):
             local.rows(phi)

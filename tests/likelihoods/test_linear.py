@@ -41,7 +41,7 @@ def test_linear_simulator_has_the_closed_form(name):
     phi = family.phi([1.0, -2.0], [0.5, 0.9])
     if name == "full":
         phi[4] = 0.6
-    local = Linear().around(simulator, segments, family, epsilon, np.array([1.1, -1.9]), np.array([0.4, 0.7]), rng)
+    local = Linear().linearize_at(simulator, segments, family, epsilon, np.array([1.1, -1.9]), np.array([0.4, 0.7]), rng)
 
     def closed_form(sd):
         covariance = family.correlation(phi) * np.outer(sd, sd)
@@ -72,7 +72,7 @@ def test_entries_that_do_not_move_cost_nothing():
     simulator, rng = LinearSimulator(np.ones((1, 2, 5))), np.random.default_rng(0)
     segments = simulate(simulator, np.zeros((3, 5)), np.ones((3, 1, 1)), np.zeros(2)).segments()
     for family, count in ((TruncatedGaussian(simulator.space), 5), (FullGaussian(simulator.space), 15)):
-        local = Linear().around(simulator, segments, family, 1.0, np.zeros(5), np.ones(5), rng)
+        local = Linear().linearize_at(simulator, segments, family, 1.0, np.zeros(5), np.ones(5), rng)
         phi = family.phi(np.zeros(5), np.ones(5))
         assert len(local._member_slopes(phi)[1].first) == count
 
@@ -126,11 +126,11 @@ def test_a_hundred_parameters_in_seconds():
     phi = family.phi(truth, np.full(100, 0.01))
     with threadpool_limits(1, user_api="blas"):  # as in a fit: waiting threads count as processor time
         begun = time.process_time()
-        local = Linear().around(
+        local = Linear().linearize_at(
             problem.simulator, problem.segments, family, NOISE, truth + 0.01, np.full(100, 0.02), np.random.default_rng(0)
         )
         for _ in range(3):
-            score = local.expand(phi)[1].sum(axis=0)
+            score = local.value_score_information(phi)[1].sum(axis=0)
         assert time.process_time() - begun < 4
     for i in (0, 57, 130, 199):
         step = 1e-5 * phi[i] * np.eye(200)[i]
@@ -181,8 +181,8 @@ def test_eighteen_parameters_of_the_hopper_linearise():
     family = find("families", "point")(simulator.space)
 
     def z(point):
-        local = Linear().around(simulator, data.segments(), family, NOISE, point, np.full(18, 1e-3), np.random.default_rng(0))
-        _, scores, information = local.expand(point)
+        local = Linear().linearize_at(simulator, data.segments(), family, NOISE, point, np.full(18, 1e-3), np.random.default_rng(0))
+        _, scores, information = local.value_score_information(point)
         return np.abs(scores.sum(axis=0) / np.sqrt(np.diagonal(information))).max()
 
     assert z(np.ones(18)) < 4.5

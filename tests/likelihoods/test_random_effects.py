@@ -32,13 +32,13 @@ def linear_problem(rng, groups=12, steps=5):
 def local(problem, family, epsilon=NOISE):
     """The likelihood around (1, -2)."""
     centre, width = np.array([1.0, -2.0]), np.array([0.5, 0.5])
-    return RandomEffects(order=1).around(problem.simulator, problem.segments, family, epsilon, centre, width, np.random.default_rng(0))
+    return RandomEffects(order=1).linearize_at(problem.simulator, problem.segments, family, epsilon, centre, width, np.random.default_rng(0))
 
 
 def exact(problem, mean, covariance):
     """log N of each group's stacked rows: mean J mu, covariance J S J' + noise, the slow and obvious way; (G,)."""
     segments = problem.segments
-    predicted, jacobian = problem.simulator.linearise(mean, segments)
+    predicted, jacobian = problem.simulator.linearize(mean, segments)
     out = []
     for g in np.unique(segments.group):
         rows = segments.group[segments.rows[0]] == g
@@ -55,7 +55,7 @@ def test_linear_groups_have_their_closed_form():
     mean, covariance = np.array([0.8, -1.9]), np.array([[0.3, 0.05], [0.05, 0.1]])
     phi = family.phi_of(mean, covariance)
     np.testing.assert_allclose(local(problem, family).rows(phi), exact(problem, mean, covariance), rtol=1e-7)
-    alone = find("likelihoods", "emulated")(order=1).around(
+    alone = find("likelihoods", "emulated")(order=1).linearize_at(
         problem.simulator, problem.segments, family, NOISE, mean, np.array([0.5, 0.5]), np.random.default_rng(0)
     )
     assert abs(alone(phi) - exact(problem, mean, covariance).sum()) > 1  # rows taken as independent draws are another model
@@ -76,7 +76,7 @@ def test_scores_are_the_slopes_of_the_value(name, epsilon):
     phi = member(objective, name)
     step = 1e-5 * np.abs(phi)
     slopes = [(objective(phi + h) - objective(phi - h)) / (2 * h.sum()) for h in np.diag(step)]
-    scores = objective.expand(phi)[1].sum(axis=0)
+    scores = objective.value_score_information(phi)[1].sum(axis=0)
     np.testing.assert_allclose(scores, slopes, atol=1e-4 * np.abs(slopes).max())
 
 
@@ -91,7 +91,7 @@ def test_tensors_give_the_same_with_their_gradient(name, epsilon):
     rows = objective.rows(phi)
     np.testing.assert_allclose(rows.detach().numpy(), objective.rows(phi.detach().numpy()), rtol=1e-10, atol=1e-10)
     objective(phi).backward()
-    scores = objective.expand(phi.detach().numpy())[1].sum(axis=0)
+    scores = objective.value_score_information(phi.detach().numpy())[1].sum(axis=0)
     np.testing.assert_allclose(phi.grad.numpy(), scores, atol=1e-7 * np.abs(scores).max())
     np.testing.assert_allclose(objective.gradient(phi.detach().numpy()), scores)
 
@@ -112,7 +112,7 @@ def test_a_value_depends_on_phi_alone():
     draws = np.array([1.5, 1.0]) + 0.2 * rng.standard_normal((8, 2))
     data = toy_trajectories(block, draws, rng.normal(2, 1, (8, 5, 1)), np.zeros(2), noise_variance=1e-4, rng=rng)
     family, problem = FullGaussian(block.space), Problem("block", block, data, epsilon=1e-4)
-    objective = RandomEffects().around(block, problem.segments, family, 1e-4, np.array([1.5, 1.0]), np.full(2, 0.3), rng)
+    objective = RandomEffects().linearize_at(block, problem.segments, family, 1e-4, np.array([1.5, 1.0]), np.full(2, 0.3), rng)
     phi, other = (family.phi_of(mean, np.diag([0.04, 0.03])) for mean in ([1.5, 1.0], [1.2, 1.4]))
     first, elsewhere = objective.rows(phi), objective.rows(other)
     assert not np.array_equal(first, elsewhere)
@@ -132,8 +132,8 @@ def test_information_is_the_covariance_of_the_score():
         actions = problem.trajectories.actions.reshape(6, 5, 2)
         data = toy_trajectories(problem.simulator, draws, actions, np.zeros(3), noise_variance=NOISE, rng=rng)
         objective = local(Problem("again", problem.simulator, data, epsilon=NOISE), family, Noise(np.full(3, NOISE), "each"))
-        scores.append(objective.expand(phi)[1].sum(axis=0))
-    information = objective.expand(phi)[2]
+        scores.append(objective.value_score_information(phi)[1].sum(axis=0))
+    information = objective.value_score_information(phi)[2]
     size = np.sqrt(np.diagonal(information))
     z = (np.mean(np.array(scores)[:, :, None] * np.array(scores)[:, None, :], axis=0) - information) / np.outer(size, size)
     error = np.sqrt(3 / 300)  # a product of two standard scores has variance of at most about 3
@@ -149,11 +149,11 @@ def test_information_is_exact_where_spread_and_noise_mix(where):
     data = toy_trajectories(simulator, rng.normal(size=(groups, 1)), np.ones((groups, n, 1)), np.zeros(1), noise_variance=NOISE, rng=rng)
     family, scale = FullGaussian(simulator.space), {"mean": 0.3, "at no spread": 1e-4}[where]
     segments = data.segments()
-    objective = RandomEffects(1).around(simulator, segments, family, Noise([NOISE], "each"), np.zeros(1), np.ones(1), rng)
+    objective = RandomEffects(1).linearize_at(simulator, segments, family, Noise([NOISE], "each"), np.zeros(1), np.ones(1), rng)
     sigma = NOISE * np.eye(n) + scale**2
     pieces = [2 * scale * np.linalg.solve(sigma, np.ones((n, n))), NOISE * np.linalg.inv(sigma)]
     expected = groups * 0.5 * np.array([[np.trace(a @ b) for a in pieces] for b in pieces])
-    found = objective.expand(np.array([0.0, scale, 1.0]))[2]
+    found = objective.value_score_information(np.array([0.0, scale, 1.0]))[2]
     np.testing.assert_allclose(found[1:, 1:], expected, rtol=1e-6)
     assert found[0, 0] == pytest.approx(groups * np.linalg.solve(sigma, np.ones(n)).sum(), rel=1e-6)
 

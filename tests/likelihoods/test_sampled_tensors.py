@@ -66,8 +66,8 @@ def student_one_by_one(predictions, targets, epsilon, degrees):
     out = []
     for r, target in enumerate(targets):
         covariance = np.cov(predictions[:, r].T) + np.diag(epsilon)
-        law = multivariate_t(predictions[:, r].mean(axis=0), covariance * (degrees - 2) / degrees, df=degrees)
-        out.append(law.logpdf(target))
+        distribution = multivariate_t(predictions[:, r].mean(axis=0), covariance * (degrees - 2) / degrees, df=degrees)
+        out.append(distribution.logpdf(target))
     return np.array(out)
 
 

@@ -42,7 +42,7 @@ def built(function, name, likelihood, epsilon=1e-12):
     phi = family.phi(MEAN, SCALE)
     if name == "full":
         phi[4] = 0.6
-    return likelihood.around(simulator, segments, family, epsilon, CENTRE, np.array([0.2, 0.1]), rng), simulator, segments, family, phi
+    return likelihood.linearize_at(simulator, segments, family, epsilon, CENTRE, np.array([0.2, 0.1]), rng), simulator, segments, family, phi
 
 
 def z_of_moments(local, simulator, segments, family, phi, draws=8_000):
@@ -80,7 +80,7 @@ def test_fourth_moments_are_the_laws_own():
     segments = simulate(simulator, np.zeros((1, 1)), np.ones((1, 1, 1)), np.zeros(1)).segments()
     for name, variance in (("uniform", 4 / 45), ("full", 2.0)):
         family = find("families", name)(simulator.space)
-        local = Unscented().around(simulator, segments, family, 1e-12, np.zeros(1), np.ones(1), np.random.default_rng(0))
+        local = Unscented().linearize_at(simulator, segments, family, 1e-12, np.zeros(1), np.ones(1), np.random.default_rng(0))
         mean, sigma = local.moments(family.phi([0.0], [1.0]))
         assert sigma.item() == pytest.approx(variance, rel=1e-8)
         assert mean.item() == pytest.approx(1 / 3 if name == "uniform" else 1.0, rel=1e-9)
@@ -93,11 +93,11 @@ def test_equals_the_linear_one_where_nothing_curves():
     data = simulate(simulator, rng.normal(size=(10, 2)), rng.normal(size=(10, 2, 2)), np.zeros(3), noise_variance=0.01, rng=rng)
     family = TruncatedGaussian(simulator.space)
     one, other = (
-        likelihood.around(simulator, data.segments(), family, 0.01, np.zeros(2), np.full(2, 0.5), rng)
+        likelihood.linearize_at(simulator, data.segments(), family, 0.01, np.zeros(2), np.full(2, 0.5), rng)
         for likelihood in (Linear(), Unscented())
     )
     phi = family.phi([0.1, 0.2], [0.4, 0.3])
-    for a, b in zip(one.expand(phi), other.expand(phi), strict=True):
+    for a, b in zip(one.value_score_information(phi), other.value_score_information(phi), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8)
     values = rng.normal(size=(4, 2))
     np.testing.assert_allclose(one.predict(values), other.predict(values), atol=1e-9)
@@ -114,5 +114,5 @@ def test_a_family_without_a_standard_law_is_refused():
         standard = None
 
     with pytest.raises(Incompatible) as refusal:
-        Unscented().around(*[None] * 2, Nameless(LinearSimulator(np.ones((1, 1, 1))).space), *[None] * 4)
+        Unscented().linearize_at(*[None] * 2, Nameless(LinearSimulator(np.ones((1, 1, 1))).space), *[None] * 4)
     assert str(refusal.value) == "The family Nameless names no standard law, so its fourth moments are not known. Use likelihood 'linear'."

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.maximize import maximise
+from dropo.core.contracts.maximize import maximize
 from dropo.core.contracts.optimizer import CallbackOptimizer, Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Status
@@ -138,7 +138,7 @@ def test_start_and_step_are_used(name):
 def test_search_survives_failed_points(name):
     """A corner whose simulations fail (NaN, -inf, gradients NaN) does not stop the search; the optimum lies beside it."""
     objective = Objective(Sphere([0.3, 0.25]), fails=lambda u: u.sum() < 0.5)
-    found = maximise(objective, SPACE, make(name), run())
+    found = maximize(objective, SPACE, make(name), run())
     assert np.abs(SPACE.to_unit(found.point) - [0.3, 0.25]).max() < 1e-3
     assert found.value == pytest.approx(objective(found.point), abs=1e-12)
 
@@ -146,7 +146,7 @@ def test_search_survives_failed_points(name):
 @pytest.mark.parametrize("name", ALL)
 def test_search_where_everything_fails(name):
     """Nothing is made up: the value is -inf."""
-    found = maximise(Objective(Slope(), fails=lambda u: True), SPACE, make(name, budget=60), run())
+    found = maximize(Objective(Slope(), fails=lambda u: True), SPACE, make(name, budget=60), run())
     assert found.value == -np.inf
 
 
@@ -155,7 +155,7 @@ def test_search_where_everything_fails(name):
 def test_budget_is_never_exceeded(name, budget):
     """Not even by a part of a batch; and a search that it cuts short says so."""
     objective = Objective(Rosenbrock())
-    found = maximise(objective, SPACE, make(name, budget=budget), run())
+    found = maximize(objective, SPACE, make(name, budget=budget), run())
     assert objective.calls == found.evaluations <= budget
     if found.status is Status.OUT_OF_BUDGET:
         assert f"budget of {budget} evaluations" in found.reason
@@ -163,19 +163,19 @@ def test_budget_is_never_exceeded(name, budget):
 
 def test_budget_smaller_than_a_batch_is_refused():
     with pytest.raises(BadArgument, match=r"'budget' of CMAES must be at least 6, the first batch\. Got 5"):
-        maximise(Objective(Slope()), SPACE, make("cma-es", budget=5), run())
+        maximize(Objective(Slope()), SPACE, make("cma-es", budget=5), run())
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_killed_search_resumes(name, tmp_path):
     """Killed in its 21st evaluation and taken up again: the same result as in one go, and nothing evaluated twice."""
     cost, path = Rosenbrock(), tmp_path / "journal"
-    whole = maximise(Objective(cost), SPACE, make(name, budget=200), run())
+    whole = maximize(Objective(cost), SPACE, make(name, budget=200), run())
     with pytest.raises(RuntimeError, match="killed"):
-        maximise(Objective(cost, dies_after=20), SPACE, make(name, budget=200), run(Journal(path)))
+        maximize(Objective(cost, dies_after=20), SPACE, make(name, budget=200), run(Journal(path)))
     recorded = sum(len(entry["points"]) for entry in Journal(path)._known)
     again = Objective(cost)
-    resumed = maximise(again, SPACE, make(name, budget=200), run(Journal(path)))
+    resumed = maximize(again, SPACE, make(name, budget=200), run(Journal(path)))
     assert recorded >= 12
     assert again.calls == whole.evaluations - recorded
     assert np.array_equal(resumed.point, whole.point)
@@ -186,13 +186,13 @@ def test_killed_search_resumes(name, tmp_path):
 def test_gradients_are_asked_for_and_wrong_ones_harm(name):
     """An objective without gradients is refused with the way out; the control with its gradients reversed must fail."""
     with pytest.raises(Incompatible, match=r"needs gradients, and function gives none\. Use likelihood 'emulated'.* such as 'cma-es'"):
-        maximise(lambda phi: 0.0, SPACE, make(name), run())
+        maximize(lambda phi: 0.0, SPACE, make(name), run())
 
     class Reversed(Objective):
         def gradient(self, phi):
             return -super().gradient(phi)
 
-    right, wrong = (maximise(kind(Rosenbrock()), SPACE, make(name), run()) for kind in (Objective, Reversed))
+    right, wrong = (maximize(kind(Rosenbrock()), SPACE, make(name), run()) for kind in (Objective, Reversed))
     assert np.abs(SPACE.to_unit(right.point) - 0.75).max() < 1e-5
     assert np.abs(SPACE.to_unit(wrong.point) - 0.75).max() > 0.1
 
@@ -201,7 +201,7 @@ def test_gradients_are_asked_for_and_wrong_ones_harm(name):
 def test_a_failing_objective_leaves_no_thread(name):
     before = threading.active_count()
     with pytest.raises(RuntimeError, match="killed"):
-        maximise(Objective(Rosenbrock(), dies_after=11), SPACE, make(name, budget=300), run())
+        maximize(Objective(Rosenbrock(), dies_after=11), SPACE, make(name, budget=300), run())
     assert threading.active_count() == before
 
 

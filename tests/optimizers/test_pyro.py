@@ -25,11 +25,11 @@ SHORT = {"nuts": PyroNuts(draws=30, warmup=20, chains=2), "svi": PyroSvi(draws=4
 class Density:
     """A density of points and its gradient from one function."""
 
-    def __init__(self, expand):
-        self.expand = expand
+    def __init__(self, value_score_information):
+        self.value_score_information = value_score_information
 
     def __call__(self, points):
-        return self.expand(points)[0]
+        return self.value_score_information(points)[0]
 
 
 def sample(sampler, density=gaussian, space=SPACE, seed=0, **settings):
@@ -76,7 +76,7 @@ def test_killed_sampling_resumes(sampler, tmp_path):
         count += len(points)
         if count > dies_after:
             raise RuntimeError("killed")
-        return gaussian.expand(points)
+        return gaussian.value_score_information(points)
 
     def go(journal):
         nonlocal count

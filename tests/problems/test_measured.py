@@ -126,7 +126,7 @@ def test_cube_toss_is_fitted():
     The targets of rotations are angles of 1e-17; taken for the scale of their noise, these made all other signals irrelevant.
     """
     whole = load("cube-toss", threads=1)
-    few = replace(whole, trajectories=whole.trajectories.only(range(6)), held_out=whole.held_out.only(range(20)))
+    few = replace(whole, trajectories=whole.trajectories.select(range(6)), held_out=whole.held_out.select(range(20)))
     fit = DROPO(likelihood=Emulated(order=2), family="point").fit(few)
     assert abs(fit.mean[0] - 0.2) < 0.06
     assert fit.log_likelihood > 0

@@ -5,7 +5,7 @@ import pytest
 
 from dropo.problems.simulated.recording import record
 from dropo.problems.simulated.robots import machine
-from tests.diagnosis.arms import atom
+from tests.diagnosis.arms import instance
 
 ARM = machine("torque-arm")
 STEPS, EPISODES = 20, 6
@@ -13,7 +13,7 @@ STEPS, EPISODES = 20, 6
 
 def recorded(*hidden, noise=0.0):
     """Measurements (E, 1 + T, p) of the arm under random commands that answer to nothing, with effects (label, size)."""
-    effects = [(atom(ARM.simulator, label), np.array([size])) for label, size in hidden]
+    effects = [(instance(ARM.simulator, label), np.array([size])) for label, size in hidden]
     rng = np.random.default_rng(0)
     data = record(
         ARM.simulator, effects, np.zeros(0), ARM.starts(rng, EPISODES), lambda rows, push: 0.6 * push, STEPS, actions=2, noise=noise,

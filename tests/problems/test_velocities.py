@@ -44,7 +44,7 @@ def test_velocities_are_estimated_and_said_so(tmp_path):
     assert [signal.name for signal in problem.simulator.signals] == ["qpos.pivot", "qvel.pivot"]
     assert problem.start_noise
     assert "qvel.pivot: estimated" in problem.warnings[-1]
-    one = problem.trajectories.only([0])
+    one = problem.trajectories.select([0])
     slopes = np.gradient(one.observations[:, 0], problem.simulator.control_step)
     np.testing.assert_allclose(one.observations[3:-3, 1], slopes[3:-3], atol=0.08)
 

@@ -14,7 +14,7 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.reader import load
 from dropo.problems.file.writer import write_problem
 from dropo.problems.simulated.slide import slide
-from tests.diagnosis.arms import UPPER, atom, problem
+from tests.diagnosis.arms import UPPER, instance, problem
 
 DIGITS = 2e-5  # relative: MJCF is written with six digits, and five steps add up
 
@@ -50,9 +50,9 @@ def test_everything_comes_back(arm, tmp_path):
 @pytest.mark.parametrize("effect", names("effects"))
 def test_effects_come_back(effect, arm, tmp_path):
     """With each effect at its first and last place: the same predictions, far closer than those without the effect."""
-    every = find("effects", effect)(arm.simulator.robot)
-    plain, atoms = predicted(arm), [one for one in every if not declared(arm.simulator, one)]
-    for i, one in enumerate({atoms[0].label: atoms[0], atoms[-1].label: atoms[-1]}.values()):
+    every = find("effects", effect)(arm.simulator.effect_context)
+    plain, instances = predicted(arm), [one for one in every if not declared(arm.simulator, one)]
+    for i, one in enumerate({instances[0].label: instances[0], instances[-1].label: instances[-1]}.values()):
         fixed = [(one, np.sum(one.trials[-1], axis=0))]
         has = replace(arm, simulator=arm.simulator.with_effects((), fixed))
         there, back = predicted(has), predicted(written(has, tmp_path / str(i)))
@@ -76,7 +76,7 @@ def test_a_relative_parameter_and_one_of_an_option_come_back(arm, tmp_path):
 def test_effects_stand_in_mjcf_where_it_has_them(arm, tmp_path):
     """Damping is a number of the model; a delay stands in the problem file."""
     has = replace(arm, simulator=arm.simulator.with_effects((), [
-        (atom(arm.simulator, "joint_damping:elbow"), np.array([0.25])), (atom(arm.simulator, "actuator_delay"), np.array([0.007])),
+        (instance(arm.simulator, "joint_damping:elbow"), np.array([0.25])), (instance(arm.simulator, "actuator_delay"), np.array([0.007])),
     ]))  # fmt: skip
     content = yaml.safe_load(write_problem(has, tmp_path).read_text())
     assert content["effects"] == [{"effect": "actuator_delay", "target": None, "sizes": {"delay": 0.007}}]

@@ -76,11 +76,11 @@ def masses_that_vary(request):
 
 def test_the_fit_is_worth_more_than_the_truth(masses_that_vary):
     """Clean: at least the log-likelihood of the law and of the drawn sample's moments; simulator and emulator within 5 nat."""
-    laws = masses_that_vary["clean"]["laws"]
+    distributions = masses_that_vary["clean"]["laws"]
     for name in ("drawn sample's moments", "law the masses were drawn from"):
-        assert laws["dropo"]["exact"] >= laws[name]["exact"]
-        assert abs(laws[name]["simulator"] - laws[name]["emulator"]) <= 5
-    assert abs(laws["dropo"]["simulator"] - laws["dropo"]["emulator"]) <= 5
+        assert distributions["dropo"]["exact"] >= distributions[name]["exact"]
+        assert abs(distributions[name]["simulator"] - distributions[name]["emulator"]) <= 5
+    assert abs(distributions["dropo"]["simulator"] - distributions["dropo"]["emulator"]) <= 5
 
 
 def test_random_effects_give_the_drawn_sample(masses_that_vary):

@@ -7,7 +7,7 @@ from scipy.signal import lsim
 FINE = 2000  # parts of a physics step
 
 
-def replay(model, robot, commands=None, push=None, wrench=None, move=0.0):
+def replay(model, robot, commands=None, applied_force=None, wrench=None, move=0.0):
     """(R, nq + nv) states after every control step of the robot's segments.
 
     commands: (T, nu) one a physics step of all rows, by default the rows' actions; push(model, data) -> generalised forces;
@@ -25,9 +25,9 @@ def replay(model, robot, commands=None, push=None, wrench=None, move=0.0):
         for row in steps:
             for i in range(skip):
                 data.ctrl[:] = held[row * skip + i]
-                if push is not None:
+                if applied_force is not None:
                     mujoco.mj_forward(model, data)
-                    data.qfrc_applied[:] = push(model, data)
+                    data.qfrc_applied[:] = applied_force(model, data)
                 mujoco.mj_step(model, data)
             rows.append(np.concatenate([data.qpos, data.qvel]))
     return np.array(rows)

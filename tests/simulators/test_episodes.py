@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
@@ -40,7 +40,7 @@ def replayed(simulator, value, start, commands):
 def run(episodes, ids, value, start, commands):
     """(L, P) the measured rows of one episode in a batch."""
     assert episodes.set(ids, value[None]).all()
-    episodes.begin(ids, start)
+    episodes.reset(ids, start)
     out = []
     for command in commands:
         assert episodes.step(ids, command[None]).all()
@@ -50,8 +50,8 @@ def run(episodes, ids, value, start, commands):
 
 def atom_of(simulator, name, size):
     """The first place of an effect, with that size, or the size at which a screening tries it."""
-    atom = next(iter(find("effects", name)(simulator.robot)))
-    return replace(atom, start=None), np.array([q.probes[-1] if size is None else size for q in atom.quantities])
+    instance = next(iter(find("effects", name)(simulator.effect_context)))
+    return replace(instance, start=None), np.array([q.probes[-1] if size is None else size for q in instance.quantities])
 
 
 def test_motion_is_the_replays(hopper, motion):
@@ -79,23 +79,23 @@ def test_effects_act_as_in_the_replays(name, size, hopper, motion):
 
 def test_late_sensors(hopper, motion):
     """As in the replays from the moment at which the start has arrived; before it, the start is seen."""
-    atom, size = atom_of(hopper, "sensor_delay", 0.0101)
-    there = hopper.with_effects((), [(atom, size)])
+    instance, size = atom_of(hopper, "sensor_delay", 0.0101)
+    there = hopper.with_effects((), [(instance, size)])
     episodes = Episodes(there, 2)
     found = run(episodes, ONE, hopper.nominal, *motion)
     np.testing.assert_allclose(found[1:], replayed(there, hopper.nominal, *motion)[1:], rtol=0, atol=1e-14)
-    episodes.begin(ONE, motion[0])
+    episodes.reset(ONE, motion[0])
     np.testing.assert_array_equal(episodes.measured(ONE, episodes.rows(ONE)), motion[0][:, 1:])
 
 
 def test_free_effects_are_parameters(hopper, motion):
     """A size of 0 is absence; another in the same batch acts."""
-    atom, size = atom_of(hopper, "actuator_delay", 0.02)
-    free = hopper.with_effects([atom])
+    instance, size = atom_of(hopper, "actuator_delay", 0.02)
+    free = hopper.with_effects([instance])
     episodes = Episodes(free, 2)
-    absent, present = (run(episodes, ONE, np.append(hopper.nominal, s), *motion) for s in (0.0, size[0]))
+    absent, active = (run(episodes, ONE, np.append(hopper.nominal, s), *motion) for s in (0.0, size[0]))
     np.testing.assert_array_equal(absent, replayed(hopper, hopper.nominal, *motion))
-    np.testing.assert_array_equal(present, replayed(free, np.append(hopper.nominal, size), *motion))
+    np.testing.assert_array_equal(active, replayed(free, np.append(hopper.nominal, size), *motion))
 
 
 def test_threads_and_company_do_not_matter(hopper, motion):
@@ -105,14 +105,14 @@ def test_threads_and_company_do_not_matter(hopper, motion):
     values = hopper.nominal * rng.uniform(0.8, 1.2, (4, 4))
     everyone = np.arange(4)
     episodes.set(everyone, values)
-    episodes.begin(everyone, np.tile(start, (4, 1)))
+    episodes.reset(everyone, np.tile(start, (4, 1)))
     rows = []
     for t, command in enumerate(commands):
         episodes.step(everyone, np.tile(command, (4, 1)))
         rows.append(episodes.rows(np.array([2]))[0])
         if t % 7 == 3:
             episodes.set(np.array([0]), values[1:2])
-            episodes.begin(np.array([0]), start)
+            episodes.reset(np.array([0]), start)
     np.testing.assert_array_equal(rows, replayed(hopper, values[2], start, commands))
 
 
@@ -122,13 +122,13 @@ def test_divergence_is_noticed(hopper):
     episodes.set(both, np.tile(hopper.nominal, (2, 1)))
     starts = np.tile(start_states(np.random.default_rng(0), 1), (2, 1))
     starts[0, 6:] = 1e9
-    episodes.begin(both, starts)
+    episodes.reset(both, starts)
     sound = [episodes.step(both, np.zeros((2, 3))) for _ in range(3)][-1]
     assert sound.tolist() == [False, True]
 
 
 def test_recorded_forces_are_refused(hopper):
     """What is known for recorded motion alone has no place in a new episode."""
-    pushed = Atom("push", None, (Quantity("size", "N", 0.0, 1.0, (0.5,)),), push=lambda steps, sizes: np.zeros((steps, 6)))
+    pushed = EffectInstance("push", None, (Quantity("size", "N", 0.0, 1.0, (0.5,)),), push=lambda steps, magnitudes: np.zeros((steps, 6)))
     with pytest.raises(Incompatible, match="recorded motion alone"):
         Episodes(hopper.with_effects([pushed]), 1)

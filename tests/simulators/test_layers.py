@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
-from dropo.simulators.mujoco.layers import by_gate, clamp, commands_of, declared_values, lateness, seen_late, sensed
+from dropo.simulators.mujoco.layers import by_time_profile, clamp, commands_of, declared_values, lateness, seen_late, sensed
 
 SIZE = Quantity("size", "1", -1.0, 1.0, (0.5,))
 MODEL = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody><actuator>
@@ -22,15 +22,15 @@ def data(lengths=(3, 2)):
     return Trajectories(np.zeros((n, 1)), actions, np.zeros((n, 1)), ends)
 
 
-def doubled(commands, sizes):
-    return (1 + sizes[0]) * commands
+def doubled(commands, magnitudes):
+    return (1 + magnitudes[0]) * commands
 
 
-def summed(commands, step, sizes):
+def summed(commands, step, magnitudes):
     return np.cumsum(commands, axis=0)
 
 
-DOUBLE, SUM = Atom("double", None, (SIZE,), command=doubled), Atom("sum", None, (SIZE,), actuation=summed)
+DOUBLE, SUM = EffectInstance("double", None, (SIZE,), command=doubled), EffectInstance("sum", None, (SIZE,), actuation=summed)
 ONE = np.ones(1)
 
 
@@ -57,21 +57,21 @@ def test_clamp():
     np.testing.assert_array_equal(clamp(np.array([[-3.0, -3.0], [3.0, 3.0]]), MODEL), [[-1, -3], [2, 3]])
 
 
-def half_of_it(segments, sizes):
+def half_of_it(segments, magnitudes):
     return np.where(np.arange(len(segments)) % 2 == 0, 1.0, 0.5)
 
 
-def later(segments, sizes):
+def later(segments, magnitudes):
     return (np.arange(len(segments)) > 2).astype(float)
 
 
 def test_by_gate():
     """Segments are put together by what holds in them, sizes with their share; what is absent is left out."""
     segments = data().segments()
-    always, half, late = DOUBLE, Atom("half", None, (SIZE,), command=doubled, gate=half_of_it), Atom("late", None, (SIZE,), gate=later)
-    assert by_gate([(always, ONE)], segments, np.arange(5)) == [(pytest.approx(np.arange(5)), [(always, ONE)])]
-    found = by_gate([(always, ONE), (half, ONE), (late, ONE)], segments, np.array([1, 2, 3, 4]))
-    named = {tuple(part): [(atom.effect, float(sizes[0])) for atom, sizes in present] for part, present in found}
+    always, half, late = DOUBLE, EffectInstance("half", None, (SIZE,), command=doubled, time_profile=half_of_it), EffectInstance("late", None, (SIZE,), time_profile=later)
+    assert by_time_profile([(always, ONE)], segments, np.arange(5)) == [(pytest.approx(np.arange(5)), [(always, ONE)])]
+    found = by_time_profile([(always, ONE), (half, ONE), (late, ONE)], segments, np.array([1, 2, 3, 4]))
+    named = {tuple(part): [(instance.effect, float(magnitudes[0])) for instance, magnitudes in active] for part, active in found}
     assert named == {
         (1,): [("double", 1.0), ("half", 0.5)],
         (2,): [("double", 1.0), ("half", 1.0)],
@@ -79,19 +79,19 @@ def test_by_gate():
         (4,): [("double", 1.0), ("half", 1.0), ("late", 1.0)],
     }
     with pytest.raises(Incompatible, match="half changes from segment to segment"):
-        by_gate([(half, ONE)], data((4, 2)).segments(length=2, reset="partial", set_columns=[False]), np.arange(3))
+        by_time_profile([(half, ONE)], data((4, 2)).segments(length=2, reset="partial", set_columns=[False]), np.arange(3))
 
 
 def test_declared_values():
     """Hooks on the declared parameters follow each other."""
-    add = Atom("add", None, (SIZE,), declared=lambda values, sizes: values + sizes[0])
+    add = EffectInstance("add", None, (SIZE,), declared=lambda values, magnitudes: values + magnitudes[0])
     np.testing.assert_array_equal(declared_values(np.array([1.0, 2.0]), [(add, ONE), (add, 2 * ONE)]), [4.0, 5.0])
 
 
 def test_senses_and_lateness_add_up():
     """Sensor effects follow each other; delays of one signal add up."""
-    louder = Atom(
-        "louder", None, (SIZE,), sense=lambda signals, sizes: signals * (1 + sizes[0]), late=lambda sizes: np.array([0.0, sizes[0]])
+    louder = EffectInstance(
+        "louder", None, (SIZE,), measurement=lambda signals, magnitudes: signals * (1 + magnitudes[0]), late=lambda magnitudes: np.array([0.0, magnitudes[0]])
     )
     np.testing.assert_array_equal(sensed(np.ones((2, 2)), [(louder, ONE), (louder, ONE)]), np.full((2, 2), 4.0))
     np.testing.assert_array_equal(lateness([(louder, ONE), (louder, 2 * ONE)], 2), [0, 3])

@@ -88,15 +88,15 @@ def test_sensitivities_are_exact_where_differences_round():
     by_mass = (v - u / damping) * decay * damping / mass**2 * 0.05
     by_damping = -u / damping**2 * (1 - decay) - (v - u / damping) * decay * 0.05 / mass
     expected = np.stack([by_mass, by_damping], axis=-1)
-    np.testing.assert_allclose(Block().linearise(value, part)[1][:, 1], expected, rtol=1e-13, atol=1e-14)
-    assert np.abs(SlidingBlock().linearise(value, part)[1][:, 1] - expected).max() > 1e-12
-    np.testing.assert_array_equal(Block().sensitivities(value, part), Block().linearise(value, part)[1])
+    np.testing.assert_allclose(Block().linearize(value, part)[1][:, 1], expected, rtol=1e-13, atol=1e-14)
+    assert np.abs(SlidingBlock().linearize(value, part)[1][:, 1] - expected).max() > 1e-12
+    np.testing.assert_array_equal(Block().sensitivities(value, part), Block().linearize(value, part)[1])
 
 
 def test_a_given_step_asks_for_differences():
     """Sensitivities over a wide step are those differences, not the derivative."""
     part, value, step = data().segments(), np.array([1.3, 0.7]), np.array([0.3, 0.3])
-    found, expected = (simulator.linearise(value, part, step=step)[1] for simulator in (Block(), SlidingBlock()))
+    found, expected = (simulator.linearize(value, part, step=step)[1] for simulator in (Block(), SlidingBlock()))
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
     assert np.abs(found - Block().sensitivities(value, part)).max() > 1e-4
 
@@ -106,7 +106,7 @@ def test_steps_are_counted():
     simulator, part = Block(), data().segments(2)
     simulator.predict(draws(4), part)
     assert simulator.steps == 4 * 18
-    simulator.linearise(draws(1)[0], part)
+    simulator.linearize(draws(1)[0], part)
     assert simulator.steps == (4 + 2) * 18
 
 
@@ -122,7 +122,7 @@ def test_failures_are_nan_rows_of_their_own():
     tensor = simulator.predict(torch.tensor(values), part)
     np.testing.assert_array_equal(tensor, found)
     with pytest.raises(SimulationFailed, match=r"simulated rows diverged, the first at row .* with rate = 3"):
-        simulator.linearise([3.0], part)
+        simulator.linearize([3.0], part)
 
 
 def test_a_simulator_without_gradients_refuses_tensors():
@@ -154,9 +154,9 @@ class HalfDetached(Block):
     def _advance(self, values, states, actions):
         return super()._advance(torch.cat([values[..., :1], values[..., 1:].detach()], dim=-1), states, actions)
 
-    def linearise(self, values, segments, *, step=None):
+    def linearize(self, values, segments, *, step=None):
         width = 1e-5 * np.ones(2)
-        return super().linearise(values, segments, step=width)
+        return super().linearize(values, segments, step=width)
 
 
 @pytest.mark.parametrize(("broken", "words"), [

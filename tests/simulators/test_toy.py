@@ -46,7 +46,7 @@ def test_sliding_block_solves_its_equation():
     values, data = sliding()
     simulator = SlidingBlock(dt=0.05)
     for i, value in enumerate(values):
-        mine = data.only([i]).first(3)
+        mine = data.select([i]).head(3)
         found = simulator.predict([value, value * [1, 1.01]], mine.segments())
         expected = np.array([fine_steps(value, o, a[0], 0.05) for o, a in zip(mine.observations, mine.actions, strict=True)])
         np.testing.assert_allclose(found[0], expected, atol=1e-9)
@@ -68,7 +68,7 @@ def test_linear_simulator_is_linear():
     segments = data.segments(3, every_step=True)
     moved = np.einsum("nlq,qpd->nlpd", segments.actions, simulator.matrices).cumsum(axis=1)  # (N, L, p, d)
     for value in np.random.default_rng(2).normal(size=(3, 2)):
-        prediction, slopes = simulator.linearise(value, segments)
+        prediction, slopes = simulator.linearize(value, segments)
         np.testing.assert_allclose(prediction, (segments.starts[:, None] + moved @ value).reshape(-1, 3), atol=1e-12)
         np.testing.assert_allclose(slopes, moved.reshape(-1, 3, 2), atol=1e-8)
 

@@ -24,7 +24,7 @@ def _without_outside_data(monkeypatch):
 def test_two_laws(tmp_path):
     """A policy of each law, kept as tasks that name law and seed; the tables and the picture."""
     path = tmp_path / "kept.jsonl"
-    size = Size(transitions=20, bounds=2, laws=(TRUTH, UNIFORM), training=TINY)
+    size = Size(transitions=20, bounds=2, distributions=(TRUTH, UNIFORM), training=TINY)
     study = figure_6_3.figure_6_3(Work(threads=1, path=path), 1, size=size)
     asked = [json.loads(json.loads(line)[0]) for line in path.read_text().splitlines()]
     policies = [item for task, item in asked if task.endswith("trained")]

@@ -49,11 +49,11 @@ def machine(table="6.2"):
 
 def test_the_machine_varies_as_its_table():
     """Its law has the table's mean and spread, within 4.5 standard errors of 4000 draws; another table's has not."""
-    draws = machine().law.sample(4000, 0)
+    draws = machine().distribution.sample(4000, 0)
     error = np.maximum(SPREAD["6.2"], 1e-4) / np.sqrt(4000)
     assert (np.abs(draws.mean(axis=0) - MEAN) < 4.5 * error).all()
     assert draws.std(axis=0) == pytest.approx(SPREAD["6.2"], abs=4.5 * 0.5 / np.sqrt(8000))
-    assert machine("6.1").law.sample(100, 0).std(axis=0).max() < 1e-6
+    assert machine("6.1").distribution.sample(100, 0).std(axis=0).max() < 1e-6
 
 
 def test_collected_data_carry_the_machine_s_noise():
@@ -78,7 +78,7 @@ def test_a_heavy_hopper_falls():
 
 def test_returns_are_those_of_trained_policies():
     """The steps of the search are told; the same seed gives the same return."""
-    one, same = (machine().evaluate(machine().law, np.random.default_rng(1)) for _ in range(2))
+    one, same = (machine().evaluate(machine().distribution, np.random.default_rng(1)) for _ in range(2))
     assert one == same
     assert one.transitions == 20
     assert one.steps == 2 * 16 * 10 * FRAME_SKIP

@@ -47,8 +47,8 @@ def test_table_6_2(monkeypatch):
     rows = study.data["clean"]["data_sets"]["random effects"]
     for row in rows:
         assert abs(row["mean"][0] - row["drawn_mean"][0]) < 0.01
-    laws = study.data["clean"]["laws"]
-    assert laws["dropo"]["exact"] > laws["law the masses were drawn from"]["exact"]
+    distributions = study.data["clean"]["laws"]
+    assert distributions["dropo"]["exact"] > distributions["law the masses were drawn from"]["exact"]
     assert study.title.endswith("2 data sets")
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.testing import check_effect
 from tests.effects.robots import ROBOTS
 
@@ -17,13 +17,13 @@ def pull(moment, sizes):
     return np.full_like(moment.qvel, sizes[0])
 
 
-SOUND = Atom("pull", "everything", (SIZE,), force=pull)
+SOUND = EffectInstance("pull", "everything", (SIZE,), force=pull)
 
 
-def check(*atoms):
+def check(*instances):
     """Checks a plug-in that offers these atoms on the arm."""
     robot = ROBOTS["arm"]()
-    check_effect(lambda _: iter(atoms), robot.simulator, robot.segments)
+    check_effect(lambda _: iter(instances), robot.simulator, robot.segments)
 
 
 def test_a_sound_effect_passes():
@@ -87,7 +87,7 @@ BROKEN = {
     "trial of another length": ((replace(SOUND, trials=(((0.5, 0.5),),)),), "for 1 quantities"),
     "trial of size 0": ((replace(SOUND, trials=(((0.0,),),)),), "size 0"),
     "no hook": ((replace(SOUND, force=None),), "has no hook"),
-    "no quantity": ((Atom("pull", None, (), force=pull, trials=(((),),)),), "no quantity"),
+    "no quantity": ((EffectInstance("pull", None, (), force=pull, trials=(((),),)),), "no quantity"),
     "same label": ((SOUND, replace(SOUND)), "appear twice"),
     "two names": ((SOUND, replace(SOUND, effect="push")), "several names"),
 }
@@ -96,7 +96,7 @@ BROKEN = {
 @pytest.mark.parametrize("fault", BROKEN)
 def test_faults_are_found(fault):
     """Each fault is named."""
-    atoms, words = BROKEN[fault]
+    instances, words = BROKEN[fault]
     with pytest.raises(AssertionError) as found:
-        check(*atoms)
+        check(*instances)
     assert words in str(found.value)

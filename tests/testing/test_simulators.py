@@ -83,8 +83,8 @@ class OffsetsLost(SlidingBlock):
 class WrongSlopes(SlidingBlock):
     """Sensitivities of damping 1 % too large."""
 
-    def linearise(self, values, segments, *, step=None):
-        prediction, slopes = super().linearise(values, segments, step=step)
+    def linearize(self, values, segments, *, step=None):
+        prediction, slopes = super().linearize(values, segments, step=step)
         return prediction, slopes * [1.0, 1.01]
 
 

@@ -16,7 +16,7 @@ from dropo.core.services.registry import find
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.hopper.problem import hopper_simulator
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.training.distributions import Point, Uniform, Widening, draw
+from dropo.training.distributions import Point, Uniform, Curriculum, draw
 from dropo.training.environments import randomize
 from tests.training.cart import aside, cart, fit_of, near, to_goal
 
@@ -74,13 +74,13 @@ def test_gymnasium_is_its_own_where_nothing_is_drawn(name):
     assert same(one_of(randomize(name, count=3), 1, 7, actions), expected)
 
 
-@pytest.mark.parametrize(("target", "law"), [("Hopper-v5", HALF), (cart(), Uniform(cart().space))])
-def test_many_are_as_one(target, law):
+@pytest.mark.parametrize(("target", "distribution"), [("Hopper-v5", HALF), (cart(), Uniform(cart().space))])
+def test_many_are_as_one(target, distribution):
     """Under draws and noise an environment among many, on two threads, moves as it does alone; another seed draws others."""
-    single = randomize(target, law, noise=1e-3)
+    single = randomize(target, distribution, noise=1e-3)
     actions = actions_for(single)
     expected = played(single, 5, actions)
-    assert same(one_of(randomize(target, law, count=4, noise=1e-3, threads=2), 2, 5, actions), expected)
+    assert same(one_of(randomize(target, distribution, count=4, noise=1e-3, threads=2), 2, 5, actions), expected)
     assert not np.array_equal(played(single, 6, actions[:1])[1][0], expected[1][0])
 
 
@@ -92,15 +92,15 @@ def test_checked_by_gymnasium():
 
 def test_draws_are_the_fits():
     """In the model that moves, with the fit's mean, spread and correlation: within 4.5 standard errors of 600 draws."""
-    law = fit_of(HOPPER.space, HOPPER.nominal, np.full(4, 0.2), correlation=0.8, signals=11)
-    env = law.randomize("Hopper-v5")
+    distribution = fit_of(HOPPER.space, HOPPER.nominal, np.full(4, 0.2), correlation=0.8, signals=11)
+    env = distribution.randomize("Hopper-v5")
     drawn = []
     for seed in range(600):
         told = env.reset(seed=seed)[1]["parameters"]
         drawn.append([env.unwrapped.model.body(body).mass[0] for body in ("torso", "thigh", "leg", "foot")])
         assert list(told.values()) == drawn[-1]
     drawn = np.array(drawn)
-    assert np.all(np.abs(drawn.mean(axis=0) - law.mean) < 4.5 * 0.2 / np.sqrt(600))
+    assert np.all(np.abs(drawn.mean(axis=0) - distribution.mean) < 4.5 * 0.2 / np.sqrt(600))
     assert np.all(np.abs(drawn.std(axis=0) - 0.2) < 4.5 * 0.2 / np.sqrt(1200))
     correlation = np.corrcoef(drawn.T)
     assert abs(correlation[0, 1] - 0.8) < 4.5 * (1 - 0.8**2) / np.sqrt(600)
@@ -120,18 +120,18 @@ def test_masses_alone_change():
 
 def test_a_saved_fit_knows_its_places(tmp_path):
     """There and back, the parameters still go where they are in the model."""
-    law = fit_of(HOPPER.space, HOPPER.nominal, np.full(4, 0.2), signals=11)
-    law.save(tmp_path)
+    distribution = fit_of(HOPPER.space, HOPPER.nominal, np.full(4, 0.2), signals=11)
+    distribution.save(tmp_path)
     back = Fit.load(tmp_path)
     assert not any(isinstance(p, FieldParameter) for p in back.space)
     actions = actions_for(gymnasium.make("Hopper-v5"))
-    assert same(played(back.randomize("Hopper-v5"), 3, actions), played(law.randomize("Hopper-v5"), 3, actions))
+    assert same(played(back.randomize("Hopper-v5"), 3, actions), played(distribution.randomize("Hopper-v5"), 3, actions))
 
 
 def test_noise_is_what_the_fit_learned():
     """Its variance, within 4.5 standard errors; none where 0 is given; in the observation alone, not in the motion."""
-    law = fit_of(cart().space, [2.0, 0.5], [1e-4, 1e-4], epsilon=0.04)
-    noisy, clean = law.randomize(cart()), law.randomize(cart(), noise=0.0)
+    distribution = fit_of(cart().space, [2.0, 0.5], [1e-4, 1e-4], epsilon=0.04)
+    noisy, clean = distribution.randomize(cart()), distribution.randomize(cart(), noise=0.0)
     actions = [np.array([0.5])] * 30
     errors = []
     for seed in range(20):
@@ -144,8 +144,8 @@ def test_noise_is_what_the_fit_learned():
 
 def test_late_commands_of_an_extended_problem():
     """A fixed effect acts in the problem's environment and, handed over, in Gymnasium's; without it the motion is another."""
-    atom = next(a for a in find("effects", "actuator_delay")(HOPPER.robot) if a.target is None)
-    late = [(atom, np.array([0.016]))]
+    instance = next(a for a in find("effects", "actuator_delay")(HOPPER.effect_context) if a.target is None)
+    late = [(instance, np.array([0.016]))]
     actions = actions_for(gymnasium.make("Hopper-v5"))
     delayed = [np.zeros(3), np.zeros(3), *actions]
     plain, found = played(gymnasium.make("Hopper-v5"), 2, actions), played(randomize("Hopper-v5", effects=late), 2, delayed)
@@ -153,8 +153,8 @@ def test_late_commands_of_an_extended_problem():
     shifted = played(gymnasium.make("Hopper-v5"), 2, [np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), *actions])
     np.testing.assert_allclose([row[0] for row in found[:20]], [row[0] for row in shifted[:20]], atol=1e-12)
     base = cart()
-    atom = next(iter(find("effects", "actuator_delay")(base.simulator.robot)))
-    extended = replace(base, simulator=base.simulator.with_effects((), [(atom, np.array([0.08]))]))
+    instance = next(iter(find("effects", "actuator_delay")(base.simulator.effect_context)))
+    extended = replace(base, simulator=base.simulator.with_effects((), [(instance, np.array([0.08]))]))
     push = [np.array([0.0]), *[np.array([1.0])] * 8]
     one, other = (np.array([row[0] for row in played(randomize(p), 0, push)]) for p in (base, extended))
     np.testing.assert_allclose(other[3:], one[1:-2], atol=0.2)
@@ -165,11 +165,11 @@ def test_late_commands_of_an_extended_problem():
 def test_widening():
     """No spread at the start, all of it at the end, in between a share; through the same environment."""
     space = cart().space
-    law = Widening(Uniform(space), 100, start=0.1)
+    distribution = Curriculum(Uniform(space), 100, start=0.1)
     rng = np.random.default_rng(0)
-    spread = [np.std([draw(law, rng, done)[0] for _ in range(400)]) for done in (0, 50, 100, 1000)]
+    spread = [np.std([draw(distribution, rng, done)[0] for _ in range(400)]) for done in (0, 50, 100, 1000)]
     np.testing.assert_allclose(spread, np.array([0.1, 0.55, 1, 1]) * 3 / np.sqrt(12), rtol=0.12)
-    env = randomize(cart(), Widening(Uniform(space), 60))
+    env = randomize(cart(), Curriculum(Uniform(space), 60))
     assert env.reset(seed=0)[1]["parameters"] == {"mass": 2.5, "damping": 0.55}
     played(env, 1, [np.zeros(1)] * 40)
     assert env.reset(seed=2)[1]["parameters"]["mass"] != 2.5
@@ -189,7 +189,7 @@ def test_goals_and_own_commands():
     assert reward == -abs(seen[0] - seen[2])
     single = randomize(cart())
     single.reset(seed=4)
-    single.arena.episodes.begin(np.array([0]), start[None, :2])
+    single.batched_env.episodes.reset(np.array([0]), start[None, :2])
     single.step(np.array([0.3]))
     np.testing.assert_array_equal(single.step(np.array([-0.5]))[0], seen[:2])
     assert not terminated
@@ -210,13 +210,13 @@ def test_draws_that_break_the_simulation():
         *_, truncated, info = env.step(np.zeros(1))
         ends.append((truncated, bool(info.get("broken"))))
         assert truncated == ends[-1][1]
-    assert 0 < env.arena.failures == sum(broken for _, broken in ends) < 20
+    assert 0 < env.batched_env.failures == sum(broken for _, broken in ends) < 20
     weightless = Point(ParameterSpace((FieldParameter("m", 0, 9, field="body_mass", element="cart"),)), np.zeros(1))
     simulator = MujocoSimulator(cart().simulator.spec(), weightless.space, frame_skip=4, threads=1)
     made = randomize(replace(cart(), simulator=simulator, truth=None), weightless)
     with pytest.raises(SimulationFailed, match="refused 20 draws in a row"):
         made.reset(seed=0)
-    assert made.arena.failures == 20
+    assert made.batched_env.failures == 20
 
 
 def test_refusals():

@@ -24,7 +24,7 @@ def problem():
 @pytest.mark.parametrize("name", ["sac", pytest.param("ppo", marks=pytest.mark.study)])
 def test_trained_resumed_and_kept(name, problem, tmp_path):
     """With the thesis' layers; an interrupted training goes on with the steps that are left; the file plays the same."""
-    law = fit_of(problem.space, [2.0, 0.5], [0.2, 0.05], epsilon=1e-6)
+    distribution = fit_of(problem.space, [2.0, 0.5], [0.2, 0.05], epsilon=1e-6)
     algorithm, seen = ALGORITHMS[name], []
 
     def stop(share, text):
@@ -32,8 +32,8 @@ def test_trained_resumed_and_kept(name, problem, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(problem, law, algorithm, out=tmp_path, progress=stop)
-    policy = train(problem, law, algorithm, out=tmp_path, progress=lambda share, text: seen.append(share))
+        train(problem, distribution, algorithm, out=tmp_path, progress=stop)
+    policy = train(problem, distribution, algorithm, out=tmp_path, progress=lambda share, text: seen.append(share))
     assert seen[0] > 0.5, "the first half is not done again"
     assert policy.about["control_steps"] == algorithm.steps
     network = policy.model.policy.actor if name == "sac" else policy.model.policy

@@ -8,7 +8,7 @@ import pytest
 from dropo.core.records.task import Task
 from dropo.core.services.errors import BadArgument, BadFile, Incompatible, MissingPackage, SimulationFailed, UnknownName
 from dropo.training.ars import ARS, Search
-from dropo.training.distributions import Point, Uniform, Widening
+from dropo.training.distributions import Point, Uniform, Curriculum
 from dropo.training.evaluate import Compared, evaluate, motion
 from dropo.training.policy import LinearPolicy, load_policy
 from dropo.training.train import train
@@ -23,13 +23,13 @@ def problem():
 
 
 @pytest.fixture(scope="module")
-def law(problem):
+def distribution(problem):
     return fit_of(problem.space, [2.0, 0.5], [0.2, 0.05], correlation=0.5, epsilon=1e-6)
 
 
 @pytest.fixture(scope="module")
-def policy(problem, law):
-    return train(problem, law, QUICK, rng=1)
+def policy(problem, distribution):
+    return train(problem, distribution, QUICK, rng=1)
 
 
 def nothing(problem):
@@ -43,23 +43,23 @@ def same_policy(one, other):
     return True
 
 
-def test_search_finds_a_policy(problem, law, policy):
+def test_search_finds_a_policy(problem, distribution, policy):
     """It beats doing nothing by far, on the target and under the fit; a reward that is always the same teaches nothing."""
     found, idle = evaluate(policy, problem, episodes=50), evaluate(nothing(problem), problem, episodes=50)
     better = found.returns - idle.returns  # the same starts
     assert better.mean() > 10 * better.std() / np.sqrt(50)
-    assert evaluate(policy, problem, law=law, episodes=50).mean > evaluate(nothing(problem), problem, law=law, episodes=50).mean
-    flat = train(cart(Task(lambda before, actions, after: np.zeros(len(after)), aside, steps=STEPS)), law, QUICK, rng=1)
+    assert evaluate(policy, problem, distribution=distribution, episodes=50).mean > evaluate(nothing(problem), problem, distribution=distribution, episodes=50).mean
+    flat = train(cart(Task(lambda before, actions, after: np.zeros(len(after)), aside, steps=STEPS)), distribution, QUICK, rng=1)
     assert np.array_equal(flat.weights, np.zeros((1, 2)))
 
 
-def test_threads_do_not_matter(problem, law, policy):
-    assert same_policy(train(problem, law, QUICK, rng=1, threads=2), policy)
-    assert not np.array_equal(train(problem, law, QUICK, rng=2).weights, policy.weights)
+def test_threads_do_not_matter(problem, distribution, policy):
+    assert same_policy(train(problem, distribution, QUICK, rng=1, threads=2), policy)
+    assert not np.array_equal(train(problem, distribution, QUICK, rng=2).weights, policy.weights)
 
 
 @pytest.mark.parametrize("stop_at", [0.2, 0.6])
-def test_an_interrupted_search_goes_on(stop_at, problem, law, policy, tmp_path):
+def test_an_interrupted_search_goes_on(stop_at, problem, distribution, policy, tmp_path):
     """To the same policy, with nothing done twice; what cannot be read is refused."""
     shares = []
 
@@ -69,18 +69,18 @@ def test_an_interrupted_search_goes_on(stop_at, problem, law, policy, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(problem, law, QUICK, rng=1, out=tmp_path, progress=stop)
+        train(problem, distribution, QUICK, rng=1, out=tmp_path, progress=stop)
     again = []
-    assert same_policy(train(problem, law, QUICK, rng=1, out=tmp_path, progress=lambda share, text: again.append(share)), policy)
+    assert same_policy(train(problem, distribution, QUICK, rng=1, out=tmp_path, progress=lambda share, text: again.append(share)), policy)
     assert len(shares) + len(again) == QUICK.updates
     (tmp_path / "ars.npz").write_bytes(b"broken")
     with pytest.raises(BadFile, match="a search that was interrupted"):
-        train(problem, law, QUICK, rng=1, out=tmp_path)
+        train(problem, distribution, QUICK, rng=1, out=tmp_path)
 
 
-def test_the_bonus_does_not_count_in_the_search(law):
+def test_the_bonus_does_not_count_in_the_search(distribution):
     """However large, it changes no weight of the last update; trials count it."""
-    policies = [train(cart(Task(near, aside, steps=STEPS, alive=on_rail, bonus=bonus)), law, QUICK, rng=3) for bonus in (0.0, 1e6)]
+    policies = [train(cart(Task(near, aside, steps=STEPS, alive=on_rail, bonus=bonus)), distribution, QUICK, rng=3) for bonus in (0.0, 1e6)]
     histories = [np.array(p.about["history"]) for p in policies]
     np.testing.assert_array_equal(histories[0][:, :2], histories[1][:, :2])
     np.testing.assert_allclose(histories[1][:, 2] - histories[0][:, 2], 1e6 * STEPS, rtol=1e-6)
@@ -131,19 +131,19 @@ def test_the_target_has_its_true_parameters(policy, problem):
     """Those of the problem, where they are known; a law of one's own replaces them."""
     true = Point(problem.space, np.array([2.0, 0.5]))
     found = evaluate(policy, problem, episodes=5)
-    np.testing.assert_array_equal(found.returns, evaluate(policy, problem, law=true, episodes=5).returns)
+    np.testing.assert_array_equal(found.returns, evaluate(policy, problem, distribution=true, episodes=5).returns)
     other = Point(problem.space, np.array([4.0, 0.5]))
-    assert not np.array_equal(found.returns, evaluate(policy, problem, law=other, episodes=5).returns)
+    assert not np.array_equal(found.returns, evaluate(policy, problem, distribution=other, episodes=5).returns)
 
 
 def test_a_law_that_widens(problem, policy):
     """Its share follows the training's steps, across an interruption too; trials and evaluation are at its full width."""
-    law = Widening(Uniform(problem.space), 10**9)
-    found = evaluate(policy, problem, law=law, episodes=20).returns
-    np.testing.assert_array_equal(found, evaluate(policy, problem, law=law.law, episodes=20).returns)
-    narrow = train(problem, law, QUICK, rng=1)
-    np.testing.assert_allclose(narrow.weights, train(problem, Point(problem.space, law.mean), QUICK, rng=1).weights, rtol=1e-4)
-    assert not np.allclose(narrow.weights, train(problem, law.law, QUICK, rng=1).weights, rtol=1e-4)
+    distribution = Curriculum(Uniform(problem.space), 10**9)
+    found = evaluate(policy, problem, distribution=distribution, episodes=20).returns
+    np.testing.assert_array_equal(found, evaluate(policy, problem, distribution=distribution.distribution, episodes=20).returns)
+    narrow = train(problem, distribution, QUICK, rng=1)
+    np.testing.assert_allclose(narrow.weights, train(problem, Point(problem.space, distribution.mean), QUICK, rng=1).weights, rtol=1e-4)
+    assert not np.allclose(narrow.weights, train(problem, distribution.distribution, QUICK, rng=1).weights, rtol=1e-4)
 
 
 def test_motion(policy, problem):
@@ -201,7 +201,7 @@ def test_hopping_is_learned_under_a_fit():
     from dropo.problems.hopper.problem import hopper
 
     target = hopper(1)
-    law = fit_of(target.space, target.simulator.nominal, np.full(4, 0.01), epsilon=1e-8, signals=11, problem="hopper")
-    found = train(target, law, rng=0, threads=0)
+    distribution = fit_of(target.space, target.simulator.nominal, np.full(4, 0.01), epsilon=1e-8, signals=11, problem="hopper")
+    found = train(target, distribution, rng=0, threads=0)
     assert evaluate(found, target).mean > 1500
     assert evaluate(found, "Hopper-v5").mean > 1000  # whose masses and margins are others

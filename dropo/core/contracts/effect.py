@@ -33,7 +33,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class StepState:
     """Many simulations at one physics step, for effects that depend on the state: qpos (n, nq), qvel (n, nv), ctrl (n, nu).
 
     step: physics steps since the segments' start; act (n, na): states of actuators that have one; model: as it is simulated, with
@@ -49,7 +49,7 @@ class Moment:
 
 
 @dataclass(frozen=True, eq=False)
-class Atom:
+class EffectInstance:
     """One effect at one place: what is added to a simulation, with the numbers to be found.
 
     A hook takes the sizes (q,) of the quantities last; it is not called where all of them are 0. It leaves what it is given as it
@@ -80,15 +80,15 @@ class Atom:
     model: Callable[[Model, Array], None] | None = None
     command: Callable[[Array, Array], Array] | None = None
     actuation: Callable[[Array, float, Array], Array] | None = None
-    drive: Callable[[Moment, Array], Array] | None = None
-    force: Callable[[Moment, Array], Array] | None = None
-    push: Callable[[int, Array], Array] | None = None
+    command_feedback: Callable[[StepState, Array], Array] | None = None
+    force: Callable[[StepState, Array], Array] | None = None
+    applied_force: Callable[[int, Array], Array] | None = None
     wrench: Callable[[Array], tuple[int, Array]] | None = None
     start: Callable[[Array, Array, Array], Array] | None = None
-    sense: Callable[[Array, Array], Array] | None = None
-    late: Callable[[Array], Array] | None = None
+    measurement: Callable[[Array, Array], Array] | None = None
+    sensor_delay: Callable[[Array], Array] | None = None
     declared: Callable[[Array, Array], Array] | None = None
-    gate: Callable[[Segments, Array], Array] | None = None
+    time_profile: Callable[[Segments, Array], Array] | None = None
     general: bool = False
     alike: tuple[str, ...] = ()
     order: int = 0
@@ -118,7 +118,7 @@ def _trials(quantities: tuple[Quantity, ...]) -> tuple[tuple[tuple[float, ...], 
 
 
 @dataclass(frozen=True)
-class Robot:
+class EffectContext:
     """What effects are offered for: the model, the compared signals by name and unit, and how long a command is held [s].
 
     parameters: those that the simulator declares; source: whether the model can be compiled anew (see `Atom.general`).
@@ -131,11 +131,11 @@ class Robot:
     source: bool = True
 
 
-Effect = Callable[[Robot], Iterable[Atom]]
+Effect = Callable[[EffectContext], Iterable[EffectInstance]]
 """A plug-in of kind "effects": the atoms of one effect at every place of a robot where it can be."""
 
 
-def sizes_of(atoms: Sequence[Atom], values: Array) -> list[tuple[Atom, Array]]:
+def magnitudes_of(instances: Sequence[EffectInstance], values: Array) -> list[tuple[EffectInstance, Array]]:
     """The atoms that are present, with their sizes, from all sizes in a row (sum of q,)."""
-    owner = np.repeat(np.arange(len(atoms)), [len(atom.quantities) for atom in atoms])
-    return [(atoms[i], values[owner == i]) for i in np.unique(owner[values != 0]).tolist()]
+    owner = np.repeat(np.arange(len(instances)), [len(instance.quantities) for instance in instances])
+    return [(instances[i], values[owner == i]) for i in np.unique(owner[values != 0]).tolist()]

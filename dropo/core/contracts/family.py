@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import qmc
 
 from dropo.core.numerics.array_api import checked, constant, namespace
-from dropo.core.numerics.standard_distributions import StandardLaw
+from dropo.core.numerics.standard_distributions import StandardDistribution
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.validation import Array, require
 
@@ -22,7 +22,7 @@ class Family(ABC):
     """
 
     unknowns: ParameterSpace
-    standard: StandardLaw | None = None  # where a draw is an affine map of independent components of one law: that law
+    standard: StandardDistribution | None = None  # where a draw is an affine map of independent components of one law: that law
     logarithmic = False  # whether it is the draw's logarithm that is such a map
     redraws = 20  # thesis, section 5.3: an infeasible draw is made again so many times, then put on the bound
 

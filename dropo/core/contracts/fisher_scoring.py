@@ -49,21 +49,21 @@ class _Coordinates:
         return np.clip(target, self.low, self.high)
 
 
-def maximise_locally(objective: LocalLogLikelihood, start: Array, *, tolerance: float = 1e-9, rounds: int = 100) -> Maximum:
+def maximize_locally(objective: LocalLogLikelihood, start: Array, *, tolerance: float = 1e-9, rounds: int = 100) -> Maximum:
     """The maximum within the bounds of `objective.unknowns`, from phi `start` (m,).
 
     Stops where the next step promises less than `tolerance` of a nat, or no damped step gains anything.
     """
     at = _Coordinates(objective)
 
-    def expand(theta: Array) -> tuple[float, Array, Array]:
+    def value_score_information(theta: Array) -> tuple[float, Array, Array]:
         phi = at.phi(theta)
-        value, scores, information = objective.expand(phi)
+        value, scores, information = objective.value_score_information(phi)
         slope = at.slope(phi)
         return value, scores.sum(axis=0) * slope, information * np.outer(slope, slope)
 
     theta = np.clip(at.of(start), at.low, at.high)
-    value, score, information = expand(theta)
+    value, score, information = value_score_information(theta)
     damping, evaluations = 1e-3, 1
     while evaluations < rounds:
         free = ~(((theta <= at.low) & (score <= 0)) | ((theta >= at.high) & (score >= 0)))
@@ -76,7 +76,7 @@ def maximise_locally(objective: LocalLogLikelihood, start: Array, *, tolerance: 
             matrix / np.outer(np.sqrt(size[free]), np.sqrt(size[free])), score[free] / np.sqrt(size[free])
         ) / np.sqrt(size[free])
         moved = at.limit(theta, target)
-        new = expand(moved)
+        new = value_score_information(moved)
         evaluations += 1
         if np.isfinite(new[0]) and new[0] > value:
             theta, (value, score, information), damping = moved, new, max(damping / 10, 1e-12)

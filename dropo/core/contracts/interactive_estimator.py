@@ -39,7 +39,7 @@ Performance = Callable[[Array, Generator], float | Answer[float]]
 """How well the policy does in simulation under parameter values (d,), higher is better: performance(values, rng)."""
 
 
-class Online(Estimator):
+class InteractiveEstimator(Estimator):
     """An estimator with a callback among its settings; its own `__post_init__` calls `_check_callback`."""
 
     def _check_callback(self, name: str, signature: str) -> None:
@@ -54,7 +54,7 @@ class Online(Estimator):
 
 
 @dataclass
-class Calls:
+class Callbacks:
     """The callbacks of one run. Each has a generator of its own, is recorded in the run's journal, and its cost is counted.
 
     transitions: control steps made on the target so far.
@@ -103,7 +103,7 @@ class Calls:
         return found
 
 
-def law(problem: Problem, method: str, family_name: str, phi: Array, **found: Any) -> Fit:
+def distribution(problem: Problem, method: str, family_name: str, phi: Array, **found: Any) -> Fit:
     """The Fit of the family's member phi (m,), of which nothing is known but itself, as a callback gets it; found: what is known beside.
 
     Its epsilon is the problem's own, else 0, so that policies may be trained under it as it is.

@@ -16,7 +16,7 @@ class LocalLogLikelihood(LogLikelihood):
     """Sound near where it was built alone; `unknowns` are bounded by that region."""
 
     @abstractmethod
-    def expand(self, phi: Array) -> tuple[float, Array, Array]:
+    def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
         """The value, the scores of the rows (R, m), or of the groups where they share draws, and the Fisher information (m, m)."""
 
     @abstractmethod
@@ -28,8 +28,7 @@ class LocalLikelihood(Likelihood):
     """A likelihood from a local model of the simulator: an estimator builds it again where it finds the maximum."""
 
     @abstractmethod
-    def around(
-        self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
+    def linearize_at(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
         rng: np.random.Generator, *, rough: bool = False,
     ) -> LocalLogLikelihood:  # fmt: skip
         """The log-likelihood of members with means near centre (d,) and scales up to about width (d,); cheaper where `rough`."""
@@ -38,4 +37,4 @@ class LocalLikelihood(Likelihood):
         self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, rng: np.random.Generator
     ) -> LocalLogLikelihood:
         space = simulator.space
-        return self.around(simulator, segments, family, epsilon, (space.low + space.high) / 2, (space.high - space.low) / 6, rng)
+        return self.linearize_at(simulator, segments, family, epsilon, (space.low + space.high) / 2, (space.high - space.low) / 6, rng)

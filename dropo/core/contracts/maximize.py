@@ -42,7 +42,7 @@ class _Costs:
         return 1e12 if self.most < self.least else self.most + 1.0 + (self.most - self.least)
 
 
-def maximise(
+def maximize(
     objective: LogLikelihood | Objective, space: ParameterSpace, optimizer: Optimizer, run: Run, *, batched: bool = False
 ) -> SearchResult:
     """The point of the space's box with the highest objective, by the optimizer, in at most `optimizer.budget` evaluations.

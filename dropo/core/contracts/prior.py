@@ -28,13 +28,13 @@ TEXT = re.compile(r"\s*([a-z]+)\s*(?:\(([^()]*)\))?\s*")
 def read_prior(prior: Prior, parameter: Parameter) -> Any:
     """The frozen distribution of a parameter's prior; "uniform" alone is uniform on the search interval."""
     caller = f"prior of {parameter.name!r}"
-    law = _from_text(prior, parameter) if isinstance(prior, str) else prior
+    distribution = _from_text(prior, parameter) if isinstance(prior, str) else prior
     kind = "a text such as 'normal(3.5, 0.2)' or a frozen continuous distribution of scipy.stats"
-    require(hasattr(law, "logpdf") and hasattr(law, "dist") and np.ndim(law.mean()) == 0, "law", kind, prior, caller)
-    inside = max(law.cdf(parameter.high) - law.cdf(parameter.low), law.sf(parameter.low) - law.sf(parameter.high))
+    require(hasattr(distribution, "logpdf") and hasattr(distribution, "dist") and np.ndim(distribution.mean()) == 0, "law", kind, prior, caller)
+    inside = max(distribution.cdf(parameter.high) - distribution.cdf(parameter.low), distribution.sf(parameter.low) - distribution.sf(parameter.high))
     interval = f"one with mass in the search interval [{parameter.low:g}, {parameter.high:g}]"
     require(bool(inside > LEAST_MASS), "law", interval, describe(prior), caller)
-    return law
+    return distribution
 
 
 def _from_text(text: str, parameter: Parameter) -> Any:
@@ -50,10 +50,10 @@ def _from_text(text: str, parameter: Parameter) -> Any:
         numbers = []
     rule = f"{found[1]}({', '.join(takes)}), in numbers"
     require(len(numbers) == len(takes) and bool(np.isfinite(numbers).all()), "law", rule, text, caller)
-    law = make(*numbers)
-    if not np.isfinite(law.median()):
+    distribution = make(*numbers)
+    if not np.isfinite(distribution.median()):
         raise BadArgument(f"The 'law' of {caller} must be {rule} that make a density: widths above 0. Got {text!r} instead.")
-    return law
+    return distribution
 
 
 def describe(prior: Prior) -> str:
@@ -75,27 +75,27 @@ class LogPrior:
         self.space = space
         for name in priors:
             known("unknown with a prior", name, space.names)
-        self.laws = {space.names.index(name): read_prior(prior, space[name]) for name, prior in priors.items()}
+        self.distributions = {space.names.index(name): read_prior(prior, space[name]) for name, prior in priors.items()}
 
     def __call__(self, points: Array) -> Array:
         """(W, m) -> (W,)."""
         out = np.zeros(len(points))
-        for i, law in self.laws.items():
-            out += law.logpdf(points[:, i]) + (np.log(points[:, i]) if self.space.is_log[i] else 0.0)
+        for i, distribution in self.distributions.items():
+            out += distribution.logpdf(points[:, i]) + (np.log(points[:, i]) if self.space.is_log[i] else 0.0)
         return out
 
     def gradient(self, points: Array) -> Array:
         """(W, m), by the parameters in their own units."""
         out = np.zeros(points.shape)
-        for i, law in self.laws.items():
-            out[:, i] = _slope(law, points[:, i]) + (1 / points[:, i] if self.space.is_log[i] else 0.0)
+        for i, distribution in self.distributions.items():
+            out[:, i] = _slope(distribution, points[:, i]) + (1 / points[:, i] if self.space.is_log[i] else 0.0)
         return out
 
 
-def _slope(law: Any, x: Array) -> Array:
+def _slope(distribution: Any, x: Array) -> Array:
     """d log density / dx by central differences; from one side at the ends of the law's support, 0 outside."""
-    step = STEP * (law.ppf(0.75) - law.ppf(0.25))
-    below, here, above = (law.logpdf(at) for at in (x - step, x, x + step))
+    step = STEP * (distribution.ppf(0.75) - distribution.ppf(0.25))
+    below, here, above = (distribution.logpdf(at) for at in (x - step, x, x + step))
     low, high = np.isfinite(below), np.isfinite(above)
     with np.errstate(invalid="ignore"):
         rise = np.where(high, above, here) - np.where(low, below, here)

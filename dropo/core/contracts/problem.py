@@ -82,6 +82,6 @@ class Problem:
         executor: any concurrent.futures.Executor; the results stay the same, bit for bit.
         """
         whole = self.trajectories if self.everything is None else self.everything
-        data = self.trajectories if transitions is None else whole.first(transitions)
+        data = self.trajectories if transitions is None else whole.head(transitions)
         simulator = self.simulator if executor is None else Spread(self.simulator, executor)
         return replace(self, simulator=simulator, trajectories=data, length=self.length if length is None else length)

@@ -75,7 +75,7 @@ class Sampler(ABC):
 
     def _in_unit_box(self, log_density: Any, space: ParameterSpace, evaluate: Evaluate) -> Density:
         caller = f"{type(self).__name__}.sample"
-        if self.needs_gradients and not hasattr(log_density, "expand"):
+        if self.needs_gradients and not hasattr(log_density, "value_score_information"):
             raise Incompatible(
                 f"{type(self).__name__} needs the gradient of the log density, and this one comes without."
                 " Use likelihood 'emulated' or 'linear', or sampler 'emcee'."
@@ -111,7 +111,7 @@ def _with_gradients(log_density: Any, space: ParameterSpace, caller: str) -> Den
 
     def function(points: Array) -> Array:
         at = space.from_unit(points)
-        values, gradients = (np.asarray(part, dtype=float) for part in log_density.expand(at))
+        values, gradients = (np.asarray(part, dtype=float) for part in log_density.value_score_information(at))
         check_shape("log density", values, (len(points),), caller)
         check_shape("gradient", gradients, points.shape, caller)
         return np.column_stack([values, gradients * _slopes(space, at)])

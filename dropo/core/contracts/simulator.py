@@ -76,7 +76,7 @@ class Simulator(ABC):
         """What was measured at every compared row, in the coordinates of `predict`: (R, p)."""
         return segments.targets
 
-    def start_doubt(self, value: Array, segments: Segments) -> Array:
+    def extra_start_sd(self, value: Array, segments: Segments) -> Array:
         """(N, p) standard deviations by which true starts may be off what was measured, noise aside, under one parameter vector (d,)."""
         return np.zeros((len(segments), len(self.signals)))
 
@@ -85,9 +85,9 @@ class Simulator(ABC):
 
         step: (d,) the half width of the differences; by default eps^(1/3) of each parameter's interval, kept in bounds.
         """
-        return self.linearise(values, segments, step=step)[1]
+        return self.linearize(values, segments, step=step)[1]
 
-    def linearise(self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None) -> tuple[Array, Array]:
+    def linearize(self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None) -> tuple[Array, Array]:
         """The prediction (R, p) and its sensitivities (R, p, d) at (d,), from one batch of 2 d + 1."""
         d = len(self.space)
         centre = float_array("values", values, (d,), f"{type(self).__name__}.linearise")

@@ -14,7 +14,7 @@ NODES = 64
 
 
 @dataclass(frozen=True, eq=False)
-class StandardLaw:
+class StandardDistribution:
     """quantile: (0, 1) -> the law's values; nodes, weights: (Q,) a Gauss rule, weights summing to 1."""
 
     quantile: Callable[[Array], Array]
@@ -43,22 +43,22 @@ class StandardLaw:
         return stacked
 
 
-def _normal() -> StandardLaw:
+def _normal() -> StandardDistribution:
     nodes, weights = roots_hermitenorm(NODES)
-    return StandardLaw(ndtri, nodes, weights / weights.sum())
+    return StandardDistribution(ndtri, nodes, weights / weights.sum())
 
 
-def _uniform() -> StandardLaw:
+def _uniform() -> StandardDistribution:
     nodes, weights = roots_legendre(NODES)
-    return StandardLaw(lambda base: 2 * base - 1, nodes, weights / 2)
+    return StandardDistribution(lambda base: 2 * base - 1, nodes, weights / 2)
 
 
-def _truncated_normal(cut: float) -> StandardLaw:
+def _truncated_normal(cut: float) -> StandardDistribution:
     """A standard normal given |x| <= cut."""
     nodes, weights = roots_legendre(NODES)
     density = weights * np.exp(-((cut * nodes) ** 2) / 2)
     tail = float(ndtr(-cut))
-    return StandardLaw(lambda base: ndtri(tail + (1 - 2 * tail) * base), cut * nodes, density / density.sum())
+    return StandardDistribution(lambda base: ndtri(tail + (1 - 2 * tail) * base), cut * nodes, density / density.sum())
 
 
 NORMAL, UNIFORM, TRUNCATED_NORMAL = _normal(), _uniform(), _truncated_normal(2.0)

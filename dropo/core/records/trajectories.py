@@ -76,12 +76,12 @@ class Trajectories:
         stops = np.flatnonzero(self.terminals) + 1
         return list(zip([0, *stops[:-1].tolist()], stops.tolist(), strict=True))
 
-    def first(self, transitions: int) -> "Trajectories":
+    def head(self, transitions: int) -> "Trajectories":
         """The first so many transitions; the last one ends its trajectory."""
         require(transitions >= 1, "transitions", "at least 1", transitions, "Trajectories.first")
         return self.rows(np.arange(min(transitions, len(self))))
 
-    def only(self, trajectories: ArrayLike) -> "Trajectories":
+    def select(self, trajectories: ArrayLike) -> "Trajectories":
         """The named trajectories, in the order of the data."""
         return self.rows(np.flatnonzero(np.isin(self.trajectory, np.asarray(trajectories))))
 
@@ -219,7 +219,7 @@ class Segments:
         """The same segments with every step compared."""
         return self if self.every_step else replace(self, every_step=True)
 
-    def spread_out(self, count: int) -> Ints:
+    def thin(self, count: int) -> Ints:
         """Which segments to take for about `count` of them, evenly spread; all where they form chains, or are fewer."""
         stride = len(self) // count if len(self.levels) == 1 else 1
         return np.arange(0, len(self), max(1, stride), dtype=np.int64)

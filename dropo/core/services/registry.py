@@ -10,7 +10,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from dropo.core.contracts.effect import Atom, Robot
+from dropo.core.contracts.effect import EffectInstance, EffectContext
 from dropo.core.services.validation import known
 
 _EFFECTS = (
@@ -156,14 +156,14 @@ def _singular(kind: str) -> str:
     return {"families": "family", "studies": "study"}.get(kind, kind.removesuffix("s"))
 
 
-def atoms_of(robot: Robot, effect: str, place: str = "") -> list[Atom]:
+def instances_of(context: EffectContext, effect: str, place: str = "") -> list[EffectInstance]:
     """An effect's atoms on a robot, at every place or at one.
 
     Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
     """
-    found = list(find("effects", effect)(robot))
+    found = list(find("effects", effect)(context))
     if not place:
         return found
-    places = [atom.label.partition(":")[2] for atom in found]
+    places = [instance.label.partition(":")[2] for instance in found]
     known(f"place for {effect}", place, sorted({p for p in places if p}))
-    return [atom for atom, own in zip(found, places, strict=True) if own == place]
+    return [instance for instance, own in zip(found, places, strict=True) if own == place]

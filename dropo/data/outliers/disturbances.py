@@ -258,4 +258,4 @@ def _span(windows: Segments, members: Ints, errors: Array, times: Array, signal:
 def robust_values(simulator: Simulator, trajectories: Trajectories, step: float, start: Array, *, seconds: float = 0.2) -> Array:
     """The parameters (d,) that explain most windows of the trajectories, from `start`: `robust_fit`, which pushes do not lead astray."""
     windows = cut(trajectories, max(1, round(seconds / step)))
-    return robust_fit(simulator, windows.take(windows.spread_out(WINDOWS)), start).value
+    return robust_fit(simulator, windows.take(windows.thin(WINDOWS)), start).value

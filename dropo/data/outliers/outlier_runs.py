@@ -19,7 +19,7 @@ WINDOWS = 200  # of a run that its own fit sees
 
 
 @dataclass(frozen=True)
-class OddRun:
+class OutlierRun:
     """A run whose own value of a parameter lies outside of what the others, spread and all, leave room for. run: its group or trajectory;
     held_out: of those held out."""
 
@@ -49,7 +49,7 @@ class Runs:
     number: Ints
     values: Array
     errors: Array
-    odd: tuple[OddRun, ...]
+    odd: tuple[OutlierRun, ...]
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.odd)) if self.odd else f"The {len(self.number)} runs agree."
@@ -78,7 +78,7 @@ def compare_runs(simulator: Simulator, trajectories: Trajectories, values: Array
 def _own(simulator: Simulator, data: Trajectories, value: Array, length: int) -> tuple[Array, Array]:
     """A run's values and their standard errors: a robust fit to its windows, errors from the scores of blocks of time."""
     windows, width = cut(data, length), simulator.space.high - simulator.space.low
-    fit = robust_fit(simulator, windows.take(windows.spread_out(WINDOWS)), value, beyond=True)
+    fit = robust_fit(simulator, windows.take(windows.thin(WINDOWS)), value, beyond=True)
     blocks = np.array([part.sum(axis=0) for part in np.array_split(fit.scores, min(BLOCKS, len(fit.scores)))])
     blocks = blocks - blocks.mean(axis=0)
     covariance = fit.inverse @ (blocks.T @ blocks) @ fit.inverse * len(blocks) / (len(blocks) - 1)
@@ -86,7 +86,7 @@ def _own(simulator: Simulator, data: Trajectories, value: Array, length: int) ->
     return fit.value, np.where(silent, np.inf, width * np.sqrt(np.diagonal(covariance)))
 
 
-def _odd(number: Ints, values: Array, errors: Array, place: int, simulator: Simulator) -> list[OddRun]:
+def _odd(number: Ints, values: Array, errors: Array, place: int, simulator: Simulator) -> list[OutlierRun]:
     """The runs that are odd in one parameter, the most odd first."""
     parameter, left, out = simulator.space.parameters[place], np.isfinite(errors), []
     tests = int(left.sum()) * len(simulator.space)
@@ -99,7 +99,7 @@ def _odd(number: Ints, values: Array, errors: Array, place: int, simulator: Simu
         i, mean, spread, p_value = min(found, key=lambda one: one[3])
         if p_value > LEVEL / tests:
             break
-        out.append(OddRun(int(number[i]), parameter.name, parameter.unit, float(values[i]), float(errors[i]), mean, spread, p_value))
+        out.append(OutlierRun(int(number[i]), parameter.name, parameter.unit, float(values[i]), float(errors[i]), mean, spread, p_value))
         left[i] = False
     return out
 

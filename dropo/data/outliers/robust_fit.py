@@ -36,7 +36,7 @@ def robust_fit(simulator: Simulator, windows: Segments, start: Array, *, beyond:
     low, high = (space.lower, space.upper) if beyond else (space.low, space.high)
     value = np.clip(float_array("start", start, (len(space),), "robust_fit"), low, high)
     for _ in range(rounds):
-        predicted, slopes = simulator.linearise(value, windows, step=1e-3 * width)
+        predicted, slopes = simulator.linearize(value, windows, step=1e-3 * width)
         errors = measured - predicted
         scale = np.maximum(deviation(errors), 1e-300)
         white, rest = slopes * width / scale[:, None], errors / scale

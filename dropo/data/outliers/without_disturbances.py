@@ -15,7 +15,7 @@ MANY, OFTEN = 8, 1 / 3  # trajectories, of which no more than this share is push
 
 
 @dataclass(frozen=True, eq=False)
-class Undisturbed:
+class WithoutDisturbances:
     """problem: without the spans; share: of all transitions that lie in them."""
 
     problem: Problem
@@ -23,7 +23,7 @@ class Undisturbed:
     share: float
 
 
-def undisturbed(problem: Problem, simulator: Simulator, values: Array) -> Undisturbed | None:
+def without_disturbances(problem: Problem, simulator: Simulator, values: Array) -> WithoutDisturbances | None:
     """The problem without the spans that the simulator with these values (d,) cannot explain.
 
     None where there are none, where so much, or in so many trajectories, stands out that the model is rather at fault, and where too few
@@ -47,10 +47,10 @@ def undisturbed(problem: Problem, simulator: Simulator, values: Array) -> Undist
         )  # fmt: skip
     except BadArgument:  # no trajectory is as long as a segment any more
         return None
-    return Undisturbed(quiet, (*fitted, *later), found.share)
+    return WithoutDisturbances(quiet, (*fitted, *later), found.share)
 
 
-def without_pushes(problem: Problem) -> Undisturbed | None:
+def remove_disturbances(problem: Problem) -> WithoutDisturbances | None:
     """The problem without the spans that its own simulator, robustly fitted to most of the data, cannot explain; None as of `undisturbed`.
 
     Only where segments start from measurements: elsewhere they cannot begin anew behind a span. A model that lacks much finds fewer spans.
@@ -61,7 +61,7 @@ def without_pushes(problem: Problem) -> Undisturbed | None:
     space = problem.space
     start = np.clip(simulator.nominal, space.low, space.high) if simulator.nominal is not None else (space.low + space.high) / 2
     try:
-        return undisturbed(problem, simulator, robust_values(simulator, problem.trajectories, step, start))
+        return without_disturbances(problem, simulator, robust_values(simulator, problem.trajectories, step, start))
     except SimulationFailed:  # a search has nothing to start from; the fit itself will say so
         return None
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.numerics.robust_covariance import sandwich
 from dropo.core.records.dependence import Units
 from dropo.core.services.tables import number
@@ -28,24 +28,24 @@ LEAST_P = float(np.finfo(float).tiny)
 def causes(library: Library, last: State, reviews: Mapping[str, Review], count: int) -> tuple[Cause, ...]:
     """The accepted effects of the last state, in the order in which they were found; count: how many effects were looked for."""
     errors = standard_errors(library, last) if last.accepted else np.zeros(0)
-    return tuple(_cause(library, last, atom, reviews[atom.label], count, errors) for atom in last.accepted)
+    return tuple(_cause(library, last, instance, reviews[instance.label], count, errors) for instance in last.accepted)
 
 
-def _cause(library: Library, last: State, atom: Atom, found: Review, count: int, errors: Array) -> Cause:
+def _cause(library: Library, last: State, instance: EffectInstance, found: Review, count: int, errors: Array) -> Cause:
     gain, steps = gain_of(found.without.test, last.test)[0], last.test.windows.steps
     blocks = by_block(found.without.test, last.test)
-    held = invariance(library, last.test, atom)
+    held = invariance(library, last.test, instance)
     return Cause(
-        atom.effect, atom.target, atom.variant, estimate(library, last, atom, errors), p_of(gain, count), gain / steps,
+        instance.effect, instance.target, instance.variant, estimate(library, last, instance, errors), p_of(gain, count), gain / steps,
         float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps), _rmse(library, found.without), _rmse(library, last),
-        _confused(library, last, atom, found), _shape(last, atom) if held.constant else held.variable,
+        _confused(library, last, instance, found), _shape(last, instance) if held.constant else held.variable,
     )  # fmt: skip
 
 
-def _shape(last: State, atom: Atom) -> str | None:
+def _shape(last: State, instance: EffectInstance) -> str | None:
     """The angle that harmonics act on which are no multiples of the lowest: together they draw a shape that no effect stands for."""
-    orders = [other.order for other in last.accepted if (other.effect, other.target) == (atom.effect, atom.target)]
-    return f"qpos.{atom.target}" if atom.order and any(order % min(orders) for order in orders) else None
+    orders = [other.order for other in last.accepted if (other.effect, other.target) == (instance.effect, instance.target)]
+    return f"qpos.{instance.target}" if instance.order and any(order % min(orders) for order in orders) else None
 
 
 def _rmse(library: Library, state: State) -> float:
@@ -61,18 +61,18 @@ def p_of(gain: float, count: int, z: float | None = None) -> float:
     return max(p, LEAST_P, 0.0 if z is None else float(norm.sf(z)))
 
 
-def _confused(library: Library, last: State, atom: Atom, found: Review) -> tuple[dict[str, Any], ...]:
+def _confused(library: Library, last: State, instance: EffectInstance, found: Review) -> tuple[dict[str, Any], ...]:
     """The other effects that the data cannot tell from it, with why, and where in the data the difference is largest."""
     told = []
-    for i, (own, other, why) in enumerate(ambiguity(last, atom, found)):
-        told.append({"effect": other.atom.effect, "target": other.atom.target, "variant": other.atom.variant, "why": why})
-        tried = experiment(library, last, atom, other.atom, other.sizes) if i < TOLD_APART else None
+    for i, (own, other, why) in enumerate(ambiguity(last, instance, found)):
+        told.append({"effect": other.instance.effect, "target": other.instance.target, "variant": other.instance.variant, "why": why})
+        tried = experiment(library, last, instance, other.instance, other.sizes) if i < TOLD_APART else None
         regime = _difference(library, found.origin.before, own, other) if found.origin else None
         if tried is not None and tried.seconds < PATIENCE:
             told[-1]["to_tell"] = f"record {number(tried.seconds, 2)} s of {tried}"
         elif regime:
             told[-1]["to_tell"] = f"record more {regime}"
-    return (*told, *({"effect": name, "target": None, "variant": "", "why": "the same in any recorded data"} for name in atom.alike))
+    return (*told, *({"effect": name, "target": None, "variant": "", "why": "the same in any recorded data"} for name in instance.alike))
 
 
 def _difference(library: Library, before: State, one: Candidate, two: Candidate) -> str | None:
@@ -82,10 +82,10 @@ def _difference(library: Library, before: State, one: Candidate, two: Candidate)
     return standing_out(before.train.windows, library, (rest**2).sum(axis=1))
 
 
-def estimate(library: Library, last: State, atom: Atom, errors: Array) -> dict[str, dict[str, Any]]:
+def estimate(library: Library, last: State, instance: EffectInstance, errors: Array) -> dict[str, dict[str, Any]]:
     """By quantity: what is added, its standard error, the model's own number."""
     out = {}
-    for place, quantity in zip(library.places[atom.label], atom.quantities, strict=True):
+    for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
         error = float(errors[int(np.flatnonzero(last.free == place)[0])])
         out[quantity.name] = {
             "value": float(last.theta[place]), "se": error if np.isfinite(error) else None, "unit": quantity.unit, "model": quantity.base,
@@ -113,12 +113,12 @@ def _sandwich(library: Library, last: State, share: float) -> Array:
 
 def suspects(selection: Selection, last: State, count: int) -> tuple[dict[str, Any], ...]:
     """Effects of the last round that seemed to help and were not confirmed."""
-    taken = {atom.label for atom in last.accepted}
+    taken = {instance.label for instance in last.accepted}
     trials = selection.rounds[-1].trials if selection.rounds else []
     return tuple(
         {
-            "effect": trial.candidate.atom.effect, "target": trial.candidate.atom.target,
+            "effect": trial.candidate.instance.effect, "target": trial.candidate.instance.target,
             "p_value": p_of(trial.held_out, count, trial.z), "held_out_gain": trial.held_out / last.test.windows.steps,
         }
-        for trial in trials if trial.held_out > 0 and trial.candidate.atom.label not in taken
+        for trial in trials if trial.held_out > 0 and trial.candidate.instance.label not in taken
     )  # fmt: skip

@@ -11,8 +11,8 @@ from dropo.core.services.errors import BadArgument, SimulationFailed
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.data.outliers.disturbances import Span
-from dropo.data.outliers.outlier_runs import OddRun, compare_runs
-from dropo.data.outliers.without_disturbances import Undisturbed, both_sides
+from dropo.data.outliers.outlier_runs import OutlierRun, compare_runs
+from dropo.data.outliers.without_disturbances import WithoutDisturbances, both_sides
 from dropo.diagnosis.findings.horizons import Horizon
 
 RUNS = 40  # that are compared at most: each is fitted by itself
@@ -48,16 +48,16 @@ class LeftOut:
         return {"spans": [span.to_json() for span in self.spans], "share": self.share, "errors_with_them": sides}
 
 
-def left_out(quiet: Undisturbed, inside: Sequence[Sequence[Horizon]]) -> LeftOut:
+def left_out(quiet: WithoutDisturbances, inside: Sequence[Sequence[Horizon]]) -> LeftOut:
     """What was left out, with the errors on all data held out of each model (one horizon each, where the data are long enough)."""
     return LeftOut(quiet.spans, quiet.share, tuple(one for found in inside for one in found))
 
 
-def odd_runs(problem: Problem, extended: Problem, values: Array) -> tuple[OddRun, ...]:
+def outlier_runs(problem: Problem, extended: Problem, values: Array) -> tuple[OutlierRun, ...]:
     """The runs whose own declared parameters or sizes of causes disagree with the others'; none where there are few runs or many."""
     base, data = cast(Any, problem.simulator), both_sides(problem)
     causes = cast(Any, extended.simulator).fixed[len(base.fixed) :]
-    simulator = base.with_effects([atom for atom, _ in causes])
+    simulator = base.with_effects([instance for instance, _ in causes])
     if not len(simulator.space) or data.group is None or data.group.max() >= RUNS:
         return ()
     try:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Segments, Trajectories
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.library import command_names
@@ -47,7 +47,7 @@ class Experiment:
         return self.step * max(1, int(np.ceil(CLEAR / self.nats * LENGTH))) if self.nats > 0 else np.inf
 
 
-def experiment(library: Library, last: State, one: Atom, other: Atom, sizes: Array) -> Experiment | None:
+def experiment(library: Library, last: State, one: EffectInstance, other: EffectInstance, sizes: Array) -> Experiment | None:
     """Of the candidates the one under which the effect differs most from the other (of sizes (q,)), whatever the other's size: the length
     of its response without its projection on the other's, in units of the noise, window by window as the data are judged.
 

@@ -19,8 +19,8 @@ def choose_problem_input(problems: Mapping[str, Problem]) -> InputChoice:
     """The best of one problem under each of several commands, by name; dry friction and rotor inertia of every joint are fitted too."""
     first = next(iter(problems.values()))
     simulator = cast(Any, first.simulator)
-    losses = [atom for name in LOSSES for atom in find("effects", name)(simulator.robot)]
-    simulator = simulator.with_effects([atom for atom in losses if atom.target is not None and not declared(first.simulator, atom)])
+    losses = [instance for name in LOSSES for instance in find("effects", name)(simulator.effect_context)]
+    simulator = simulator.with_effects([instance for instance in losses if instance.target is not None and not declared(first.simulator, instance)])
     start = np.clip(simulator.nominal, simulator.space.low, simulator.space.high)
     seconds = max(SECONDS, first.length * simulator.control_step)
     data = {name: problem.trajectories for name, problem in problems.items()}

@@ -7,7 +7,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library, Look, look, moved
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows, linearize, moved
 from dropo.diagnosis.search.selection import State
 from dropo.diagnosis.search.whitening import DEGREES
 from dropo.diagnosis.search.windows import FEWEST, Windows, held_out_windows, spread_of
@@ -24,7 +24,7 @@ def motion(problem: Problem, library: Library, first: State, last: State) -> Pre
     windows = next((found for found in tried if len(found) >= FEWEST), None)
     if windows is None:
         return None
-    end = look(library, windows, last.theta, last.train.whiten.sigma)
+    end = linearize(library, windows, last.theta, last.train.whiten.sigma)
     begin = moved(library, end, first.theta, first.train.whiten.sigma)
     spread, shown = spread_of(library.simulator, windows), _neighbours(windows)
     steps = windows.segments.steps[shown, 0]
@@ -40,7 +40,7 @@ def motion(problem: Problem, library: Library, first: State, last: State) -> Pre
     )  # fmt: skip
 
 
-def _side(name: str, seen: Look, state: State, shown: Ints, spread: Array) -> Side:
+def _side(name: str, seen: LinearizedWindows, state: State, shown: Ints, spread: Array) -> Side:
     line = seen.predicted + seen.shift
     half = stats.t.ppf((1 + LEVEL) / 2, DEGREES) * _deviations(seen)
     errors = _by_window(seen.windows.measured - line, spread)[~seen.lost] / spread
@@ -51,12 +51,12 @@ def _side(name: str, seen: Look, state: State, shown: Ints, spread: Array) -> Si
     )  # fmt: skip
 
 
-def _deviations(seen: Look) -> Array:
+def _deviations(seen: LinearizedWindows) -> Array:
     """(W, n) standard deviations by the noise of the measurement and of the measured start."""
     return np.sqrt(seen.whiten.rows**2 + np.sum((seen.whiten.loadings * seen.whiten.scale) ** 2, axis=2))
 
 
-def _pit(seen: Look) -> Array:
+def _pit(seen: LinearizedWindows) -> Array:
     """Probabilities below the residuals of some steps, made independent by the Cholesky factor of each window's covariance."""
     good, length, p = ~seen.lost, seen.windows.length, len(seen.whiten.sigma)
     steps = np.unique(np.linspace(0, length - 1, max(1, min(length, ENTRIES // p))).round().astype(np.int64))

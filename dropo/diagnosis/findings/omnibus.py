@@ -7,7 +7,7 @@ from scipy.stats import norm, t
 
 from dropo.core.numerics.ridge_regression import fourier_features, ridge
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Look
+from dropo.diagnosis.search.linearization import LinearizedWindows
 
 FEATURES = 150  # random Fourier features (Rahimi and Recht 2007)
 RIDGES = np.logspace(-3, 3, 13)
@@ -31,7 +31,7 @@ class Omnibus:
         return self.z > PRESENT and self.share > NEGLIGIBLE
 
 
-def omnibus(train: Look, test: Look, rng: np.random.Generator) -> Omnibus:
+def omnibus(train: LinearizedWindows, test: LinearizedWindows, rng: np.random.Generator) -> Omnibus:
     """Ridge regression, its penalty by generalised cross-validation, from the windows to fit to those held out."""
     base = [_state_and_command(seen) for seen in (train, test)]
     mean, sd = base[0].mean(axis=0), base[0].std(axis=0)
@@ -53,14 +53,14 @@ def _z(blocks: Array) -> float:
     return float(norm.isf(max(t.sf(blocks.sum() / error, len(blocks) - 1), 1e-300))) if error > 0 else 0.0
 
 
-def _rows(seen: Look) -> Array:
+def _rows(seen: LinearizedWindows) -> Array:
     """(W L, p) whitened residuals, windows across an impact held down."""
     n, p = seen.residuals.shape[1], len(seen.whiten.sigma)
     whole = seen.flat(seen.residuals).reshape(len(seen.windows), -1)[:, :n]
     return whole.reshape(-1, p)
 
 
-def _state_and_command(seen: Look) -> Array:
+def _state_and_command(seen: LinearizedWindows) -> Array:
     """(W L, s) the window's start, the step, and the commands up to it."""
     segments = seen.windows.segments
     actions, length = segments.trajectories.actions, seen.windows.length

@@ -57,8 +57,8 @@ def remaining(problem: Problem, library: Library, last: State, floor: Array, rng
 
 def force_names(library: Library) -> Sequence[tuple[str, str]]:
     """(name, unit) of each degree of freedom: its joint's."""
-    atoms = [atom for atom in library.atoms if atom.effect == "unexplained_force" and atom.variant == "0"]
-    return [(str(atom.target), atom.quantities[0].unit) for atom in atoms]
+    instances = [instance for instance in library.instances if instance.effect == "unexplained_force" and instance.variant == "0"]
+    return [(str(instance.target), instance.quantities[0].unit) for instance in instances]
 
 
 def _surprise(problem: Problem, state: State) -> list[str]:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library, Look
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.whitening import Whitener, learn_noise
 
 GAINED, CERTAIN = 9.0, 2.5  # nats and standard errors on windows held out, from which the forces are there
@@ -18,7 +18,7 @@ LEARNED = 48  # windows at least that their size is learned from, where there ar
 FREE, BALL, SLIDE, HINGE = range(4)
 
 
-def impulses(model: Any, length: int) -> list[Atom]:
+def impulses(model: Any, length: int) -> list[EffectInstance]:
     """An atom for each piece of a window and degree of freedom: a generalised force in that piece alone. Its target is the joint.
 
     A piece is a control step, in long windows several."""
@@ -26,10 +26,10 @@ def impulses(model: Any, length: int) -> list[Atom]:
     return [_impulse(model, dof, k, pieces, *names[dof]) for k in range(pieces) for dof in range(model.nv)]
 
 
-def _impulse(model: Any, dof: int, k: int, pieces: int, name: str, unit: str) -> Atom:
+def _impulse(model: Any, dof: int, k: int, pieces: int, name: str, unit: str) -> EffectInstance:
     scale = 10.0 * max(float(model.dof_M0[dof]), 1e-9)  # what moves it by 10 rad/s^2 (m/s^2)
     force = Quantity("force", unit, -1e3 * scale, 1e3 * scale, (scale,))
-    return Atom("unexplained_force", name, (force,), str(k), push=partial(_push, model.nv, dof, k, pieces))
+    return EffectInstance("unexplained_force", name, (force,), str(k), push=partial(_push, model.nv, dof, k, pieces))
 
 
 def _push(nv: int, dof: int, k: int, pieces: int, steps: int, sizes: Array) -> Array:
@@ -69,19 +69,19 @@ class Unexplained:
 
 
 def unexplained_force(
-    library: Library, train: Look, test: Look, floor: Array, gain_of: Callable[[Look, Look], tuple[float, float]],
+    library: Library, train: LinearizedWindows, test: LinearizedWindows, floor: Array, gain_of: Callable[[LinearizedWindows, LinearizedWindows], tuple[float, float]],
     answers: tuple[Array, Array] | None = None,
 ) -> Unexplained:  # fmt: skip
     """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, by expectation-maximisation on the windows to fit.
 
     answers: those found under another theta, which hardly matters to them.
     """
-    atoms = [atom for atom in library.atoms if atom.effect == "unexplained_force"]
+    instances = [instance for instance in library.instances if instance.effect == "unexplained_force"]
     train = train.take(np.arange(0, len(train.windows), max(1, len(train.windows) // LEARNED)))
-    nv, good = len({atom.target for atom in atoms}), ~train.lost
-    pieces = len(atoms) // nv
-    unit = np.array([atom.quantities[0].probes[0] for atom in atoms[:nv]])
-    answers = answers or (_answers(library, train, atoms), _answers(library, test, atoms))
+    nv, good = len({instance.target for instance in instances}), ~train.lost
+    pieces = len(instances) // nv
+    unit = np.array([instance.quantities[0].probes[0] for instance in instances[:nv]])
+    answers = answers or (_answers(library, train, instances), _answers(library, test, instances))
     ways = [np.concatenate([seen.loadings, way], axis=2) for seen, way in zip((train, test), answers, strict=True)]
     sigma, sd = learn_noise(
         ways[0][good], train.residuals[good], train.whiten.sigma, floor, unit, pieces=pieces, known=train.doubts[good]
@@ -91,9 +91,9 @@ def unexplained_force(
     return Unexplained(sd, 1 / unit, *gain_of(test, with_forces), with_forces.log_likelihood - test.log_likelihood, answers)
 
 
-def _answers(library: Library, seen: Look, atoms: list[Atom]) -> Array:
+def _answers(library: Library, seen: LinearizedWindows, instances: list[EffectInstance]) -> Array:
     """d residual / d force (W, n, pieces nv)."""
-    free = np.concatenate([library.places[atom.label] for atom in atoms])
+    free = np.concatenate([library.places[instance.label] for instance in instances])
     push = library.steps[free]
     tried = np.repeat(seen.theta[None], len(free), axis=0)
     tried[np.arange(len(free)), free] = push

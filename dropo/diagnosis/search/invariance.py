@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.library import command_names
-from dropo.diagnosis.search.linearization import Library, Look
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.windows import Windows
 
 BINS = 4  # quantile bins of each variable
@@ -31,21 +31,21 @@ class Invariance:
         return self.p_value > DIFFERS
 
 
-def invariance(library: Library, seen: Look, atom: Atom) -> Invariance:
+def invariance(library: Library, seen: LinearizedWindows, instance: EffectInstance) -> Invariance:
     """The test on windows that the effect was not fitted to: one-step estimates of its size in each bin, compared by chi-square."""
-    return differing(seen, response_of(library, seen, atom), regimes(seen.windows, library))
+    return differing(seen, response_of(library, seen, instance), regimes(seen.windows, library))
 
 
-def response_of(library: Library, seen: Look, atom: Atom) -> Array:
+def response_of(library: Library, seen: LinearizedWindows, instance: EffectInstance) -> Array:
     """(W, n) how the predictions change as the effect's size doubles, by their slope."""
-    place, space = library.places[atom.label], library.simulator.space
+    place, space = library.places[instance.label], library.simulator.space
     halves = np.stack([seen.theta, seen.theta])
     halves[:, place] *= np.array([[1.05], [0.95]])
     ends = library.predict(np.clip(halves, space.low, space.high), seen.windows)
     return np.asarray(np.nan_to_num(ends[0] - ends[1]) / 0.1)
 
 
-def drifting(library: Library, seen: Look, names: tuple[str, ...]) -> list[str]:
+def drifting(library: Library, seen: LinearizedWindows, names: tuple[str, ...]) -> list[str]:
     """The declared parameters whose size differs with time in the data."""
     if not names:
         return []
@@ -54,7 +54,7 @@ def drifting(library: Library, seen: Look, names: tuple[str, ...]) -> list[str]:
     return [n for n, slope in zip(names, slopes, strict=True) if differing(seen, slope, time).p_value * len(names) < DIFFERS]
 
 
-def differing(seen: Look, response: Array, variables: dict[str, Array]) -> Invariance:
+def differing(seen: LinearizedWindows, response: Array, variables: dict[str, Array]) -> Invariance:
     """The variable over whose bins the estimate of the response's share (W, n) in the residuals differs most."""
     slope = seen.flat(response).reshape(len(seen.windows), -1)
     rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)

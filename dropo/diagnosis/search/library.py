@@ -6,43 +6,43 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.core.services.registry import atoms_of, names
+from dropo.core.services.registry import instances_of, names
 
 
-def atoms_for(problem: Problem, effects: Sequence[str] | None = None, free: Ints | None = None) -> list[Atom]:
+def instances_for(problem: Problem, effects: Sequence[str] | None = None, free: Ints | None = None) -> list[EffectInstance]:
     """The atoms of the named effects, of all where None is named. "joint_damping:elbow" names one at one place.
 
     free: the places of the declared parameters that are fitted; None: all.
 
     Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
     """
-    robot = getattr(problem.simulator, "robot", None)
+    robot = getattr(problem.simulator, "effect_context", None)
     if robot is None:
         raise Incompatible(f"{type(problem.simulator).__name__} offers no effects. A diagnosis needs a MuJoCo model.")
     wanted = [text.partition(":") for text in effects] if effects is not None else [(name, "", "") for name in names("effects")]
-    found: list[Atom] = []
+    found: list[EffectInstance] = []
     for name, _, place in wanted:
-        found += [atom for atom in atoms_of(robot, name, place) if not declared(problem.simulator, atom, free)]
+        found += [instance for instance in instances_of(robot, name, place) if not declared(problem.simulator, instance, free)]
     if not found:
         raise BadArgument("No effect is left to look for: all that were named are declared as parameters.")
     return found
 
 
-def declared(simulator: Simulator, atom: Atom, free: Ints | None = None) -> bool:
+def declared(simulator: Simulator, instance: EffectInstance, free: Ints | None = None) -> bool:
     """Whether the atom is declared, or changes a number of the model that a declared parameter (one of `free`) stands for, at that place
     alone."""
-    if atom.label in {own.label for own in getattr(simulator, "effects", ())}:
+    if instance.label in {own.label for own in getattr(simulator, "effects", ())}:
         return True
     bindings = [binding for i, binding in enumerate(getattr(simulator, "bindings", ())) if free is None or i in free]
-    if atom.model is None or atom.target is None or not bindings:
+    if instance.model is None or instance.target is None or not bindings:
         return False
     changed = copy.copy(simulator.model)  # type: ignore[attr-defined]
-    atom.model(changed, np.array(atom.trials[0][0]))
+    instance.model(changed, np.array(instance.trials[0][0]))
     return any(not np.array_equal(binding.read(changed), binding.read(simulator.model)) for binding in bindings)  # type: ignore[attr-defined]
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -20,20 +20,20 @@ class Library:
     """The simulator whose parameters are the d declared ones, then the sizes of all atoms; and where each atom's stand."""
 
     simulator: Simulator
-    atoms: Sequence[Atom]
+    instances: Sequence[EffectInstance]
     declared: int
     places: dict[str, np.ndarray] = field(init=False)
 
     def __post_init__(self) -> None:
-        ends = self.declared + np.cumsum([len(atom.quantities) for atom in self.atoms])
-        self.places = {a.label: np.arange(end - len(a.quantities), end) for a, end in zip(self.atoms, ends.tolist(), strict=True)}
+        ends = self.declared + np.cumsum([len(instance.quantities) for instance in self.instances])
+        self.places = {a.label: np.arange(end - len(a.quantities), end) for a, end in zip(self.instances, ends.tolist(), strict=True)}
 
     @property
     def steps(self) -> Array:
         """(m,) half widths of differences: a share of the smallest probe; of declared parameters a thousandth of their interval."""
         space = self.simulator.space
         own = 1e-3 * (space.high - space.low)[: self.declared]
-        rest = [0.1 * min(abs(probe) for probe in q.probes) for atom in self.atoms for q in atom.quantities]
+        rest = [0.1 * min(abs(probe) for probe in q.probes) for instance in self.instances for q in instance.quantities]
         return np.concatenate([own, rest])
 
     def predict(self, values: Array, windows: Windows, offsets: Array | None = None) -> Array:
@@ -52,7 +52,7 @@ class Library:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class LinearizedWindows:
     """Windows under theta (m,) and sigma (p,): residuals (W, n), the curvature's part of the
     predictions (W, n), and the whitener. `lost` (W,) are those that diverge."""
 
@@ -83,10 +83,10 @@ class Look:
         """(W,) [nats]."""
         return self.whiten.log_likelihood(self.residuals)
 
-    def take(self, index: Ints) -> "Look":
+    def take(self, index: Ints) -> "LinearizedWindows":
         """Some of the windows."""
         whiten = Whitener(self.whiten.loadings[index], self.whiten.scale, self.whiten.sigma)
-        return Look(self.windows.take(index), self.theta, self.residuals[index], self.shift[index], whiten, self.lost[index])
+        return LinearizedWindows(self.windows.take(index), self.theta, self.residuals[index], self.shift[index], whiten, self.lost[index])
 
     def flat(self, residuals: Array) -> Array:
         """(..., W (n + m)) residuals (..., W, n) whitened and weighted as the likelihood does; lost windows count for nothing."""
@@ -100,7 +100,7 @@ class Look:
         return self.whiten.log_likelihood(residuals)
 
 
-def look(library: Library, windows: Windows, theta: Array, sigma: Array) -> Look:
+def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) -> LinearizedWindows:
     """Simulates the windows from their measured starts and, for the noise's way, from starts moved by sigma either way.
 
     To second order in each signal's error z, f + J z + H z^2 / 2 (without mixed terms): the mean of the last part shifts the
@@ -119,28 +119,28 @@ def look(library: Library, windows: Windows, theta: Array, sigma: Array) -> Look
     shift = curved.sum(axis=0)
     residuals = windows.measured - found[0] - shift
     residuals[lost] = LOST * np.tile(sigma, windows.length)
-    return Look(windows, theta, residuals, shift, whitener(library, windows, theta, sigma, loadings), lost)
+    return LinearizedWindows(windows, theta, residuals, shift, whitener(library, windows, theta, sigma, loadings), lost)
 
 
-def moved(library: Library, seen: Look, theta: Array, sigma: Array) -> Look:
+def moved(library: Library, seen: LinearizedWindows, theta: Array, sigma: Array) -> LinearizedWindows:
     """A look at another theta and noise that takes the start noise's way from `seen`: one simulation a window."""
     predictions = library.predict(theta[None], seen.windows)[0]
     lost = np.logical_or(seen.lost, ~np.isfinite(predictions).all(axis=1))
     residuals = seen.windows.measured - predictions - seen.shift
     residuals[lost] = LOST * np.tile(sigma, seen.windows.length)
     whiten = whitener(library, seen.windows, theta, sigma, seen.loadings)
-    return Look(seen.windows, theta, residuals, seen.shift, whiten, lost)
+    return LinearizedWindows(seen.windows, theta, residuals, seen.shift, whiten, lost)
 
 
 def whitener(library: Library, windows: Windows, theta: Array, sigma: Array, loadings: Array) -> Whitener:
     """Of noisy starts: those of signals that are seen late are in doubt by more than noise, a latent number more for each."""
-    doubt = library.simulator.start_doubt(theta, windows.segments)
+    doubt = library.simulator.extra_start_sd(theta, windows.segments)
     late = np.flatnonzero(doubt.any(axis=0))
     more = loadings[:, :, late] * doubt[:, None, late]
     return Whitener(np.concatenate([loadings, more], axis=2), np.concatenate([np.tile(sigma, 2), np.ones(len(late))]), sigma)
 
 
-def noise_of(seen: Look, sigma: Array, floor: Array, rounds: int = 60) -> Array:
+def noise_of(seen: LinearizedWindows, sigma: Array, floor: Array, rounds: int = 60) -> Array:
     """sigma (p,) that the windows are most likely under, at the theta of a look."""
     good = ~seen.lost
     return learn_noise(seen.loadings[good], seen.residuals[good], sigma, floor, known=seen.doubts[good], rounds=rounds)[0]

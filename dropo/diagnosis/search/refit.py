@@ -7,7 +7,7 @@ from scipy.optimize import lsq_linear
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library, Look, look, moved, noise_of, whitener
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows, linearize, moved, noise_of, whitener
 
 SHORTER = np.array([0.5, 0.25, 0.1, 0.02])  # shares of a step that are tried where the whole of it does not keep its promise
 NEAR = 0.02  # of the usual half widths of differences: where predictions bend within those
@@ -23,8 +23,8 @@ SCAN = np.array([0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 1.15, 1.4, 1.8, 2.5, 4.0])  # 
 
 
 def refit(
-    library: Library, seen: Look, free: np.ndarray, floor: Array, *, rounds: int = 4, rough: Ints = NONE, renewals: int = RENEWED
-) -> Look:
+    library: Library, seen: LinearizedWindows, free: np.ndarray, floor: Array, *, rounds: int = 4, rough: Ints = NONE, renewals: int = RENEWED
+) -> LinearizedWindows:
     """The windows of a look at the theta that they are most likely under in the free numbers, and under the noise that fits it.
 
     rough: which numbers a line scan looks for at first, since predictions are not smooth in them. The start noise's way is found anew at
@@ -32,7 +32,7 @@ def refit(
     """
     seen = settle(library, seen, free, floor, rounds=rounds, rough=rough)
     for _ in range(renewals):
-        renewed = look(library, seen.windows, seen.theta, seen.whiten.sigma)
+        renewed = linearize(library, seen.windows, seen.theta, seen.whiten.sigma)
         if abs(float(renewed.log_likelihood.sum() - seen.log_likelihood.sum())) < MATTERS:
             seen = renewed
             break
@@ -41,17 +41,17 @@ def refit(
     return settle(library, seen, free, floor, near=True) if clean else seen
 
 
-def with_noise(library: Library, seen: Look, floor: Array) -> Look:
+def with_noise(library: Library, seen: LinearizedWindows, floor: Array) -> LinearizedWindows:
     """The look under the noise that its residuals have; its way through the simulation is found anew where it is quite another."""
     sigma = noise_of(seen, seen.whiten.sigma, floor)
     other = np.any(np.abs(np.log(sigma / seen.whiten.sigma)) > np.log(OTHER))
-    return look(library, seen.windows, seen.theta, sigma) if other else moved(library, seen, seen.theta, sigma)
+    return linearize(library, seen.windows, seen.theta, sigma) if other else moved(library, seen, seen.theta, sigma)
 
 
 def settle(
-    library: Library, seen: Look, free: np.ndarray, floor: Array, *, rounds: int = 2, rough: Ints = NONE, known: Array | None = None,
+    library: Library, seen: LinearizedWindows, free: np.ndarray, floor: Array, *, rounds: int = 2, rough: Ints = NONE, known: Array | None = None,
     near: bool = False,
-) -> Look:  # fmt: skip
+) -> LinearizedWindows:  # fmt: skip
     """The same with the start noise's way as it is in `seen`, which a comparison of candidates can do with.
 
     known: slopes (k, W, n) of the first k free numbers that may stand for those at any theta near; near: whether slopes are found close by.
@@ -71,8 +71,8 @@ def settle(
 
 
 def _steps(
-    library: Library, seen: Look, free: np.ndarray, known: Array | None, slopes: Array | None, near: bool, most: int = 5
-) -> tuple[Look, Array | None]:
+    library: Library, seen: LinearizedWindows, free: np.ndarray, known: Array | None, slopes: Array | None, near: bool, most: int = 5
+) -> tuple[LinearizedWindows, Array | None]:
     """Gauss-Newton steps with the noise as it is, whole ones where they do what they promise, else shorter ones; in bounds.
 
     The slopes are found anew where a step does not keep its promise, or where there are none yet; and closer by where that does not help,
@@ -99,13 +99,13 @@ def _steps(
     return seen, slopes
 
 
-def _slopes(library: Library, seen: Look, free: np.ndarray, known: Array | None) -> Array:
+def _slopes(library: Library, seen: LinearizedWindows, free: np.ndarray, known: Array | None) -> Array:
     first = 0 if known is None else len(known)
     own = library.slopes(seen.theta, free[first:], seen.windows)
     return own if known is None else np.concatenate([known, own])
 
 
-def _step(library: Library, seen: Look, free: np.ndarray, slopes: Array) -> tuple[Array, float]:
+def _step(library: Library, seen: LinearizedWindows, free: np.ndarray, slopes: Array) -> tuple[Array, float]:
     """The step (f,) within the bounds, and the nats that it promises.
 
     It is held back as by a prior of a share of the bounds' distance, so that it does not run along what the data do not tell apart
@@ -122,13 +122,13 @@ def _step(library: Library, seen: Look, free: np.ndarray, slopes: Array) -> tupl
     return step, float(moves @ target) - 0.5 * float(moves @ moves)
 
 
-def _along(library: Library, seen: Look, free: np.ndarray, steps: Array) -> tuple[Look, float]:
+def _along(library: Library, seen: LinearizedWindows, free: np.ndarray, steps: Array) -> tuple[LinearizedWindows, float]:
     space, tried = library.simulator.space, np.repeat(seen.theta[None], len(steps), axis=0)
     tried[:, free] = np.clip(seen.theta[free] + steps, space.low[free], space.high[free])
     return _best(library, seen, tried)
 
 
-def _scan(library: Library, seen: Look, number: int) -> Look:
+def _scan(library: Library, seen: LinearizedWindows, number: int) -> LinearizedWindows:
     """One number of theta at multiples of its size."""
     space = library.simulator.space
     tried = np.repeat(seen.theta[None], len(SCAN), axis=0)
@@ -136,7 +136,7 @@ def _scan(library: Library, seen: Look, number: int) -> Look:
     return _best(library, seen, tried)[0]
 
 
-def _best(library: Library, seen: Look, tried: Array) -> tuple[Look, float]:
+def _best(library: Library, seen: LinearizedWindows, tried: Array) -> tuple[LinearizedWindows, float]:
     """The best of several thetas (K, m) where it is better than the present one, and the nats gained; the noise stays."""
     predictions = library.predict(tried, seen.windows)
     ways = [whitener(library, seen.windows, theta, seen.whiten.sigma, seen.loadings) for theta in tried]

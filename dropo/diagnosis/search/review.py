@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.diagnosis.search.linearization import moved
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import ALIKE, DEFICIT, Round, Selection, State, Trial, confirmed, gain_of
@@ -32,28 +32,28 @@ def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]
     rest is there, is exchanged for that.
     """
     found = {}
-    for atom in state.accepted:
-        found[atom.label] = one = _review(selection, state, atom)
+    for instance in state.accepted:
+        found[instance.label] = one = _review(selection, state, instance)
         better = _better(selection, state, one)
         if better is not None:
             return review(selection, better)
     return state, found
 
 
-def _review(selection: Selection, state: State, atom: Atom) -> Review:
-    origin = selection.origins.get(atom.label)
+def _review(selection: Selection, state: State, instance: EffectInstance) -> Review:
+    origin = selection.origins.get(instance.label)
     if origin is not None and len(state.accepted) == 1 and not origin.before.accepted:
-        return Review(origin.before, origin, [t for t in origin.trials if t.candidate.atom.label != atom.label])
-    bare = _bare(selection, state, atom)
-    rivals = [] if origin is None else selection.tried(bare, _rivals(origin, state, atom))
+        return Review(origin.before, origin, [t for t in origin.trials if t.candidate.instance.label != instance.label])
+    bare = _bare(selection, state, instance)
+    rivals = [] if origin is None else selection.tried(bare, _rivals(origin, state, instance))
     return Review(selection.polish(bare), origin, rivals)
 
 
-def _rivals(origin: Round, state: State, atom: Atom) -> list[Candidate]:
+def _rivals(origin: Round, state: State, instance: EffectInstance) -> list[Candidate]:
     """What else its round would have accepted for nearly as much, and what is not there already; of the sizes that it would have had."""
     taken = {other.label for other in state.accepted}
-    worth = next(t.worth for t in origin.trials if t.candidate.atom.label == atom.label)
-    others = [t for t in origin.trials if t.candidate.atom.label not in taken and t.worth > RIVAL * worth]
+    worth = next(t.worth for t in origin.trials if t.candidate.instance.label == instance.label)
+    others = [t for t in origin.trials if t.candidate.instance.label not in taken and t.worth > RIVAL * worth]
     return [trial.sized for trial in others[:RIVALS]]
 
 
@@ -66,7 +66,7 @@ def _better(selection: Selection, state: State, found: Review) -> State | None:
         if value(trial.state) - nothing > NEARLY * (value(state) - nothing):
             polished = selection.polish(trial.state)
             if found.origin and value(polished) > value(state) + DEFICIT and confirmed(state.test, polished.test, DEFICIT):
-                selection.origins[trial.candidate.atom.label] = found.origin
+                selection.origins[trial.candidate.instance.label] = found.origin
                 return polished
     return None
 
@@ -77,52 +77,52 @@ def value(state: State) -> float:
     return float(sum(s.log_likelihood.sum() for s in sides)) - 0.5 * len(state.free) * float(np.log(sum(s.windows.steps for s in sides)))
 
 
-def _bare(selection: Selection, state: State, atom: Atom) -> State:
+def _bare(selection: Selection, state: State, instance: EffectInstance) -> State:
     """The state with one accepted effect taken out, the rest as it was."""
-    place = selection.library.places[atom.label]
+    place = selection.library.places[instance.label]
     theta = state.theta.copy()
     theta[place] = 0.0
-    left = tuple(other for other in state.accepted if other.label != atom.label)
+    left = tuple(other for other in state.accepted if other.label != instance.label)
     begun = moved(selection.library, state.train, theta, state.train.whiten.sigma)
     return State(begun, state.test, np.setdiff1d(state.free, place), left)
 
 
-def together(selection: Selection, state: State, atoms: Sequence[Atom]) -> State:
+def together(selection: Selection, state: State, instances: Sequence[EffectInstance]) -> State:
     """The state with one effect that acts everywhere alike in the place of several of its kind, where it needs fewer numbers for as much
     (Schwarz 1978)."""
-    for whole in (atom for atom in atoms if atom.target is None and len(atom.quantities) == 1):
-        single = [atom for atom in state.accepted if (atom.effect, atom.target is None) == (whole.effect, False)]
+    for whole in (instance for instance in instances if instance.target is None and len(instance.quantities) == 1):
+        single = [instance for instance in state.accepted if (instance.effect, instance.target is None) == (whole.effect, False)]
         if len(single) < 2 or whole in state.accepted:
             continue
         theta, places = state.theta.copy(), selection.library.places
-        theta[places[whole.label]] = np.mean([theta[places[atom.label][0]] for atom in single])
-        gone = np.concatenate([places[atom.label] for atom in single])
+        theta[places[whole.label]] = np.mean([theta[places[instance.label][0]] for instance in single])
+        gone = np.concatenate([places[instance.label] for instance in single])
         theta[gone] = 0.0
         free = np.append(np.setdiff1d(state.free, gone), places[whole.label])
         begun = moved(selection.library, state.train, theta, state.train.whiten.sigma)
-        kept = tuple(atom for atom in state.accepted if atom not in single)
+        kept = tuple(instance for instance in state.accepted if instance not in single)
         fewer = selection.polish(replace(state, train=begun, free=free, accepted=(*kept, whole)))
         if -gain_of(state.train, fewer.train)[0] < 0.5 * (len(gone) - 1) * np.log(state.train.windows.steps):
             for tried in reversed(selection.rounds):  # the first that it was tried in stays
-                if any(trial.candidate.atom.label == whole.label for trial in tried.trials):
+                if any(trial.candidate.instance.label == whole.label for trial in tried.trials):
                     selection.origins[whole.label] = tried
             return fewer
     return state
 
 
-def ambiguity(state: State, atom: Atom, found: Review) -> list[tuple[Candidate, Candidate, str]]:
+def ambiguity(state: State, instance: EffectInstance, found: Review) -> list[tuple[Candidate, Candidate, str]]:
     """An accepted effect's candidate, another that the data cannot tell from it, and why: others tried in its place, and those that move
     the predictions in the same way. Not that it sets in at a moment, which may be the data's beginning."""
-    own = next((c for c in found.origin.screened if c.atom.label == atom.label), None) if found.origin else None
+    own = next((c for c in found.origin.screened if c.instance.label == instance.label), None) if found.origin else None
     if own is None or found.origin is None:
         return []
     told: dict[str, tuple[Candidate, str]] = {}
     for candidate in found.origin.screened:
         same = abs(float(candidate.signature @ own.signature))
         if same > ALIKE:
-            told[candidate.atom.label] = candidate, f"similarity {same:.3f}"
+            told[candidate.instance.label] = candidate, f"similarity {same:.3f}"
     for rival in found.rivals:
         deficit, z = gain_of(rival.state.test, state.test)
-        if rival.candidate.atom.label not in told and (z < UNTOLD or deficit < DEFICIT):
-            told[rival.candidate.atom.label] = rival.sized, f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
-    return [(own, other, why) for other, why in told.values() if atom.label not in (other.atom.label, other.atom.target)]
+        if rival.candidate.instance.label not in told and (z < UNTOLD or deficit < DEFICIT):
+            told[rival.candidate.instance.label] = rival.sized, f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
+    return [(own, other, why) for other, why in told.values() if instance.label not in (other.instance.label, other.instance.target)]

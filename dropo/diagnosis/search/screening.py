@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library, Look, noise_of, whitener
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows, noise_of, whitener
 
 BATCH = 64  # probes simulated at once
 FINALISTS = 18  # atoms that are looked at on all windows
@@ -16,7 +16,7 @@ COARSE, LEAST = 4, 12  # a first choice takes one window in so many, where that 
 ROUNDS = 4  # in which noise is learned for a promise
 LEAST_NOISE = 0.5  # variance of whitened residuals: about 1 but where the noise is held at its least
 
-Trial = tuple[Atom, tuple[tuple[float, ...], ...]]
+Trial = tuple[EffectInstance, tuple[tuple[float, ...], ...]]
 """An atom with sizes that are tried together."""
 Known = dict[tuple[str, tuple[tuple[float, ...], ...]], Array]
 
@@ -28,7 +28,7 @@ class Candidate:
     gain: [nats] of the windows' log-likelihood; signature: the whitened, weighted response (W (n + m),), of length 1.
     """
 
-    atom: Atom
+    instance: EffectInstance
     sizes: Array
     gain: float
     signature: Array
@@ -45,33 +45,33 @@ class Screening:
     floor: Array
     remembered: Known = field(default_factory=dict)
 
-    def __call__(self, seen: Look, free: np.ndarray, atoms: Sequence[Atom]) -> list[Candidate]:
+    def __call__(self, seen: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]) -> list[Candidate]:
         """The atoms by what they promise, most first: all of them on a quarter of the windows, the best of these on all windows."""
-        if len(atoms) > FINALISTS and len(seen.windows) >= COARSE * LEAST:
+        if len(instances) > FINALISTS and len(seen.windows) >= COARSE * LEAST:
             some = seen.take(np.arange(0, len(seen.windows), COARSE))
-            first = self._score(some, free, [(atom, trial) for atom in atoms for trial in few(atom)], self.remembered)
-            atoms = [candidate.atom for candidate in first[:FINALISTS]]
-        return self._score(seen, free, [(atom, trial) for atom in atoms for trial in thorough(atom)], {})
+            first = self._score(some, free, [(instance, trial) for instance in instances for trial in few(instance)], self.remembered)
+            instances = [candidate.instance for candidate in first[:FINALISTS]]
+        return self._score(seen, free, [(instance, trial) for instance in instances for trial in thorough(instance)], {})
 
-    def _score(self, seen: Look, free: np.ndarray, trials: Sequence[Trial], known: Known) -> list[Candidate]:
+    def _score(self, seen: LinearizedWindows, free: np.ndarray, trials: Sequence[Trial], known: Known) -> list[Candidate]:
         """The atoms that the windows answer to, by what the score test promises, most first."""
         free = _within(self.library, seen.theta, free)
         basis = np.linalg.qr(seen.flat(self.library.slopes(seen.theta, free, seen.windows)).T)[0] if len(free) else None
         target = _rest(seen.flat(seen.residuals), basis)
         size = max(float(target @ target) / max(seen.residuals[~seen.lost].size, 1), LEAST_NOISE)
         best: dict[str, Candidate] = {}
-        for (atom, trial), response in self._responses(seen, trials, known):
-            promises = [_score(self.library, seen, atom, np.array(trial), _rest(seen.flat(response), basis), target, size)]
-            if atom.late is not None:
-                promises += [self._with_other_noise(seen, atom, np.array(sizes), one) for sizes, one in zip(trial, response, strict=True)]
+        for (instance, trial), response in self._responses(seen, trials, known):
+            promises = [_score(self.library, seen, instance, np.array(trial), _rest(seen.flat(response), basis), target, size)]
+            if instance.sensor_delay is not None:
+                promises += [self._with_other_noise(seen, instance, np.array(sizes), one) for sizes, one in zip(trial, response, strict=True)]
             for found in promises:
-                if found is not None and (atom.label not in best or found.gain > best[atom.label].gain):
-                    best[atom.label] = found
+                if found is not None and (instance.label not in best or found.gain > best[instance.label].gain):
+                    best[instance.label] = found
         return sorted(best.values(), key=lambda candidate: -candidate.gain)
 
-    def _with_other_noise(self, seen: Look, atom: Atom, sizes: Array, response: Array) -> Candidate:
+    def _with_other_noise(self, seen: LinearizedWindows, instance: EffectInstance, sizes: Array, response: Array) -> Candidate:
         """An atom of sensors with sizes under which starts are in doubt, and the noise learned anew: without it, noise stands for it."""
-        theta, place = seen.theta.copy(), self.library.places[atom.label]
+        theta, place = seen.theta.copy(), self.library.places[instance.label]
         theta[place] += sizes
         way = whitener(self.library, seen.windows, theta, seen.whiten.sigma, seen.loadings)
         there = replace(seen, residuals=seen.residuals - response, whiten=way)
@@ -79,24 +79,24 @@ class Screening:
         learned = replace(there, whiten=whitener(self.library, seen.windows, theta, sigma, seen.loadings))
         moves = seen.flat(response)
         gain = float((learned.log_likelihood - seen.log_likelihood)[~seen.lost].sum())
-        return Candidate(atom, theta[place], gain, moves / max(float(np.linalg.norm(moves)), 1e-300))
+        return Candidate(instance, theta[place], gain, moves / max(float(np.linalg.norm(moves)), 1e-300))
 
-    def _responses(self, seen: Look, trials: Sequence[Trial], known: Known) -> Iterator[tuple[Trial, Array]]:
+    def _responses(self, seen: LinearizedWindows, trials: Sequence[Trial], known: Known) -> Iterator[tuple[Trial, Array]]:
         """Each trial with how far its sizes move the predictions (t, W, n); `known` is taken where it has them, and filled."""
-        missing = [(atom, trial) for atom, trial in trials if (atom.label, trial) not in known]
+        missing = [(instance, trial) for instance, trial in trials if (instance.label, trial) not in known]
         for first in range(0, len(missing), BATCH):
             part = missing[first : first + BATCH]
             moved = np.nan_to_num(self._predictions(seen, part) - seen.predicted)
             ends = np.cumsum([len(trial) for _, trial in part])
-            for (atom, trial), response in zip(part, np.split(moved, ends[:-1]), strict=True):
-                known[atom.label, trial] = response
-        for atom, trial in trials:
-            yield (atom, trial), known[atom.label, trial]
+            for (instance, trial), response in zip(part, np.split(moved, ends[:-1]), strict=True):
+                known[instance.label, trial] = response
+        for instance, trial in trials:
+            yield (instance, trial), known[instance.label, trial]
 
-    def _predictions(self, seen: Look, trials: Sequence[Trial]) -> Array:
+    def _predictions(self, seen: LinearizedWindows, trials: Sequence[Trial]) -> Array:
         """(sum of sizes tried, W, n)."""
         rows = np.repeat(seen.theta[None], sum(len(trial) for _, trial in trials), axis=0)
-        tried = [(self.library.places[atom.label], sizes) for atom, trial in trials for sizes in trial]
+        tried = [(self.library.places[instance.label], sizes) for instance, trial in trials for sizes in trial]
         for row, (place, sizes) in zip(rows, tried, strict=True):
             row[place] += sizes
         return self.library.predict(np.clip(rows, self.library.simulator.space.low, self.library.simulator.space.high), seen.windows)
@@ -108,23 +108,23 @@ def _within(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:
     return free[(theta[free] > space.low[free]) & (theta[free] < space.high[free])]
 
 
-def few(atom: Atom) -> list[tuple[tuple[float, ...], ...]]:
+def few(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
     """What a first choice tries: where predictions are smooth, the smallest probe; else one of each sign, or several sizes."""
-    tried = sorted(atom.trials, key=_length)
-    if all(quantity.smooth for quantity in atom.quantities):
+    tried = sorted(instance.trials, key=_length)
+    if all(quantity.smooth for quantity in instance.quantities):
         return tried[:1]
-    if atom.late is not None:  # judged with the noise learned anew, which no size stands for
+    if instance.sensor_delay is not None:  # judged with the noise learned anew, which no size stands for
         return tried
-    if atom.gate is not None:  # the largest size, from every moment on that is tried
+    if instance.time_profile is not None:  # the largest size, from every moment on that is tried
         return tried[-3:]
     upwards = [trial for trial in tried if trial[0][0] > 0]
     downwards = [trial for trial in tried if trial[0][0] < 0]
     return [upwards[-1], downwards[-1]] if upwards and downwards else tried[1::2] or tried
 
 
-def thorough(atom: Atom) -> list[tuple[tuple[float, ...], ...]]:
+def thorough(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
     """What the best are tried at: every probe, but a single smooth number at its smallest alone."""
-    return few(atom) if len(atom.quantities) == 1 and atom.quantities[0].smooth else list(atom.trials)
+    return few(instance) if len(instance.quantities) == 1 and instance.quantities[0].smooth else list(instance.trials)
 
 
 def _length(trial: tuple[tuple[float, ...], ...]) -> float:
@@ -136,20 +136,20 @@ def _rest(rows: Array, basis: Array | None) -> Array:
     return rows if basis is None else rows - (rows @ basis) @ basis.T
 
 
-def _score(library: Library, seen: Look, atom: Atom, trials: Array, responses: Array, target: Array, size: float) -> Candidate | None:
+def _score(library: Library, seen: LinearizedWindows, instance: EffectInstance, trials: Array, responses: Array, target: Array, size: float) -> Candidate | None:
     """The score test along the trials' responses (t, ...); None where they answer nothing, or point out of bounds."""
     lengths = np.linalg.norm(responses, axis=1)
     if not np.all(lengths > 1e-9 * np.sqrt(size * len(target))):
         return None
     share = np.linalg.lstsq(responses.T, target, rcond=1e-8)[0]
-    place, space = library.places[atom.label], library.simulator.space
+    place, space = library.places[instance.label], library.simulator.space
     wanted = seen.theta[place] + share @ trials
     sizes = np.clip(wanted, space.low[place], space.high[place])
     moves = sizes - seen.theta[place]
     if not np.any(moves * (share @ trials) > 0):  # it would have to leave its bounds
         return None
     fitted = share @ responses
-    return Candidate(atom, sizes, float(fitted @ target) / (2 * size), fitted / np.linalg.norm(fitted))
+    return Candidate(instance, sizes, float(fitted @ target) / (2 * size), fitted / np.linalg.norm(fitted))
 
 
 def shortlist(candidates: Sequence[Candidate], most: int, least: float, each: int = 2) -> list[Candidate]:
@@ -157,20 +157,20 @@ def shortlist(candidates: Sequence[Candidate], most: int, least: float, each: in
     that is always there promises more."""
     chosen: list[Candidate] = []
     for candidate in candidates:
-        same = sum(other.atom.effect == candidate.atom.effect for other in chosen)
-        always = any(other.atom.label == candidate.atom.target for other in chosen)
+        same = sum(other.instance.effect == candidate.instance.effect for other in chosen)
+        always = any(other.instance.label == candidate.instance.target for other in chosen)
         if candidate.gain > least and same < each and len(chosen) < most and not always:
             chosen.append(candidate)
     return chosen
 
 
-def with_constant(candidates: Sequence[Candidate], atoms: Sequence[Atom]) -> list[Candidate]:
+def with_constant(candidates: Sequence[Candidate], instances: Sequence[EffectInstance]) -> list[Candidate]:
     """Before each candidate that sets in or grows, the one of `atoms` that is always there, with its size: a large effect that declared
     parameters make up for in part may promise nothing at the small sizes that it is screened at."""
-    always, chosen = {atom.label: atom for atom in atoms}, dict[str, Candidate]()
+    always, chosen = {instance.label: instance for instance in instances}, dict[str, Candidate]()
     for candidate in candidates:
-        atom = always.get(str(candidate.atom.target)) if candidate.atom.gate is not None else None
-        if atom is not None:
-            chosen.setdefault(atom.label, replace(candidate, atom=atom, sizes=candidate.sizes[: len(atom.quantities)]))
-        chosen.setdefault(candidate.atom.label, candidate)
+        instance = always.get(str(candidate.instance.target)) if candidate.instance.time_profile is not None else None
+        if instance is not None:
+            chosen.setdefault(instance.label, replace(candidate, instance=instance, sizes=candidate.sizes[: len(instance.quantities)]))
+        chosen.setdefault(candidate.instance.label, candidate)
     return list(chosen.values())

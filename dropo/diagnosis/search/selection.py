@@ -7,12 +7,12 @@ from itertools import islice
 import numpy as np
 from scipy.stats import rankdata
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.registry import BUILT_IN
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library, Look, look, moved, noise_of
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows, linearize, moved, noise_of
 from dropo.diagnosis.search.refit import MATTERS, OTHER, refit, settle, with_noise
 from dropo.diagnosis.search.screening import Candidate, Screening, shortlist, with_constant
 from dropo.diagnosis.search.single_steps import only_over_windows
@@ -36,10 +36,10 @@ Progress = Callable[[float, str], None]
 class State:
     """Where the model stands: the windows to fit and those held out as it explains them, and what has been accepted."""
 
-    train: Look
-    test: Look
+    train: LinearizedWindows
+    test: LinearizedWindows
     free: np.ndarray
-    accepted: tuple[Atom, ...] = ()
+    accepted: tuple[EffectInstance, ...] = ()
 
     @property
     def theta(self) -> Array:
@@ -95,33 +95,33 @@ class Selection:
 
     def begin(self, train: Windows, test: Windows, theta: Array, sigma: Array, free: np.ndarray) -> State:
         """The model as it is, with its declared parameters and the noise fitted."""
-        rough = look(self.library, train.take(np.arange(0, len(train), FEWER)), theta, sigma)
+        rough = linearize(self.library, train.take(np.arange(0, len(train), FEWER)), theta, sigma)
         if rough.lost.mean() > DIVERGES:
             raise SimulationFailed(
                 f"The simulation diverges in {rough.lost.mean():.0%} of the windows, with the parameters at their nominal values. Check"
                 " the model, the time step and the units of the data."
             )
-        first = look(self.library, train, theta, noise_of(rough, sigma, self.floor))
+        first = linearize(self.library, train, theta, noise_of(rough, sigma, self.floor))
         fitted = refit(self.library, with_noise(self.library, first, self.floor), free, self.floor, rounds=2, renewals=1)
         return State(fitted, self._held_out(fitted, test), free)
 
-    def run(self, first: State, state: State, atoms: Sequence[Atom]) -> State:
+    def run(self, first: State, state: State, instances: Sequence[EffectInstance]) -> State:
         """The state that accepted effects lead to, one after another; first: the model as it is."""
         while len(state.accepted) < MOST:
-            found = self.step(state, atoms, first)
+            found = self.step(state, instances, first)
             if found is None:
                 break
             state = found
         return state
 
-    def step(self, state: State, atoms: Sequence[Atom], first: State) -> State | None:
+    def step(self, state: State, instances: Sequence[EffectInstance], first: State) -> State | None:
         """The state with one more effect; None where none is confirmed."""
-        taken = {atom.label for atom in state.accepted}
-        rest = [atom for atom in atoms if atom.label not in taken]
+        taken = {instance.label for instance in state.accepted}
+        rest = [instance for instance in instances if instance.label not in taken]
         done = len(state.accepted)
         self.progress(_share(done, 0.0), f"screening {len(rest)} effects")
         screened = self.screening(state.train, state.free, rest)
-        least = np.log(len(atoms) / FALSE_ALARM)
+        least = np.log(len(instances) / FALSE_ALARM)
         gained = float((state.test.log_likelihood - first.test.log_likelihood).sum()) if done else 0.0
         least = max(least, NEGLIGIBLE * gained)
         listed, held_up = with_constant(shortlist(screened, BATCHES * TRIED, TRAINED), rest), list[Trial]()
@@ -141,7 +141,7 @@ class Selection:
         for trial in islice(trials, POLISHED):
             polished = None if self._of_feedback(trial.state) else self.polish(trial.state)
             if polished is not None and confirmed(state.test, polished.test, least):
-                self.origins[trial.candidate.atom.label] = self._origin(trial.candidate)
+                self.origins[trial.candidate.instance.label] = self._origin(trial.candidate)
                 return polished
         return None
 
@@ -153,7 +153,7 @@ class Selection:
         known = self.library.slopes(state.theta, state.free, state.train.windows) if len(state.free) and candidates else None
         trials = []
         for i, candidate in enumerate(candidates):
-            self.progress(_share(len(state.accepted), (1 + i) / (1 + len(candidates))), f"fitting {candidate.atom.label}")
+            self.progress(_share(len(state.accepted), (1 + i) / (1 + len(candidates))), f"fitting {candidate.instance.label}")
             trials.append(self._try(state, candidate, known))
         return commonest_first(sorted(trials, key=lambda trial: -trial.worth))
 
@@ -171,24 +171,24 @@ class Selection:
         return replace(state, train=fitted, test=self._held_out(fitted, state.test.windows))
 
     def _try(self, state: State, candidate: Candidate, known: Array | None) -> Trial:
-        theta, place = state.theta.copy(), self.library.places[candidate.atom.label]
+        theta, place = state.theta.copy(), self.library.places[candidate.instance.label]
         theta[place] = candidate.sizes
         free = np.concatenate([state.free, place]).astype(np.int64)
-        rough = rough_numbers(self.library, (candidate.atom,))
+        rough = rough_numbers(self.library, (candidate.instance,))
         begun = moved(self.library, state.train, theta, state.train.whiten.sigma)
-        if candidate.atom.late is None:
+        if candidate.instance.sensor_delay is None:
             fitted = settle(self.library, begun, free, self.floor, rough=rough, known=known)
             held_out = moved(self.library, state.test, fitted.theta, fitted.whiten.sigma)
         else:  # without it noise stands for it, which is then far from what it is with it
-            begun = look(self.library, begun.windows, theta, noise_of(begun, begun.whiten.sigma, self.floor))
+            begun = linearize(self.library, begun.windows, theta, noise_of(begun, begun.whiten.sigma, self.floor))
             fitted = refit(self.library, begun, free, self.floor, rough=rough, renewals=1)
             held_out = self._held_out(fitted, state.test.windows)
-        new = State(fitted, held_out, free, (*state.accepted, candidate.atom))
+        new = State(fitted, held_out, free, (*state.accepted, candidate.instance))
         gain, z = gain_of(state.test, new.test)
         return Trial(candidate, fitted.theta[place], new, float((fitted.log_likelihood - state.train.log_likelihood).sum()), gain, z)
 
-    def _held_out(self, fitted: Look, test: Windows) -> Look:
-        return look(self.library, test, fitted.theta, fitted.whiten.sigma)
+    def _held_out(self, fitted: LinearizedWindows, test: Windows) -> LinearizedWindows:
+        return linearize(self.library, test, fitted.theta, fitted.whiten.sigma)
 
 
 def _share(accepted: int, part: float) -> float:
@@ -204,7 +204,7 @@ def commonest_first(trials: list[Trial]) -> list[Trial]:
     best = min((trial for trial in trials if _untold(trial, trials[0])), key=lambda trial: len(trial.sizes))
     near = [trial for trial in trials if best.worth - trial.worth < EQUAL]
     same = [trial for trial in near if abs(float(trial.candidate.signature @ best.candidate.signature)) > ALIKE]
-    first = min(same, key=lambda trial: _rarity(trial.candidate.atom.effect))
+    first = min(same, key=lambda trial: _rarity(trial.candidate.instance.effect))
     return [first, *(trial for trial in trials if trial is not first)]
 
 
@@ -218,19 +218,19 @@ def _rarity(effect: str) -> int:
     return names.index(effect) if effect in names else len(names)
 
 
-def rough_numbers(library: Library, atoms: Sequence[Atom]) -> Ints:
+def rough_numbers(library: Library, instances: Sequence[EffectInstance]) -> Ints:
     """The numbers of theta in which predictions are not smooth."""
-    found = [library.places[a.label][i] for a in atoms for i, q in enumerate(a.quantities) if not q.smooth]
+    found = [library.places[a.label][i] for a in instances for i, q in enumerate(a.quantities) if not q.smooth]
     return np.array(found, dtype=np.int64)
 
 
-def by_block(before: Look, after: Look) -> Array:
+def by_block(before: LinearizedWindows, after: LinearizedWindows) -> Array:
     """(B,) nats gained in each block of the windows."""
     gain, block = after.log_likelihood - before.log_likelihood, before.windows.block
     return np.asarray(np.bincount(np.unique(block, return_inverse=True)[1], gain), dtype=float)
 
 
-def confirmed(before: Look, after: Look, least: float) -> bool:
+def confirmed(before: LinearizedWindows, after: LinearizedWindows, least: float) -> bool:
     """Whether windows held out gain at least so many nats, and not a few of them or a single block alone: their mean is certain, or most of
     them gain; of what acts seldom (a joint's limit) a few windows will do where none loses."""
     gain, z = gain_of(before, after)
@@ -240,7 +240,7 @@ def confirmed(before: Look, after: Look, least: float) -> bool:
     return gain > least and z > SPREAD and (many or (len(answers) >= SELDOM and bool(answers.min() > 0)))
 
 
-def quieter(before: Look, after: Look) -> bool:
+def quieter(before: LinearizedWindows, after: LinearizedWindows) -> bool:
     """Whether some signal's noise is far less, so that the start noise's way, which a trial keeps, is no longer right: where an error of a
     sensor is taken for noise, the trial of its cause goes a part of the way only."""
     return bool(np.any(after.whiten.sigma < before.whiten.sigma / OTHER))
@@ -252,7 +252,7 @@ def ranked(windows: Array) -> float:
     return float(np.sum(np.sign(windows) * ranks) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
-def gain_of(before: Look, after: Look) -> tuple[float, float]:
+def gain_of(before: LinearizedWindows, after: LinearizedWindows) -> tuple[float, float]:
     """Nats gained on the windows, and how many of its standard errors by block that is."""
     blocks = by_block(before, after)
     error = blocks.std(ddof=1) * np.sqrt(len(blocks)) if len(blocks) > 1 else np.inf

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.invariance import response_of
-from dropo.diagnosis.search.linearization import Library, Look, look, moved, noise_of
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows, linearize, moved, noise_of
 from dropo.diagnosis.search.windows import Windows
 
 CLEAR = 3.0  # standard errors from the full size, and no more from nothing, at which an effect is not there
@@ -21,20 +21,20 @@ ROUNDS = 10  # of weighting by what is left
 MOST = 240  # single steps of each look, evenly spread
 
 
-def only_over_windows(library: Library, looks: Sequence[Look], atom: Atom, floor: Array) -> bool:
+def only_over_windows(library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array) -> bool:
     """Whether single steps say, against the windows of the looks, that the effect is not there."""
     windows = looks[0].windows
     if windows.length == 1 or not np.diff(windows.segments.actions.ravel()).any():
         return False
-    share, error = size_in_single_steps(library, looks, atom, floor)
+    share, error = size_in_single_steps(library, looks, instance, floor)
     return error > 0 and share < CLEAR * error and share < 1 - CLEAR * error
 
 
-def size_in_single_steps(library: Library, looks: Sequence[Look], atom: Atom, floor: Array) -> tuple[float, float]:
+def size_in_single_steps(library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array) -> tuple[float, float]:
     """The effect's size in single steps as a share of the one that it has, by reweighted least squares, and its standard error, by
     window."""
     singles = [_single(library, seen, floor) for seen in looks]
-    slopes = [response_of(library, single, atom) for single in singles]
+    slopes = [response_of(library, single, instance) for single in singles]
     more = 0.0
     for _ in range(ROUNDS):
         parts = [_by_window(single, slope, more) for single, slope in zip(singles, slopes, strict=True)]
@@ -45,13 +45,13 @@ def size_in_single_steps(library: Library, looks: Sequence[Look], atom: Atom, fl
     return 1 + more, float(np.sqrt((score**2).sum()) / weight.sum())
 
 
-def _single(library: Library, seen: Look, floor: Array) -> Look:
+def _single(library: Library, seen: LinearizedWindows, floor: Array) -> LinearizedWindows:
     """Steps of the windows by themselves, under the noise that they have."""
-    begun = look(library, _apart(library, seen.windows), seen.theta, seen.whiten.sigma)
+    begun = linearize(library, _apart(library, seen.windows), seen.theta, seen.whiten.sigma)
     return moved(library, begun, seen.theta, noise_of(begun, begun.whiten.sigma, floor))
 
 
-def _by_window(single: Look, slope: Array, more: float) -> tuple[Array, Array]:
+def _by_window(single: LinearizedWindows, slope: Array, more: float) -> tuple[Array, Array]:
     """(W,) the score of so much more of the size than there is, and its weight."""
     rest = single.residuals - more * slope
     counts = single.whiten.weights(rest) * ~single.lost

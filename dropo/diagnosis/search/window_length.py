@@ -5,7 +5,7 @@ import numpy as np
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library, look
+from dropo.diagnosis.search.linearization import Library, linearize
 from dropo.diagnosis.search.windows import Windows, split, spread_of
 
 SHORTEST = 5  # steps; enough where the simulation's errors stand out from the noise so early
@@ -47,7 +47,7 @@ def _enough(problem: Problem, length: int) -> bool:
 def _judged(library: Library, windows: Windows, theta: Array, sigma: Array) -> tuple[float, float]:
     """How many times the noise's reach most windows are off at their last step, in the signal where that is most; and what share of the
     noise's reach there is of second order, on average."""
-    seen, p = look(library, windows, theta, sigma), len(sigma)
+    seen, p = linearize(library, windows, theta, sigma), len(sigma)
     linear, bent = np.split((seen.loadings[:, -p:] * np.tile(sigma, 2)) ** 2, 2, axis=2)
     variance = sigma**2 + linear.sum(axis=2) + bent.sum(axis=2)
     off = np.abs(seen.residuals[:, -p:]) / (0.6745 * np.sqrt(variance))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import Atom, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import Joint
 
@@ -30,12 +30,12 @@ class Field:
     quantity: str
     reach: float = 10.0
 
-    def atoms(self, model: Any, entries: Sequence[Entry], unit: str, together: str) -> Iterator[Atom]:
+    def instances(self, model: Any, entries: Sequence[Entry], unit: str, together: str) -> Iterator[EffectInstance]:
         """One atom for each entry, and one for all of them alike, whose variant is called `together`."""
         for entry in entries:
-            yield Atom(self.effect, entry.name, (self._number(model, [entry], unit),), model=self.change([entry]))
+            yield EffectInstance(self.effect, entry.name, (self._number(model, [entry], unit),), model=self.change([entry]))
         if len(entries) > 1:
-            yield Atom(self.effect, None, (self._number(model, entries, unit),), together, model=self.change(entries))
+            yield EffectInstance(self.effect, None, (self._number(model, entries, unit),), together, model=self.change(entries))
 
     def change(self, entries: Sequence[Entry]) -> Callable[[Any, Array], None]:
         """A model hook that adds sizes[0] to the entries."""
@@ -55,6 +55,6 @@ def by_kind(joints: Sequence[Joint]) -> list[tuple[str, list[Joint]]]:
     return [(kind, same) for kind in ("hinges", "slides") if (same := [joint for joint in joints if joint.kind == kind])]
 
 
-def _add(field: str, places: Sequence[tuple[int, ...]], model: Any, sizes: Array) -> None:
+def _add(field: str, places: Sequence[tuple[int, ...]], model: Any, magnitudes: Array) -> None:
     for place in places:
-        getattr(model, field)[place] += sizes[0]
+        getattr(model, field)[place] += magnitudes[0]

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dropo.core.contracts.effect import Moment
+from dropo.core.contracts.effect import StepState
 from dropo.core.services.validation import Array
 
 FREE, BALL, SLIDE, HINGE = range(4)
@@ -123,14 +123,14 @@ def motors(model: Any) -> list[tuple[Joint, list[int]]]:
     return list(found.values())
 
 
-def motor_force(moment: Moment, joint: Joint, ids: Sequence[int]) -> Array:
+def motor_force(step_state: StepState, joint: Joint, ids: Sequence[int]) -> Array:
     """(n,) the generalised force of a joint's actuators: gear (gain u + bias), as MuJoCo computes it."""
-    model, total = moment.model, np.zeros(len(moment.ctrl))
+    model, total = step_state.model, np.zeros(len(step_state.ctrl))
     for i in ids:
         gear, state = float(model.actuator_gear[i, 0]), int(model.actuator_actadr[i])
         limit = model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
-        u = np.clip(moment.ctrl[:, i], *limit) if state < 0 else moment.act[:, state + int(model.actuator_actnum[i]) - 1]
-        terms = np.stack([np.ones(len(u)), gear * moment.qpos[:, joint.position], gear * moment.qvel[:, joint.velocity]])
+        u = np.clip(step_state.ctrl[:, i], *limit) if state < 0 else step_state.act[:, state + int(model.actuator_actnum[i]) - 1]
+        terms = np.stack([np.ones(len(u)), gear * step_state.qpos[:, joint.position], gear * step_state.qvel[:, joint.velocity]])
         gain = model.actuator_gainprm[i, :3] if model.actuator_gaintype[i] == AFFINE else model.actuator_gainprm[i, :3] * (1, 0, 0)
         bias = model.actuator_biasprm[i, :3] * (model.actuator_biastype[i] == AFFINE_BIAS)
         most = model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)

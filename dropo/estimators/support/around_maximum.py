@@ -37,7 +37,7 @@ class AroundMaximum:
     def __post_init__(self) -> None:
         self.box = self.problem.space.high - self.problem.space.low
 
-    def first(self) -> Local:
+    def head(self) -> Local:
         """Around the maximum; as wide as the law and `REACH` standard errors of its means, by the Fisher information."""
         found = self._maximum()
         self.centre, self.best = found.mean, np.concatenate([found.phi, self._factors(found.epsilon)])
@@ -76,7 +76,7 @@ class AroundMaximum:
 
     def _build(self) -> Local:
         with self.run.counting(evaluations=1):
-            bound = self.likelihood.around(
+            bound = self.likelihood.linearize_at(
                 self.problem.simulator, self.problem.segments, self.family, self.noise, self.centre, self.width,
                 self.run.rng.spawn(1)[0],
             )  # fmt: skip
@@ -88,7 +88,7 @@ class AroundMaximum:
     def _errors(self, bound: LocalLogLikelihood) -> Array:
         """(d,) standard errors of the means, with a flat prior's information on the box added."""
         d = len(self.box)
-        information = bound.expand(np.clip(self.best, bound.unknowns.low, bound.unknowns.high))[2][:d, :d]
+        information = bound.value_score_information(np.clip(self.best, bound.unknowns.low, bound.unknowns.high))[2][:d, :d]
         return np.sqrt(np.abs(np.diagonal(np.linalg.inv(information + np.diag(12 / self.box**2)))))
 
     def _limited(self, width: Array) -> Array:
@@ -106,6 +106,6 @@ def unit_spread(target: Local) -> Array:
     """(m,) widths in the unit box by the Fisher information at the best point, each with the other unknowns held fixed."""
     space, best = target.unknowns, target.best
     with np.errstate(divide="ignore"):
-        error = 1 / np.sqrt(np.diagonal(target.bound.expand(best)[2]))
+        error = 1 / np.sqrt(np.diagonal(target.bound.value_score_information(best)[2]))
     above, below = (space.to_unit(np.clip(best + sign * error, space.low, space.high)) for sign in (1, -1))
     return np.clip((above - below) / 2, 1e-9, 0.1)

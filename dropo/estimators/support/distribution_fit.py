@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.interactive_estimator import law
+from dropo.core.contracts.interactive_estimator import distribution
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.services.errors import Incompatible
@@ -62,7 +62,7 @@ def posterior_fit(
     mean = family.mean(phi)
     with run.counting(evaluations=1):
         value, predicted = float(target.many(mean[None])[0]), target.mean(mean)
-    fit = law(
+    fit = distribution(
         problem, method, "full", phi, mean_se=family.sd(phi), epsilon=target.epsilon(mean), log_likelihood=value,
         mse=float(np.mean((predicted - target.targets) ** 2)), status=status, message=message, arrays={"draws": draws, **arrays},
         details=details, warnings=(*warnings, *at_bounds(family.unknowns, phi)),

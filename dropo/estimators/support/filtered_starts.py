@@ -161,7 +161,7 @@ def from_filtered_starts(
         seen, added, states = filtered(problem, run, mean, spread, objective.epsilon(found.point))
         start = replace(noise, start=False, rows=added)
         objective, found = refit(seen, start, mean, WIDTH * (problem.space.high - problem.space.low))
-        errors = np.sqrt(np.diagonal(np.linalg.pinv(objective.expand(found.point)[2][:d, :d], hermitian=True)))
+        errors = np.sqrt(np.diagonal(np.linalg.pinv(objective.value_score_information(found.point)[2][:d, :d], hermitian=True)))
         moved = np.abs(family.mean(found.point[: len(family.unknowns)]) - mean)
         moves.append(float(np.max(moved / np.maximum(errors, 1e-12 * (problem.space.high - problem.space.low)))))
         resets = states.resets

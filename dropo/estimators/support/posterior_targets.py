@@ -75,9 +75,9 @@ class Local(OneByOne):
         self.bound: LocalLogLikelihood = bound
         self.best = np.clip(best, self.unknowns.low, self.unknowns.high)
 
-    def expand(self, phi: Array) -> tuple[Array, Array]:
+    def value_score_information(self, phi: Array) -> tuple[Array, Array]:
         """(W, m) -> log-likelihoods (W,) [nats] and their gradients (W, m)."""
-        parts = [self.bound.expand(p)[:2] for p in phi]
+        parts = [self.bound.value_score_information(p)[:2] for p in phi]
         return np.array([value for value, _ in parts]), np.array([scores.sum(axis=0) for _, scores in parts])
 
     def rename(self, space: ParameterSpace) -> None:
@@ -103,9 +103,9 @@ class SmoothLogPosterior(LogPosterior):
         super().__init__(target, prior)
         self.local = target
 
-    def expand(self, phi: Array) -> tuple[Array, Array]:
+    def value_score_information(self, phi: Array) -> tuple[Array, Array]:
         """(W, m) -> (W,), (W, m)."""
-        values, gradients = self.local.expand(phi)
+        values, gradients = self.local.value_score_information(phi)
         return values + self.prior(phi), gradients + self.prior.gradient(phi)
 
 

@@ -92,7 +92,7 @@ def split(problem: Problem) -> tuple[Problem, Trajectories]:
     count = len(data.spans)
     if count >= EVERY:
         out = np.arange(count) % EVERY == EVERY - 1
-        return replace(problem, trajectories=data.only(np.flatnonzero(~out))), data.only(np.flatnonzero(out))
+        return replace(problem, trajectories=data.select(np.flatnonzero(~out))), data.select(np.flatnonzero(out))
     late = np.concatenate([np.arange(stop - start) >= (stop - start) * (EVERY - 1) // EVERY for start, stop in data.spans])
     return replace(problem, trajectories=data.rows(np.flatnonzero(~late))), data.rows(np.flatnonzero(late))
 
@@ -156,7 +156,7 @@ def _units(data: Trajectories, longest: int) -> Ints:
 
 def _predicted(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     """Residuals (R, p) at the fit's mean, and the covariance (R, p, p) that its spread gives to first order."""
-    predicted, jacobian = problem.simulator.linearise(fit.mean, problem.segments)
+    predicted, jacobian = problem.simulator.linearize(fit.mean, problem.segments)
     spread = jacobian @ (fit.correlation * np.outer(fit.sd, fit.sd)) @ jacobian.swapaxes(1, 2)
     return problem.simulator.targets(problem.segments) - predicted, spread
 

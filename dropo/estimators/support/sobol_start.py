@@ -10,13 +10,13 @@ from dropo.core.services.validation import Array
 POINTS, SEGMENTS = 64, 60  # looked at, on about so many segments
 
 
-def calmest(problem: Problem, run: Run) -> Array:
+def best_sobol_point(problem: Problem, run: Run) -> Array:
     """(d,) of 64 points over the box, the one whose simulations are nearest to most of the measurements.
 
     By the sum over the signals of the logarithm of their median error, which a few wild rows do not move.
     """
     space, segments = problem.space, problem.segments
-    some = segments.take(segments.spread_out(SEGMENTS))
+    some = segments.take(segments.thin(SEGMENTS))
     points = space.from_unit(qmc.Sobol(len(space), rng=np.random.default_rng(0)).random_base2(int(np.log2(POINTS))))
     with run.counting(evaluations=1):
         predictions = problem.simulator.predict(points, some)

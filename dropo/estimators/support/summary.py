@@ -26,7 +26,7 @@ STEPS = (1e-3, 1e-2)  # least and largest half width of a simulator's difference
 FINE = 1e-6  # likewise of a local model's, which is smooth
 
 
-def summarise(
+def summarize(
     problem: Problem, run: Run, *, method: str, family: Family, family_name: str, phi: Array, epsilon: Array, log_likelihood: float,
     mean_prediction: Array, status: Status, message: str, objective: LogLikelihood | None = None,
     weighted_by: Array | None = None, warnings: Sequence[str] = (), arrays: dict[str, Array] | None = None,
@@ -88,7 +88,7 @@ def _errors_with(
     problem: Problem, mean: Array, sd: Array, correlation: Array, noise: Array, free: np.ndarray, step: Array
 ) -> tuple[Array, Array, Array, Array]:
     segments, d = problem.segments, len(mean)
-    predicted, jacobian = problem.simulator.linearise(mean, segments, step=step)
+    predicted, jacobian = problem.simulator.linearize(mean, segments, step=step)
     residuals = problem.simulator.targets(segments) - predicted
     known = np.maximum(np.where(noise > 0, noise, np.mean(residuals**2, axis=0)), rounding(problem))
     scores, information = scores_and_information(residuals, jacobian, correlation * np.outer(sd, sd), known)
@@ -105,7 +105,7 @@ def _errors_with(
 def local_standard_errors(problem: Problem, family: Family, objective: LocalLogLikelihood, phi: Array) -> tuple[Array, Array, Array]:
     """The first three of `standard_errors`, from a local likelihood's scores; unknowns on a bound of phi are held fixed."""
     n = len(family.unknowns)
-    _, scores, information = objective.expand(phi)
+    _, scores, information = objective.value_score_information(phi)
     units = units_of(problem.segments)
     units = units if len(units.label) == len(scores) else independent(len(scores))  # scores of groups are independent as they are
     free = np.concatenate([_inside(family.unknowns, phi[:n]), np.ones(len(phi) - n, dtype=bool)])

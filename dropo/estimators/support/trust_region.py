@@ -7,9 +7,9 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.fisher_scoring import maximise_locally
+from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
-from dropo.core.contracts.maximize import SearchResult, maximise
+from dropo.core.contracts.maximize import SearchResult, maximize
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
@@ -115,12 +115,12 @@ class Rounds:
         d = len(self.box)
         point = np.concatenate([region.centre, region.width])[None]
 
-        def play(point: Array) -> Array:
+        def rollout(point: Array) -> Array:
             used, local = self._build(region)
             phi, finished = self._maximise(local, self._first(local, used, last))
             return np.concatenate([used.width, self._errors(local, phi), [local(phi), finished], phi])[None]
 
-        width, errors, (value, finished), phi = np.split(self.run.evaluate(point, play)[0], [d, 2 * d, 2 * d + 2])
+        width, errors, (value, finished), phi = np.split(self.run.evaluate(point, rollout)[0], [d, 2 * d, 2 * d + 2])
         return _Outcome(replace(region, width=width), phi, float(value), errors, bool(finished))
 
     def _build(self, region: _Region) -> tuple[_Region, LocalLogLikelihood]:
@@ -128,7 +128,7 @@ class Rounds:
         for attempt in range(6):
             try:
                 rng = np.random.default_rng(self.design)
-                local = self.likelihood.around(
+                local = self.likelihood.linearize_at(
                     self.problem.simulator,
                     self._segments(region.coarse),
                     self.family,
@@ -155,7 +155,7 @@ class Rounds:
 
     def _segments(self, coarse: bool) -> Segments:
         every = self.problem.segments
-        chosen = every.spread_out(max(COARSE, EACH * len(self.box)))
+        chosen = every.thin(max(COARSE, EACH * len(self.box)))
         return every.take(chosen) if coarse and len(chosen) < len(every) else every
 
     def _first(self, local: LocalLogLikelihood, region: _Region, last: Array | None) -> Array:
@@ -174,11 +174,11 @@ class Rounds:
     def _maximise(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
         """The local maximum (m,), and whether the search came to its own end."""
         if self.make_optimizer is None:
-            found = maximise_locally(local, start)
+            found = maximize_locally(local, start)
             return found.phi, found.converged
         optimizer = self.make_optimizer(len(start), np.clip(local.unknowns.to_unit(start), 0.0, 1.0))
         inside = replace(self.run, journal=Journal(), progress=lambda share, text: None)
-        result = maximise(local, local.unknowns, optimizer, inside)
+        result = maximize(local, local.unknowns, optimizer, inside)
         if result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         return result.point, result.status is Status.CONVERGED
@@ -186,7 +186,7 @@ class Rounds:
     def _errors(self, local: LocalLogLikelihood, phi: Array) -> Array:
         """Of the sandwich: on data without noise far below those of the information, so that rounds end on narrow designs."""
         d = len(self.box)
-        _, scores, information = local.expand(phi)
+        _, scores, information = local.value_score_information(phi)
         inverse = np.linalg.pinv(information[:d, :d], hermitian=True)
         return np.sqrt(np.sum((scores[:, :d] @ inverse) ** 2, axis=0))
 

@@ -187,9 +187,9 @@ class GaussianRows(LocalLogLikelihood):
             ) from None
 
     def gradient(self, phi: ArrayLike) -> Array:
-        return self.expand(np.asarray(phi, dtype=float))[1].sum(axis=0)
+        return self.value_score_information(np.asarray(phi, dtype=float))[1].sum(axis=0)
 
-    def expand(self, phi: Array) -> tuple[float, Array, Array]:
+    def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
         own, epsilon, p = self._own(phi), self.epsilon(phi), self.targets.shape[1]
         member, slopes, nu = self._member(own), self._member_slopes(own), self.noise.noise.degrees
         values, scores, information = [], [], np.zeros((len(phi), len(phi)))

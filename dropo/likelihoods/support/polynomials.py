@@ -84,9 +84,9 @@ class Emulator:
         return np.einsum("km,mrp->krp", self.basis(values), self.coefficients, optimize=True)
 
 
-def products(u: Array, indices: NDArray[np.int64], law=NORMAL) -> Array:  # type: ignore[no-untyped-def]
+def products(u: Array, indices: NDArray[np.int64], distribution=NORMAL) -> Array:  # type: ignore[no-untyped-def]
     """Products of the law's orthonormal polynomials: u (K, d), array or tensor, indices (M, d) -> (K, M)."""
-    single = law.orthonormal(u, max(1, int(indices.max())))  # (K, d, degree + 1)
+    single = distribution.orthonormal(u, max(1, int(indices.max())))  # (K, d, degree + 1)
     out = single[:, 0, indices[:, 0]]
     for i in range(1, u.shape[1]):
         out = out * single[:, i, indices[:, i]]

@@ -90,7 +90,7 @@ def estimate_states(
     seen = np.ones(p, dtype=bool) if measured is None else np.array(measured, dtype=bool)
     require(seen.shape == (p,) and bool(seen.any()), "measured", f"({p},) with at least one True", measured, "estimate_states")
     given = None if noise is None else float_array("noise", noise, (p,), "estimate_states") ** 2
-    problem = _Linear(simulator, value, trajectories.first(min(ROWS, len(trajectories))), seen)
+    problem = _Linear(simulator, value, trajectories.head(min(ROWS, len(trajectories))), seen)
     variance, process = _learned(problem, given)
     whole = replace(problem, trajectories=trajectories)
     states, covariance = whole.estimates(variance, process, causal)

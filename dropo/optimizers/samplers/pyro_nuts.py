@@ -40,7 +40,7 @@ class PyroNuts(Sampler):
 
     def _sample(self, density: Density, rng: np.random.Generator, start: Array, spread: Array) -> Chains:
         line = RealLine(density, start, spread)
-        first, seeds = line.first(rng, self.chains), rng.integers(2**63, size=self.chains)
+        first, seeds = line.head(rng, self.chains), rng.integers(2**63, size=self.chains)
         runs = [self._chain(line, w, int(seed)) for w, seed in zip(first, seeds, strict=True)]
         chain = line.unit(np.stack([states for states, _ in runs], axis=1))
         diverging = np.stack([diverged for _, diverged in runs], axis=1)

@@ -46,7 +46,7 @@ class PyroSvi(Sampler):
 
     def _sample(self, density: Density, rng: np.random.Generator, start: Array, spread: Array) -> Chains:
         line = RealLine(density, start, spread)
-        w, elbo, log_guide, log_target = self._fit(line, line.first(rng, 1)[0], int(rng.integers(2**63)))
+        w, elbo, log_guide, log_target = self._fit(line, line.head(rng, 1)[0], int(rng.integers(2**63)))
         chain = line.unit(w).reshape(-1, ROWS, len(start))
         values = log_target + 0.5 * ((line.origin + line.scale * w) ** 2).sum(axis=1)  # over the box again
         return Chains(chain, values.reshape(-1, ROWS), None, (*_rising(elbo), *_too_few(log_target - log_guide)))

@@ -27,7 +27,7 @@ class RealLine:
         """Points of the unit box (..., d) at w (..., d)."""
         return np.asarray(ndtr(self.origin + self.scale * w))
 
-    def first(self, rng: np.random.Generator, count: int) -> Array:
+    def head(self, rng: np.random.Generator, count: int) -> Array:
         """(W, d) so many positions around the start, where the density is positive."""
         points, _ = first_positions(lambda u: self.density(u)[:, 0], rng, self.start, self.spread, count)
         return (ndtri(np.clip(points, 1e-9, 1 - 1e-9)) - self.origin) / self.scale

@@ -118,7 +118,7 @@ def _simulator(entries: Entries, frame_skip: int, threads: int) -> MujocoSimulat
     with entries.blaming("action"):
         action_columns(model, action)
     simulator = MujocoSimulator(source, parameters, observation=observation, action=action, frame_skip=frame_skip, threads=threads)
-    free, fixed = read_effects(entries, simulator.robot)
+    free, fixed = read_effects(entries, simulator.effect_context)
     return simulator.with_effects(free, fixed) if free or fixed else simulator
 
 
@@ -219,7 +219,7 @@ def _data(entries: Entries, simulator: MujocoSimulator, input: str | None) -> tu
     elif "held_out" in entries:
         held_out = _read(entries, "held_out", simulator, input, "a list of trajectory numbers, or data as in `data`")
     count = entries.whole("transitions", 1, None)
-    return (fitted if count is None else fitted.first(count)), held_out
+    return (fitted if count is None else fitted.head(count)), held_out
 
 
 def _sources(entries: Entries, key: str, expected: str = "a file, a folder or a list of them") -> dict[str, str | Path]:
@@ -249,7 +249,7 @@ def _split(entries: Entries, everything: Trajectories, numbers: list[int]) -> tu
     rest = sorted(set(range(last + 1)) - set(numbers))
     if not rest:
         raise entries.bad("held_out", "some trajectories left to fit", f"all {last + 1} of them")
-    return everything.only(rest), everything.only(numbers)
+    return everything.select(rest), everything.select(numbers)
 
 
 def _error(trajectories: Trajectories | None, simulator: Simulator) -> str | None:

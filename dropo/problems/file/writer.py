@@ -35,8 +35,8 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
         content["epsilon"] = np.asarray(problem.epsilon, dtype=float).tolist()
     if problem.start_noise:
         content["start_noise"] = True
-    beside = [effect_entry(atom) for atom in simulator.effects]
-    beside += [effect_entry(atom, sizes) for atom, sizes in simulator.fixed if atom.model is None or atom.gate is not None]
+    beside = [effect_entry(instance) for instance in simulator.effects]
+    beside += [effect_entry(instance, sizes) for instance, sizes in simulator.fixed if instance.model is None or instance.time_profile is not None]
     if beside:
         content["effects"] = beside
     if problem.task is not None and problem.task.source is not None:
@@ -76,9 +76,9 @@ def model_xml(simulator: MujocoSimulator) -> str:
     spec = mujoco.MjSpec.from_string(simulator.spec().to_xml())  # angles are in radians then
     spec.compile()
     changed = copy.copy(simulator.model)
-    for atom, sizes in simulator.fixed:
-        if atom.model is not None and atom.gate is None:
-            atom.model(changed, sizes)
+    for instance, sizes in simulator.fixed:
+        if instance.model is not None and instance.time_profile is None:
+            instance.model(changed, sizes)
     _write_bodies(spec, changed)
     _write_joints(spec, changed)
     _write_contacts(spec, changed)

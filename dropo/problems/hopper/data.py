@@ -157,7 +157,7 @@ def _collect(hopper: _Hopper, steps: int, total: int, rng: Generator) -> tuple[T
         np.concatenate([observe(states[1:]) for states, *_ in parts]),
         np.concatenate([np.arange(len(part[1])) == len(part[1]) - 1 for part in parts]),
         group=groups,
-    ).first(total)
+    ).head(total)
     return data, np.concatenate([part[3] for part in parts])[: groups[total - 1] + 1]
 
 

@@ -45,10 +45,10 @@ def published(which: str) -> Trajectories:
 def hopper_published(threads: int = 0) -> Problem:
     """The authors' 10,000 transitions without noise; the first 1000 unless more are asked for (thesis, table 6.1)."""
     data = published("clean")
-    return hopper_problem("hopper-published", data.first(FIRST), 1e-8, threads, everything=data)
+    return hopper_problem("hopper-published", data.head(FIRST), 1e-8, threads, everything=data)
 
 
 def hopper_published_noisy(threads: int = 0) -> Problem:
     """The authors' set with noise of variance 1e-5 on the next observations; the first 1000 unless more are asked for."""
     data = published("noisy-1e-5")
-    return hopper_problem("hopper-published-noisy", data.first(FIRST), NOISE, threads, everything=data)
+    return hopper_problem("hopper-published-noisy", data.head(FIRST), NOISE, threads, everything=data)

@@ -31,7 +31,7 @@ def cube_toss(threads: int = 0) -> Problem:
     lag = machine_of(simulator.model).velocity_lag
     tosses = Runs(runs.names, tuple(toss(run, lag) for run in runs.channels))
     whole = measured("cube-toss", simulator, tosses, HORIZON)
-    first = whole.trajectories.only(np.arange(FIRST))
+    first = whole.trajectories.select(np.arange(FIRST))
     return replace(whole, trajectories=first, everything=whole.trajectories, settings=SETTINGS)
 
 

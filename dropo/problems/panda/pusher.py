@@ -22,7 +22,7 @@ X, Y = np.linspace(0.32, 0.76, 12), np.linspace(-0.16, 0.16, 9)  # [m] the part 
 BOX = 7  # where the box' seven numbers begin in qpos, behind the joints
 
 
-class Hand(Protocol):
+class PushingPolicy(Protocol):
     """What leads the pins of n arms: wanted velocities (m, 2) [m/s] from boxes (m, 3), x [m], y [m], turn [rad], and pins (m, 2) [m]."""
 
     def __call__(self, boxes: Array, pins: Array, ids: Ints, step: int) -> Array: ...
@@ -81,7 +81,7 @@ class Arms:
 
 
 def drive(
-    model: mujoco.MjModel, hand: Hand, boxes: Array, steps: int, *, frame_skip: int, noise: float = 0.0,
+    model: mujoco.MjModel, hand: PushingPolicy, boxes: Array, steps: int, *, frame_skip: int, noise: float = 0.0,
     fields: Mapping[str, Array] | None = None, rng: np.random.Generator,
 ) -> Runs:  # fmt: skip
     """n arms led by a hand for so many control steps, from boxes (n, 3) moved and turned away from the model's own place.

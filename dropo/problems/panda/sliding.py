@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.contracts.effect import Atom, Moment, Quantity
+from dropo.core.contracts.effect import EffectInstance, StepState, Quantity
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find
@@ -77,13 +77,13 @@ def _model() -> mujoco.MjModel:
 
 def sliding_target(simulator: MujocoSimulator) -> MujocoSimulator:
     """The other side: the same arm over a board that is not even, its puck seen 12 ms late."""
-    uneven = Atom("uneven_board", None, (Quantity("slope", "1", 0, 1, (SLOPE,)),), force=_downhill)
-    delays = {atom.target: atom for atom in find("effects", "sensor_delay")(simulator.robot)}
+    uneven = EffectInstance("uneven_board", None, (Quantity("slope", "1", 0, 1, (SLOPE,)),), force=_downhill)
+    delays = {instance.target: instance for instance in find("effects", "sensor_delay")(simulator.effect_context)}
     late = [(delays[signal.name], np.array([DELAY])) for signal in simulator.signals if "puck" in signal.name]
     return simulator.with_effects((), [(uneven, np.array([SLOPE])), *late])
 
 
-def _downhill(moment: Moment, sizes: Array) -> Array:
+def _downhill(moment: StepState, sizes: Array) -> Array:
     """The puck's weight along the board, where the board's height is a sum of waves."""
     out = np.zeros_like(moment.qvel)
     weight = moment.model.body("puck").mass[0] * 9.81

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadArgument
-from dropo.core.services.registry import atoms_of
+from dropo.core.services.registry import instances_of
 from dropo.core.services.validation import Array, known, require
 from dropo.problems.hopper.problem import hopper_problem
 from dropo.problems.simulated.robots import MACHINES, machine, masses, problem_of
@@ -32,20 +32,20 @@ def hide(problem: str, effects: Sequence[str], *, seed: int = 0, threads: int = 
     return replace(found, start_noise=True)
 
 
-def _hidden(text: str, simulator: MujocoSimulator) -> tuple[Atom, Array]:
+def _hidden(text: str, simulator: MujocoSimulator) -> tuple[EffectInstance, Array]:
     """ "joint_damping:leg_joint=0.6" as an atom with its sizes."""
     name, _, values = text.partition("=")
     effect, _, place = name.partition(":")
-    atoms = {atom.label: atom for atom in atoms_of(simulator.robot, effect.partition(".")[0], place)}
-    atom = atoms[known("effect", name, atoms)]
+    instances = {instance.label: instance for instance in instances_of(simulator.effect_context, effect.partition(".")[0], place)}
+    instance = instances[known("effect", name, instances)]
     try:
         sizes = np.array([float(value) for value in values.split(",")])
     except ValueError:
         sizes = np.zeros(0)
-    wanted = ", ".join(f"{q.name} [{q.unit}]" for q in atom.quantities)
-    if len(sizes) != len(atom.quantities):
+    wanted = ", ".join(f"{q.name} [{q.unit}]" for q in instance.quantities)
+    if len(sizes) != len(instance.quantities):
         raise BadArgument(f"--hide {text!r} must give a number for {wanted} behind '='. Got {values!r}.")
-    if not all(q.low <= size < np.inf for q, size in zip(atom.quantities, sizes, strict=True)):
-        least = ", ".join(f"{q.low:g}" for q in atom.quantities)
+    if not all(q.low <= size < np.inf for q, size in zip(instance.quantities, sizes, strict=True)):
+        least = ", ".join(f"{q.low:g}" for q in instance.quantities)
         raise BadArgument(f"--hide {text!r}: {wanted} must be finite and at least {least}. Got {values!r}.")
-    return atom, sizes
+    return instance, sizes

@@ -6,20 +6,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.simulators.mujoco.layers import lateness, sensed
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.worker import Present
+from dropo.simulators.mujoco.worker import ActiveEffects
 
 Controller = Callable[[Array, Array], Array]
 """Actions (E, q) from what the sensors give (E, p) and standard normal numbers (E, q)."""
 
 
 def record(
-    simulator: MujocoSimulator, effects: Present, values: Array, starts: Array, controller: Controller, steps: int, *, actions: int,
+    simulator: MujocoSimulator, effects: ActiveEffects, values: Array, starts: Array, controller: Controller, steps: int, *, actions: int,
     noise: Array | float, alive: Callable[[Array], NDArray[np.bool_]], rng: np.random.Generator, memory: float = 0.0,
 ) -> Trajectories:  # fmt: skip
     """Trajectories of up to so many control steps from true start signals (E, p), of a machine with effects of those sizes under
@@ -66,8 +66,8 @@ def record(
 class _Machine:
     """What moves: with the effects that act on it, without those of its sensors."""
 
-    def __init__(self, simulator: MujocoSimulator, effects: Present, values: Array):
-        self.simulator = simulator.with_effects((), [(atom, sizes) for atom, sizes in effects if not _senses(atom)])
+    def __init__(self, simulator: MujocoSimulator, effects: ActiveEffects, values: Array):
+        self.simulator = simulator.with_effects((), [(instance, magnitudes) for instance, magnitudes in effects if not _senses(instance)])
         self.values = values
 
     def step(self, so_far: Trajectories, now: Ints) -> Array:
@@ -78,9 +78,9 @@ class _Machine:
 class _Sensors:
     """What is measured of a machine whose true states are known. prompt: its sensors show them as they are."""
 
-    def __init__(self, simulator: MujocoSimulator, effects: Present, values: Array):
-        self.prompt = not any(_senses(atom) for atom, _ in effects)
-        self.simulator = simulator.with_effects((), [(replace(atom, start=None), sizes) for atom, sizes in effects])
+    def __init__(self, simulator: MujocoSimulator, effects: ActiveEffects, values: Array):
+        self.prompt = not any(_senses(instance) for instance, _ in effects)
+        self.simulator = simulator.with_effects((), [(replace(instance, start=None), magnitudes) for instance, magnitudes in effects])
         self.values = values
         late = lateness(self.simulator.fixed, len(simulator.signals)).max()
         self.reach = 1 + int(np.ceil(late / simulator.control_step))
@@ -95,8 +95,8 @@ class _Sensors:
         return np.asarray(self.simulator.predict(self.values[None], so_far.from_rows(now - reach + 1, reach))[0])
 
 
-def _senses(atom: Atom) -> bool:
-    return atom.sense is not None or atom.late is not None
+def _senses(instance: EffectInstance) -> bool:
+    return instance.measurement is not None or instance.sensor_delay is not None
 
 
 def _so_far(states: Array, commands: Array) -> Trajectories:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import Atom
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
@@ -56,7 +56,7 @@ class Machine:
         return len(self.simulator.controls)
 
     def record(
-        self, effects: Sequence[tuple[Atom, Array]] = (), *, noise: float, rng: np.random.Generator, values: Array | None = None
+        self, effects: Sequence[tuple[EffectInstance, Array]] = (), *, noise: float, rng: np.random.Generator, values: Array | None = None
     ) -> Trajectories:
         """Closed-loop data of the machine with effects of those sizes, under parameters (d,), the nominal ones by default."""
         return record(

@@ -11,7 +11,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import sizes_of
+from dropo.core.contracts.effect import magnitudes_of
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
@@ -19,7 +19,7 @@ from dropo.simulators.mujoco.closed_loop import advance
 from dropo.simulators.mujoco.layers import changed, changes_commands, declared_values, lateness, sensed
 from dropo.simulators.mujoco.simulator import HUGE, MujocoSimulator
 from dropo.simulators.mujoco.warnings import quiet
-from dropo.simulators.mujoco.worker import Present, Worker, clamps_itself
+from dropo.simulators.mujoco.worker import ActiveEffects, Worker, clamps_itself
 
 STATE = (
     "time", "qpos", "qvel", "act", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat",
@@ -41,9 +41,9 @@ class Episodes:
     def __init__(
         self, simulator: MujocoSimulator, count: int, *, threads: int = 1, flags: int | None = None, whole: bool = False
     ):  # fmt: skip
-        atoms = [*simulator.effects, *(atom for atom, _ in simulator.fixed)]
-        _refuse_recorded(atoms)
-        general = simulator.general if any(atom.general for atom in atoms) else None
+        instances = [*simulator.effects, *(instance for instance, _ in simulator.fixed)]
+        _refuse_recorded(instances)
+        general = simulator.general if any(instance.general for instance in instances) else None
         model = copy.copy(general or simulator.model)
         model.opt.disableflags = (model.opt.disableflags if flags is None else flags) | mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.simulator, self.count, self.frame_skip = simulator, count, simulator.frame_skip
@@ -60,16 +60,16 @@ class Episodes:
         taken = np.ones(len(ids), dtype=bool)
         with quiet():
             for k, (i, value) in enumerate(zip(ids.tolist(), values, strict=True)):
-                present = [*self.simulator.fixed, *sizes_of(self.simulator.effects, value[fields:])]
+                active = [*self.simulator.fixed, *magnitudes_of(self.simulator.effects, value[fields:])]
                 try:
-                    self._workers[i].set(declared_values(value[:fields], present), present)
+                    self._workers[i].set(declared_values(value[:fields], active), active)
                 except (mujoco.FatalError, ValueError):
                     taken[k] = False
-                self._layers[i] = _Layers(present, self._workers[i], self.simulator)
+                self._layers[i] = _Layers(active, self._workers[i], self.simulator)
         self.batch.set_models([worker.model for worker in self._workers])
         return taken
 
-    def begin(self, ids: Ints, states: Array) -> None:
+    def reset(self, ids: Ints, states: Array) -> None:
         """Puts simulations into start states (m, nq + nv); everything else is as in a new one."""
         nq = self.batch.models[0].nq
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
@@ -93,7 +93,7 @@ class Episodes:
     def _start(self, ids: Ints) -> None:
         rows = self.rows(ids)
         for i, row in zip(ids.tolist(), rows, strict=True):
-            self._live["xfrc_applied"][i] += self._layers[i].begin(row)
+            self._live["xfrc_applied"][i] += self._layers[i].reset(row)
 
     def states(self, ids: Ints) -> Array:
         """(m, nq + nv) positions and velocities."""
@@ -103,7 +103,7 @@ class Episodes:
         """Holds commands (m, nu) for so many physics steps, by default an action's; (m,) which simulations are still sound."""
         count = self.frame_skip if steps is None else steps
         layers = [self._layers[i] for i in ids.tolist()]
-        if any(layer.present for layer in layers):
+        if any(layer.active for layer in layers):
             failed = self._changed_step(ids, layers, commands, count)
         else:
             self._live["ctrl"][ids] = commands
@@ -146,8 +146,8 @@ class Episodes:
         return out
 
 
-def _refuse_recorded(atoms: Any) -> None:
-    recorded = [atom.label for atom in atoms if atom.push is not None]
+def _refuse_recorded(instances: Any) -> None:
+    recorded = [instance.label for instance in instances if instance.applied_force is not None]
     if recorded:
         raise Incompatible(f"{recorded[0]} is known for recorded motion alone and cannot act in new episodes. Leave it out.")
 
@@ -158,24 +158,24 @@ class _Layers:
     watches: whether they must see every physics step.
     """
 
-    def __init__(self, present: Present, worker: Worker, simulator: MujocoSimulator):
-        self.present, self._worker, self._simulator = present, worker, simulator
-        self.acting = [(atom, sizes) for atom, sizes in present if atom.drive is not None or atom.force is not None]
-        self._delays = simulator.layout.by_column(lateness(present, len(simulator.signals))) / worker.model.opt.timestep  # physics steps
-        self._line = _Line(present, worker.model) if changes_commands(present) or clamps_itself(present) else None
-        self._senses = any(atom.sense is not None for atom, _ in present)
+    def __init__(self, active: ActiveEffects, worker: Worker, simulator: MujocoSimulator):
+        self.active, self._worker, self._simulator = active, worker, simulator
+        self.acting = [(instance, magnitudes) for instance, magnitudes in active if instance.command_feedback is not None or instance.force is not None]
+        self._delays = simulator.layout.by_column(lateness(active, len(simulator.signals))) / worker.model.opt.timestep  # physics steps
+        self._line = _Line(active, worker.model) if changes_commands(active) or clamps_itself(active) else None
+        self._senses = any(instance.measurement is not None for instance, _ in active)
         self.late: _Late | None = None
         self.watches = bool(self.acting) or bool(self._delays.any())
         self._step = 0
 
-    def begin(self, row: Array) -> Array:
+    def reset(self, row: Array) -> Array:
         """An episode begins in a state with that observation row (P,); the constant forces (nbody, 6) of the effects."""
         self._step = 0
         self.late = _Late(self._delays, row) if self._delays.any() else None
         if self._line is not None:
             self._line.clear()
         force = np.zeros((self._worker.model.nbody, 6))
-        for body, wrench in (atom.wrench(sizes) for atom, sizes in self.present if atom.wrench is not None):
+        for body, wrench in (instance.wrench(magnitudes) for instance, magnitudes in self.active if instance.wrench is not None):
             force[body] += wrench
         return force
 
@@ -197,15 +197,15 @@ class _Layers:
             return row
         layout, one = self._simulator.layout, row[None]
         signals = layout.coordinates(one, one)
-        seen: Array = layout.move(one, sensed(signals, self.present) - signals)[0]
+        seen: Array = layout.move(one, sensed(signals, self.active) - signals)[0]
         return seen
 
 
 class _Line:
     """An episode's commands from its beginning, which delays, lags and play need."""
 
-    def __init__(self, present: Present, model: mujoco.MjModel):
-        self._change: Callable[[Array, int], Array] = lambda commands, count: changed(commands, model, count, present)
+    def __init__(self, active: ActiveEffects, model: mujoco.MjModel):
+        self._change: Callable[[Array, int], Array] = lambda commands, count: changed(commands, model, count, active)
         self._given = np.empty((64, model.nu))
         self._count = 0
 

@@ -113,7 +113,7 @@ def _needed(simulator: MujocoSimulator, value: Array, before: Array, after: Arra
     mujoco.mj_setConst(model, data)
     needs, masses = np.empty((len(before), nv)), np.empty((len(before), nv, nv))
     shares, idle = np.empty((len(before), nv, model.nu)), np.empty((len(before), nv))
-    moved, moment = np.empty(nv), np.zeros((model.nu, nv))
+    moved, step_state = np.empty(nv), np.zeros((model.nu, nv))
     for row, (start, end) in enumerate(zip(before, after, strict=True)):
         data.qpos = start[:nq]
         mujoco.mj_differentiatePos(model, moved, step, start[:nq], end[:nq])
@@ -123,13 +123,13 @@ def _needed(simulator: MujocoSimulator, value: Array, before: Array, after: Arra
         needs[row] = data.qfrc_inverse
         mujoco.mj_fullM(model, data, masses[row])
         masses[row] += np.diag(model.dof_damping) * step / 2  # over a step, damping resists as so much mass
-        mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-        gain, bias = _laws(model, data.actuator_length, data.actuator_velocity)
-        shares[row], idle[row] = moment.T * gain, moment.T @ bias
+        mujoco.mju_sparse2dense(step_state, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+        gain, bias = _distributions(model, data.actuator_length, data.actuator_velocity)
+        shares[row], idle[row] = step_state.T * gain, step_state.T @ bias
     return needs, masses, shares, idle
 
 
-def _laws(model: mujoco.MjModel, length: Array, velocity: Array) -> tuple[Array, Array]:
+def _distributions(model: mujoco.MjModel, length: Array, velocity: Array) -> tuple[Array, Array]:
     """(nu,) the force of a unit of each command, and without one."""
     state = np.stack([np.ones(model.nu), length, velocity], axis=1)
     affine = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE), (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)

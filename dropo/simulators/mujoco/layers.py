@@ -7,34 +7,34 @@ from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.mjmodel.observation import Layout
-from dropo.simulators.mujoco.worker import Present, clamps_itself
+from dropo.simulators.mujoco.worker import ActiveEffects, clamps_itself
 
 
-def by_gate(present: Present, segments: Segments, part: Ints) -> list[tuple[Ints, Present]]:
+def by_time_profile(active: ActiveEffects, segments: Segments, part: Ints) -> list[tuple[Ints, ActiveEffects]]:
     """A part of the segments in sets that have the same effects, with the sizes that hold there."""
-    if all(atom.gate is None for atom, _ in present):
-        return [(part, present)]
+    if all(instance.time_profile is None for instance, _ in active):
+        return [(part, active)]
     if len(segments.levels) > 1:
-        chained = next(atom.label for atom, _ in present if atom.gate is not None)
+        chained = next(instance.label for instance, _ in active if instance.time_profile is not None)
         raise Incompatible(f"{chained} changes from segment to segment, and with reset='partial' one goes on where another ended."
                            " Use reset='transition' or 'start'.")  # fmt: skip
-    shares = np.ones((len(part), len(present)))
-    for i, (atom, sizes) in enumerate(present):
-        if atom.gate is not None:
-            shares[:, i] = atom.gate(segments, sizes)[part]
+    shares = np.ones((len(part), len(active)))
+    for i, (instance, magnitudes) in enumerate(active):
+        if instance.time_profile is not None:
+            shares[:, i] = instance.time_profile(segments, magnitudes)[part]
     rows, which = np.unique(shares, axis=0, return_inverse=True)
-    sets = [[(atom, share * sizes) for (atom, sizes), share in zip(present, row, strict=True) if share != 0] for row in rows]
+    sets = [[(instance, share * magnitudes) for (instance, magnitudes), share in zip(active, row, strict=True) if share != 0] for row in rows]
     return [(part[which.ravel() == i], those) for i, those in enumerate(sets)]
 
 
-def declared_values(values: Array, present: Present) -> Array:
+def declared_values(values: Array, active: ActiveEffects) -> Array:
     """The declared parameters' values (d,) as the effects leave them."""
-    for atom, sizes in present:
-        values = values if atom.declared is None else atom.declared(values, sizes)
+    for instance, magnitudes in active:
+        values = values if instance.declared is None else instance.declared(values, magnitudes)
     return values
 
 
-def commands_of(segments: Segments, part: Ints, actions: Array, model: mujoco.MjModel, frame_skip: int, present: Present) -> Array:
+def commands_of(segments: Segments, part: Ints, actions: Array, model: mujoco.MjModel, frame_skip: int, active: ActiveEffects) -> Array:
     """(N, L frame_skip, nu) commands, one a physics step, as the effects leave them, 0 in trajectories that the part is not of.
 
     actions (T, nu) of all transitions. Effects see a trajectory's commands from its beginning, so that delays, lags and play know
@@ -43,21 +43,21 @@ def commands_of(segments: Segments, part: Ints, actions: Array, model: mujoco.Mj
     whole = np.zeros((len(actions), frame_skip, model.nu))
     data = segments.trajectories
     for first, last in (data.spans[i] for i in np.unique(data.trajectory[segments.steps[part, 0]])):
-        whole[first:last] = changed(actions[first:last], model, frame_skip, present).reshape(last - first, frame_skip, model.nu)
+        whole[first:last] = changed(actions[first:last], model, frame_skip, active).reshape(last - first, frame_skip, model.nu)
     chosen = np.where(segments.steps >= 0, segments.steps, segments.steps.max(axis=1, keepdims=True))
     return whole[chosen].reshape(len(segments), -1, model.nu)
 
 
-def changed(commands: Array, model: mujoco.MjModel, frame_skip: int, present: Present) -> Array:
+def changed(commands: Array, model: mujoco.MjModel, frame_skip: int, active: ActiveEffects) -> Array:
     """(T frame_skip, nu) a trajectory's commands, one a physics step, as the effects leave them; commands (T, nu) from its beginning."""
     step = float(model.opt.timestep)
-    for atom, sizes in present:
-        commands = commands if atom.command is None else atom.command(commands, sizes)
-    if clamps_itself(present):
+    for instance, magnitudes in active:
+        commands = commands if instance.command is None else instance.command(commands, magnitudes)
+    if clamps_itself(active):
         commands = clamp(commands, model)
     commands = np.repeat(commands, frame_skip, axis=0)
-    for atom, sizes in present:
-        commands = commands if atom.actuation is None else atom.actuation(commands, step, sizes)
+    for instance, magnitudes in active:
+        commands = commands if instance.actuation is None else instance.actuation(commands, step, magnitudes)
     return commands
 
 
@@ -69,29 +69,29 @@ def clamp(commands: Array, model: mujoco.MjModel) -> Array:
     return np.clip(commands, low, high)
 
 
-def changes_commands(present: Present) -> bool:
+def changes_commands(active: ActiveEffects) -> bool:
     """Whether an effect changes commands that do not depend on the state."""
-    return any(atom.command is not None or atom.actuation is not None for atom, _ in present)
+    return any(instance.command is not None or instance.actuation is not None for instance, _ in active)
 
 
-def true_starts(rows: Array, slopes: Array, layout: Layout, present: Present) -> Array:
+def true_starts(rows: Array, slopes: Array, layout: Layout, active: ActiveEffects) -> Array:
     """Start observations (n, P) as they were, from measured ones; slopes (n, p) of the signals [1/s]."""
-    hooks = [(atom.start, sizes) for atom, sizes in present if atom.start is not None]
-    for start, sizes in hooks:
-        rows = layout.move(rows, start(layout.coordinates(rows, rows), slopes, sizes))
+    hooks = [(instance.start, magnitudes) for instance, magnitudes in active if instance.start is not None]
+    for start, magnitudes in hooks:
+        rows = layout.move(rows, start(layout.coordinates(rows, rows), slopes, magnitudes))
     return rows
 
 
-def sensed(signals: Array, present: Present) -> Array:
+def sensed(signals: Array, active: ActiveEffects) -> Array:
     """Signals (..., p) as the sensors give them."""
-    for atom, sizes in present:
-        signals = signals if atom.sense is None else atom.sense(signals, sizes)
+    for instance, magnitudes in active:
+        signals = signals if instance.measurement is None else instance.measurement(signals, magnitudes)
     return signals
 
 
-def lateness(present: Present, p: int) -> Array:
+def lateness(active: ActiveEffects, p: int) -> Array:
     """(p,) how late each signal is seen [s]."""
-    return sum((atom.late(sizes) for atom, sizes in present if atom.late is not None), start=np.zeros(p))
+    return sum((instance.sensor_delay(magnitudes) for instance, magnitudes in active if instance.sensor_delay is not None), start=np.zeros(p))
 
 
 def slopes_of(segments: Segments, layout: Layout, control_step: float) -> Array:
@@ -106,7 +106,7 @@ def slopes_of(segments: Segments, layout: Layout, control_step: float) -> Array:
     return (ahead - behind) / ((1 + at - before)[:, None] * control_step)
 
 
-def bends_of(segments: Segments, layout: Layout, control_step: float) -> Array:
+def curvatures_of(segments: Segments, layout: Layout, control_step: float) -> Array:
     """(N, p) by how much the speed of each measured signal changes from step to step around each segment's start [1/s]: the root mean
     square of three second differences, fewer at the ends of its trajectory."""
     data, at = segments.trajectories, segments.steps[:, 0]

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import Atom, Robot, sizes_of
+from dropo.core.contracts.effect import EffectInstance, EffectContext, magnitudes_of
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments
@@ -24,8 +24,8 @@ from dropo.mjmodel.fields import MOVES_FRAMES, Binding, FieldParameter, element_
 from dropo.mjmodel.observation import Layout
 from dropo.simulators.mujoco.contacts import touching
 from dropo.simulators.mujoco.layers import (
-    bends_of,
-    by_gate,
+    curvatures_of,
+    by_time_profile,
     changes_commands,
     commands_of,
     declared_values,
@@ -37,7 +37,7 @@ from dropo.simulators.mujoco.layers import (
 )
 from dropo.simulators.mujoco.loading import load_model, specification
 from dropo.simulators.mujoco.warnings import quiet
-from dropo.simulators.mujoco.worker import Present, Worker, clamps_itself
+from dropo.simulators.mujoco.worker import ActiveEffects, Worker, clamps_itself
 
 BUFFER = 1 << 25  # bytes of states that one call into C may return
 HUGE = 1e10  # mjMAXVAL: beyond it MuJoCo itself calls a state divergent
@@ -56,7 +56,7 @@ class MujocoSimulator(Simulator):
     def __init__(
         self, model: str | Path | mujoco.MjSpec | mujoco.MjModel, parameters: Sequence[FieldParameter], *,
         observation: Sequence[str] = ("qpos", "qvel"), action: Sequence[str] = ("ctrl",), frame_skip: int = 1, threads: int = 0,
-        effects: Sequence[Atom] = (), fixed: Present = (),
+        effects: Sequence[EffectInstance] = (), fixed: ActiveEffects = (),
     ):  # fmt: skip
         require(frame_skip >= 1, "frame_skip", "at least 1", frame_skip, "MujocoSimulator")
         require(threads >= 0, "threads", "0 (all cores) or a number of threads", threads, "MujocoSimulator")
@@ -71,17 +71,17 @@ class MujocoSimulator(Simulator):
         self.threads = threads or os.cpu_count() or 1
         self._hire()
 
-    def _take(self, effects: Sequence[Atom], fixed: Present) -> None:
+    def _take(self, effects: Sequence[EffectInstance], fixed: ActiveEffects) -> None:
         self.effects, self.fixed = tuple(effects), tuple(fixed)
-        tied = [atom.label for atom in (*effects, *(atom for atom, _ in fixed)) if atom.general]
+        tied = [instance.label for instance in (*effects, *(instance for instance, _ in fixed)) if instance.general]
         if tied and self.general is None:
             raise Incompatible(f"{tied[0]} needs a model whose bodies are compiled with simple='false', and a compiled MjModel was given."
                                " Make the simulator from an MJCF file or an MjSpec, or leave that effect out.")  # fmt: skip
         own = [binding.parameter for binding in self.bindings]
-        self.space = ParameterSpace((*own, *(p for atom in effects for p in atom.parameters)))
+        self.space = ParameterSpace((*own, *(p for instance in effects for p in instance.parameters)))
         self.nominal = np.concatenate([[b.nominal() for b in self.bindings], np.zeros(len(self.space) - len(own))])
 
-    def with_effects(self, effects: Sequence[Atom] = (), fixed: Present = ()) -> "MujocoSimulator":
+    def with_effects(self, effects: Sequence[EffectInstance] = (), fixed: ActiveEffects = ()) -> "MujocoSimulator":
         """The same simulator with more effects beside those it has: free ones, whose sizes are parameters, and fixed ones."""
         out = copy.copy(self)
         out._source, out.steps, out.failures = self._source, 0, 0
@@ -141,22 +141,22 @@ class MujocoSimulator(Simulator):
         """(N,) whether bodies overlap in each segment's measured start."""
         return touching(self.model, self._start_states(segments, np.arange(len(segments)), segments.starts, {}))
 
-    def start_doubt(self, value: Array, segments: Segments) -> Array:
+    def extra_start_sd(self, value: Array, segments: Segments) -> Array:
         """(N, p) under the value (d,): of signals seen late, half of how far a change of speed from one step to the next takes them in that
         time; over more than a step, how far a change that goes on does."""
-        late = lateness([*self.fixed, *sizes_of(self.effects, value[len(self.bindings) :])], len(self.signals))
+        late = lateness([*self.fixed, *magnitudes_of(self.effects, value[len(self.bindings) :])], len(self.signals))
         if not late.any():
-            return super().start_doubt(value, segments)
+            return super().extra_start_sd(value, segments)
         if segments not in self._bends:
-            self._bends[segments] = bends_of(segments, self.layout, self.control_step)
+            self._bends[segments] = curvatures_of(segments, self.layout, self.control_step)
         return np.asarray(0.5 * late * np.maximum(1.0, late / self.control_step) * self._bends[segments])
 
     @property
-    def robot(self) -> Robot:
+    def effect_context(self) -> EffectContext:
         """What effects are offered for."""
         signals = tuple((signal.name, signal.unit) for signal in self.signals)
         source = not isinstance(self._source, mujoco.MjModel) or self.general is not None
-        return Robot(self.model, signals, self.control_step, tuple(b.parameter for b in self.bindings), source)
+        return EffectContext(self.model, signals, self.control_step, tuple(b.parameter for b in self.bindings), source)
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         require(segments.starts.shape[1] == len(self.layout), "segments", f"of {len(self.layout)} observed columns",
@@ -167,22 +167,22 @@ class MujocoSimulator(Simulator):
         row_of = np.concatenate([[0], np.cumsum(np.bincount(segments.rows[0], minlength=len(segments)))])
         fields = len(self.bindings)
 
-        def job(k: int, part: Ints, present: Present) -> None:
+        def job(k: int, part: Ints, active: ActiveEffects) -> None:
             starts = segments.starts[part]
             if offsets is not None:
                 starts = self.layout.move(starts, offsets[k, part])
             if slopes is not None:
-                starts = true_starts(starts, slopes[part], self.layout, present)
-            commands = self._changed_commands(segments, part, present) if changes_commands(present) or clamps_itself(present) else held
+                starts = true_starts(starts, slopes[part], self.layout, active)
+            commands = self._changed_commands(segments, part, active) if changes_commands(active) or clamps_itself(active) else held
             observed = self._replay(
-                declared_values(values[k, :fields], present), present, segments, part, starts, commands
+                declared_values(values[k, :fields], active), active, segments, part, starts, commands
             )  # one row a compared row of the part
             rows = np.concatenate([np.arange(row_of[i], row_of[i + 1]) for i in part]) if segments.every_step else part
-            out[k, rows] = sensed(self.layout.coordinates(observed, targets[rows]), present)
+            out[k, rows] = sensed(self.layout.coordinates(observed, targets[rows]), active)
 
-        there = [[*self.fixed, *sizes_of(self.effects, value[fields:])] for value in values]
+        there = [[*self.fixed, *magnitudes_of(self.effects, value[fields:])] for value in values]
         parts = self._parts(segments, len(values))
-        tasks = [(k, own, now) for k in range(len(values)) for part in parts for own, now in by_gate(there[k], segments, part)]
+        tasks = [(k, own, now) for k in range(len(values)) for part in parts for own, now in by_time_profile(there[k], segments, part)]
         with quiet():
             for _ in self._pool.map(lambda task: job(*task), tasks):
                 pass
@@ -203,9 +203,9 @@ class MujocoSimulator(Simulator):
             self._commands[segments] = self._controls(segments.actions)
         return self._commands[segments]
 
-    def _changed_commands(self, segments: Segments, part: Ints, present: Present) -> Array:
+    def _changed_commands(self, segments: Segments, part: Ints, active: ActiveEffects) -> Array:
         """(N, L frame_skip, nu) commands as the effects leave them, for a part of the segments."""
-        return commands_of(segments, part, self._controls(segments.trajectories.actions), self.model, self.frame_skip, present)
+        return commands_of(segments, part, self._controls(segments.trajectories.actions), self.model, self.frame_skip, active)
 
     def _controls(self, actions: Array) -> Array:
         """Commands (..., nu) from actions (..., q)."""
@@ -215,13 +215,13 @@ class MujocoSimulator(Simulator):
         commands[..., self.controls] = actions
         return commands
 
-    def _replay(self, value: Array, present: Present, segments: Segments, part: Ints, starts: Array, commands: Array) -> Array:
+    def _replay(self, value: Array, active: ActiveEffects, segments: Segments, part: Ints, starts: Array, commands: Array) -> Array:
         """Observations at the compared rows of a part of the segments, in their order; commands (N, L or L frame_skip, nu)."""
-        general = any(atom.general for atom, _ in present)
+        general = any(instance.general for instance, _ in active)
         worker = self._worker(general)
         per_action = commands.shape[1] // segments.steps.shape[1]
         try:
-            worker.set(value, present)
+            worker.set(value, active)
             ends: dict[int, Array] = {}
             found: dict[int, Array] = {}
             for level in segments.levels if len(segments.levels) > 1 else [part]:
@@ -229,7 +229,7 @@ class MujocoSimulator(Simulator):
                     block = level[segments.lengths[level] == length]
                     states = self._start_states(segments, block, starts[np.searchsorted(part, block)], ends)
                     held = np.repeat(commands[block, : length * per_action], self.frame_skip // per_action, axis=1)
-                    observed, last = self._roll(worker, present, states, held, segments.every_step)
+                    observed, last = self._roll(worker, active, states, held, segments.every_step)
                     found.update(zip(block.tolist(), observed, strict=True))
                     if len(segments.levels) > 1:
                         ends.update(zip(block.tolist(), last, strict=True))
@@ -249,21 +249,21 @@ class MujocoSimulator(Simulator):
         self.layout.write_start(states, starts, every, self.model)
         return states
 
-    def _roll(self, worker: Worker, present: Present, states: Array, commands: Array, every: bool) -> tuple[Array, Array]:
+    def _roll(self, worker: Worker, active: ActiveEffects, states: Array, commands: Array, every: bool) -> tuple[Array, Array]:
         """Observations (n, L or 1, P) after every action or the last, and the last states (n, s); NaN where MuJoCo stopped early.
 
         commands: (n, L frame_skip, nu), one a physics step.
         """
-        trace, _ = worker.roll(states, commands, present)
+        trace, _ = worker.roll(states, commands, active)
         actions = commands.shape[1] // self.frame_skip
         first = 0 if every else actions - 1
         after = trace[:, self.frame_skip - 1 :: self.frame_skip][:, first:]
-        sensors = self._sensors(worker, present, after, commands[:, :: self.frame_skip][:, first:]) if self.layout.needs_sensors else None
+        sensors = self._sensors(worker, active, after, commands[:, :: self.frame_skip][:, first:]) if self.layout.needs_sensors else None
         observed = self.layout.observe(after, sensors, self.model)
-        late = self.layout.by_column(lateness(present, len(self.signals))) / worker.model.opt.timestep
+        late = self.layout.by_column(lateness(active, len(self.signals))) / worker.model.opt.timestep
         if late.any():
             whole, held = np.concatenate([states[:, None], trace], axis=1), np.concatenate([commands[:, :1], commands], axis=1)
-            sensors = self._sensors(worker, present, whole, held) if self.layout.needs_sensors else None
+            sensors = self._sensors(worker, active, whole, held) if self.layout.needs_sensors else None
             whole = self.layout.observe(whole, sensors, self.model)[:, :, late > 0]
             observed[:, :, late > 0] = seen_late(whole, late[late > 0])[:, self.frame_skip - 1 :: self.frame_skip][:, first:]
         # MuJoCo halts a rollout at its first warning and repeats the state: its clock stands still.
@@ -274,10 +274,10 @@ class MujocoSimulator(Simulator):
         last[bad[:, -1]] = np.nan
         return observed, last
 
-    def _sensors(self, worker: Worker, present: Present, after: Array, commands: Array) -> Array:
+    def _sensors(self, worker: Worker, active: ActiveEffects, after: Array, commands: Array) -> Array:
         """Sensor data (n, J, m) of the states after an action, still under it: a step reports those of the state before it."""
         states = after.reshape(-1, after.shape[2])
-        return worker.roll(states, commands.reshape(len(states), 1, self.model.nu), present)[1].reshape(*after.shape[:2], -1)
+        return worker.roll(states, commands.reshape(len(states), 1, self.model.nu), active)[1].reshape(*after.shape[:2], -1)
 
 
 def action_columns(model: mujoco.MjModel, items: Sequence[str]) -> NDArray[np.int64]:

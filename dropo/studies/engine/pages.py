@@ -30,13 +30,13 @@ def markdown(study: Study) -> str:
 
 def with_block(text: str, study: Study, path: Path) -> str:
     """The page with the study's block replaced; without such a block, the page as it is."""
-    begin = f"<!-- study: {study.name} -->\n"
-    if begin not in text:
+    reset = f"<!-- study: {study.name} -->\n"
+    if reset not in text:
         return text
-    if "<!-- end -->" not in text.split(begin, 1)[1].split("<!-- study:")[0]:
-        raise BadFile(path, begin.strip(), "an `<!-- end -->` below it", "none")
-    block = re.compile(re.escape(begin) + r".*?<!-- end -->", re.DOTALL)
-    return block.sub(lambda _: f"{begin}{markdown(study)}<!-- end -->", text, count=1)
+    if "<!-- end -->" not in text.split(reset, 1)[1].split("<!-- study:")[0]:
+        raise BadFile(path, reset.strip(), "an `<!-- end -->` below it", "none")
+    block = re.compile(re.escape(reset) + r".*?<!-- end -->", re.DOTALL)
+    return block.sub(lambda _: f"{reset}{markdown(study)}<!-- end -->", text, count=1)
 
 
 def picture(draw: Callable[[Any], None]) -> str:

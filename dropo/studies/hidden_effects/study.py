@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import beta
 
 from dropo import Diagnose, Diagnosis
-from dropo.core.contracts.effect import Atom, Moment, Quantity
+from dropo.core.contracts.effect import EffectInstance, StepState, Quantity
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array, known, require
@@ -31,7 +31,7 @@ RUNS = {
 ENOUGH = 100.0  # [nats] on data held out that the true effect is worth, from which it counts
 TOLD = 0.01  # [nats per transition] on data held out by which the true model is better where they tell it from what was found
 NOISE = (1e-4, 10**-2.5)  # sd of every sensor, log-uniform
-Hidden = list[tuple[Atom, Array]]
+Hidden = list[tuple[EffectInstance, Array]]
 
 
 def hidden_effects(
@@ -132,8 +132,8 @@ def judge(case: str, effects: Hidden, found: Diagnosis) -> dict[str, Any]:
     """Whether the right thing was said, and what."""
     named = {(c.effect, c.target) for c in found.causes}
     said = "; ".join(f"{'~' if c.acts_like else ''}{c.effect}:{c.target or ''}.{c.variant}" for c in found.causes) + f" ({found.verdict})"
-    truth = {place for atom, _ in effects for place in _same(atom)}
-    wanted = [_same(atom) for atom, _ in effects]
+    truth = {place for instance, _ in effects for place in _same(instance)}
+    wanted = [_same(instance) for instance, _ in effects]
     among = named | {(e["effect"], e["target"]) for c in found.causes for e in c.confused_with}
     first = next(iter(found.causes), None)
     out = {"said": said, "first": first.effect if first else "nothing", "among": all(same & among for same in wanted), "error": None}
@@ -160,20 +160,20 @@ def _share(best: float, found: Diagnosis) -> float:
     return (found.extended_log_likelihood - found.baseline_log_likelihood) / (best - found.baseline_log_likelihood)
 
 
-def _same(atom: Atom) -> set[tuple[str, str | None]]:
+def _same(instance: EffectInstance) -> set[tuple[str, str | None]]:
     """An effect with its place, and what no recorded data can tell from it."""
-    return {(atom.effect, atom.target), *((name, None) for name in atom.alike)}
+    return {(instance.effect, instance.target), *((name, None) for name in instance.alike)}
 
 
-def _error(hidden: tuple[Atom, Array], found: Diagnosis) -> float | None:
+def _error(hidden: tuple[EffectInstance, Array], found: Diagnosis) -> float | None:
     """The relative error of the first size, where the effect is named."""
-    atom, sizes = hidden
-    cause = next((c for c in found.causes if (c.effect, c.target, c.variant) == (atom.effect, atom.target, atom.variant)), None)
-    return None if cause is None else float(abs(cause.estimate[atom.quantities[0].name]["value"] / sizes[0] - 1))
+    instance, sizes = hidden
+    cause = next((c for c in found.causes if (c.effect, c.target, c.variant) == (instance.effect, instance.target, instance.variant)), None)
+    return None if cause is None else float(abs(cause.estimate[instance.quantities[0].name]["value"] / sizes[0] - 1))
 
 
-def _told(atom: Atom, sizes: Array) -> str:
-    return f"{atom.label}={','.join(f'{size:.3g}' for size in sizes)}"
+def _told(instance: EffectInstance, sizes: Array) -> str:
+    return f"{instance.label}={','.join(f'{size:.3g}' for size in sizes)}"
 
 
 def hide_some(robot: Machine, case: str, sigma: float, rng: np.random.Generator) -> tuple[Hidden, Any, float]:
@@ -195,33 +195,33 @@ def hide_some(robot: Machine, case: str, sigma: float, rng: np.random.Generator)
     return effects, data, float(min(nats))
 
 
-def draw(robot: Machine, kind: str, rng: np.random.Generator) -> tuple[Atom, Array] | None:
+def draw(robot: Machine, kind: str, rng: np.random.Generator) -> tuple[EffectInstance, Array] | None:
     """An effect of that kind at a random place, its first size between a tenth and twice its largest probe."""
-    atoms = list(find("effects", kind)(robot.simulator.robot))
-    if not atoms:
+    instances = list(find("effects", kind)(robot.simulator.effect_context))
+    if not instances:
         return None
-    atom = atoms[rng.integers(len(atoms))]
-    sets = atom.trials[rng.integers(len(atom.trials))]
+    instance = instances[rng.integers(len(instances))]
+    sets = instance.trials[rng.integers(len(instance.trials))]
     sizes = np.sum(sets, axis=0)
-    first = atom.quantities[0]
+    first = instance.quantities[0]
     largest = max(np.abs(first.probes)) * np.exp(rng.uniform(np.log(0.1), np.log(2.0)))
     sizes[0] = np.clip(np.sign(sizes[0]) * largest, 0.9 * first.low, 0.9 * first.high)
-    return (atom, sizes) if sizes[0] != 0 else None
+    return (instance, sizes) if sizes[0] != 0 else None
 
 
-def worth(robot: Machine, one: tuple[Atom, Array], effects: Hidden, values: Array, data: Any, sigma: float) -> float:
+def worth(robot: Machine, one: tuple[EffectInstance, Array], effects: Hidden, values: Array, data: Any, sigma: float) -> float:
     """About how many nats the effect is worth on every other trajectory: half the fall of the squared errors of windows of 5 steps, in
     units of noise that starts and ends have, robustly."""
     without = [other for other in effects if other[0].label != one[0].label]
     return difference(robot, effects, without, values, data, sigma)
 
 
-def whole(robot: Machine, one: tuple[Atom, Array], effects: Hidden, values: Array, data: Any, sigma: float) -> bool:
+def whole(robot: Machine, one: tuple[EffectInstance, Array], effects: Hidden, values: Array, data: Any, sigma: float) -> bool:
     """Whether each of the effect's numbers shows: without one of them, a wind across an arm's plane (say) is another effect."""
-    atom, sizes = one
+    instance, sizes = one
     for i in range(len(sizes) if len(sizes) > 1 else 0):
         less = np.where(np.arange(len(sizes)) == i, 0.0, sizes)
-        other = [(atom, less) if own is atom else (own, other) for own, other in effects]
+        other = [(instance, less) if own is instance else (own, other) for own, other in effects]
         if difference(robot, effects, other, values, data, sigma) < ENOUGH / 10:
             return False
     return True
@@ -237,17 +237,17 @@ def difference(robot: Machine, effects: Hidden, without: Hidden, values: Array, 
     return float(np.sum(np.log1p(np.sum(moved**2 / np.maximum(grown, 1.0), axis=1) / 8)) * 4)
 
 
-def white_noise(robot: Machine) -> tuple[Atom, Array]:
+def white_noise(robot: Machine) -> tuple[EffectInstance, Array]:
     """White noise on every force, put in behind the clamp, of a tenth of the largest commands; the same whenever it is asked for again."""
 
     def actuation(commands: Array, step: float, sizes: Array) -> Array:
         own = np.random.default_rng(np.frombuffer(commands[0].tobytes(), dtype=np.uint32))
         return np.asarray(commands + sizes[0] * own.standard_normal(commands.shape))
 
-    return Atom("white_noise", None, (Quantity("sd", "command", 0, 1, (0.1,)),), actuation=actuation), np.array([0.1])
+    return EffectInstance("white_noise", None, (Quantity("sd", "command", 0, 1, (0.1,)),), actuation=actuation), np.array([0.1])
 
 
-def outside(robot: Machine, rng: np.random.Generator) -> tuple[Atom, Array]:
+def outside(robot: Machine, rng: np.random.Generator) -> tuple[EffectInstance, Array]:
     """A cause that no effect stands for: drag that grows with the speed's square, a spring that hardens, or a command that counts more at
     large angles."""
     model = robot.simulator.model
@@ -257,9 +257,9 @@ def outside(robot: Machine, rng: np.random.Generator) -> tuple[Atom, Array]:
     full = abs(float(model.actuator_gainprm[i, 0] * model.actuator_gear[i, 0]))
     shape = int(rng.integers(3))
 
-    def force(moment: Moment, sizes: Array) -> Array:
+    def force(moment: StepState, sizes: Array) -> Array:
         out, angle, speed = np.zeros_like(moment.qvel), moment.qpos[:, q], moment.qvel[:, v]
         out[:, v] = (-speed * np.abs(speed) / 25, -4 * angle**3, moment.ctrl[:, i] * np.sin(4 * angle))[shape] * sizes[0]
         return out
 
-    return Atom("outside", str(shape), (Quantity("size", "N m", 0, full, (full,)),), force=force), np.array([0.2 * full])
+    return EffectInstance("outside", str(shape), (Quantity("size", "N m", 0, full, (full,)),), force=force), np.array([0.2 * full])

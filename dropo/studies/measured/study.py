@@ -45,7 +45,7 @@ def run(item: list[Any]) -> dict[str, Any]:
     told = found.to_json()
     return {
         "problem": name, "seed": seed, "verdict": found.verdict, "remaining": list(found.remaining["where"]),
-        "disturbances": told["disturbances"], "odd_runs": [str(one) for one in found.odd_runs],
+        "disturbances": told["disturbances"], "odd_runs": [str(one) for one in found.outlier_runs],
         "undetermined": list(found.undetermined), "seconds": found.wall_time_s, "causes": told["causes"],
         "sentences": [cause.sentence for cause in found.causes], "horizons": _horizons(told, JUDGED[name][0]),
     }  # fmt: skip

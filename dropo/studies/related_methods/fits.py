@@ -7,7 +7,7 @@ import numpy as np
 from numpy.random import Generator
 
 from dropo.core.contracts.estimator import Estimator
-from dropo.core.contracts.interactive_estimator import Answer, law
+from dropo.core.contracts.interactive_estimator import Answer, distribution
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.records.trajectories import Trajectories
@@ -75,7 +75,7 @@ class Machine:
     def __init__(self, table: str, problem: Problem, size: Size):
         self.problem, self.size, self.spread = problem, size, SPREAD[table]
         covariance = np.diag(np.maximum(self.spread, SMALLEST) ** 2)
-        self.law = law(problem, "truth", "full", FullGaussian(problem.space).phi_of(MEAN, covariance))
+        self.distribution = distribution(problem, "truth", "full", FullGaussian(problem.space).phi_of(MEAN, covariance))
 
     def collect(self, transitions: int) -> Any:
         """The callback of SimOpt: so many transitions under the stored policy, whatever the law."""
@@ -100,7 +100,7 @@ class Machine:
 
         size, (training, playing) = self.size, rng.spawn(2)
         policy = train(self.problem, fit, ARS(updates=size.updates), noise=0.0, steps=size.steps, rng=training)
-        played = evaluate(policy, self.problem, law=self.law, episodes=size.episodes, steps=size.steps, noise=0.0, rng=playing)
+        played = evaluate(policy, self.problem, distribution=self.distribution, episodes=size.episodes, steps=size.steps, noise=0.0, rng=playing)
         return played.returns.tolist(), int(policy.about["control_steps"]), played.lengths.tolist()
 
     def performance(self, values: Array, rng: Generator) -> Answer[float]:
@@ -112,7 +112,7 @@ class Machine:
         kept, limits = hopper_policy(), np.array([[-1.0] * 3, [1.0] * 3])
         policy = LinearPolicy(kept.weights, kept.mean, kept.deviation, limits)
         point = Point(self.problem.space, values)
-        played = evaluate(policy, self.problem, law=point, episodes=1, steps=self.size.probe, noise=0.0, rng=rng)
+        played = evaluate(policy, self.problem, distribution=point, episodes=1, steps=self.size.probe, noise=0.0, rng=rng)
         return Answer(float(played.lengths[0] == self.size.probe), steps=int(played.lengths.sum()) * FRAME_SKIP)
 
 
@@ -157,5 +157,5 @@ def returned(item: Item) -> dict[str, Any]:
     problem, _ = data_set(item["table"], "noisy", item["seed"], size.transitions)
     machine = Machine(item["table"], problem, size)
     given = item["law"]
-    fit = machine.law if given is None else law(problem, "related", given[0], np.array(given[1]))
+    fit = machine.distribution if given is None else distribution(problem, "related", given[0], np.array(given[1]))
     return {"returns": machine.returns(fit, np.random.default_rng(item["seed"]))[0]}

@@ -50,11 +50,11 @@ def related_methods(work: Work, seeds: int | None = None, *, size: Size = FULL) 
 
 def _returns(work: Work, found: dict[Any, dict[str, Any]], size: Size, count: int) -> dict[tuple[str, str], dict[str, float]]:
     """Mean return and its standard error under each method's laws, and under the machine's own, by table and method."""
-    laws: dict[Any, Any] = {key: [row["family"], row["phi"]] for key, row in found.items()}
-    laws |= {(table, TRUTH, seed): None for table in TABLES for seed in range(count)}
-    answers = work.map(returned, [item(table, seed, size, law=given) for (table, _, seed), given in laws.items()])
+    distributions: dict[Any, Any] = {key: [row["family"], row["phi"]] for key, row in found.items()}
+    distributions |= {(table, TRUTH, seed): None for table in TABLES for seed in range(count)}
+    answers = work.map(returned, [item(table, seed, size, distribution=given) for (table, _, seed), given in distributions.items()])
     returns: dict[tuple[str, str], list[list[float]]] = {}
-    for (table, method, _), answer in zip(laws, answers, strict=True):
+    for (table, method, _), answer in zip(distributions, answers, strict=True):
         returns.setdefault((table, method), []).append(answer["returns"])
     return {key: over_data_sets(values) for key, values in returns.items()}
 

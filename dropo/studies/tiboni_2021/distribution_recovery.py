@@ -27,10 +27,10 @@ def recovered(name: str, table: str, work: Work, seeds: int | None, published: b
     asked = [(kind, seed, method) for kind in EPSILON for seed in range(count) for method in (first if seed == 0 else FAST)]
     answers = work.map(fitted, [item(table, kind, seed, size, method=method) for kind, seed, method in asked])
     found = dict(zip(asked, answers, strict=True))
-    laws = work.map(compared, [_laws(table, kind, size, {m: found[kind, 0, m] for m in first}) for kind in EPSILON])
+    distributions = work.map(compared, [_distributions(table, kind, size, {m: found[kind, 0, m] for m in first}) for kind in EPSILON])
     tables: list[Table] = []
     data: dict[str, Any] = {}
-    for kind, compared_laws in zip(EPSILON, laws, strict=True):
+    for kind, compared_laws in zip(EPSILON, distributions, strict=True):
         title = f"table {table}, {kind}, epsilon {EPSILON[kind]:.0e}"
         rows: Rows = {method: found[kind, 0, method] for method in first}
         over = {method: [found[kind, seed, method] for seed in range(count)] for method in FAST}
@@ -52,9 +52,9 @@ def reduced(size: Size) -> str:
     )
 
 
-def _laws(table: str, kind: str, size: Size, rows: Rows) -> dict[str, Any]:
+def _distributions(table: str, kind: str, size: Size, rows: Rows) -> dict[str, Any]:
     dropo = rows["dropo"]
-    laws = {
+    distributions = {
         "dropo": [dropo["mean"], dropo["sd"]],
         "random effects": [rows["random effects"]["mean"], rows["random effects"]["sd"]],
         "drawn sample's moments": [dropo["drawn_mean"], dropo["drawn_sd"]],
@@ -62,8 +62,8 @@ def _laws(table: str, kind: str, size: Size, rows: Rows) -> dict[str, Any]:
     }
     if kind == "clean":  # the thesis' noisy row of table 6.2 has no spread at all
         mean, scale = THESIS[table, kind, "dropo"]
-        laws["thesis, dropo"] = [list(mean), (0.88 * np.array(scale)).tolist()]
-    return item(table, kind, 0, size, laws=laws)
+        distributions["thesis, dropo"] = [list(mean), (0.88 * np.array(scale)).tolist()]
+    return item(table, kind, 0, size, distributions=distributions)
 
 
 def _remarks(table: str, data: dict[str, Any]) -> list[str]:
@@ -71,9 +71,9 @@ def _remarks(table: str, data: dict[str, Any]) -> list[str]:
     varying = SPREAD[table] > 1e-3
     out = []
     for kind, part in data.items():
-        laws = part["laws"]
-        gains = {name: laws["dropo"]["exact"] - row["exact"] for name, row in laws.items() if name not in ("dropo", "random effects")}
-        apart = max(abs(row["simulator"] - row["emulator"]) for row in laws.values())
+        distributions = part["laws"]
+        gains = {name: distributions["dropo"]["exact"] - row["exact"] for name, row in distributions.items() if name not in ("dropo", "random effects")}
+        apart = max(abs(row["simulator"] - row["emulator"]) for row in distributions.values())
         listed = ", ".join(f"{gain:+.1f} nat over the {name}" for name, gain in gains.items())
         out.append(f"{kind}: the log-likelihood of dropo's fit is {listed}; simulator and emulator differ by at most {apart:.1f} nat.")
         effects = part["data_sets"]["random effects"]

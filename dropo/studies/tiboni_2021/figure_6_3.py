@@ -63,7 +63,7 @@ class Size:
     droid: int = 1000
     bounds: int = 10
     seeds: int = 5
-    laws: tuple[str, ...] = LAWS
+    distributions: tuple[str, ...] = LAWS
     training: Training = field(default_factory=Training)
 
 
@@ -73,9 +73,9 @@ FULL = Size()
 def figure_6_3(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
     """A torso 1 kg too light: policies under DROPO, DROID, uniform bounds, the extended model and the truth, on the target (figure 6.3)."""
     count, data = seeds or size.seeds, AUTHORS if at_hand() else "6.1"
-    asked = [(name, i) for name in size.laws for i in range(size.bounds if name == UNIFORM else 1)]
+    asked = [(name, i) for name in size.distributions for i in range(size.bounds if name == UNIFORM else 1)]
     fit = {"data": data, "transitions": size.transitions, "droid": size.droid}
-    laws = work.map(found, [{"law": name, "number": i, **fit} for name, i in asked])
+    distributions = work.map(found, [{"law": name, "number": i, **fit} for name, i in asked])
     made = [
         {
             "law": name,
@@ -85,23 +85,23 @@ def figure_6_3(work: Work, seeds: int | None = None, *, size: Size = FULL) -> St
             "training": asdict(size.training),
         }
         for seed in range(count)
-        for (name, i), one in zip(asked, laws, strict=True)
+        for (name, i), one in zip(asked, distributions, strict=True)
     ]
     runs = work.map(trained, made)
-    returns = by_law(runs, "return")
-    tables = (_returns(runs), _verdicts(returns), _pairs(returns), _laws(laws))
+    returns = by_distribution(runs, "return")
+    tables = (_returns(runs), _verdicts(returns), _pairs(returns), _distributions(distributions))
     training = size.training
     title = f"Figure 6.3: policies trained with a torso {MISSING:.0f} kg too light, {count} training seeds"
     chosen = f"the {data}" if data == AUTHORS else "our data set 0, as the authors' data are not at hand"
     remarks = (
         f"Fitted: {chosen}, {size.transitions} transitions;"
         f" policies: {training.updates} updates, {training.episodes} episodes of {training.steps} steps on the target.",
-        *_diagnosed(laws), *_same(laws), *_best(returns), *NOTES,
+        *_diagnosed(distributions), *_same(distributions), *_best(returns), *NOTES,
     )  # fmt: skip
-    return Study("figure-6.3", title, tables, remarks, {"laws": laws, "runs": runs}, lambda figure: _draw(figure, returns))
+    return Study("figure-6.3", title, tables, remarks, {"laws": distributions, "runs": runs}, lambda figure: _draw(figure, returns))
 
 
-def by_law(runs: Sequence[dict[str, Any]], key: str) -> dict[str, Array]:
+def by_distribution(runs: Sequence[dict[str, Any]], key: str) -> dict[str, Array]:
     """law -> what its runs have under that key, (bounds, seeds); one row where there are no bounds."""
     out = {}
     for name in dict.fromkeys(run["law"] for run in runs):
@@ -148,9 +148,9 @@ def _spread(values: Array) -> Array:
 
 
 def _returns(runs: Sequence[dict[str, Any]]) -> Table:
-    upright, training = by_law(runs, "upright"), by_law(runs, "in_training")
+    upright, training = by_distribution(runs, "upright"), by_distribution(runs, "in_training")
     lines = []
-    for name, values in by_law(runs, "return").items():
+    for name, values in by_distribution(runs, "return").items():
         rows = {name: slice(None)}
         if len(values) > 1:
             order = np.argsort(values.mean(axis=1))
@@ -188,9 +188,9 @@ def _pairs(returns: dict[str, Array]) -> Table:
     return Table("All pairs: the row's return less the column's, and p by Holm's method", header, (*lines, last))
 
 
-def _laws(laws: Sequence[dict[str, Any]]) -> Table:
+def _distributions(distributions: Sequence[dict[str, Any]]) -> Table:
     lines = []
-    for one in laws:
+    for one in distributions:
         mean, sd = one["mean"], one["sd"]
         added = sum(sizes[0] for _, label, sizes in one["effects"] if "body_mass:torso" in label)
         light = len(mean) < len(MEAN)
@@ -202,14 +202,14 @@ def _laws(laws: Sequence[dict[str, Any]]) -> Table:
     return Table("The laws [kg]; the torso, m1, is fixed", header, tuple(lines))
 
 
-def _diagnosed(laws: Sequence[dict[str, Any]]) -> list[str]:
-    told = [one for one in laws if one["law"] == EXTENDED]
+def _diagnosed(distributions: Sequence[dict[str, Any]]) -> list[str]:
+    told = [one for one in distributions if one["law"] == EXTENDED]
     return [f"The diagnosis of the model with the light torso: {one['verdict']}; {'; '.join(one['causes']) or 'no cause'}." for one in told]
 
 
-def _same(laws: Sequence[dict[str, Any]]) -> list[str]:
+def _same(distributions: Sequence[dict[str, Any]]) -> list[str]:
     """Which fits are one law; what their policies differ by is chance."""
-    fits = [one for one in laws if one["law"] in FITTED]
+    fits = [one for one in distributions if one["law"] in FITTED]
     alike = [one["law"] for one in fits if np.allclose([one["mean"], one["sd"]], [fits[-1]["mean"], fits[-1]["sd"]], rtol=0, atol=SAME)]
     return [f"The same law within {SAME:g} kg: {', '.join(alike)}. What these differ by is chance."] if len(alike) > 1 else []
 

@@ -95,13 +95,13 @@ def compared(item: Item) -> dict[str, Any]:
     """
     problem, _ = problem_of(item)
     family, rng = TruncatedGaussian(problem.space), np.random.default_rng(0)
-    members = {name: law(family, *map(np.array, values)) for name, values in item["laws"].items()}
+    members = {name: distribution(family, *map(np.array, values)) for name, values in item["laws"].items()}
     phis = list(members.values())
     centre = family.mean(phis[0])
     reach = [np.maximum(family.scale(phi), np.abs(family.mean(phi) - centre)) for phi in phis]
     width = np.clip(np.max(reach, axis=0), 5e-5 * (problem.space.high - problem.space.low), None)
     assert problem.epsilon is not None
-    local = Emulated().around(problem.simulator, problem.segments, family, problem.epsilon, centre, width, rng)
+    local = Emulated().linearize_at(problem.simulator, problem.segments, family, problem.epsilon, centre, width, rng)
     base = family.base(Size(**item["size"]).draws, rng)
     targets, gaussian = problem.simulator.targets(problem.segments), Gaussian(base.shape[1])
     out = {}
@@ -113,7 +113,7 @@ def compared(item: Item) -> dict[str, Any]:
     return out
 
 
-def law(family: TruncatedGaussian, mean: Array, sd: Array) -> Array:
+def distribution(family: TruncatedGaussian, mean: Array, sd: Array) -> Array:
     """phi of the truncated Gaussian of that mean and standard deviation; the least scale where it is below."""
     share = family.sd(family.phi(mean, family.unknowns.high[4:])) / family.unknowns.high[4:]
     return family.phi(mean, sd / share)
@@ -126,4 +126,4 @@ def judged(item: Item) -> dict[str, Any]:
     assert problem.epsilon is not None
     gaussian = Gaussian(Size(**item["size"]).draws)
     objective = gaussian.bind(problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0))
-    return {name: objective(law(family, *map(np.array, values))) for name, values in item["laws"].items()}
+    return {name: objective(distribution(family, *map(np.array, values))) for name, values in item["laws"].items()}

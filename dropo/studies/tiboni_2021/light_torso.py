@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo import Diagnose
 from dropo.core.contracts.estimator import Estimator
-from dropo.core.contracts.interactive_estimator import law
+from dropo.core.contracts.interactive_estimator import distribution
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
@@ -76,7 +76,7 @@ def found(item: Item) -> dict[str, Any]:
 def _laid_down(problem: Problem, family: str, mean: Array, scale: Array | None = None) -> dict[str, Any]:
     """A law that is not fitted."""
     phi = mean if scale is None else find("families", family)(problem.space).phi(mean, scale)
-    return _kept(law(problem, "given", family, phi))
+    return _kept(distribution(problem, "given", family, phi))
 
 
 def _kept(fit: Any, more: int = 0) -> dict[str, Any]:
@@ -92,7 +92,7 @@ def _extended(light: Problem) -> dict[str, Any]:
     fit = DROPO(epsilon="learn").fit(diagnosis.problem, rng=0)
     simulator = diagnosis.problem.simulator
     assert isinstance(simulator, MujocoSimulator)
-    effects = [[atom.effect, atom.label, sizes.tolist()] for atom, sizes in simulator.fixed]
+    effects = [[instance.effect, instance.label, sizes.tolist()] for instance, sizes in simulator.fixed]
     kept = _kept(fit, diagnosis.simulator_steps)
     return {**kept, "effects": effects, "verdict": diagnosis.verdict, "causes": [cause.sentence for cause in diagnosis.causes]}
 
@@ -107,8 +107,8 @@ def machine(effects: list[list[Any]]) -> Problem:
     light = light_torso(hopper_fits.item("6.1", "clean", 0, Size(transitions=2)))
     simulator = light.simulator
     assert isinstance(simulator, MujocoSimulator)
-    atoms = [{atom.label: atom for atom in find("effects", effect)(simulator.robot)}[label] for effect, label, _ in effects]
-    fixed = [(atom, np.array(sizes)) for atom, (_, _, sizes) in zip(atoms, effects, strict=True)]
+    instances = [{instance.label: instance for instance in find("effects", effect)(simulator.effect_context)}[label] for effect, label, _ in effects]
+    fixed = [(instance, np.array(sizes)) for instance, (_, _, sizes) in zip(instances, effects, strict=True)]
     return replace(light, simulator=simulator.with_effects((), fixed))
 
 
@@ -122,7 +122,7 @@ def trained(item: Item) -> dict[str, Any]:
 
     size, target = Training(**item["training"]), whole()
     model = target if item["law"] == TRUTH else machine(item["effects"])
-    drawn = law(model, item["law"], item["family"], np.array(item["phi"]))
+    drawn = distribution(model, item["law"], item["family"], np.array(item["phi"]))
     policy = train(model, drawn, ARS(updates=size.updates), noise=0.0, steps=size.steps, rng=item["seed"])
     played = evaluate(policy, target, episodes=size.episodes, steps=size.steps, noise=0.0, rng=0)
     trials = np.array(policy.about["history"])[:, 2]

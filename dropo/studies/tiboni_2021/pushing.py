@@ -37,7 +37,7 @@ from dropo.studies.tiboni_2021.transfer import (
     estimator,
     found,
     items,
-    law,
+    distribution,
     verdict,
 )
 
@@ -104,7 +104,7 @@ def pushed(item: Item) -> dict[str, Any]:
     """The item's distribution, its policy, and how far from the goal the target's box stops in every trial."""
     size = Size(**item["size"])
     problem = pushing(1, data_set(item)).using(transitions=size.transitions)
-    values, kept = law(item, problem, estimator(item, DRAWS, EPSILON), size.draws)
+    values, kept = distribution(item, problem, estimator(item, DRAWS, EPSILON), size.draws)
     begun = time.perf_counter()
     rng = np.random.default_rng([7, item["number"]])
     numbers, steps = policy(values, size, rng)

@@ -77,12 +77,12 @@ def costs(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
     return Table(f"{title}: cost", header, tuple(lines))
 
 
-def likelihoods(title: str, laws: dict[str, dict[str, float]], draws: int) -> Table:
+def likelihoods(title: str, distributions: dict[str, dict[str, float]], draws: int) -> Table:
     """Laws compared: the emulator's exact log-likelihood, and simulator and emulator at the same draws."""
     header = ("log-likelihood [nat]", "emulator, exact", f"simulator, {draws} draws", "emulator, same", "difference")
     lines = [
         (name, *(f"{row[way]:,.1f}" for way in ("exact", "simulator", "emulator")), f"{row['simulator'] - row['emulator']:+.1f}")
-        for name, row in laws.items()
+        for name, row in distributions.items()
     ]
     return Table(f"{title}: laws", header, tuple(lines))
 

@@ -24,7 +24,7 @@ from dropo.studies.tiboni_2021.transfer import (
     estimator,
     found,
     items,
-    law,
+    distribution,
     verdict,
 )
 
@@ -75,7 +75,7 @@ def slid(item: Item) -> dict[str, Any]:
     """The item's distribution, its policy, and where the target's puck stops for every goal."""
     size = Size(**item["size"])
     problem = sliding(1, data_set(item)).using(transitions=size.transitions)
-    values, kept = law(item, problem, estimator(item, DRAWS, EPSILON), size.draws)
+    values, kept = distribution(item, problem, estimator(item, DRAWS, EPSILON), size.draws)
     simulator = sliding_simulator(1)
     begun = time.perf_counter()
     latents = policy(simulator, values, GOALS, size.grid)

@@ -72,8 +72,8 @@ def _judged(work: Work, sets: list[tuple[str, str]], found: dict[Any, Any], size
     items = []
     for table, kind in sets:
         chosen = [m for m in (*FAST, *SLOW, "dropo, published") if (table, kind, 0, m) in found]
-        laws = {method: [found[table, kind, 0, method][what] for what in ("mean", "sd")] for method in chosen}
-        items.append(item(table, kind, 0, size, laws={**laws, "truth, scale 1e-5": [MEAN.tolist(), POINT]}))
+        distributions = {method: [found[table, kind, 0, method][what] for what in ("mean", "sd")] for method in chosen}
+        items.append(item(table, kind, 0, size, distributions={**distributions, "truth, scale 1e-5": [MEAN.tolist(), POINT]}))
     return dict(zip(sets, work.map(judged, items), strict=True))
 
 

@@ -41,7 +41,7 @@ def table_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Stu
     asked = [(table, seed, method) for table, seed in sets for method in METHODS]
     answers = work.map(light, [item(table, "clean", seed, size, method=method) for table, seed, method in asked])
     rows = dict(zip(asked, answers, strict=True))
-    questions = [item(table, "clean", seed, size, laws=_laws(rows, table, seed)) for table, seed in sets]
+    questions = [item(table, "clean", seed, size, distributions=_distributions(rows, table, seed)) for table, seed in sets]
     judged = work.map(likelihoods, questions)
     tables: list[Table] = []
     data: dict[str, Any] = {}
@@ -96,7 +96,7 @@ def likelihoods(item: Item) -> dict[str, Any]:
     return out
 
 
-def _laws(rows: dict[Any, dict[str, Any]], table: str, seed: int) -> dict[str, Any]:
+def _distributions(rows: dict[Any, dict[str, Any]], table: str, seed: int) -> dict[str, Any]:
     own = {method: [rows[table, seed, method]["mean"], rows[table, seed, method]["scale"]] for method in METHODS}
     return {**own, **{name: [list(mean), list(scale)] for name, (mean, scale) in THESIS.items()}}
 

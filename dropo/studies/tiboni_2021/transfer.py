@@ -45,7 +45,7 @@ def estimator(item: Item, draws: int, epsilon: float) -> Estimator | None:
     }[item["method"]]  # fmt: skip
 
 
-def law(item: Item, problem: Problem, made: Estimator | None, draws: int) -> tuple[Array, dict[str, Any]]:
+def distribution(item: Item, problem: Problem, made: Estimator | None, draws: int) -> tuple[Array, dict[str, Any]]:
     """Draws (K, d) of the item's distribution, one where it is a point, and what is kept of it; `made` fits it, None: a point."""
     if made is None:
         values = problem.simulator.nominal if item["method"] == NOMINAL else problem.space.vector(problem.truth or {})
