@@ -1,7 +1,9 @@
-"""What a fit costs, against the number of parameters, of transitions and of threads: simulation, fitting aside, memory.
+"""What a fit costs, against the number of parameters, of transitions and of threads: simulation,
+fitting aside, memory.
 
-python benchmarks/cost.py               measures what `cost.json` lacks; then the table in the README and `cost.svg`
-python benchmarks/cost.py --upto 1000   the cells of up to so many transitions alone; the others stay as they were
+python benchmarks/cost.py               measures what `cost.json` lacks; then the table in the
+README and `cost.svg` python benchmarks/cost.py --upto 1000   the cells of up to so many transitions
+alone; the others stay as they were
 """
 
 import argparse
@@ -30,16 +32,25 @@ from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.linear import Linear
 
 HERE = Path(__file__).resolve().parent
-PARAMETERS, TRANSITIONS, THREADS = (4, 18, 100), (1000, 10_000, 100_000), (1, 2)
+PARAMETERS = (4, 18, 100)
+TRANSITIONS = (1000, 10_000, 100_000)
+THREADS = (1, 2)
 Cell = tuple[str, int, int, int]
 """("round" or "fit", parameters, transitions, threads)"""
 CELLS: list[Cell] = [("fit", d, TRANSITIONS[0], 2) for d in PARAMETERS]
 CELLS += [
     ("round", d, t, threads)
-    for d in PARAMETERS for t in TRANSITIONS for threads in THREADS
-    if d * t < 1e7 and (threads > 1 or t < TRANSITIONS[-1])  # the largest are left out, or measured on all threads alone
-]  # fmt: skip
-OFF, WIDTH = 0.02, 0.02  # a round begins 2 % beside the truth, as wide as that
+    for d in PARAMETERS
+    for t in TRANSITIONS
+    for threads in THREADS
+    if d * t < 1e7
+    and (
+        threads > 1 or t < TRANSITIONS[-1]
+    )  # the largest are left out, or measured on all threads alone
+]
+# a round begins 2 % beside the truth, as wide as that
+OFF = 0.02
+WIDTH = 0.02
 
 
 def likelihood_of(parameters: int) -> tuple[str, Any]:
@@ -48,14 +59,28 @@ def likelihood_of(parameters: int) -> tuple[str, Any]:
 
 
 def one_round(problem: Problem) -> dict[str, Any]:
-    """The local likelihood of all transitions around a point beside the truth, and its maximum: what a fit does again and again."""
-    family, truth = TruncatedGaussian(problem.space), problem.space.vector(problem.truth or {})
+    """The local likelihood of all transitions around a point beside the truth, and its maximum:
+    what a fit does again and again.
+    """
+    family = TruncatedGaussian(problem.space)
+    truth = problem.space.vector(problem.truth or {})
     signs = np.where(np.arange(len(truth)) % 2, 1.0, -1.0)
-    centre, width = truth * (1 + OFF * signs), WIDTH * truth
+    centre = truth * (1 + OFF * signs)
+    width = WIDTH * truth
     assert problem.epsilon is not None
     _, likelihood = likelihood_of(len(truth))
-    local = likelihood.linearize_at(problem.simulator, problem.segments, family, problem.epsilon, centre, width, np.random.default_rng(0))
-    found = maximize_locally(local, np.clip(family.phi(centre, 0.05 * width), local.unknowns.low, local.unknowns.high))
+    local = likelihood.linearize_at(
+        problem.simulator,
+        problem.segments,
+        family,
+        problem.epsilon,
+        centre,
+        width,
+        np.random.default_rng(0),
+    )
+    found = maximize_locally(
+        local, np.clip(family.phi(centre, 0.05 * width), local.unknowns.low, local.unknowns.high)
+    )
     return {"log_likelihood": found.value}
 
 
@@ -64,21 +89,34 @@ def whole_fit(problem: Problem) -> dict[str, Any]:
     name, _ = likelihood_of(len(problem.space))
     fit = DROPO(likelihood=name).fit(problem, rng=0)
     truth = problem.space.vector(problem.truth or {})
-    return {"log_likelihood": fit.log_likelihood, "largest_z": float(np.nanmax(np.abs((fit.mean - truth) / fit.mean_se)))}
+    return {
+        "log_likelihood": fit.log_likelihood,
+        "largest_z": float(np.nanmax(np.abs((fit.mean - truth) / fit.mean_se))),
+    }
 
 
 def measured(cell: Cell) -> dict[str, Any]:
-    """One cell, in this process: seconds in all and in the simulator, steps, and the most memory that the process ever held."""
+    """One cell, in this process: seconds in all and in the simulator, steps, and the most memory
+    that the process ever held.
+    """
     what, parameters, transitions, threads = cell
     problem = problem_of(parameters, transitions, threads)
-    simulator, seconds = problem.simulator, [0.0]
+    simulator = problem.simulator
+    seconds = [0.0]
     simulator._predict = timed(simulator._predict, seconds)  # type: ignore[method-assign]
-    before, begun = simulator.steps, time.perf_counter()
+    before = simulator.steps
+    begun = time.perf_counter()
     with threadpool_limits(threads, user_api="blas"):
         found = (one_round if what == "round" else whole_fit)(problem)
     total = time.perf_counter() - begun
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {**found, "seconds": total, "simulation": seconds[0], "steps": simulator.steps - before, "memory_mb": memory}
+    return {
+        **found,
+        "seconds": total,
+        "simulation": seconds[0],
+        "steps": simulator.steps - before,
+        "memory_mb": memory,
+    }
 
 
 def timed(function: Callable[..., Any], seconds: list[float]) -> Callable[..., Any]:
@@ -96,26 +134,39 @@ def timed(function: Callable[..., Any], seconds: list[float]) -> Callable[..., A
 
 def table(found: dict[str, dict[str, Any]]) -> str:
     """A Markdown table."""
-    head = "| what | parameters | transitions | threads | steps | s | simulation, s | fitting, share | memory, MB | largest z |"
+    head = (
+        "| what | parameters | transitions | threads | steps | s | simulation, s | fitting, "
+        "share | memory, MB | largest z |"
+    )
     lines = [head, "|---" * 10 + "|"]
     for cell in CELLS:
         row = found.get(json.dumps(cell))
         if row:
             what, d, t, threads = cell
             share = 1 - row["simulation"] / row["seconds"]
-            numbers = f"{row['steps']:,} | {row['seconds']:.1f} | {row['simulation']:.1f} | {share:.0%} | {row['memory_mb']:,.0f}"
+            numbers = (
+                f"{row['steps']:,} | {row['seconds']:.1f} | {row['simulation']:.1f} | "
+                f"{share:.0%} | {row['memory_mb']:,.0f}"
+            )
             lines.append(
-                f"| {what}, {likelihood_of(d)[0]} | {d} | {t:,} | {threads} | {numbers} | {number(row.get('largest_z', np.nan), 2)} |"
+                f"| {what}, {likelihood_of(d)[0]} | {d} | {t:,} | {threads} | {numbers} | "
+                f"{number(row.get('largest_z', np.nan), 2)} |"
             )
     return "\n".join(lines)
 
 
 def draw(figure: Any, found: dict[str, dict[str, Any]]) -> None:
-    """Seconds and memory of a round against transitions, a line for each number of parameters and threads."""
+    """Seconds and memory of a round against transitions, a line for each number of parameters and
+    threads.
+    """
     axes = figure.subplots(1, 2)
     for d, color in zip(PARAMETERS, ("tab:blue", "tab:orange", "tab:green"), strict=True):
         for threads, style in zip(THREADS, ("o--", "o-"), strict=True):
-            rows = [(t, found[json.dumps(("round", d, t, threads))]) for t in TRANSITIONS if json.dumps(("round", d, t, threads)) in found]
+            rows = [
+                (t, found[json.dumps(("round", d, t, threads))])
+                for t in TRANSITIONS
+                if json.dumps(("round", d, t, threads)) in found
+            ]
             if rows:
                 at, cells = zip(*rows, strict=True)
                 label = f"{d} parameters, {threads} thread{'s' * (threads > 1)}"
@@ -132,14 +183,26 @@ def write(found: dict[str, dict[str, Any]]) -> None:
 
     readme = HERE / "README.md"
     block = f"<!-- cost -->\n{table(found)}\n<!-- end -->"
-    readme.write_text(re.sub(r"<!-- cost -->.*?<!-- end -->", lambda _: block, readme.read_text(), flags=re.DOTALL))
+    readme.write_text(
+        re.sub(
+            r"<!-- cost -->.*?<!-- end -->", lambda _: block, readme.read_text(), flags=re.DOTALL
+        )
+    )
     (HERE / "cost.svg").write_text(picture(lambda figure: draw(figure, found)))
 
 
 def main() -> None:
     """Measures the missing cells, each in a process of its own, and writes what there is."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--upto", type=int, default=max(TRANSITIONS), metavar="N", help="cells of up to N transitions alone")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--upto",
+        type=int,
+        default=max(TRANSITIONS),
+        metavar="N",
+        help="cells of up to N transitions alone",
+    )
     parser.add_argument("--cell", type=json.loads, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.cell:
@@ -152,7 +215,9 @@ def main() -> None:
         if key in found or cell[2] > options.upto:
             continue
         print(key, file=sys.stderr, flush=True)
-        answer = subprocess.run([sys.executable, __file__, "--cell", key], check=True, capture_output=True, text=True).stdout
+        answer = subprocess.run(
+            [sys.executable, __file__, "--cell", key], check=True, capture_output=True, text=True
+        ).stdout
         found[key] = json.loads(answer)
         kept.write_text(json.dumps(found, indent=1) + "\n")
     write(found)

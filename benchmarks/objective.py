@@ -1,7 +1,8 @@
-"""Speed of one objective evaluation, of `predict` beside MuJoCo's own rollout, and of a whole fit: ratios from one run.
+"""Speed of one objective evaluation, of `predict` beside MuJoCo's own rollout, and of a whole fit:
+ratios from one run.
 
-python benchmarks/objective.py            the table of the README; less than three minutes on two cores
-python benchmarks/objective.py --tiny     a few seconds, for trying it out
+python benchmarks/objective.py            the table of the README; less than three minutes on two
+cores python benchmarks/objective.py --tiny     a few seconds, for trying it out
 """
 
 import argparse
@@ -19,7 +20,9 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the slow twin lies beside the tests, not in the package
+sys.path.insert(
+    0, str(Path(__file__).resolve().parents[1])
+)  # the slow twin lies beside the tests, not in the package
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Segments
@@ -32,13 +35,16 @@ from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.reference.published_loop import log_likelihood
 
 EPSILON = 1e-5
-PUBLISHED_EVALUATIONS, PUBLISHED_DRAWS = 5000, 100
+PUBLISHED_EVALUATIONS = 5000
+PUBLISHED_DRAWS = 100
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """K draws and transitions of an evaluation; how many of both the slow loop does, and the draws of predict beside rollout;
-    repeats of an evaluation and of predict, of which the median counts."""
+    """K draws and transitions of an evaluation; how many of both the slow loop does, and the draws
+    of predict beside rollout; repeats of an evaluation and of predict, of which the median
+    counts.
+    """
 
     draws: int = 100
     transitions: int = 1000
@@ -97,9 +103,12 @@ def draws_near_truth(problem: Problem, count: int) -> np.ndarray:
 
 
 def published_loop(sizes: Sizes) -> Timing:
-    """The published way, on fewer draws and transitions, its time scaled up to all of them: it is linear in both."""
+    """The published way, on fewer draws and transitions, its time scaled up to all of them: it is
+    linear in both.
+    """
     problem = problem_of(sizes, 1)
-    model, data = simulator_of(problem).model, problem.trajectories.head(sizes.loop_transitions)
+    model = simulator_of(problem).model
+    data = problem.trajectories.head(sizes.loop_transitions)
     masses = draws_near_truth(problem, sizes.loop_draws)
     begun = time.perf_counter()
     _, steps = log_likelihood(model, BODIES, masses, data, EPSILON, FRAME_SKIP)
@@ -114,20 +123,32 @@ def monte_carlo(sizes: Sizes, threads: int) -> Timing:
     family = TruncatedGaussian(problem.space)
     truth = truth_of(problem)
     phi = family.phi(truth, 0.02 * truth)
-    objective = Gaussian(sizes.draws).bind(problem.simulator, problem.segments, family, EPSILON, np.random.default_rng(0))
+    objective = Gaussian(sizes.draws).bind(
+        problem.simulator, problem.segments, family, EPSILON, np.random.default_rng(0)
+    )
     seconds = np.median([timed(lambda: objective(phi)) for _ in range(sizes.repeats)])
-    return Timing(f"monte-carlo, {threads} thread{'s' * (threads > 1)}", float(seconds), problem.simulator.steps // sizes.repeats)
+    return Timing(
+        f"monte-carlo, {threads} thread{'s' * (threads > 1)}",
+        float(seconds),
+        problem.simulator.steps // sizes.repeats,
+    )
 
 
 class Bare:
-    """MuJoCo's own rollout on the same work: one call a draw, on its own threads, masses set as a user would."""
+    """MuJoCo's own rollout on the same work: one call a draw, on its own threads, masses set as a
+    user would.
+    """
 
-    def __init__(self, simulator: MujocoSimulator, segments: Segments, values: np.ndarray, threads: int):
+    def __init__(
+        self, simulator: MujocoSimulator, segments: Segments, values: np.ndarray, threads: int
+    ):
         self.models = [copy.copy(simulator.model) for _ in values]
         for model, draw in zip(self.models, values, strict=True):
             for body, mass in zip(BODIES, draw, strict=True):
                 model.body(body).mass[0] = mass
-        self.states = np.column_stack([np.zeros((len(segments), 2)), segments.starts])  # time and the distance travelled
+        self.states = np.column_stack(
+            [np.zeros((len(segments), 2)), segments.starts]
+        )  # time and the distance travelled
         self.controls = np.repeat(segments.actions, simulator.frame_skip, axis=1)
         self.data = [mujoco.MjData(simulator.model) for _ in range(threads)]
         self.rollout = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
@@ -138,11 +159,18 @@ class Bare:
             self.rollout.rollout(model, self.data, self.states, self.controls)
 
 
-def predict_beside_bare(sizes: Sizes, threads: int, clock: Callable[[], float] = time.perf_counter) -> tuple[Timing, Timing, float]:
-    """Timings of bare rollout and of predict, in turn, and the median over repeats of their throughputs' ratio."""
+def predict_beside_bare(
+    sizes: Sizes, threads: int, clock: Callable[[], float] = time.perf_counter
+) -> tuple[Timing, Timing, float]:
+    """Timings of bare rollout and of predict, in turn, and the median over repeats of their
+    throughputs' ratio.
+    """
     problem = problem_of(sizes, threads)
     values = draws_near_truth(problem, sizes.predict_draws)
-    ways = [Bare(simulator_of(problem), problem.segments, values, threads).run, lambda: problem.simulator.predict(values, problem.segments)]
+    ways = [
+        Bare(simulator_of(problem), problem.segments, values, threads).run,
+        lambda: problem.simulator.predict(values, problem.segments),
+    ]
     for way in ways:  # the first call fills caches
         way()
     seconds = np.array([[timed(way, clock) for way in ways] for _ in range(sizes.predict_repeats)])
@@ -164,39 +192,62 @@ def emulated_fit(sizes: Sizes, threads: int) -> Timing:
 
 def machine() -> str:
     """What it ran on."""
-    return f"{os.cpu_count()} cores, Python {platform.python_version()}, MuJoCo {version('mujoco')}, NumPy {np.__version__}"
+    return (
+        f"{os.cpu_count()} cores, Python {platform.python_version()}, MuJoCo "
+        f"{version('mujoco')}, NumPy {np.__version__}"
+    )
 
 
 def table(timings: list[Timing], reference: Timing) -> str:
     """A Markdown table; the last column is the rate as a multiple of the reference's."""
-    rows = ["| what | seconds | physics steps | steps per second | times the loop's rate |", "|---|---|---|---|---|"]
-    rows += [f"| {t.name} | {t.seconds:.3g} | {t.steps:,} | {t.rate:,.0f} | {t.rate / reference.rate:.2f} |" for t in timings]
+    rows = [
+        "| what | seconds | physics steps | steps per second | times the loop's rate |",
+        "|---|---|---|---|---|",
+    ]
+    rows += [
+        (
+            f"| {t.name} | {t.seconds:.3g} | {t.steps:,} | {t.rate:,.0f} | "
+            f"{t.rate / reference.rate:.2f} |"
+        )
+        for t in timings
+    ]
     return "\n".join(rows)
 
 
 def report(sizes: Sizes) -> str:
     """Everything, in one run."""
     loop = published_loop(sizes)
-    timings, lines = [loop, monte_carlo(sizes, 1), monte_carlo(sizes, 2)], []
+    timings = [loop, monte_carlo(sizes, 1), monte_carlo(sizes, 2)]
+    lines = []
     for threads in (1, 2):
         bare, predict, ratio = predict_beside_bare(sizes, threads)
         timings += [bare, predict]
-        lines.append(f"predict makes {ratio:.2f} of the steps per second of bare rollout with {threads} thread{'s' * (threads > 1)}.")
+        lines.append(
+            f"predict makes {ratio:.2f} of the steps per second of bare rollout with "
+            f"{threads} thread{'s' * (threads > 1)}."
+        )
     fit = emulated_fit(sizes, 2)
     published = PUBLISHED_EVALUATIONS * PUBLISHED_DRAWS * sizes.transitions * FRAME_SKIP
     lines.append(
-        f"The fit takes {fit.seconds:.1f} s and {fit.steps:,} steps: {published / fit.steps:,.0f} times fewer than the "
-        f"{published:,} of {PUBLISHED_EVALUATIONS} evaluations with K = {PUBLISHED_DRAWS}. In its time the loop makes "
+        f"The fit takes {fit.seconds:.1f} s and {fit.steps:,} steps: "
+        f"{published / fit.steps:,.0f} times fewer than the "
+        f"{published:,} of {PUBLISHED_EVALUATIONS} evaluations with K = {PUBLISHED_DRAWS}. "
+        "In its time the loop makes "
         f"{fit.seconds / loop.seconds:.2g} evaluations with K = {sizes.draws}."
     )
     head = f"K = {sizes.draws}, {sizes.transitions} transitions of the hopper; {machine()}."
-    note = f"The loop ran K = {sizes.loop_draws} on {sizes.loop_transitions} transitions; time and steps are scaled up, both linear."
+    note = (
+        f"The loop ran K = {sizes.loop_draws} on {sizes.loop_transitions} transitions; time "
+        "and steps are scaled up, both linear."
+    )
     return "\n".join([head, note, "", table(timings, loop), "", *(f"- {line}" for line in lines)])
 
 
 def main() -> None:
     """Prints the report."""
-    parser = argparse.ArgumentParser(description="Prints seconds and steps of one objective evaluation, by several ways.")
+    parser = argparse.ArgumentParser(
+        description="Prints seconds and steps of one objective evaluation, by several ways."
+    )
     parser.add_argument("--tiny", action="store_true", help="small sizes, a few seconds")
     print(report(TINY if parser.parse_args().tiny else Sizes()))
 

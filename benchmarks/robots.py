@@ -1,4 +1,6 @@
-"""Problems of 4, 18 and 100 parameters, with any number of transitions: the hopper's masses, all of the hopper, a chain of 20 links."""
+"""Problems of 4, 18 and 100 parameters, with any number of transitions: the hopper's masses, all of
+the hopper, a chain of 20 links.
+"""
 
 import mujoco
 import numpy as np
@@ -11,19 +13,33 @@ from dropo.problems.hopper.model import BODIES, FRAME_SKIP, hopper_spec
 from dropo.problems.hopper.problem import NOISE, hopper_problem
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
-JOINTS, LINKS = ("thigh", "leg", "foot"), 20
+JOINTS = ("thigh", "leg", "foot")
+LINKS = 20
 SEEN = range(0, LINKS, 4)  # joints of the chain that have sensors; the others start at rest
-LOW, HIGH = 0.6, 1.6  # factors on the model's own numbers
+# factors on the model's own numbers
+LOW = 0.6
+HIGH = 1.6
 
 
 def problem_of(parameters: int, transitions: int, threads: int) -> Problem:
     """The problem of so many parameters, noise of variance 1e-5 on its next observations."""
     if parameters == 100:
         return chain_problem(transitions, threads)
-    data, _ = simulate(min(500, transitions // 2), -(-transitions // min(500, transitions // 2)), rng=0, noise_variance=NOISE)
+    data, _ = simulate(
+        min(500, transitions // 2),
+        -(-transitions // min(500, transitions // 2)),
+        rng=0,
+        noise_variance=NOISE,
+    )
     if parameters == 4:
         return hopper_problem("hopper, 4", data.head(transitions), NOISE, threads)
-    return Problem("hopper, 18", hopper_with_18(threads), data.head(transitions), epsilon=NOISE, truth=ones(hopper_with_18(1)))
+    return Problem(
+        "hopper, 18",
+        hopper_with_18(threads),
+        data.head(transitions),
+        epsilon=NOISE,
+        truth=ones(hopper_with_18(1)),
+    )
 
 
 def ones(simulator: MujocoSimulator) -> dict[str, float]:
@@ -33,33 +49,52 @@ def ones(simulator: MujocoSimulator) -> dict[str, float]:
 
 def factor(field: str, element: str, index: int | None = None) -> FieldParameter:
     """A factor on a number of the model, or on a whole row."""
-    return FieldParameter(f"{field}.{element}", LOW, HIGH, field=field, element=element, index=index, relative=True)
+    return FieldParameter(
+        f"{field}.{element}", LOW, HIGH, field=field, element=element, index=index, relative=True
+    )
 
 
 def hopper_with_18(threads: int) -> MujocoSimulator:
-    """Masses and inertias of the four bodies, damping and armature of the three joints, gears of two (one is known, else all forces and
-    inertias could be larger by one factor), the foot's sliding friction and the time constant of its contact."""
+    """Masses and inertias of the four bodies, damping and armature of the three joints, gears of
+    two (one is known, else all forces and inertias could be larger by one factor), the foot's
+    sliding friction and the time constant of its contact.
+    """
     bodies = [factor(field, body) for field in ("body_mass", "body_inertia") for body in BODIES]
-    joints = [factor(field, f"{joint}_joint") for field in ("dof_damping", "dof_armature") for joint in JOINTS]
+    joints = [
+        factor(field, f"{joint}_joint")
+        for field in ("dof_damping", "dof_armature")
+        for joint in JOINTS
+    ]
     model = hopper_spec()
     for i, motor in enumerate(model.actuators):
         motor.name = motor.name or f"motor{i}"
     gears = [factor("actuator_gear", motor.name, 0) for motor in list(model.actuators)[1:]]
     contact = [factor("geom_friction", "foot_geom", 0), factor("geom_solref", "foot_geom", 0)]
     return MujocoSimulator(
-        model, [*bodies, *joints, *gears, *contact], observation=["qpos[1:]", "qvel"], frame_skip=FRAME_SKIP, threads=threads
+        model,
+        [*bodies, *joints, *gears, *contact],
+        observation=["qpos[1:]", "qvel"],
+        frame_skip=FRAME_SKIP,
+        threads=threads,
     )
 
 
 def chain_spec() -> mujoco.MjSpec:
     """A hanging chain of 20 links in a plane, with springs, dampers and a motor at every joint."""
     spec = mujoco.MjSpec()
-    spec.option.timestep, spec.option.integrator = 0.002, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.timestep = 0.002
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     body = spec.worldbody
     for i in range(LINKS):
         body = body.add_body(name=f"link{i}", pos=[0, 0, -0.1 if i else 0])
-        body.add_joint(name=f"joint{i}", axis=[0, 1, 0], damping=0.05, armature=0.002, stiffness=0.5)
-        shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "fromto": [0, 0, 0, 0, 0, -0.1], "size": [0.02, 0, 0]}
+        body.add_joint(
+            name=f"joint{i}", axis=[0, 1, 0], damping=0.05, armature=0.002, stiffness=0.5
+        )
+        shape = {
+            "type": mujoco.mjtGeom.mjGEOM_CAPSULE,
+            "fromto": [0, 0, 0, 0, 0, -0.1],
+            "size": [0.02, 0, 0],
+        }
         body.add_geom(mass=0.1 + 0.01 * i, contype=0, conaffinity=0, **shape)
         spec.add_actuator(name=f"motor{i}", target=f"joint{i}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     return spec
@@ -76,12 +111,15 @@ def chain_simulator(threads: int) -> MujocoSimulator:
     )
     parameters = [factor(field, f"{element}{i}") for field, element in places for i in range(LINKS)]
     observation = [f"{field}.joint{i}" for field in ("qpos", "qvel") for i in SEEN]
-    return MujocoSimulator(chain_spec(), parameters, observation=observation, frame_skip=FRAME_SKIP, threads=threads)
+    return MujocoSimulator(
+        chain_spec(), parameters, observation=observation, frame_skip=FRAME_SKIP, threads=threads
+    )
 
 
 def chain_problem(transitions: int, threads: int) -> Problem:
     """Every transition from a state of its own, under torques of its own."""
-    rng, simulator = np.random.default_rng(0), chain_simulator(threads)
+    rng = np.random.default_rng(0)
+    simulator = chain_simulator(threads)
     states = rng.normal(0, [0.3] * len(SEEN) + [2.0] * len(SEEN), (transitions, 2 * len(SEEN)))
     ends = np.ones(transitions, dtype=bool)
     blank = Trajectories(states, rng.normal(0, 0.5, (transitions, LINKS)), states, ends)

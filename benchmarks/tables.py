@@ -1,4 +1,5 @@
-"""Simulator steps of every row of tables 6.1 to 6.3, beside the Monte-Carlo reference measured in the same run.
+"""Simulator steps of every row of tables 6.1 to 6.3, beside the Monte-Carlo reference measured in
+the same run.
 
 python benchmarks/tables.py            the table, into the README too; some minutes
 python benchmarks/tables.py --tiny     small data, for trying it out
@@ -22,7 +23,9 @@ from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.monte_carlo import Gaussian
 from dropo.studies.tiboni_2021.hopper_sets import EPSILON, SPREAD, data_set
 
-EVALUATIONS, DRAWS = 5000, 100  # of the published method
+# of the published method
+EVALUATIONS = 5000
+DRAWS = 100
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,11 @@ def reference(problem: Problem) -> tuple[int, float]:
     family = TruncatedGaussian(problem.space)
     truth = problem.space.vector(problem.truth or {})
     assert problem.epsilon is not None
-    objective = Gaussian(DRAWS).bind(problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0))
-    before, begun = problem.simulator.steps, time.perf_counter()
+    objective = Gaussian(DRAWS).bind(
+        problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0)
+    )
+    before = problem.simulator.steps
+    begun = time.perf_counter()
     objective(family.phi(truth, 0.05 * truth))
     return problem.simulator.steps - before, time.perf_counter() - begun
 
@@ -68,33 +74,55 @@ def row(table: str, kind: str, transitions: int) -> Row:
     simulation = [0.0]
     problem.simulator._predict = timed(problem.simulator._predict, simulation)  # type: ignore[method-assign]
     fit = DROPO().fit(problem, rng=0)
-    return Row(f"table {table}, {kind}", fit.simulator_steps, fit.wall_time_s, simulation[0], steps, seconds)
+    return Row(
+        f"table {table}, {kind}",
+        fit.simulator_steps,
+        fit.wall_time_s,
+        simulation[0],
+        steps,
+        seconds,
+    )
 
 
 def report(transitions: int = 1000) -> tuple[str, list[Row]]:
     """All rows, as a Markdown table."""
     rows = [row(table, kind, transitions) for table in SPREAD for kind in EPSILON]
     lines = [
-        "| row | steps | s | fitting, share | 5000 evaluations, steps | s, from one measured | fewer steps | less time |",
+        (
+            "| row | steps | s | fitting, share | 5000 evaluations, steps | s, from one "
+            "measured | fewer steps | less time |"
+        ),
         "|---" * 8 + "|",
     ]
     for r in rows:
         whole = EVALUATIONS * r.reference_seconds
-        cost = f"{r.fit_steps:,} | {r.fit_seconds:.1f} | {r.fitting:.0%} | {EVALUATIONS * r.reference_steps:,} | {whole:,.0f}"
+        cost = (
+            f"{r.fit_steps:,} | {r.fit_seconds:.1f} | {r.fitting:.0%} | "
+            f"{EVALUATIONS * r.reference_steps:,} | {whole:,.0f}"
+        )
         lines.append(f"| {r.name} | {cost} | {r.fewer:,.0f} | {whole / r.fit_seconds:,.0f} |")
     return "\n".join(lines), rows
 
 
 def main() -> None:
     """Prints the table, and puts it into the README where it is of full size."""
-    parser = argparse.ArgumentParser(description="Prints the cost of every row of tables 6.1 to 6.3 beside the published method's.")
+    parser = argparse.ArgumentParser(
+        description="Prints the cost of every row of tables 6.1 to 6.3 beside the published method's."
+    )
     parser.add_argument("--tiny", action="store_true", help="100 transitions")
     tiny = parser.parse_args().tiny
     text, _ = report(100 if tiny else 1000)
     if not tiny:
         readme = Path(__file__).with_name("README.md")
         block = f"<!-- tables -->\n{text}\n<!-- end -->"
-        readme.write_text(re.sub(r"<!-- tables -->.*?<!-- end -->", lambda _: block, readme.read_text(), flags=re.DOTALL))
+        readme.write_text(
+            re.sub(
+                r"<!-- tables -->.*?<!-- end -->",
+                lambda _: block,
+                readme.read_text(),
+                flags=re.DOTALL,
+            )
+        )
     print(text)
 
 

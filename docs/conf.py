@@ -29,7 +29,15 @@ python_maximum_signature_line_length = 100
 pygments_style = "friendly"
 
 
-def own_signature(app: Any, what: str, name: str, thing: Any, options: Any, signature: str | None, returned: str | None) -> Any:
+def own_signature(
+    app: Any,
+    what: str,
+    name: str,
+    thing: Any,
+    options: Any,
+    signature: str | None,
+    returned: str | None,
+) -> Any:
     """A signature as the source writes it: the names of types stay short."""
     if not str(getattr(thing, "__module__", "")).startswith("dropo."):
         return signature, returned
@@ -40,7 +48,9 @@ def own_signature(app: Any, what: str, name: str, thing: Any, options: Any, sign
         return signature, returned
     node = source(function)
     arguments = re.sub(r"^(self|cls)(, )?", "", ast.unparse(node.args))
-    return f"({arguments})", ast.unparse(node.returns) if node.returns and not inspect.isclass(thing) else None
+    return f"({arguments})", ast.unparse(node.returns) if node.returns and not inspect.isclass(
+        thing
+    ) else None
 
 
 def source(thing: Any) -> Any:
@@ -49,19 +59,31 @@ def source(thing: Any) -> Any:
 
 
 def fields_in_source(thing: Any) -> list[str]:
-    """ "name: type = default" of every field of a dataclass, as written; those by keyword alone behind a star."""
+    """ "name: type = default" of every field of a dataclass, as written; those by keyword alone
+    behind a star.
+    """
     written = {}
     for cls in reversed(thing.__mro__[:-1]):
         if dataclasses.is_dataclass(cls):
-            written |= {line.target.id: ast.unparse(line) for line in source(cls).body if isinstance(line, ast.AnnAssign)}
+            written |= {
+                line.target.id: ast.unparse(line)
+                for line in source(cls).body
+                if isinstance(line, ast.AnnAssign)
+            }
     fields = [field for field in dataclasses.fields(thing) if field.init]
     named = [field.name for field in fields if field.kw_only]
-    texts = [written[field.name] for field in fields if not field.kw_only] + ["*"] * bool(named) + [written[name] for name in named]
+    texts = (
+        [written[field.name] for field in fields if not field.kw_only]
+        + ["*"] * bool(named)
+        + [written[name] for name in named]
+    )
     return [text.replace("field(default_factory=dict)", "{}") for text in texts]
 
 
 def as_written(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """A docstring as it is read in the source: paragraphs of plain text, `code` in backticks, indented lines kept."""
+    """A docstring as it is read in the source: paragraphs of plain text, `code` in backticks,
+    indented lines kept.
+    """
     paragraphs = re.split(r"\n\s*\n", "\n".join(lines).strip())
     lines[:] = [*"\n\n".join(map(paragraph, paragraphs)).split("\n"), ""]
 

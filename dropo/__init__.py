@@ -1,4 +1,6 @@
-"""Makes robot simulators honest: fits the distribution of their parameters to measured motion, and names what they get wrong."""
+"""Makes robot simulators honest: fits the distribution of their parameters to measured motion, and
+names what they get wrong.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -115,13 +117,64 @@ _HOME = {
 }
 
 __all__ = [
-    "ADR", "ARS", "DROID", "DROPO", "NPE", "PPO", "SAC", "BayRn", "Diagnose", "Diagnosis", "DropoError", "EPOpt", "EnvSimulator",
-    "FieldParameter", "Fit", "FunctionSimulator", "GymnasiumSimulator", "LeastSquares", "MujocoSimulator", "Parameter",
-    "ParameterSpace", "Posterior", "Problem", "RandomEffects", "Refused", "Segments", "Signal", "SimOpt", "Status", "Task",
-    "Trajectories", "UniformRandomization", "bootstrap", "check", "describe", "diagnose", "estimate_clock", "estimate_delay",
-    "estimate_states", "estimate_velocities", "evaluate", "fit", "hide", "identify", "import_logs", "load", "load_policy", "predict",
-    "profile", "randomize", "rank_next", "read", "resample", "resample_rotations", "train", "write_problem", "write_report",
-]  # fmt: skip
+    "ADR",
+    "ARS",
+    "DROID",
+    "DROPO",
+    "NPE",
+    "PPO",
+    "SAC",
+    "BayRn",
+    "Diagnose",
+    "Diagnosis",
+    "DropoError",
+    "EPOpt",
+    "EnvSimulator",
+    "FieldParameter",
+    "Fit",
+    "FunctionSimulator",
+    "GymnasiumSimulator",
+    "LeastSquares",
+    "MujocoSimulator",
+    "Parameter",
+    "ParameterSpace",
+    "Posterior",
+    "Problem",
+    "RandomEffects",
+    "Refused",
+    "Segments",
+    "Signal",
+    "SimOpt",
+    "Status",
+    "Task",
+    "Trajectories",
+    "UniformRandomization",
+    "bootstrap",
+    "check",
+    "describe",
+    "diagnose",
+    "estimate_clock",
+    "estimate_delay",
+    "estimate_states",
+    "estimate_velocities",
+    "evaluate",
+    "fit",
+    "hide",
+    "identify",
+    "import_logs",
+    "load",
+    "load_policy",
+    "predict",
+    "profile",
+    "randomize",
+    "rank_next",
+    "read",
+    "resample",
+    "resample_rotations",
+    "train",
+    "write_problem",
+    "write_report",
+]
 
 
 def __getattr__(name: str) -> Any:
@@ -129,7 +182,9 @@ def __getattr__(name: str) -> Any:
     if name == "plots":
         return import_module("dropo.plots")
     if name not in _HOME:
-        raise AttributeError(f"module 'dropo' has no attribute {name!r}", name=name, obj=import_module("dropo"))  # Python names the nearest
+        raise AttributeError(
+            f"module 'dropo' has no attribute {name!r}", name=name, obj=import_module("dropo")
+        )  # Python names the nearest
     return getattr(import_module(_HOME[name]), name)
 
 

@@ -1,4 +1,6 @@
-"""The benchmarks run, the slow twin agrees with the fast likelihood, and `predict` costs little beside bare rollout."""
+"""The benchmarks run, the slow twin agrees with the fast likelihood, and `predict` costs little
+beside bare rollout.
+"""
 
 import json
 import time
@@ -7,20 +9,41 @@ import numpy as np
 import pytest
 
 from benchmarks import cost, tables
-from benchmarks.objective import EPSILON, TINY, Bare, Sizes, draws_near_truth, predict_beside_bare, problem_of, report
+from benchmarks.objective import (
+    EPSILON,
+    TINY,
+    Bare,
+    Sizes,
+    draws_near_truth,
+    predict_beside_bare,
+    problem_of,
+    report,
+)
 from benchmarks.robots import problem_of as problem_with
 from dropo.likelihoods.monte_carlo import Gaussian
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP
 from tests.reference.published_loop import log_likelihood
 
-SMALL = Sizes(draws=5, transitions=40, loop_draws=5, loop_transitions=5, predict_draws=5, repeats=1, predict_repeats=1)
+SMALL = Sizes(
+    draws=5,
+    transitions=40,
+    loop_draws=5,
+    loop_transitions=5,
+    predict_draws=5,
+    repeats=1,
+    predict_repeats=1,
+)
 
 
 def test_loop_and_likelihood_are_the_same_number():
-    """What is timed on both sides is the same work: the same log-likelihood to 1e-9, the same steps."""
+    """What is timed on both sides is the same work: the same log-likelihood to 1e-9, the same
+    steps.
+    """
     problem = problem_of(SMALL, 1)
     masses = draws_near_truth(problem, 20)
-    total, steps = log_likelihood(problem.simulator.model, BODIES, masses, problem.trajectories, EPSILON, FRAME_SKIP)
+    total, steps = log_likelihood(
+        problem.simulator.model, BODIES, masses, problem.trajectories, EPSILON, FRAME_SKIP
+    )
     predictions = problem.simulator.predict(masses, problem.segments)
     rows = Gaussian().log_density(predictions, problem.simulator.targets(problem.segments), EPSILON)
     assert total == pytest.approx(rows.sum(), rel=1e-9)
@@ -33,11 +56,15 @@ def test_bare_rollout_does_the_same_work():
     values = draws_near_truth(problem, 1)
     bare = Bare(problem.simulator, problem.segments, values, 1)
     states, _ = bare.rollout.rollout(bare.models[0], bare.data, bare.states, bare.controls)
-    np.testing.assert_array_equal(states[:, -1, 2:], problem.simulator.predict(values, problem.segments)[0])
+    np.testing.assert_array_equal(
+        states[:, -1, 2:], problem.simulator.predict(values, problem.segments)[0]
+    )
 
 
 def test_predict_keeps_most_of_the_bare_throughput():
-    """With one thread, at least 0.8 of bare rollout's steps per second of processor time, in the median of nine."""
+    """With one thread, at least 0.8 of bare rollout's steps per second of processor time, in the
+    median of nine.
+    """
     sizes = Sizes(transitions=TINY.transitions, predict_draws=TINY.predict_draws, predict_repeats=9)
     *_, ratio = predict_beside_bare(sizes, 1, clock=time.process_time)
     assert ratio >= 0.8
@@ -46,8 +73,15 @@ def test_predict_keeps_most_of_the_bare_throughput():
 def test_report_has_every_line():
     """One run prints the whole table and the three sentences below it."""
     text = report(SMALL)
-    for words in ("published loop, Python", "monte-carlo, 1 thread", "monte-carlo, 2 threads", "bare rollout, K = 5, 2 threads",
-                  "of bare rollout with 1 thread.", "of bare rollout with 2 threads.", "times fewer than the"):  # fmt: skip
+    for words in (
+        "published loop, Python",
+        "monte-carlo, 1 thread",
+        "monte-carlo, 2 threads",
+        "bare rollout, K = 5, 2 threads",
+        "of bare rollout with 1 thread.",
+        "of bare rollout with 2 threads.",
+        "times fewer than the",
+    ):
         assert words in text
 
 
@@ -88,7 +122,9 @@ def test_every_row_takes_a_thousandth_of_the_steps():
 
 @pytest.mark.study
 def test_every_row_at_its_full_size():
-    """Tables 6.1 to 6.3: a thousand times fewer steps, and fitting under a third of the time on a free machine."""
+    """Tables 6.1 to 6.3: a thousand times fewer steps, and fitting under a third of the time on a
+    free machine.
+    """
     text, rows = tables.report()
     print(text)
     assert len(rows) == 6

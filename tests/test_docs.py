@@ -1,4 +1,5 @@
-"""What the documentation shows is true: its Python runs, its commands parse, its names exist, its output is what is printed.
+"""What the documentation shows is true: its Python runs, its commands parse, its names exist, its
+output is what is printed.
 
 `python tests/test_docs.py` prints the output blocks anew, into the pages.
 """
@@ -23,10 +24,16 @@ from dropo.core.services import registry as catalogue
 from dropo.problems.measured.external_data import find_data
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "papers").glob("*/README.md"))]
+PAGES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "papers").glob("*/README.md")),
+]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"(?:#|<!--) ([\w.-]+\.(?:yaml|xml))")  # the first line of a block that is a file
-WITH_PYTHON = [page for page in PAGES if any(kind == "python" for kind, _ in BLOCK.findall(page.read_text()))]
+WITH_PYTHON = [
+    page for page in PAGES if any(kind == "python" for kind, _ in BLOCK.findall(page.read_text()))
+]
 
 
 def named(page: Path) -> str:
@@ -41,11 +48,16 @@ def _fresh_catalogue(monkeypatch):
 
 
 def run_page(page: Path) -> list[tuple[re.Match[str], str]]:
-    """Runs the Python blocks of a page in order, in one namespace, in the present folder, with the files that the page shows.
+    """Runs the Python blocks of a page in order, in one namespace, in the present folder, with the
+    files that the page shows.
 
-    The blocks below a comment `<!-- printed -->`, each with what the Python block before it printed.
+    The blocks below a comment `<!-- printed -->`, each with what the Python block before it
+    printed.
     """
-    namespace, output, shown, whole = {"__name__": "page"}, "", [], page.read_text()
+    namespace = {"__name__": "page"}
+    output = ""
+    shown = []
+    whole = page.read_text()
     for found in BLOCK.finditer(whole):
         kind, text = found.groups()
         first = FILE.match(text)
@@ -53,7 +65,10 @@ def run_page(page: Path) -> list[tuple[re.Match[str], str]]:
             Path(first[1]).write_text(text)
         elif kind == "python":
             with contextlib.redirect_stdout(io.StringIO()) as stream:
-                exec(compile("\n" * whole[: found.start(2)].count("\n") + text, str(page), "exec"), namespace)
+                exec(
+                    compile("\n" * whole[: found.start(2)].count("\n") + text, str(page), "exec"),
+                    namespace,
+                )
             output = stream.getvalue()
         elif whole[: found.start()].endswith("<!-- printed -->\n"):
             shown.append((found, output))
@@ -62,18 +77,36 @@ def run_page(page: Path) -> list[tuple[re.Match[str], str]]:
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=named)
 def test_python_blocks_run(page, tmp_path, monkeypatch):
-    """The Python blocks of a page run, in a folder that holds nothing but the files it shows, and print what it says."""
+    """The Python blocks of a page run, in a folder that holds nothing but the files it shows, and
+    print what it says.
+    """
     monkeypatch.chdir(tmp_path)
     for found, printed in run_page(page):
         same_lines(printed, found[2])
 
 
 def commands(text: str) -> list[str]:
-    """Every `dropo ...` command line of a page: in shell blocks, after `&&` too, and in backticks with an argument behind its name."""
-    lines = [line for kind, block in BLOCK.findall(text) if kind in ("bash", "console") for line in block.splitlines()]
-    pieces = [piece.split("#")[0].strip().removeprefix("$ ") for line in lines for piece in line.split("&&")]
+    """Every `dropo ...` command line of a page: in shell blocks, after `&&` too, and in backticks
+    with an argument behind its name.
+    """
+    lines = [
+        line
+        for kind, block in BLOCK.findall(text)
+        if kind in ("bash", "console")
+        for line in block.splitlines()
+    ]
+    pieces = [
+        piece.split("#")[0].strip().removeprefix("$ ")
+        for line in lines
+        for piece in line.split("&&")
+    ]
     inline = re.findall(r"`([^`\n]+)`", BLOCK.sub("", text))
-    pieces += [piece.strip() for span in inline for piece in span.split("&&") if len(piece.split()) > 2 + ("dropo data" in piece)]
+    pieces += [
+        piece.strip()
+        for span in inline
+        for piece in span.split("&&")
+        if len(piece.split()) > 2 + ("dropo data" in piece)
+    ]
     return [piece for piece in pieces if re.match(r"dropo \S", piece)]
 
 
@@ -83,38 +116,61 @@ def test_command_lines_parse(page):
     shown = commands(page.read_text())
     for line in shown:
         arguments = vars(_parser().parse_args(shlex.split(line)[1:]))
-        for option, kind in (("method", "methods"), ("likelihood", "likelihoods"), ("optimizer", "optimizers"), ("family", "families")):
+        for option, kind in (
+            ("method", "methods"),
+            ("likelihood", "likelihoods"),
+            ("optimizer", "optimizers"),
+            ("family", "families"),
+        ):
             if arguments.get(option) not in (None, "NAME"):
                 catalogue.find(kind, arguments[option])
     assert shown or page != ROOT / "README.md"
 
 
 def tables(text: str) -> list[tuple[str, list[str]]]:
-    """(kind, names) of every table below a comment `<!-- names: KIND -->`: the words in backticks in its first column."""
+    """(kind, names) of every table below a comment `<!-- names: KIND -->`: the words in backticks
+    in its first column.
+    """
     out = []
     for kind, table in re.findall(r"<!-- names: (\w+) -->\n((?:\|.*\n)+)", text):
         rows = table.splitlines()[2:]
-        out.append((kind, [name for row in rows for name in re.findall(r"`([^`]+)`", row.split("|")[1])]))
+        out.append(
+            (kind, [name for row in rows for name in re.findall(r"`([^`]+)`", row.split("|")[1])])
+        )
     return out
 
 
 def test_names_in_tables_exist():
     """The README's tables of names hold the catalogue's names and no others."""
     found = tables((ROOT / "README.md").read_text())
-    assert {kind for kind, _ in found} == {"problems", "methods", "likelihoods", "families", "optimizers", "samplers"}
+    assert {kind for kind, _ in found} == {
+        "problems",
+        "methods",
+        "likelihoods",
+        "families",
+        "optimizers",
+        "samplers",
+    }
     for kind, names in found:
         assert names, f"the table of {kind} is empty"
         unknown = set(names) - set(catalogue.names(kind))
         assert not unknown, f"the README's table of {kind} names {unknown}, which do not exist"
 
 
-OUTPUT = re.compile(r"<!-- (output|measured): (.*?) -->\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+OUTPUT = re.compile(
+    r"<!-- (output|measured): (.*?) -->\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL
+)
 
 
 def outputs(kind: str = "output") -> dict[str, str]:
-    """The text of every block below a comment `<!-- output: COMMAND -->` in the README, by its command; "measured": takes the measured
-    data, and minutes."""
-    return {command: text for found, command, text in OUTPUT.findall((ROOT / "README.md").read_text()) if found == kind}
+    """The text of every block below a comment `<!-- output: COMMAND -->` in the README, by its
+    command; "measured": takes the measured data, and minutes.
+    """
+    return {
+        command: text
+        for found, command, text in OUTPUT.findall((ROOT / "README.md").read_text())
+        if found == kind
+    }
 
 
 def numeric(word: str) -> float | None:
@@ -126,12 +182,16 @@ def numeric(word: str) -> float | None:
 
 
 def literal(word: str) -> str:
-    """A word that is the same on every machine: no number, and no line under a table's header, which is as long as its numbers."""
+    """A word that is the same on every machine: no number, and no line under a table's header,
+    which is as long as its numbers.
+    """
     return "" if numeric(word) is not None or set(word) == {"-"} else word
 
 
 def compare(new: list[str], old: list[str]) -> None:
-    """Two lines say the same: words equal; a mass' mean to a millionth, +- estimates to a fiftieth; other numbers vary by machine."""
+    """Two lines say the same: words equal; a mass' mean to a millionth, +- estimates to a fiftieth;
+    other numbers vary by machine.
+    """
     assert [literal(word) for word in new] == [literal(word) for word in old]
     if old and old[0].endswith("_mass"):
         assert float(new[2]) == pytest.approx(float(old[2]), rel=1e-6)
@@ -155,7 +215,10 @@ def test_output_shown_is_printed(command, capsys):
 
 
 @pytest.mark.study
-@pytest.mark.skipif(find_data("cube-toss/runs.npz") is None, reason="the measured data are not at hand (DROPO_DATA names their folder)")
+@pytest.mark.skipif(
+    find_data("cube-toss/runs.npz") is None,
+    reason="the measured data are not at hand (DROPO_DATA names their folder)",
+)
 @pytest.mark.parametrize("command", outputs("measured"))
 def test_output_of_measured_data_is_printed(command, capsys):
     """Likewise."""
@@ -163,9 +226,16 @@ def test_output_of_measured_data_is_printed(command, capsys):
     same_lines(capsys.readouterr().out, outputs("measured")[command])
 
 
-@pytest.mark.parametrize("line", [
-    "torso_mass kg 3.6 1e-9", "thigh_mass kg 3.5 1e-9", "torso_mass kg 3.5", "damping +0.62 +- 0.003 N", "friction +0.6 +- 0.003 N",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "line",
+    [
+        "torso_mass kg 3.6 1e-9",
+        "thigh_mass kg 3.5 1e-9",
+        "torso_mass kg 3.5",
+        "damping +0.62 +- 0.003 N",
+        "friction +0.6 +- 0.003 N",
+    ],
+)
 def test_other_output_is_noticed(line):
     """A changed number, word or length."""
     shown = "damping +0.6 +- 0.003 N" if "+-" in line else "torso_mass kg 3.5 1e-9"
@@ -175,12 +245,15 @@ def test_other_output_is_noticed(line):
 
 def print_anew() -> None:
     """Runs the README's commands and the pages' Python, and puts what they print into them."""
-    readme, dropo = ROOT / "README.md", [sys.executable, "-m", "dropo"]
+    readme = ROOT / "README.md"
+    dropo = [sys.executable, "-m", "dropo"]
 
     def block(found: re.Match[str]) -> str:
         if found[1] == "measured" and find_data("cube-toss/runs.npz") is None:
             return found[0]
-        text = subprocess.run([*dropo, *shlex.split(found[2])[1:]], check=True, capture_output=True, text=True).stdout
+        text = subprocess.run(
+            [*dropo, *shlex.split(found[2])[1:]], check=True, capture_output=True, text=True
+        ).stdout
         return f"<!-- {found[1]}: {found[2]} -->\n```text\n{text}```"
 
     readme.write_text(OUTPUT.sub(block, readme.read_text()))
@@ -203,7 +276,9 @@ def test_links_and_pictures_exist():
         text = BLOCK.sub("", page.read_text())
         for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
             if "://" not in target:
-                assert (page.parent / target).exists(), f"{named(page)} links to {target}, which is not there"
+                assert (page.parent / target).exists(), (
+                    f"{named(page)} links to {target}, which is not there"
+                )
 
 
 def test_xml_blocks_are_well_formed():
@@ -218,8 +293,21 @@ def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
     """Sphinx with warnings as errors."""
     if importlib.util.find_spec("furo") is None or importlib.util.find_spec("myst_nb") is None:
         pytest.skip("the documentation needs the extra 'docs'")
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-d", str(out / "trees"), str(source), str(out / "html")]
-    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-d",
+        str(out / "trees"),
+        str(source),
+        str(out / "html"),
+    ]
+    return subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+    )
 
 
 def test_the_documentation_builds(tmp_path):
@@ -244,7 +332,9 @@ def test_a_broken_page_is_noticed(tmp_path):
 def test_notebooks_are_kept_without_output(path):
     """What they show is made by every build, so that no figure is older than the code."""
     cells = json.loads(path.read_text())["cells"]
-    assert all(cell.get("outputs", []) == [] and cell.get("execution_count") is None for cell in cells)
+    assert all(
+        cell.get("outputs", []) == [] and cell.get("execution_count") is None for cell in cells
+    )
 
 
 if __name__ == "__main__":

@@ -15,24 +15,38 @@ ONCE = {"self", "cls", "rng"}  # rng is explained at the head of the page
 
 
 def functions_of(thing):
-    """A function itself; of a class its constructor and public methods, with a property's function for the property."""
+    """A function itself; of a class its constructor and public methods, with a property's function
+    for the property.
+    """
     if not inspect.isclass(thing):
         return [thing]
-    members = [getattr(member, "__func__", member) for name, member in vars(thing).items() if not name.startswith("_")]
-    own = [] if dataclasses.is_dataclass(thing) or "__init__" not in vars(thing) else [thing.__init__]
+    members = [
+        getattr(member, "__func__", member)
+        for name, member in vars(thing).items()
+        if not name.startswith("_")
+    ]
+    own = (
+        [] if dataclasses.is_dataclass(thing) or "__init__" not in vars(thing) else [thing.__init__]
+    )
     return [function for function in [*own, *members] if inspect.isfunction(function)]
 
 
 def unexplained(thing) -> list[str]:
-    """Parameters and fields that no docstring of the thing names as a word; one that is called like its type is explained by it."""
-    about = " ".join(cls.__doc__ or "" for cls in thing.__mro__[:-1]) if inspect.isclass(thing) else ""
+    """Parameters and fields that no docstring of the thing names as a word; one that is called like
+    its type is explained by it.
+    """
+    about = (
+        " ".join(cls.__doc__ or "" for cls in thing.__mro__[:-1]) if inspect.isclass(thing) else ""
+    )
     found = []
     if dataclasses.is_dataclass(thing):
         found += [field.name for field in dataclasses.fields(thing) if not says(about, field.name)]
     for function in functions_of(thing):
         text = f"{about} {inspect.getdoc(function) or ''}"
         for name, parameter in inspect.signature(function).parameters.items():
-            obvious = name in ONCE or name == str(getattr(parameter.annotation, "__name__", "")).lower()
+            obvious = (
+                name in ONCE or name == str(getattr(parameter.annotation, "__name__", "")).lower()
+            )
             if not obvious and not says(text, name):
                 found.append(f"{function.__name__}({name})")
     return found
@@ -51,7 +65,9 @@ def test_the_reference_lists_everything_public():
 @pytest.mark.parametrize("name", dropo.__all__)
 def test_public_names_explain_themselves(name):
     thing = getattr(dropo, name)
-    assert (thing.__doc__ or "").split("\n")[0].rstrip().endswith((".", ":", ",", ";")) or len(thing.__doc__.split()) > 5
+    assert (thing.__doc__ or "").split("\n")[0].rstrip().endswith((".", ":", ",", ";")) or len(
+        thing.__doc__.split()
+    ) > 5
     assert unexplained(thing) == []
 
 
@@ -76,7 +92,9 @@ def test_what_is_not_explained_is_noticed():
 
 
 def test_errors_are_one_family_with_a_way_out():
-    """Whatever is raised on purpose is a DropoError, a refusal is a ValueError too, and each class says when it is raised."""
+    """Whatever is raised on purpose is a DropoError, a refusal is a ValueError too, and each class
+    says when it is raised.
+    """
     family = [cls for cls in vars(errors).values() if inspect.isclass(cls)]
     assert all(issubclass(cls, errors.DropoError) and cls.__doc__ for cls in family)
     assert issubclass(errors.Refused, ValueError)

@@ -1,4 +1,6 @@
-"""What usually follows a state and a command, learned from the data alone: for disturbances where there is no model yet."""
+"""What usually follows a state and a command, learned from the data alone: for disturbances where
+there is no model yet.
+"""
 
 from dataclasses import dataclass
 
@@ -13,13 +15,16 @@ from dropo.data.outliers.disturbances import Disturbances, scan
 FEATURES = 100  # of a Gaussian kernel of state and mean command
 PENALTIES = np.logspace(-6, 0, 13)
 FOLDS = 5  # each block of time is predicted from the others, so that no span explains itself
-SURE = 12.0  # robust standard deviations of a span's worst window: more than with a model, whose errors vary less
+# robust standard deviations of a span's worst window: more than with a model, whose errors vary
+# less
+SURE = 12.0
 CUT = 3.0  # robust standard deviations at which an error is cut before the second fit
 
 
 @dataclass(frozen=True, eq=False)
 class _Usual:
-    """Predicts the change over a window from its start and its mean command: linear plus smooth, robust, and cross-fitted.
+    """Predicts the change over a window from its start and its mean command: linear plus smooth,
+    robust, and cross-fitted.
 
     angles: the columns that count by their sine and cosine.
     """
@@ -29,8 +34,10 @@ class _Usual:
     phases: Array
 
     def __call__(self, windows: Segments) -> Array:
-        state, command = windows.starts, windows.actions.mean(axis=1)
-        turned, plain = state[:, self.angles], np.delete(state, self.angles, axis=1)
+        state = windows.starts
+        command = windows.actions.mean(axis=1)
+        turned = state[:, self.angles]
+        plain = np.delete(state, self.angles, axis=1)
         base = np.concatenate([np.sin(turned), np.cos(turned), plain, command], axis=1)
         base = (base - base.mean(axis=0)) / np.maximum(base.std(axis=0), 1e-12)
         smooth = fourier_features(base, self.frequencies, self.phases)
@@ -40,7 +47,11 @@ class _Usual:
         fold = _folds(windows)
         out = np.empty_like(change)
         for k in range(FOLDS):
-            out[fold == k] = design[fold == k] @ _robust_ridge(design[fold != k], change[fold != k] / size) * size
+            out[fold == k] = (
+                design[fold == k]
+                @ _robust_ridge(design[fold != k], change[fold != k] / size)
+                * size
+            )
         return state + out
 
 
@@ -61,14 +72,27 @@ def _robust_ridge(design: Array, targets: Array) -> Array:
 def find_disturbances_without_model(
     trajectories: Trajectories, signals: tuple[Signal, ...], step: float, rng: np.random.Generator
 ) -> Disturbances:
-    """Spans in which the trajectories do not move as they do elsewhere in like states under like commands.
+    """Spans in which the trajectories do not move as they do elsewhere in like states under like
+    commands.
 
-    signals: names and units of the observation's columns, which must be whole states and no quaternions; step: of the control [s].
-    It sees less than a scan with a fitted model, and needs data that come by the same states often.
+    signals: names and units of the observation's columns, which must be whole states and no
+    quaternions; step: of the control [s]. It sees less than a scan with a fitted model, and needs
+    data that come by the same states often.
     """
-    p, q = trajectories.observations.shape[1], trajectories.actions.shape[1]
-    require(len(signals) == p, "signals", f"of {p} columns", len(signals), "find_disturbances_without_model")
+    p = trajectories.observations.shape[1]
+    q = trajectories.actions.shape[1]
+    require(
+        len(signals) == p,
+        "signals",
+        f"of {p} columns",
+        len(signals),
+        "find_disturbances_without_model",
+    )
     angles = [i for i, signal in enumerate(signals) if signal.unit == "rad"]
     count = p + q + len(angles)
-    usual = _Usual(angles, rng.standard_normal((count, FEATURES)) / np.sqrt(count), rng.uniform(0, 2 * np.pi, FEATURES))
+    usual = _Usual(
+        angles,
+        rng.standard_normal((count, FEATURES)) / np.sqrt(count),
+        rng.uniform(0, 2 * np.pi, FEATURES),
+    )
     return scan(usual, lambda windows: windows.targets, signals, trajectories, step, sure=SURE)

@@ -1,4 +1,6 @@
-"""`dropo data`: imports raw logs, describes and checks measured data, judges inputs and estimates states."""
+"""`dropo data`: imports raw logs, describes and checks measured data, judges inputs and estimates
+states.
+"""
 
 import argparse
 from pathlib import Path
@@ -14,38 +16,95 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Adds the command and its own commands to the parser."""
-    parser = commands.add_parser("data", help="import, describe and check data", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser(
+        "data", help="import, describe and check data", description=__doc__, allow_abbrev=False
+    )
     below = parser.add_subparsers(metavar="ACTION", required=True)
     target = "a problem, an .npz file, a folder of .npy files or minari:NAME"
     _add_import(below)
-    describe = _action(below, "describe", run_describe, "transitions, trajectories, and the range of every signal")
+    describe = _action(
+        below, "describe", run_describe, "transitions, trajectories, and the range of every signal"
+    )
     describe.add_argument("target", metavar="PROBLEM_OR_DATA", help=target)
-    check = _action(below, "check", run_check, "what looks odd; status 2 where the data cannot be used")
-    check.add_argument("target", nargs="+", metavar="PROBLEM_OR_DATA", help=f"{target}; with --map, raw logs")
+    check = _action(
+        below, "check", run_check, "what looks odd; status 2 where the data cannot be used"
+    )
+    check.add_argument(
+        "target", nargs="+", metavar="PROBLEM_OR_DATA", help=f"{target}; with --map, raw logs"
+    )
     check.add_argument("--map", type=Path, metavar="FILE", help="the mapping file, for raw logs")
     check.add_argument("--model", type=Path, metavar="MJCF", help="the model, for raw logs")
-    inputs = _action(below, "inputs", run_inputs, "which of several logged commands to trust, by data that no fit saw", threads="")
-    inputs.add_argument("problem", metavar="PROBLEM", help="a problem, or a problem file whose data hold several commands")
-    states = _action(below, "states", run_states, "states estimated with the model in place of the measured ones, as a problem", threads="")
+    inputs = _action(
+        below,
+        "inputs",
+        run_inputs,
+        "which of several logged commands to trust, by data that no fit saw",
+        threads="",
+    )
+    inputs.add_argument(
+        "problem",
+        metavar="PROBLEM",
+        help="a problem, or a problem file whose data hold several commands",
+    )
+    states = _action(
+        below,
+        "states",
+        run_states,
+        "states estimated with the model in place of the measured ones, as a problem",
+        threads="",
+    )
     states.add_argument("problem", metavar="PROBLEM", help="a problem file or a built-in name")
-    states.add_argument("--unmeasured", nargs="+", default=[], metavar="SIGNAL", help="signals whose data are a guess, such as qvel.elbow")
-    states.add_argument("--causal", action="store_true", help="a filter: each state by the measurements up to it alone")
-    states.add_argument("--out", type=Path, required=True, metavar="DIR", help="the folder of the new problem")
+    states.add_argument(
+        "--unmeasured",
+        nargs="+",
+        default=[],
+        metavar="SIGNAL",
+        help="signals whose data are a guess, such as qvel.elbow",
+    )
+    states.add_argument(
+        "--causal",
+        action="store_true",
+        help="a filter: each state by the measurements up to it alone",
+    )
+    states.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="the folder of the new problem"
+    )
 
 
 def _add_import(below: Any) -> None:
     text = "turn raw logs into data and a problem file: CSV, Parquet, NPZ, MCAP, ROS bags, episodes"
     parser = _action(below, "import", run_import, text)
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="a file or folder; each is a recording, or holds several runs")
-    parser.add_argument("--map", type=Path, required=True, metavar="FILE", help="which column is which joint or actuator (YAML)")
-    parser.add_argument("--model", type=Path, required=True, metavar="MJCF", help="the model, an MJCF file")
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="the data file, .npz; problem.yaml and import.json beside it"
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="a file or folder; each is a recording, or holds several runs",
+    )
+    parser.add_argument(
+        "--map",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="which column is which joint or actuator (YAML)",
+    )
+    parser.add_argument(
+        "--model", type=Path, required=True, metavar="MJCF", help="the model, an MJCF file"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the data file, .npz; problem.yaml and import.json beside it",
     )
 
 
-def _action(below: Any, name: str, function: Any, text: str, threads: str = NOTHING) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = below.add_parser(name, help=text, description=text, allow_abbrev=False)
+def _action(
+    below: Any, name: str, function: Any, text: str, threads: str = NOTHING
+) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = below.add_parser(
+        name, help=text, description=text, allow_abbrev=False
+    )
     parser.set_defaults(run=function)
     computing_options(parser, seed=NOTHING, threads=threads)
     printing_options(parser)
@@ -58,7 +117,9 @@ def run_import(arguments: argparse.Namespace) -> int:
 
     progress = Progress(silent=arguments.quiet)
     try:
-        found = import_logs(arguments.logs, arguments.map, arguments.model, arguments.out, progress=progress)
+        found = import_logs(
+            arguments.logs, arguments.map, arguments.model, arguments.out, progress=progress
+        )
     finally:
         progress.close()
     show(arguments, found, found.to_json())
@@ -70,7 +131,8 @@ def run_describe(arguments: argparse.Namespace) -> int:
     from dropo.data.describe import columns, controls, describe
 
     trajectories, problem = _target(arguments.target)
-    p, q = trajectories.observations.shape[1], trajectories.actions.shape[1]
+    p = trajectories.observations.shape[1]
+    q = trajectories.actions.shape[1]
     description = describe(trajectories, columns(problem, p), controls(problem, q))
     show(arguments, description, description.to_json())
     return 0
@@ -84,19 +146,30 @@ def run_inputs(arguments: argparse.Namespace) -> int:
 
     names = inputs_of(arguments.problem)
     if len(names) < 2:
-        raise Incompatible(f"{arguments.problem} knows one command alone. An import keeps several: map them under `inputs`.")
-    found = choose_problem_input({name: load(arguments.problem, threads=arguments.threads, input=name) for name in names})
+        raise Incompatible(
+            f"{arguments.problem} knows one command alone. An import keeps several: map "
+            "them under `inputs`."
+        )
+    found = choose_problem_input(
+        {name: load(arguments.problem, threads=arguments.threads, input=name) for name in names}
+    )
     show(arguments, found, found.to_json())
     return 0
 
 
 def run_states(arguments: argparse.Namespace) -> int:
-    """Estimates the states under the nominal parameters, writes the problem with them, and prints how well each signal is known."""
+    """Estimates the states under the nominal parameters, writes the problem with them, and prints
+    how well each signal is known.
+    """
     from dropo.logs.signals.states import with_states
     from dropo.problems.file.reader import load
     from dropo.problems.file.writer import write_problem
 
-    problem, found = with_states(load(arguments.problem, threads=arguments.threads), arguments.unmeasured, causal=arguments.causal)
+    problem, found = with_states(
+        load(arguments.problem, threads=arguments.threads),
+        arguments.unmeasured,
+        causal=arguments.causal,
+    )
     write_problem(problem, arguments.out)
     show(arguments, found, found.to_json())
     return 0
@@ -120,14 +193,25 @@ def _findings(arguments: argparse.Namespace) -> "list[Finding]":
     from dropo.data.checks.findings import errors_first
 
     if (arguments.map is None) != (arguments.model is None):
-        raise BadArgument("Raw logs are checked with both --map and --model. Got one of them alone.")
+        raise BadArgument(
+            "Raw logs are checked with both --map and --model. Got one of them alone."
+        )
     if arguments.map is not None:
         return _raw_findings(arguments)
     if len(arguments.target) > 1:
-        raise BadArgument("One problem or data set is checked at a time; several raw logs need --map and --model.")
+        raise BadArgument(
+            "One problem or data set is checked at a time; several raw logs need --map and --model."
+        )
     trajectories, problem = _target(arguments.target[0])
     apart = problem.held_out if problem else None
-    held_out = [] if apart is None else [replace(finding, run="held out") for finding in check(apart, getattr(problem, "simulator", None))]
+    held_out = (
+        []
+        if apart is None
+        else [
+            replace(finding, run="held out")
+            for finding in check(apart, getattr(problem, "simulator", None))
+        ]
+    )
     return errors_first([*check(trajectories, problem), *held_out])
 
 
@@ -140,7 +224,9 @@ def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
     machine = load_machine(arguments.model)
     progress = Progress(silent=arguments.quiet)
     try:
-        return check_runs(read_runs(arguments.target, read_mapping(arguments.map, machine), progress), machine)
+        return check_runs(
+            read_runs(arguments.target, read_mapping(arguments.map, machine), progress), machine
+        )
     finally:
         progress.close()
 
@@ -158,5 +244,7 @@ def _target(target: str) -> tuple["Trajectories", "Problem | None"]:
         problem = load(target, checked=False)
         return problem.trajectories, problem
     if not (Path(target).exists() or target.startswith(MINARI) or target.endswith(".npz")):
-        raise UnknownName(f"No data and no problem called {target!r}. {nearest(target, names('problems'))}")
+        raise UnknownName(
+            f"No data and no problem called {target!r}. {nearest(target, names('problems'))}"
+        )
     return read(target), None

@@ -1,4 +1,6 @@
-"""`dropo diagnose`: shows what the simulation gets wrong, names the cause, extends the model, measures the gain."""
+"""`dropo diagnose`: shows what the simulation gets wrong, names the cause, extends the model,
+measures the gain.
+"""
 
 import argparse
 from pathlib import Path
@@ -12,22 +14,57 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Adds the command to the parser."""
-    parser = commands.add_parser("diagnose", help="show what the simulation gets wrong", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser(
+        "diagnose",
+        help="show what the simulation gets wrong",
+        description=__doc__,
+        allow_abbrev=False,
+    )
     parser.set_defaults(run=run)
-    parser.add_argument("problem", metavar="PROBLEM", help="a problem file or a built-in name (see `dropo list problems`)")
-    parser.add_argument("--effects", nargs="+", metavar="NAME", help="look for these alone, or EFFECT:PLACE (see `dropo list effects`)")
     parser.add_argument(
-        "--hide", action="append", default=[], metavar="EFFECT:TARGET=VALUE", help="hide an effect in a built-in problem's simulated data"
+        "problem",
+        metavar="PROBLEM",
+        help="a problem file or a built-in name (see `dropo list problems`)",
     )
     parser.add_argument(
-        "--steps", type=whole(1), metavar="N", help="control steps in a window; by default what the problem or its noise asks for"
+        "--effects",
+        nargs="+",
+        metavar="NAME",
+        help="look for these alone, or EFFECT:PLACE (see `dropo list effects`)",
     )
-    parser.add_argument("--unchecked", action="store_true", help="take the data even where `dropo data check` finds an error")
     parser.add_argument(
-        "--disturbances", choices=("auto", "off"), default="auto",
-        help="auto: spans of time in which something pushes, which no cause explains, are found, listed and left out",
-    )  # fmt: skip
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write diagnosis.json here, and the extended problem")
+        "--hide",
+        action="append",
+        default=[],
+        metavar="EFFECT:TARGET=VALUE",
+        help="hide an effect in a built-in problem's simulated data",
+    )
+    parser.add_argument(
+        "--steps",
+        type=whole(1),
+        metavar="N",
+        help="control steps in a window; by default what the problem or its noise asks for",
+    )
+    parser.add_argument(
+        "--unchecked",
+        action="store_true",
+        help="take the data even where `dropo data check` finds an error",
+    )
+    parser.add_argument(
+        "--disturbances",
+        choices=("auto", "off"),
+        default="auto",
+        help=(
+            "auto: spans of time in which something pushes, which no cause explains, are "
+            "found, listed and left out"
+        ),
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write diagnosis.json here, and the extended problem",
+    )
     computing_options(parser)
     printing_options(parser)
 
@@ -42,7 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
     problem = _problem(arguments)
     progress = Progress(silent=arguments.quiet)
     try:
-        diagnose = Diagnose(arguments.effects, length=arguments.steps, disturbances=arguments.disturbances == "auto")
+        diagnose = Diagnose(
+            arguments.effects, length=arguments.steps, disturbances=arguments.disturbances == "auto"
+        )
         found = diagnose.run(problem, rng=arguments.seed, progress=progress)
     finally:
         progress.close()

@@ -13,16 +13,47 @@ BESIDE = "beside the policy"
 
 def add(commands: Any) -> None:
     """Adds the command to the parser."""
-    parser = commands.add_parser("evaluate", help="play a policy on a target", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser(
+        "evaluate", help="play a policy on a target", description=__doc__, allow_abbrev=False
+    )
     parser.set_defaults(run=run)
-    parser.add_argument("policy", type=Path, metavar="POLICY", help="what `dropo train --out` wrote: the folder, or policy.json in it")
-    on = "a problem by its file or name (with its true parameters, where known), or the id of a Gymnasium environment such as Hopper-v5"
+    parser.add_argument(
+        "policy",
+        type=Path,
+        metavar="POLICY",
+        help="what `dropo train --out` wrote: the folder, or policy.json in it",
+    )
+    on = (
+        "a problem by its file or name (with its true parameters, where known), or the id of a "
+        "Gymnasium environment such as Hopper-v5"
+    )
     parser.add_argument("--on", required=True, metavar="PROBLEM", help=on)
-    parser.add_argument("--fit", type=Path, metavar="DIR", help="draw the target's parameters from this fit")
-    parser.add_argument("--episodes", type=whole(1), default=100, metavar="N", help="100 by default")
-    parser.add_argument("--steps", type=whole(1), metavar="N", help="control steps of an episode; by default those of the training")
-    parser.add_argument("--noise", type=variance, metavar="X", help="variance of the measurement noise; by default none, or the fit's")
-    parser.add_argument("--video", nargs="?", type=Path, const=Path(BESIDE), metavar="FILE", help="also an episode as an .mp4")
+    parser.add_argument(
+        "--fit", type=Path, metavar="DIR", help="draw the target's parameters from this fit"
+    )
+    parser.add_argument(
+        "--episodes", type=whole(1), default=100, metavar="N", help="100 by default"
+    )
+    parser.add_argument(
+        "--steps",
+        type=whole(1),
+        metavar="N",
+        help="control steps of an episode; by default those of the training",
+    )
+    parser.add_argument(
+        "--noise",
+        type=variance,
+        metavar="X",
+        help="variance of the measurement noise; by default none, or the fit's",
+    )
+    parser.add_argument(
+        "--video",
+        nargs="?",
+        type=Path,
+        const=Path(BESIDE),
+        metavar="FILE",
+        help="also an episode as an .mp4",
+    )
     computing_options(parser)
     printing_options(parser)
 
@@ -38,15 +69,26 @@ def run(arguments: argparse.Namespace) -> int:
     policy = load_policy(arguments.policy)
     distribution = None if arguments.fit is None else Fit.load(arguments.fit)
     found = evaluate(
-        policy, arguments.on, distribution=distribution, episodes=arguments.episodes, steps=arguments.steps, noise=arguments.noise, rng=arguments.seed,
+        policy,
+        arguments.on,
+        distribution=distribution,
+        episodes=arguments.episodes,
+        steps=arguments.steps,
+        noise=arguments.noise,
+        rng=arguments.seed,
         threads=arguments.threads,
-    )  # fmt: skip
-    content, video = found.to_json(), None
+    )
+    content = found.to_json()
+    video = None
     if arguments.video is not None:
         from dropo.report.video import write_motion
 
         place = arguments.policy if arguments.policy.is_dir() else arguments.policy.parent
         path = place / "policy.mp4" if arguments.video == Path(BESIDE) else arguments.video
-        video = content["video"] = str(write_motion(*motion(policy, arguments.on, steps=arguments.steps, rng=arguments.seed), path))
+        video = content["video"] = str(
+            write_motion(
+                *motion(policy, arguments.on, steps=arguments.steps, rng=arguments.seed), path
+            )
+        )
     show(arguments, found if video is None else f"{found}\n{video}", content)
     return 0

@@ -28,27 +28,81 @@ AUTO = "auto"
 
 def add(commands: Any) -> None:
     """Adds the command to the parser."""
-    parser = commands.add_parser("fit", help="fit the distribution of the parameters", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser(
+        "fit",
+        help="fit the distribution of the parameters",
+        description=__doc__,
+        allow_abbrev=False,
+    )
     parser.set_defaults(run=run)
-    parser.add_argument("problem", metavar="PROBLEM", help="a problem file or a built-in name (see `dropo list problems`)")
-    parser.add_argument("--method", default="dropo", metavar="NAME", help="see `dropo list methods`; dropo by default")
+    parser.add_argument(
+        "problem",
+        metavar="PROBLEM",
+        help="a problem file or a built-in name (see `dropo list problems`)",
+    )
+    parser.add_argument(
+        "--method",
+        default="dropo",
+        metavar="NAME",
+        help="see `dropo list methods`; dropo by default",
+    )
     for name, kind in NAMED.items():
         parser.add_argument(f"--{name}", metavar="NAME", help=f"see `dropo list {kind}`")
-    parser.add_argument("--epsilon", type=_epsilon, metavar="X|tune|learn", help="variance of the measurement noise")
-    parser.add_argument("--start-noise", action="store_true", default=None, help="the measured start states carry the noise too")
-    parser.add_argument("--student-t", dest="degrees", type=_degrees, metavar="NU", help="noise with long tails: degrees of freedom")
-    parser.add_argument("--starts", choices=("measured", "filtered"), help="where segments start")
-    parser.add_argument("--lambda", dest="length", type=_length, metavar="N|auto", help="control steps in a segment")
-    parser.add_argument("--budget", type=whole(1), metavar="N", help="evaluations of the likelihood at most")
-    parser.add_argument("--draws", type=whole(2), metavar="K", help="simulations for each transition in one evaluation")
-    parser.add_argument("--start", choices=("middle", "least-squares", "random"), help="where the search begins")
-    parser.add_argument("--transitions", type=whole(1), metavar="N", help="use the first N transitions alone")
-    parser.add_argument("--unchecked", action="store_true", help="fit the data even where `dropo data check` finds an error")
     parser.add_argument(
-        "--disturbances", choices=("auto", "off"), default="auto",
-        help="auto: in logs, which have time stamps, spans in which something pushes are found, listed and left out",
-    )  # fmt: skip
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write fit.json here; the same command resumes after any interruption")
+        "--epsilon", type=_epsilon, metavar="X|tune|learn", help="variance of the measurement noise"
+    )
+    parser.add_argument(
+        "--start-noise",
+        action="store_true",
+        default=None,
+        help="the measured start states carry the noise too",
+    )
+    parser.add_argument(
+        "--student-t",
+        dest="degrees",
+        type=_degrees,
+        metavar="NU",
+        help="noise with long tails: degrees of freedom",
+    )
+    parser.add_argument("--starts", choices=("measured", "filtered"), help="where segments start")
+    parser.add_argument(
+        "--lambda", dest="length", type=_length, metavar="N|auto", help="control steps in a segment"
+    )
+    parser.add_argument(
+        "--budget", type=whole(1), metavar="N", help="evaluations of the likelihood at most"
+    )
+    parser.add_argument(
+        "--draws",
+        type=whole(2),
+        metavar="K",
+        help="simulations for each transition in one evaluation",
+    )
+    parser.add_argument(
+        "--start", choices=("middle", "least-squares", "random"), help="where the search begins"
+    )
+    parser.add_argument(
+        "--transitions", type=whole(1), metavar="N", help="use the first N transitions alone"
+    )
+    parser.add_argument(
+        "--unchecked",
+        action="store_true",
+        help="fit the data even where `dropo data check` finds an error",
+    )
+    parser.add_argument(
+        "--disturbances",
+        choices=("auto", "off"),
+        default="auto",
+        help=(
+            "auto: in logs, which have time stamps, spans in which something pushes are found, "
+            "listed and left out"
+        ),
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write fit.json here; the same command resumes after any interruption",
+    )
     computing_options(parser)
     printing_options(parser)
 
@@ -63,15 +117,22 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.evaluation.predictions import predict
 
     problem, spans = _undisturbed(arguments, _problem(arguments))
-    given = {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
+    given = {
+        name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None
+    }
     estimator = estimator_for(problem, arguments.method, given)
     record = run_record("fit", arguments.method, estimator, problem, arguments.seed)
     if arguments.length == AUTO:
-        estimator, record = ChooseHorizon(estimator), {**record, "lambda": AUTO}
+        estimator = ChooseHorizon(estimator)
+        record = {**record, "lambda": AUTO}
     check_folder(arguments.out, record)
     journal = Journal(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
     fit = _fit(arguments, estimator, problem, journal)
-    fit = replace(fit, details={**fit.details, "disturbances": [span.to_json() for span in spans]}) if spans else fit
+    fit = (
+        replace(fit, details={**fit.details, "disturbances": [span.to_json() for span in spans]})
+        if spans
+        else fit
+    )
     if arguments.out:
         _save(arguments.out, fit, record)
         keep_for_report(arguments, predict(problem, fit))
@@ -79,7 +140,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if fit.status is Status.INTERRUPTED else 0
 
 
-def _fit(arguments: argparse.Namespace, estimator: "Estimator", problem: "Problem", journal: "Journal") -> "Fit":
+def _fit(
+    arguments: argparse.Namespace, estimator: "Estimator", problem: "Problem", journal: "Journal"
+) -> "Fit":
     from dropo.core.services.errors import Refused
 
     folder_is_new = arguments.out is not None and not arguments.out.exists()
@@ -115,8 +178,12 @@ def terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _undisturbed(arguments: argparse.Namespace, problem: "Problem") -> "tuple[Problem, tuple[Span, ...]]":
-    """A log's problem without the spans in which something pushes, of which it warns, and the spans."""
+def _undisturbed(
+    arguments: argparse.Namespace, problem: "Problem"
+) -> "tuple[Problem, tuple[Span, ...]]":
+    """A log's problem without the spans in which something pushes, of which it warns, and the
+    spans.
+    """
     from dropo.data.outliers.without_disturbances import remove_disturbances
 
     searched = arguments.disturbances == AUTO and problem.trajectories.time is not None
@@ -136,9 +203,21 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
     if len(problem.space) == 0:
         raise BadFile(arguments.problem, "parameters", "at least one parameter to fit", "none")
     if arguments.length is not None and problem.reset == "start":
-        raise Incompatible("--lambda has no meaning with `reset: start`, where a segment is a whole trajectory. Leave it out.")
-    problem = problem.using(transitions=arguments.transitions, length=None if arguments.length == AUTO else arguments.length)
-    return replace(problem, warnings=(*problem.warnings, *(finding.sentence for finding in shorter_than_lambda(problem))))
+        raise Incompatible(
+            "--lambda has no meaning with `reset: start`, where a segment is a whole "
+            "trajectory. Leave it out."
+        )
+    problem = problem.using(
+        transitions=arguments.transitions,
+        length=None if arguments.length == AUTO else arguments.length,
+    )
+    return replace(
+        problem,
+        warnings=(
+            *problem.warnings,
+            *(finding.sentence for finding in shorter_than_lambda(problem)),
+        ),
+    )
 
 
 def check_folder(folder: Path | None, record: dict[str, Any]) -> None:
@@ -192,7 +271,9 @@ def _degrees(text: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 2):
-        raise argparse.ArgumentTypeError(f"expected degrees of freedom, a number above 2, got {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"expected degrees of freedom, a number above 2, got {text!r}"
+        )
     return value
 
 

@@ -1,4 +1,6 @@
-"""`dropo list`: the names of methods, optimizers, problems and other plug-ins, each with the first sentence about it."""
+"""`dropo list`: the names of methods, optimizers, problems and other plug-ins, each with the first
+sentence about it.
+"""
 
 import argparse
 import inspect
@@ -7,12 +9,24 @@ from typing import Any
 
 from dropo.cli.output import NOTHING, computing_options, printing_options, show
 
-KINDS = ("methods", "optimizers", "families", "likelihoods", "samplers", "simulators", "problems", "studies", "effects")
+KINDS = (
+    "methods",
+    "optimizers",
+    "families",
+    "likelihoods",
+    "samplers",
+    "simulators",
+    "problems",
+    "studies",
+    "effects",
+)
 
 
 def add(commands: Any) -> None:
     """Adds the command to the parser."""
-    parser = commands.add_parser("list", help="what can be named", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser(
+        "list", help="what can be named", description=__doc__, allow_abbrev=False
+    )
     parser.set_defaults(run=run)
     parser.add_argument("kind", metavar="KIND", help=", ".join(KINDS))
     computing_options(parser, seed=NOTHING, threads=NOTHING)
@@ -31,7 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def sentences(kind: str) -> dict[str, str]:
-    """Every name of a kind, with the first sentence of its docstring; the plug-ins are imported for it."""
+    """Every name of a kind, with the first sentence of its docstring; the plug-ins are imported for
+    it.
+    """
     from dropo.core.services.registry import find, names
 
     return {name: _sentence(kind, name, find) for name in names(kind)}

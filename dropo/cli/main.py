@@ -1,4 +1,7 @@
-"""The command line: `dropo COMMAND ...`. A command imports what it needs when it runs, so that `--help` is quick."""
+"""The command line: `dropo COMMAND ...`.
+
+A command imports what it needs when it runs, so that `--help` is quick.
+"""
 
 import argparse
 import shlex
@@ -11,7 +14,9 @@ from dropo.cli import data, diagnose, evaluate, fit, recover, report, train
 from dropo.cli import list as list_
 from dropo.core.services.errors import BadArgument, DropoError, Refused
 
-DONE, FAILED, REFUSED = 0, 1, 2
+DONE = 0
+FAILED = 1
+REFUSED = 2
 
 
 class _Parser(argparse.ArgumentParser):
@@ -22,7 +27,9 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command and returns its exit status: 0 done, 1 failed, 2 refused with nothing written."""
+    """Runs one command and returns its exit status: 0 done, 1 failed, 2 refused with nothing
+    written.
+    """
     try:
         arguments = _parser().parse_args(argv)
         arguments.command_line = shlex.join(["dropo", *(sys.argv[1:] if argv is None else argv)])

@@ -11,7 +11,8 @@ SOON = 0.02  # of the work: before that, the time left is a guess
 
 
 class Progress:
-    """progress(share, text) draws one line on a terminal: a bar, the time spent and left, and the text, which tells the cost.
+    """progress(share, text) draws one line on a terminal: a bar, the time spent and left, and the
+    text, which tells the cost.
 
     Nothing into a pipe, or where it is `silent`.
     """
@@ -53,13 +54,25 @@ def _bar(stream: TextIO) -> Any:
     from rich.progress import Progress as Bar
     from rich.table import Column
 
-    text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1))
-    columns = (BarColumn(24), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}"), text)
+    text = TextColumn(
+        "{task.description}",
+        markup=False,
+        table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1),
+    )
+    columns = (
+        BarColumn(24),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+        text,
+    )
     return Bar(*columns, console=Console(file=stream), transient=True, value_score_information=True)
 
 
 def show(arguments: argparse.Namespace, result: object, content: Any) -> None:
-    """The result on standard output: as JSON with --json, else as text, with drawn tables on a terminal; nothing with --quiet."""
+    """The result on standard output: as JSON with --json, else as text, with drawn tables on a
+    terminal; nothing with --quiet.
+    """
     if arguments.json:
         print(json.dumps(content, indent=1, allow_nan=False))
     elif not arguments.quiet:
@@ -70,7 +83,9 @@ def show(arguments: argparse.Namespace, result: object, content: Any) -> None:
 
 
 def _draw(result: object) -> None:
-    """The parts of a result on a terminal: tables drawn, warnings in colour, the other text as it is."""
+    """The parts of a result on a terminal: tables drawn, warnings in colour, the other text as it
+    is.
+    """
     from rich.console import Console
 
     from dropo.core.services.tables import Printed, Table
@@ -103,8 +118,12 @@ def printing_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="print neither progress nor the table")
 
 
-def computing_options(parser: argparse.ArgumentParser, *, seed: str = "0 by default", threads: str = "") -> None:
-    """--seed and --threads, which every command has too; the texts say what they do where that is not the usual."""
+def computing_options(
+    parser: argparse.ArgumentParser, *, seed: str = "0 by default", threads: str = ""
+) -> None:
+    """--seed and --threads, which every command has too; the texts say what they do where that is
+    not the usual.
+    """
     usual = "0, the default: all cores; results do not depend on it"
     parser.add_argument("--seed", type=whole(0), default=0, metavar="S", help=seed)
     parser.add_argument("--threads", type=whole(0), default=0, metavar="N", help=threads or usual)
@@ -123,7 +142,9 @@ def whole(least: int) -> Callable[[str], int]:
         except ValueError:
             value = least - 1
         if value < least:
-            raise argparse.ArgumentTypeError(f"expected a whole number of at least {least}, got {text!r}")
+            raise argparse.ArgumentTypeError(
+                f"expected a whole number of at least {least}, got {text!r}"
+            )
         return value
 
     return convert

@@ -1,4 +1,6 @@
-"""What a run is: everything that decides its result, as JSON; the number of threads is not among it."""
+"""What a run is: everything that decides its result, as JSON; the number of threads is not among
+it.
+"""
 
 import argparse
 import hashlib
@@ -21,20 +23,40 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.records.trajectories import Trajectories
 
 
-def run_record(command: str, method: str, estimator: Estimator, problem: Problem, seed: int) -> dict[str, Any]:
+def run_record(
+    command: str, method: str, estimator: Estimator, problem: Problem, seed: int
+) -> dict[str, Any]:
     """The header of a journal and the content of run.json."""
     settings = {field.name: plain(getattr(estimator, field.name)) for field in fields(estimator)}  # type: ignore[arg-type]
-    return {"command": command, "method": method, "settings": settings, "seed": seed, "version": __version__, **problem_record(problem)}
+    return {
+        "command": command,
+        "method": method,
+        "settings": settings,
+        "seed": seed,
+        "version": __version__,
+        **problem_record(problem),
+    }
 
 
 def diagnosis_record(arguments: argparse.Namespace, problem: Problem) -> dict[str, Any]:
     """The content of a diagnosis' run.json."""
-    settings = {name: plain(getattr(arguments, name)) for name in ("effects", "hide", "steps", "disturbances")}
-    return {"command": "diagnose", "settings": settings, "seed": arguments.seed, "version": __version__, **problem_record(problem)}
+    settings = {
+        name: plain(getattr(arguments, name))
+        for name in ("effects", "hide", "steps", "disturbances")
+    }
+    return {
+        "command": "diagnose",
+        "settings": settings,
+        "seed": arguments.seed,
+        "version": __version__,
+        **problem_record(problem),
+    }
 
 
 def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | None) -> None:
-    """What a report says and shows beside the result: predictions.npz, and in made.json the command and the versions behind it."""
+    """What a report says and shows beside the result: predictions.npz, and in made.json the command
+    and the versions behind it.
+    """
     if predictions is not None:
         predictions.save(arguments.out)
     path = Path(arguments.problem)
@@ -63,15 +85,23 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     simulator = problem.simulator
     model = getattr(simulator, "model", None)
     return {
-        "problem": problem.name, "simulator": type(simulator).__name__,
+        "problem": problem.name,
+        "simulator": type(simulator).__name__,
         "parameters": [plain(asdict(parameter)) for parameter in problem.space],
-        "signals": [signal.name for signal in simulator.signals], "steps_per_action": simulator.steps_per_action,
-        "lambda": problem.length, "reset": problem.reset, "set_columns": plain(problem.set_columns), "every_step": problem.every_step,
-        "epsilon": plain(problem.epsilon), "priors": {name: describe(prior) for name, prior in problem.priors.items()},
-        "start_noise": problem.start_noise, "degrees": problem.noise_degrees,
-        "transitions": len(problem.trajectories), "data_sha256": data_sum(problem.trajectories),
+        "signals": [signal.name for signal in simulator.signals],
+        "steps_per_action": simulator.steps_per_action,
+        "lambda": problem.length,
+        "reset": problem.reset,
+        "set_columns": plain(problem.set_columns),
+        "every_step": problem.every_step,
+        "epsilon": plain(problem.epsilon),
+        "priors": {name: describe(prior) for name, prior in problem.priors.items()},
+        "start_noise": problem.start_noise,
+        "degrees": problem.noise_degrees,
+        "transitions": len(problem.trajectories),
+        "data_sha256": data_sum(problem.trajectories),
         "model_sha256": model_sum(model) if isinstance(model, mujoco.MjModel) else None,
-    }  # fmt: skip
+    }
 
 
 def data_sum(trajectories: Trajectories) -> str:

@@ -10,14 +10,38 @@ from dropo.cli.output import Progress, computing_options, printing_options, show
 
 def add(commands: Any) -> None:
     """Adds the command to the parser."""
-    parser = commands.add_parser("recover", help="run a recovery study", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser(
+        "recover", help="run a recovery study", description=__doc__, allow_abbrev=False
+    )
     parser.set_defaults(run=run)
     parser.add_argument("study", metavar="STUDY", help="see `dropo list studies`")
-    parser.add_argument("--seeds", type=whole(1), metavar="N", help="data sets or repetitions; each study has a number of its own")
-    parser.add_argument("--published", action="store_true", help="also the method as published, where a study has it: minutes more")
-    parser.add_argument("--problems", nargs="+", default=(), metavar="NAME", help="these alone, in a study of several problems")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write <study>.md, .json and .svg here; the same command resumes")
-    computing_options(parser, seed="without effect: the data sets of a study have seeds of their own")
+    parser.add_argument(
+        "--seeds",
+        type=whole(1),
+        metavar="N",
+        help="data sets or repetitions; each study has a number of its own",
+    )
+    parser.add_argument(
+        "--published",
+        action="store_true",
+        help="also the method as published, where a study has it: minutes more",
+    )
+    parser.add_argument(
+        "--problems",
+        nargs="+",
+        default=(),
+        metavar="NAME",
+        help="these alone, in a study of several problems",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write <study>.md, .json and .svg here; the same command resumes",
+    )
+    computing_options(
+        parser, seed="without effect: the data sets of a study have seeds of their own"
+    )
     printing_options(parser)
 
 
@@ -30,11 +54,20 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with terminable():
             study = recover(
-                arguments.study, seeds=arguments.seeds, published=arguments.published, problems=arguments.problems, out=arguments.out,
-                threads=arguments.threads, progress=progress,
-            )  # fmt: skip
+                arguments.study,
+                seeds=arguments.seeds,
+                published=arguments.published,
+                problems=arguments.problems,
+                out=arguments.out,
+                threads=arguments.threads,
+                progress=progress,
+            )
     except KeyboardInterrupt:
-        kept = "Interrupted: the same command goes on from here." if arguments.out else "Interrupted: with --out, a study can be resumed."
+        kept = (
+            "Interrupted: the same command goes on from here."
+            if arguments.out
+            else "Interrupted: with --out, a study can be resumed."
+        )
         raise DropoError(kept) from None
     finally:
         progress.close()

@@ -14,11 +14,25 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Adds the command to the parser."""
-    parser = commands.add_parser("report", help="make a page of a fit or a diagnosis", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser(
+        "report",
+        help="make a page of a fit or a diagnosis",
+        description=__doc__,
+        allow_abbrev=False,
+    )
     parser.set_defaults(run=run)
-    parser.add_argument("folder", type=Path, metavar="DIR", help="what `dropo fit --out` or `dropo diagnose --out` wrote")
+    parser.add_argument(
+        "folder",
+        type=Path,
+        metavar="DIR",
+        help="what `dropo fit --out` or `dropo diagnose --out` wrote",
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="DIR/report.html by default")
-    parser.add_argument("--video", action="store_true", help="also measured and simulated motion as an .mp4 beside it; needs the model")
+    parser.add_argument(
+        "--video",
+        action="store_true",
+        help="also measured and simulated motion as an .mp4 beside it; needs the model",
+    )
     computing_options(parser, seed=NOTHING, threads=NOTHING)
     printing_options(parser)
 
@@ -50,12 +64,16 @@ def _simulator(result: "Result") -> "Simulator":
 
     if result.predictions is None or "problem" not in result.made:
         raise Incompatible(
-            f"{result.folder} keeps no motion to show. Run `dropo fit --out` or `dropo diagnose --out`, or leave out --video."
+            f"{result.folder} keeps no motion to show. Run `dropo fit --out` or `dropo "
+            "diagnose --out`, or leave out --video."
         )
     simulator = load(result.made["problem"], checked=False).simulator
     model = getattr(simulator, "model", None)
     if model is None:
         raise Incompatible(f"{type(simulator).__name__} has no bodies to show. Leave out --video.")
     if model_sum(model) != result.record.get("model_sha256"):
-        raise Incompatible(f"The model of {result.made['problem']} is not the one of this run. Put that one back, or leave out --video.")
+        raise Incompatible(
+            f"The model of {result.made['problem']} is not the one of this run. Put that "
+            "one back, or leave out --video."
+        )
     return simulator

@@ -13,25 +13,70 @@ if TYPE_CHECKING:
     from dropo.training.distributions import ParameterDistribution
     from dropo.training.train import Algorithm
 
-ALGORITHMS = {"ars": ("dropo.training.ars:ARS", "updates"), "ppo": ("dropo.training.networks:PPO", "steps"),
-              "sac": ("dropo.training.networks:SAC", "steps")}  # fmt: skip
+ALGORITHMS = {
+    "ars": ("dropo.training.ars:ARS", "updates"),
+    "ppo": ("dropo.training.networks:PPO", "steps"),
+    "sac": ("dropo.training.networks:SAC", "steps"),
+}
 """By name: where it is, and which of its settings is the budget."""
 
 
 def add(commands: Any) -> None:
     """Adds the command to the parser."""
-    parser = commands.add_parser("train", help="train a policy under a fitted distribution", description=__doc__, allow_abbrev=False)
+    parser = commands.add_parser(
+        "train",
+        help="train a policy under a fitted distribution",
+        description=__doc__,
+        allow_abbrev=False,
+    )
     parser.set_defaults(run=run)
     parser.add_argument(
-        "problem", metavar="PROBLEM", help="a problem with a task, by its file or name, or the id of a Gymnasium environment"
+        "problem",
+        metavar="PROBLEM",
+        help="a problem with a task, by its file or name, or the id of a Gymnasium environment",
     )
-    parser.add_argument("--fit", type=Path, metavar="DIR", help="what `dropo fit --out` wrote; left out: the model as it is")
-    parser.add_argument("--algorithm", choices=tuple(ALGORITHMS), default="ars", help="ars (default): linear; ppo, sac: networks, extra rl")
-    parser.add_argument("--budget", type=whole(1), metavar="N", help="updates of ars (200), steps of ppo (1,000,000) and sac (300,000)")
-    parser.add_argument("--steps", type=whole(1), metavar="N", help="control steps of an episode; by default the task's")
-    parser.add_argument("--noise", type=variance, metavar="X", help="variance of the measurement noise; by default what the fit learned")
-    parser.add_argument("--widen", type=whole(1), metavar="N", help="let the spread grow from none over the first N control steps")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write policy.json here; the same command resumes after any interruption")
+    parser.add_argument(
+        "--fit",
+        type=Path,
+        metavar="DIR",
+        help="what `dropo fit --out` wrote; left out: the model as it is",
+    )
+    parser.add_argument(
+        "--algorithm",
+        choices=tuple(ALGORITHMS),
+        default="ars",
+        help="ars (default): linear; ppo, sac: networks, extra rl",
+    )
+    parser.add_argument(
+        "--budget",
+        type=whole(1),
+        metavar="N",
+        help="updates of ars (200), steps of ppo (1,000,000) and sac (300,000)",
+    )
+    parser.add_argument(
+        "--steps",
+        type=whole(1),
+        metavar="N",
+        help="control steps of an episode; by default the task's",
+    )
+    parser.add_argument(
+        "--noise",
+        type=variance,
+        metavar="X",
+        help="variance of the measurement noise; by default what the fit learned",
+    )
+    parser.add_argument(
+        "--widen",
+        type=whole(1),
+        metavar="N",
+        help="let the spread grow from none over the first N control steps",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write policy.json here; the same command resumes after any interruption",
+    )
     computing_options(parser)
     printing_options(parser)
 
@@ -43,17 +88,35 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.training.evaluate import Compared, broken, evaluate
     from dropo.training.train import train
 
-    target, algorithm = resolve(arguments.problem), _algorithm(arguments)
+    target = resolve(arguments.problem)
+    algorithm = _algorithm(arguments)
     distribution = _distribution(arguments, target)
     record = _record(arguments, target, algorithm)
     check_folder(arguments.out, record)
-    options: dict[str, Any] = {"noise": arguments.noise, "steps": arguments.steps, "threads": arguments.threads}
-    progress, new = Progress(silent=arguments.quiet), _keep(arguments.out, record)
+    options: dict[str, Any] = {
+        "noise": arguments.noise,
+        "steps": arguments.steps,
+        "threads": arguments.threads,
+    }
+    progress = Progress(silent=arguments.quiet)
+    new = _keep(arguments.out, record)
     try:
         with terminable():
-            policy = train(target, distribution, algorithm, rng=arguments.seed, out=arguments.out, progress=progress, **options)
+            policy = train(
+                target,
+                distribution,
+                algorithm,
+                rng=arguments.seed,
+                out=arguments.out,
+                progress=progress,
+                **options,
+            )
     except KeyboardInterrupt:
-        kept = "the same command goes on from here" if arguments.out else "with --out, training can be resumed"
+        kept = (
+            "the same command goes on from here"
+            if arguments.out
+            else "with --out, training can be resumed"
+        )
         raise DropoError(f"Interrupted: {kept}.") from None
     except Refused:
         for made in new:
@@ -62,11 +125,25 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         progress.close()
     path = None if arguments.out is None else policy.save(arguments.out)
-    found = {"under the fit": evaluate(policy, target, distribution=distribution, rng=arguments.seed, **options)} if distribution is not None else {}
+    found = (
+        {
+            "under the fit": evaluate(
+                policy, target, distribution=distribution, rng=arguments.seed, **options
+            )
+        }
+        if distribution is not None
+        else {}
+    )
     found["as it is"] = evaluate(policy, target, rng=arguments.seed, **(options | {"noise": 0.0}))
-    content = {"policy": path and str(path), "about": policy.about, "returns": {name: value.to_json() for name, value in found.items()}}
+    content = {
+        "policy": path and str(path),
+        "about": policy.about,
+        "returns": {name: value.to_json() for name, value in found.items()},
+    }
     failures = policy.about["failed_simulations"]
-    show(arguments, Compared(found, (f"training: {broken(failures)}",) if failures else ()), content)
+    show(
+        arguments, Compared(found, (f"training: {broken(failures)}",) if failures else ()), content
+    )
     return 0
 
 
@@ -77,8 +154,13 @@ def _algorithm(arguments: argparse.Namespace) -> "Algorithm":
 
     if arguments.algorithm != "ars":
         need("torch", "stable_baselines3", extra="rl", caller=f"--algorithm {arguments.algorithm}")
-    (module, name), budget = ALGORITHMS[arguments.algorithm][0].split(":"), ALGORITHMS[arguments.algorithm][1]
-    made: Algorithm = getattr(import_module(module), name)(**({} if arguments.budget is None else {budget: arguments.budget}))
+    (module, name), budget = (
+        ALGORITHMS[arguments.algorithm][0].split(":"),
+        ALGORITHMS[arguments.algorithm][1],
+    )
+    made: Algorithm = getattr(import_module(module), name)(
+        **({} if arguments.budget is None else {budget: arguments.budget})
+    )
     return made
 
 
@@ -109,7 +191,8 @@ def _refuse_other_model(folder: Path, target: Any) -> None:
     before = json.loads((folder / "run.json").read_text())
     if before.get("model_sha256") not in (None, model_sum(model)):
         raise Incompatible(
-            f"The fit in {folder} is of another model, that of {before.get('problem')!r}: not that of {target.name!r}."
+            f"The fit in {folder} is of another model, that of {before.get('problem')!r}: "
+            f"not that of {target.name!r}."
             " Train on the problem that was fitted, or fit this one."
         )
 
@@ -121,16 +204,33 @@ def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") 
     from dropo.core.contracts.problem import Problem
     from dropo.training.train import settings
 
-    fit = None if arguments.fit is None else hashlib.sha256((arguments.fit / "fit.json").read_bytes()).hexdigest()
+    fit = (
+        None
+        if arguments.fit is None
+        else hashlib.sha256((arguments.fit / "fit.json").read_bytes()).hexdigest()
+    )
     return {
-        "command": "train", "algorithm": algorithm.name, "settings": settings(algorithm), "fit_sha256": fit, "noise": arguments.noise,
-        "widen": arguments.widen, "episode": arguments.steps, "seed": arguments.seed, "version": __version__,
-        **(problem_record(target) if isinstance(target, Problem) else {"problem": arguments.problem}),
-    }  # fmt: skip
+        "command": "train",
+        "algorithm": algorithm.name,
+        "settings": settings(algorithm),
+        "fit_sha256": fit,
+        "noise": arguments.noise,
+        "widen": arguments.widen,
+        "episode": arguments.steps,
+        "seed": arguments.seed,
+        "version": __version__,
+        **(
+            problem_record(target)
+            if isinstance(target, Problem)
+            else {"problem": arguments.problem}
+        ),
+    }
 
 
 def _keep(folder: Path | None, record: dict[str, Any]) -> list[Path]:
-    """Writes run.json, without which an interrupted training could be gone on with by another; what is new, the folder last."""
+    """Writes run.json, without which an interrupted training could be gone on with by another; what
+    is new, the folder last.
+    """
     from dropo.cli.record import write_json
 
     if folder is None:

@@ -26,19 +26,30 @@ class Description(Printed):
     def to_json(self) -> dict[str, Any]:
         """The same numbers for JSON."""
         return {
-            "transitions": self.transitions, "trajectories": len(self.lengths), "lengths": list(self.lengths), "groups": self.groups,
-            "duration_s": self.duration, "signals": self.signals,
-        }  # fmt: skip
+            "transitions": self.transitions,
+            "trajectories": len(self.lengths),
+            "lengths": list(self.lengths),
+            "groups": self.groups,
+            "duration_s": self.duration,
+            "signals": self.signals,
+        }
 
     def parts(self) -> list[str | Table]:
         """Counts, and a table of the signals."""
-        shortest, longest = min(self.lengths), max(self.lengths)
+        shortest = min(self.lengths)
+        longest = max(self.lengths)
         lengths = f"{shortest}" if shortest == longest else f"{shortest} to {longest}"
-        first = f"{_count(self.transitions, 'transition')} in {_count(len(self.lengths), 'trajectory', 'trajectories')} of {lengths}"
+        first = (
+            f"{_count(self.transitions, 'transition')} in "
+            f"{_count(len(self.lengths), 'trajectory', 'trajectories')} of {lengths}"
+        )
         extra = [] if self.groups is None else [_count(self.groups, "group")]
         extra += [] if self.duration is None else [f"{self.duration:.6g} s"]
         shown = ("min", "mean", "max", "sd")
-        rows = tuple((name, row["unit"], *(number(row[key]) for key in shown)) for name, row in self.signals.items())
+        rows = tuple(
+            (name, row["unit"], *(number(row[key]) for key in shown))
+            for name, row in self.signals.items()
+        )
         return [", ".join([first, *extra]), Table("", ("signal", "unit", *shown), rows)]
 
 
@@ -46,39 +57,78 @@ def _count(number: int, one: str, many: str = "") -> str:
     return f"{number} {one if number == 1 else many or one + 's'}"
 
 
-def describe(trajectories: Trajectories, signals: Sequence[Signal] | None = None, controls: Sequence[Signal] | None = None) -> Description:
-    """Counts, lengths, and of every observation and action column the least, mean and largest value and the deviation.
+def describe(
+    trajectories: Trajectories,
+    signals: Sequence[Signal] | None = None,
+    controls: Sequence[Signal] | None = None,
+) -> Description:
+    """Counts, lengths, and of every observation and action column the least, mean and largest value
+    and the deviation.
 
-    signals, controls: the columns' names and units (see `columns` and `controls`); by default "observation[0]" and so on.
+    signals, controls: the columns' names and units (see `columns` and `controls`); by default
+    "observation[0]" and so on.
     """
-    p, q = trajectories.observations.shape[1], trajectories.actions.shape[1]
+    p = trajectories.observations.shape[1]
+    q = trajectories.actions.shape[1]
     named = [*(signals or _numbered("observation", p)), *(controls or _numbered("action", q))]
-    require(len(named) == p + q, "signals, controls", f"{p} and {q} columns", f"{len(named)} in all", "describe")
+    require(
+        len(named) == p + q,
+        "signals, controls",
+        f"{p} and {q} columns",
+        f"{len(named)} in all",
+        "describe",
+    )
     values = np.hstack([trajectories.observations, trajectories.actions])
-    table = {signal.name: _statistics(column) | {"unit": signal.unit} for signal, column in zip(named, values.T, strict=True)}
+    table = {
+        signal.name: _statistics(column) | {"unit": signal.unit}
+        for signal, column in zip(named, values.T, strict=True)
+    }
     groups = None if trajectories.group is None else int(trajectories.group.max()) + 1
-    return Description(len(trajectories), tuple(stop - start for start, stop in trajectories.spans), groups, _duration(trajectories), table)
+    return Description(
+        len(trajectories),
+        tuple(stop - start for start, stop in trajectories.spans),
+        groups,
+        _duration(trajectories),
+        table,
+    )
 
 
 def _statistics(column: Array) -> dict[str, Any]:
-    return {"min": float(column.min()), "mean": float(column.mean()), "max": float(column.max()), "sd": float(column.std())}
+    return {
+        "min": float(column.min()),
+        "mean": float(column.mean()),
+        "max": float(column.max()),
+        "sd": float(column.std()),
+    }
 
 
 def _duration(trajectories: Trajectories) -> float | None:
     """Seconds from each trajectory's first row to its last, in all."""
     if trajectories.time is None:
         return None
-    return float(sum(trajectories.time[stop - 1] - trajectories.time[start] for start, stop in trajectories.spans))
+    return float(
+        sum(
+            trajectories.time[stop - 1] - trajectories.time[start]
+            for start, stop in trajectories.spans
+        )
+    )
 
 
 def columns(source: Problem | Simulator | None, count: int) -> list[Signal]:
-    """Names and units of the data's observation columns: the model's, else the simulator's signals, else numbered."""
+    """Names and units of the data's observation columns: the model's, else the simulator's signals,
+    else numbered.
+    """
     simulator = simulator_of(source)
     layout = getattr(simulator, "layout", None)
     if layout is not None and len(layout) == count:
-        units = [layout.model_units.get((column.field, column.place), "") for column in layout.columns]
+        units = [
+            layout.model_units.get((column.field, column.place), "") for column in layout.columns
+        ]
         inside = {i for quaternion in layout.quaternions for i in quaternion}
-        return [Signal(name, "" if i in inside else unit) for i, (name, unit) in enumerate(zip(layout.names, units, strict=True))]
+        return [
+            Signal(name, "" if i in inside else unit)
+            for i, (name, unit) in enumerate(zip(layout.names, units, strict=True))
+        ]
     if simulator is not None and len(simulator.signals) == count:
         return list(simulator.signals)
     return _numbered("observation", count)
@@ -87,10 +137,14 @@ def columns(source: Problem | Simulator | None, count: int) -> list[Signal]:
 def controls(source: Problem | Simulator | None, count: int) -> list[Signal]:
     """Names of the data's action columns: the model's actuators ("ctrl.motor"), else numbered."""
     simulator = simulator_of(source)
-    model, places = getattr(simulator, "model", None), getattr(simulator, "controls", None)
+    model = getattr(simulator, "model", None)
+    places = getattr(simulator, "controls", None)
     if model is None or places is None or len(places) != count:
         return _numbered("action", count)
-    return [Signal(f"ctrl.{name}" if (name := model.actuator(int(i)).name) else f"ctrl[{i}]") for i in places]
+    return [
+        Signal(f"ctrl.{name}" if (name := model.actuator(int(i)).name) else f"ctrl[{i}]")
+        for i in places
+    ]
 
 
 def _numbered(word: str, count: int) -> list[Signal]:

@@ -28,13 +28,15 @@ Source = str | Path
 
 
 def read(source: Source | Sequence[Source], *, input: str | None = None) -> Trajectories:
-    """The trajectories of a source: an .npz file, a folder of .npy files of the same names, a Minari data set, or a list of such.
+    """The trajectories of a source: an .npz file, a folder of .npy files of the same names, a
+    Minari data set, or a list of such.
 
-    Arrays: `observations` (N, p), `actions` (N, q), `terminals` (N,) with True on each trajectory's last row; optional
-    `next_observations` (N, p), `group` (N,), `time` (N,) [s]; others are ignored, but `input` says whose `actions.NAME` (N, q)
-    are the actions, where several commands were logged. Without `next_observations` the rows of
-    a trajectory follow each other, and its last row, which has no next one, is dropped. A Minari data set is a folder
-    in Minari's layout, or "minari:" and its name. Group numbers count within one file: files never share a group.
+    Arrays: `observations` (N, p), `actions` (N, q), `terminals` (N,) with True on each trajectory's
+    last row; optional `next_observations` (N, p), `group` (N,), `time` (N,) [s]; others are
+    ignored, but `input` says whose `actions.NAME` (N, q) are the actions, where several commands
+    were logged. Without `next_observations` the rows of a trajectory follow each other, and its
+    last row, which has no next one, is dropped. A Minari data set is a folder in Minari's layout,
+    or "minari:" and its name. Group numbers count within one file: files never share a group.
     """
     if isinstance(source, str | Path):
         return _trajectories([_checked(source, input)])
@@ -45,7 +47,9 @@ def read(source: Source | Sequence[Source], *, input: str | None = None) -> Traj
 
 def inputs_of(source: Source) -> tuple[str, ...]:
     """The names of the commands that stand beside each other in a source, as `actions.NAME`."""
-    return tuple(name.removeprefix(INPUT) for name in _load(source, KEYS)[1] if name.startswith(INPUT))
+    return tuple(
+        name.removeprefix(INPUT) for name in _load(source, KEYS)[1] if name.startswith(INPUT)
+    )
 
 
 def _trajectories(parts: list[tuple[Source, Arrays]]) -> Trajectories:
@@ -54,13 +58,25 @@ def _trajectories(parts: list[tuple[Source, Arrays]]) -> Trajectories:
     for source, arrays in parts[1:]:
         for key in ("observations", "actions"):
             if arrays[key].shape[1] != first[key].shape[1]:
-                raise BadFile(source, key, f"{first[key].shape[1]} columns, as in {first_source}", f"{arrays[key].shape[1]}")
+                raise BadFile(
+                    source,
+                    key,
+                    f"{first[key].shape[1]} columns, as in {first_source}",
+                    f"{arrays[key].shape[1]}",
+                )
         for key in ("group", "time"):
             if (key in arrays) != (key in first):
                 given, missing = (source, first_source) if key in arrays else (first_source, source)
-                raise BadFile(missing, key, "the array in every file or in none", f"none here and one in {given}")
+                raise BadFile(
+                    missing,
+                    key,
+                    "the array in every file or in none",
+                    f"none here and one in {given}",
+                )
     _separate_groups([arrays for _, arrays in parts])
-    return Trajectories(**{key: np.concatenate([arrays[key] for _, arrays in parts]) for key in first})
+    return Trajectories(
+        **{key: np.concatenate([arrays[key] for _, arrays in parts]) for key in first}
+    )
 
 
 def _separate_groups(parts: list[Arrays]) -> None:
@@ -77,7 +93,12 @@ def _checked(source: Source, input: str | None) -> tuple[Source, Arrays]:
     chosen = "actions" if input is None else INPUT + input
     raw, others = _load(source, (*KEYS, chosen))
     if chosen not in raw and input is not None:
-        raise BadFile(source, chosen, "an array of that name", _present({name for name in others if name.startswith(INPUT)}))
+        raise BadFile(
+            source,
+            chosen,
+            "an array of that name",
+            _present({name for name in others if name.startswith(INPUT)}),
+        )
     raw = {**raw, **({"actions": raw[chosen]} if chosen in raw else {})}
     for key in NEEDED:
         if key not in raw:
@@ -89,7 +110,12 @@ def _checked(source: Source, input: str | None) -> tuple[Source, Arrays]:
     q = arrays["actions"].shape[1] if arrays["actions"].ndim == 2 else "q"
     for key, shape in {"actions": (n, q), "next_observations": (n, p), "time": (n,)}.items():
         if key in arrays and arrays[key].shape != shape:
-            raise BadFile(source, key, f"the shape {_shape(shape)}, since observations is {_shape((n, p))}", _shape(arrays[key].shape))
+            raise BadFile(
+                source,
+                key,
+                f"the shape {_shape(shape)}, since observations is {_shape((n, p))}",
+                _shape(arrays[key].shape),
+            )
     arrays["terminals"] = _terminals(source, raw["terminals"], n)
     if "group" in raw:
         arrays["group"] = _group(source, raw["group"], n)
@@ -97,14 +123,25 @@ def _checked(source: Source, input: str | None) -> tuple[Source, Arrays]:
 
 
 def _paired(source: Source, arrays: Arrays) -> Arrays:
-    """Transitions between rows that follow each other; each trajectory's last row has no next one and is dropped."""
+    """Transitions between rows that follow each other; each trajectory's last row has no next one
+    and is dropped.
+    """
     last = arrays["terminals"]
     keep = ~last
     if not keep.any():
-        raise BadFile(source, "next_observations", "the array, or trajectories of at least two rows", "neither")
+        raise BadFile(
+            source,
+            "next_observations",
+            "the array, or trajectories of at least two rows",
+            "neither",
+        )
     out = {key: array[keep] for key, array in arrays.items() if key != "terminals"}
     following = np.flatnonzero(keep) + 1
-    return {**out, "next_observations": arrays["observations"][following], "terminals": last[following]}
+    return {
+        **out,
+        "next_observations": arrays["observations"][following],
+        "terminals": last[following],
+    }
 
 
 def _numbers(source: Source, key: str, array: NDArray[Any]) -> Array:
@@ -119,15 +156,27 @@ def _numbers(source: Source, key: str, array: NDArray[Any]) -> Array:
 
 def _matrix(source: Source, key: str, array: Array) -> tuple[int, int]:
     if array.ndim != 2 or array.shape[1] == 0:
-        raise BadFile(source, key, "the shape (N, p), a row for each transition", _shape(array.shape))
+        raise BadFile(
+            source, key, "the shape (N, p), a row for each transition", _shape(array.shape)
+        )
     return array.shape[0], array.shape[1]
 
 
 def _terminals(source: Source, array: NDArray[Any], n: int) -> NDArray[np.bool_]:
     if array.shape != (n,):
-        raise BadFile(source, "terminals", f"the shape ({n},), since observations has {n} rows", _shape(array.shape))
+        raise BadFile(
+            source,
+            "terminals",
+            f"the shape ({n},), since observations has {n} rows",
+            _shape(array.shape),
+        )
     if not np.isin(array, (0, 1)).all():
-        raise BadFile(source, "terminals", "True and False alone", f"an array of {array.dtype} with other values")
+        raise BadFile(
+            source,
+            "terminals",
+            "True and False alone",
+            f"an array of {array.dtype} with other values",
+        )
     flags = array.astype(bool)
     if not flags.any():
         raise BadFile(source, "terminals", END, "no True at all")
@@ -140,7 +189,12 @@ def _group(source: Source, array: NDArray[Any], n: int) -> NDArray[Any]:
     if array.dtype.kind not in "iu":
         raise BadFile(source, "group", "whole numbers", f"an array of {array.dtype}")
     if array.shape != (n,):
-        raise BadFile(source, "group", f"the shape ({n},), since observations has {n} rows", _shape(array.shape))
+        raise BadFile(
+            source,
+            "group",
+            f"the shape ({n},), since observations has {n} rows",
+            _shape(array.shape),
+        )
     return array
 
 
@@ -150,7 +204,11 @@ def _shape(shape: Sequence[object]) -> str:
 
 def _present(names: Set[str]) -> str:
     shown = sorted(names)[:12]
-    return f"only {', '.join(shown)}{', ...' if len(names) > len(shown) else ''}" if names else "no arrays at all"
+    return (
+        f"only {', '.join(shown)}{', ...' if len(names) > len(shown) else ''}"
+        if names
+        else "no arrays at all"
+    )
 
 
 def _load(source: Source, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
@@ -161,9 +219,16 @@ def _load(source: Source, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
     if path.is_dir():
         return _folder(path, keys)
     if not path.exists():
-        raise BadFile(source, "", "an .npz file, a folder of .npy files or a Minari data set", "no such file")
+        raise BadFile(
+            source, "", "an .npz file, a folder of .npy files or a Minari data set", "no such file"
+        )
     if path.suffix != ".npz":
-        raise BadFile(source, "", "an .npz file (`dropo data import` makes one from tables and logs)", f"a file {path.suffix!r}")
+        raise BadFile(
+            source,
+            "",
+            "an .npz file (`dropo data import` makes one from tables and logs)",
+            f"a file {path.suffix!r}",
+        )
     return _archive(path, keys)
 
 
@@ -175,7 +240,11 @@ def _archive(path: Path, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
         with zipfile.ZipFile(path) as archive:
             names = [name.removesuffix(".npy") for name in archive.namelist()]
         with np.load(path, allow_pickle=False) as content:
-            return {name: _member(path, name, partial(content.__getitem__, name)) for name in names if name in keys}, _others(names)
+            return {
+                name: _member(path, name, partial(content.__getitem__, name))
+                for name in names
+                if name in keys
+            }, _others(names)
     except (zipfile.BadZipFile, OSError, EOFError) as error:
         raise BadFile(path, "", expected, f"a file that cannot be read as one ({error})") from None
 
@@ -188,24 +257,45 @@ def _member(source: Source, key: str, load: Callable[[], object]) -> NDArray[Any
     try:
         return np.asarray(load())
     except ValueError as error:
-        got = "an array of Python objects" if "pickle" in str(error) else str(error).strip().removesuffix(".")
+        got = (
+            "an array of Python objects"
+            if "pickle" in str(error)
+            else str(error).strip().removesuffix(".")
+        )
         raise BadFile(source, key, "an array of numbers", got) from None
 
 
 def _folder(folder: Path, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
-    if any((folder / name).exists() for name in ("data/metadata.json", "data/main_data.hdf5", "metadata.json", "main_data.hdf5")):
+    if any(
+        (folder / name).exists()
+        for name in ("data/metadata.json", "data/main_data.hdf5", "metadata.json", "main_data.hdf5")
+    ):
         return _minari(folder, folder), []
     files = {path.stem: path for path in sorted(folder.glob("*.npy"))}
     if not files:
-        raise BadFile(folder, "", f"a folder with {', '.join(f'{key}.npy' for key in NEEDED)}, or a Minari data set", "neither")
-    return {key: _member(path, "", partial(_array_file, path)) for key, path in files.items() if key in keys}, _others(files)
+        raise BadFile(
+            folder,
+            "",
+            f"a folder with {', '.join(f'{key}.npy' for key in NEEDED)}, or a Minari data set",
+            "neither",
+        )
+    return {
+        key: _member(path, "", partial(_array_file, path))
+        for key, path in files.items()
+        if key in keys
+    }, _others(files)
 
 
 def _array_file(path: Path) -> NDArray[Any]:
     try:
         return np.asarray(np.load(path, allow_pickle=False))
     except (OSError, EOFError) as error:
-        raise BadFile(path, "", "an .npy file, as numpy.save writes it", f"a file that cannot be read as one ({error})") from None
+        raise BadFile(
+            path,
+            "",
+            "an .npy file, as numpy.save writes it",
+            f"a file that cannot be read as one ({error})",
+        ) from None
 
 
 def _minari(source: Source, where: str | Path) -> Arrays:
@@ -221,8 +311,14 @@ def _minari(source: Source, where: str | Path) -> Arrays:
             content = minari.load_dataset(where)
         episodes = list(content.iterate_episodes())
     except (OSError, ValueError, ImportError) as error:
-        got = "none of that name" if isinstance(error, FileNotFoundError) else str(error).strip().removesuffix(".")
-        raise BadFile(source, "", "a Minari data set of this machine (`minari download` fetches one)", got) from None
+        got = (
+            "none of that name"
+            if isinstance(error, FileNotFoundError)
+            else str(error).strip().removesuffix(".")
+        )
+        raise BadFile(
+            source, "", "a Minari data set of this machine (`minari download` fetches one)", got
+        ) from None
     return _episodes(source, episodes)
 
 
@@ -237,11 +333,18 @@ def _episodes(source: Source, episodes: list[Any]) -> Arrays:
         raise BadFile(source, "", "at least one episode with a step", "none")
     for key in ("observations", "actions"):
         if not isinstance(getattr(episodes[0], key), np.ndarray):
-            raise BadFile(source, key, "one array for each episode", f"a {type(getattr(episodes[0], key)).__name__} of arrays")
+            raise BadFile(
+                source,
+                key,
+                "one array for each episode",
+                f"a {type(getattr(episodes[0], key)).__name__} of arrays",
+            )
     observations = [_rows(episode.observations) for episode in episodes]
     return {
         "observations": np.concatenate([rows[:-1] for rows in observations]),
         "actions": np.concatenate([_rows(episode.actions) for episode in episodes]),
         "next_observations": np.concatenate([rows[1:] for rows in observations]),
-        "terminals": np.concatenate([np.arange(len(episode.actions)) == len(episode.actions) - 1 for episode in episodes]),
+        "terminals": np.concatenate(
+            [np.arange(len(episode.actions)) == len(episode.actions) - 1 for episode in episodes]
+        ),
     }

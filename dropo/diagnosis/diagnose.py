@@ -36,11 +36,14 @@ LEAST = 1e-5  # of a signal's spread: the least noise
 
 @dataclass(frozen=True)
 class Diagnose:
-    """Settings of a diagnosis. effects: names of effects, or "effect:place"; None for all. length: control steps in a window; windows:
-    about how many to fit, and how many to hold out; parameters: the declared ones that are fitted at the same time, the others stay as the
-    model has them. Where None is given, the problem's settings decide, else its horizon (`choose_length`), 96, and all are fitted.
-    disturbances: once the causes are known, spans of time in which something else acts are looked for; they are listed, left out, and
-    what is left is diagnosed anew."""
+    """Settings of a diagnosis. effects: names of effects, or "effect:place"; None for all. length:
+    control steps in a window; windows: about how many to fit, and how many to hold out;
+    parameters: the declared ones that are fitted at the same time, the others stay as the model
+    has them. Where None is given, the problem's settings decide, else its horizon
+    (`choose_length`), 96, and all are fitted. disturbances: once the causes are known, spans of
+    time in which something else acts are looked for; they are listed, left out, and what is left
+    is diagnosed anew.
+    """
 
     effects: Sequence[str] | None = None
     _: KW_ONLY
@@ -49,33 +52,66 @@ class Diagnose:
     parameters: Sequence[str] | None = None
     disturbances: bool = True
 
-    def run(self, problem: Problem, *, rng: np.random.Generator | int | None = 0, progress: Progress = silent) -> Diagnosis:
+    def run(
+        self,
+        problem: Problem,
+        *,
+        rng: np.random.Generator | int | None = 0,
+        progress: Progress = silent,
+    ) -> Diagnosis:
         """What the problem's simulator gets wrong, judged on data that nothing was fitted to.
 
-        progress: called with the share that is done (0 to 1) and a text. Incompatible where the simulator is no MuJoCo model,
-        UnknownName for an effect or a place that does not exist, BadArgument where the data are too few.
+        progress: called with the share that is done (0 to 1) and a text. Incompatible where the
+        simulator is no MuJoCo model, UnknownName for an effect or a place that does not exist,
+        BadArgument where the data are too few.
         """
-        require(isinstance(problem, Problem), "problem", "a Problem, which dropo.load makes of a name or a file", problem, "diagnose")
-        require(self.length is None or self.length >= 1, "length", "at least 1", self.length, "Diagnose")
-        begun, seed = time.perf_counter(), int(rng) if isinstance(rng, int | np.integer) else None
-        with threadpool_limits(1, user_api="blas"):  # the simulator's threads use the cores; small products gain nothing
+        require(
+            isinstance(problem, Problem),
+            "problem",
+            "a Problem, which dropo.load makes of a name or a file",
+            problem,
+            "diagnose",
+        )
+        require(
+            self.length is None or self.length >= 1, "length", "at least 1", self.length, "Diagnose"
+        )
+        begun = time.perf_counter()
+        seed = int(rng) if isinstance(rng, int | np.integer) else None
+        with threadpool_limits(
+            1, user_api="blas"
+        ):  # the simulator's threads use the cores; small products gain nothing
             found = self._judged(problem, np.random.default_rng(rng), progress)
         return replace(found, wall_time_s=time.perf_counter() - begun, seed=seed)
 
     def _most(self, problem: Problem) -> int:
         """About how many windows each side has."""
-        return cast(int, problem.settings.get("windows", WINDOWS)) if self.windows is None else self.windows
+        return (
+            cast(int, problem.settings.get("windows", WINDOWS))
+            if self.windows is None
+            else self.windows
+        )
 
     def _judged(
-        self, problem: Problem, generator: np.random.Generator, progress: Progress, quiet: WithoutDisturbances | None = None, spent: int = 0
+        self,
+        problem: Problem,
+        generator: np.random.Generator,
+        progress: Progress,
+        quiet: WithoutDisturbances | None = None,
+        spent: int = 0,
     ) -> Diagnosis:
-        """The diagnosis of a problem, or of what is left of it without disturbances, for which so many simulator steps were spent."""
-        whole, problem = problem, problem if quiet is None else quiet.problem
+        """The diagnosis of a problem, or of what is left of it without disturbances, for which so
+        many simulator steps were spent.
+        """
+        whole = problem
+        problem = problem if quiet is None else quiet.problem
         free = _free(problem, self.parameters)
-        instances, simulator = instances_for(problem, self.effects, free), cast(Any, problem.simulator)
+        instances = instances_for(problem, self.effects, free)
+        simulator = cast(Any, problem.simulator)
         length = choose_length(problem, self._most(problem)) if self.length is None else self.length
         hidden = impulses(simulator.model, length)
-        library = Library(simulator.with_effects([*instances, *hidden]), [*instances, *hidden], len(problem.space))
+        library = Library(
+            simulator.with_effects([*instances, *hidden]), [*instances, *hidden], len(problem.space)
+        )
         progress = with_cost(progress, library.simulator)
         train, test = split(problem, length, self._most(problem))
         _refuse_constant(problem, train)
@@ -84,8 +120,11 @@ class Diagnose:
         first, last, reviews = _search(problem, library, selection, train, test, free)
         progress(0.9, "what remains")
         rest = remaining(problem, library, last, selection.floor, generator)
-        fixed = [(instance, last.theta[library.places[instance.label]]) for instance in last.accepted]
-        extended, declared = replace(problem, simulator=simulator.with_effects((), fixed)), last.theta[: len(problem.space)]
+        fixed = [
+            (instance, last.theta[library.places[instance.label]]) for instance in last.accepted
+        ]
+        extended = replace(problem, simulator=simulator.with_effects((), fixed))
+        declared = last.theta[: len(problem.space)]
         if quiet is None and self.disturbances:
             quiet = without_disturbances(problem, extended.simulator, declared)
             if quiet is not None and _enough(quiet.problem, length, self._most(problem)):
@@ -96,30 +135,74 @@ class Diagnose:
         chance = generator.spawn(1)[0]
         nominal, before, after = horizons(problem, library, thetas, last, chance)
         progress(0.95, "what the pictures show")
-        shown, moved = pictures(library, selection, first, last, reviews, rest.force, len(instances)), motion(problem, library, first, last)
+        shown = pictures(library, selection, first, last, reviews, rest.force, len(instances))
+        moved = motion(problem, library, first, last)
         return Diagnosis(
-            problem.name, _verdict(bool(found), rest.wrong or any(cause.acts_like for cause in found)), found,
-            suspects(selection, last, len(instances)), per_step(first), per_step(last), before, after, rest.to_json(), extended,
-            dict(zip([s.name for s in simulator.signals], last.train.whiten.sigma.tolist(), strict=True)),
-            simulator_steps=spent + library.simulator.steps, warnings=problem.warnings, details={"window_steps": length},
-            nominal=nominal if len(free) else (), undetermined=undetermined(library, last),
-            pictures=shown, motion=moved, parameters=dict(zip(problem.space.names, declared.tolist(), strict=True)),
-            disturbances=None if quiet is None else left_out(quiet, horizons(whole, library, thetas, last, chance, [length])),
-            outlier_runs=outlier_runs(problem, extended, declared) if self.disturbances and rest.wrong else (),
-        )  # fmt: skip
+            problem.name,
+            _verdict(bool(found), rest.wrong or any(cause.acts_like for cause in found)),
+            found,
+            suspects(selection, last, len(instances)),
+            per_step(first),
+            per_step(last),
+            before,
+            after,
+            rest.to_json(),
+            extended,
+            dict(
+                zip(
+                    [s.name for s in simulator.signals],
+                    last.train.whiten.sigma.tolist(),
+                    strict=True,
+                )
+            ),
+            simulator_steps=spent + library.simulator.steps,
+            warnings=problem.warnings,
+            details={"window_steps": length},
+            nominal=nominal if len(free) else (),
+            undetermined=undetermined(library, last),
+            pictures=shown,
+            motion=moved,
+            parameters=dict(zip(problem.space.names, declared.tolist(), strict=True)),
+            disturbances=None
+            if quiet is None
+            else left_out(quiet, horizons(whole, library, thetas, last, chance, [length])),
+            outlier_runs=outlier_runs(problem, extended, declared)
+            if self.disturbances and rest.wrong
+            else (),
+        )
 
     def baseline(self, problem: Problem) -> float:
-        """[nats per transition] of the windows held out under the model as it is, its declared parameters fitted; `run` starts there."""
+        """[nats per transition] of the windows held out under the model as it is, its declared
+        parameters fitted; `run` starts there.
+        """
         library = Library(problem.simulator, (), len(problem.space))
         most = self._most(problem)
-        train, test = split(problem, choose_length(problem, most) if self.length is None else self.length, most)
-        return per_step(_first(problem, library, Selection(library, _floor(library, train)), train, test, _free(problem, self.parameters)))
+        train, test = split(
+            problem, choose_length(problem, most) if self.length is None else self.length, most
+        )
+        return per_step(
+            _first(
+                problem,
+                library,
+                Selection(library, _floor(library, train)),
+                train,
+                test,
+                _free(problem, self.parameters),
+            )
+        )
 
 
-def diagnose(problem: Problem, effects: Sequence[str] | None = None, *, rng: np.random.Generator | int | None = 0) -> Diagnosis:
-    """Shows what the simulation gets wrong, names the cause, extends the model and measures the gain.
+def diagnose(
+    problem: Problem,
+    effects: Sequence[str] | None = None,
+    *,
+    rng: np.random.Generator | int | None = 0,
+) -> Diagnosis:
+    """Shows what the simulation gets wrong, names the cause, extends the model and measures the
+    gain.
 
-    effects: names of effects to look for, or "effect:place"; None for all of `dropo list effects`. Errors as of `Diagnose.run`.
+    effects: names of effects to look for, or "effect:place"; None for all of `dropo list effects`.
+    Errors as of `Diagnose.run`.
     """
     return Diagnose(effects).run(problem, rng=rng)
 
@@ -131,17 +214,32 @@ def per_step(state: State) -> float:
 
 def _free(problem: Problem, parameters: Sequence[str] | None) -> Ints:
     """The places of the declared parameters that are fitted."""
-    wanted = problem.settings.get("parameters", problem.space.names) if parameters is None else parameters
-    chosen = [known("parameter", str(name), problem.space.names) for name in cast(Sequence[str], wanted)]
+    wanted = (
+        problem.settings.get("parameters", problem.space.names)
+        if parameters is None
+        else parameters
+    )
+    chosen = [
+        known("parameter", str(name), problem.space.names) for name in cast(Sequence[str], wanted)
+    ]
     return np.array([problem.space.names.index(name) for name in chosen], dtype=np.int64)
 
 
 def _search(
-    problem: Problem, library: Library, selection: Selection, train: Windows, test: Windows, free: Ints
+    problem: Problem,
+    library: Library,
+    selection: Selection,
+    train: Windows,
+    test: Windows,
+    free: Ints,
 ) -> tuple[State, State, dict[str, Review]]:
-    """The model as it is, the one that the search ends with, and what became of each of its effects when it was judged again."""
+    """The model as it is, the one that the search ends with, and what became of each of its effects
+    when it was judged again.
+    """
     first = _first(problem, library, selection, train, test, free)
-    instances = [instance for instance in library.instances if instance.effect != "unexplained_force"]
+    instances = [
+        instance for instance in library.instances if instance.effect != "unexplained_force"
+    ]
     found = selection.run(first, first, instances)
     last, reviews = review(selection, found)
     while last is not found:  # after an exchange, others may be confirmed
@@ -153,10 +251,19 @@ def _search(
     return first, whole, reviews if whole is last else review(selection, whole)[1]
 
 
-def _first(problem: Problem, library: Library, selection: Selection, train: Windows, test: Windows, free: Ints) -> State:
+def _first(
+    problem: Problem,
+    library: Library,
+    selection: Selection,
+    train: Windows,
+    test: Windows,
+    free: Ints,
+) -> State:
     """The model as it is, with its declared parameters and the noise fitted."""
     start = nominal_of(library)
-    return selection.begin(train, test, start, first_noise(problem, library, train, start, selection.floor), free)
+    return selection.begin(
+        train, test, start, first_noise(problem, library, train, start, selection.floor), free
+    )
 
 
 def _floor(library: Library, train: Windows) -> Array:
@@ -166,7 +273,8 @@ def _floor(library: Library, train: Windows) -> Array:
 
 def nominal_of(library: Library) -> Array:
     """(m,) the declared parameters as the model has them, within their bounds, and no effects."""
-    space, simulator = library.simulator.space, cast(Any, library.simulator)
+    space = library.simulator.space
+    simulator = cast(Any, library.simulator)
     return np.clip(simulator.nominal, space.low, space.high)
 
 
@@ -181,9 +289,18 @@ def _enough(problem: Problem, length: int, windows: int) -> bool:
 
 def _refuse_constant(problem: Problem, train: Windows) -> None:
     """Signals that never change say nothing of a model, and have no scale to judge errors on."""
-    still = [s.name for s, spread in zip(problem.simulator.signals, spread_of(problem.simulator, train), strict=True) if not spread > 0]
+    still = [
+        s.name
+        for s, spread in zip(
+            problem.simulator.signals, spread_of(problem.simulator, train), strict=True
+        )
+        if not spread > 0
+    ]
     if still:
-        raise BadArgument(f"The signal {still[0]!r} is the same in all the data: a stuck sensor? Leave it out of the observation.")
+        raise BadArgument(
+            f"The signal {still[0]!r} is the same in all the data: a stuck sensor? Leave "
+            "it out of the observation."
+        )
 
 
 def _verdict(found: bool, wrong: bool) -> str:

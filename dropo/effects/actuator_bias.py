@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from functools import partial
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import actuators
 
@@ -12,8 +12,16 @@ def actuator_bias(context: EffectContext) -> Iterator[EffectInstance]:
     """A constant that is added to an actuator's command after it was clamped: u' = u + b."""
     for actuator in actuators(context.model):
         reach = actuator.reach
-        size = Quantity("bias", "command", -reach, reach, (-0.03 * reach, -0.003 * reach, 0.003 * reach, 0.03 * reach))
-        yield EffectInstance("actuator_bias", actuator.name, (size,), actuation=partial(_shift, actuator.id))
+        size = Quantity(
+            "bias",
+            "command",
+            -reach,
+            reach,
+            (-0.03 * reach, -0.003 * reach, 0.003 * reach, 0.03 * reach),
+        )
+        yield EffectInstance(
+            "actuator_bias", actuator.name, (size,), actuation=partial(_shift, actuator.id)
+        )
 
 
 def _shift(place: int, commands: Array, step: float, magnitudes: Array) -> Array:

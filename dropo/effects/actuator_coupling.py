@@ -3,13 +3,15 @@
 from collections.abc import Iterator
 from functools import partial
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import actuators
 
 
 def actuator_coupling(context: EffectContext) -> Iterator[EffectInstance]:
-    """A share of an actuator's command that also reaches another one, u_j' = u_j + s u_i; the variant names that one."""
+    """A share of an actuator's command that also reaches another one, u_j' = u_j + s u_i; the
+    variant names that one.
+    """
     found = actuators(context.model)
     for source in found:
         for other in found:
@@ -17,7 +19,9 @@ def actuator_coupling(context: EffectContext) -> Iterator[EffectInstance]:
                 continue
             size = Quantity("share", "1", -1.0, 1.0, (-0.05, -0.005, 0.005, 0.05))
             hook = partial(_leak, source.id, other.id)
-            yield EffectInstance("actuator_coupling", source.name, (size,), f"on-{other.name}", actuation=hook)
+            yield EffectInstance(
+                "actuator_coupling", source.name, (size,), f"on-{other.name}", actuation=hook
+            )
 
 
 def _leak(source: int, other: int, commands: Array, step: float, magnitudes: Array) -> Array:

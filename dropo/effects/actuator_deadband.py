@@ -5,22 +5,32 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import actuators
 from dropo.effects.support.play_operator import play
 
 
 def actuator_deadband(context: EffectContext) -> Iterator[EffectInstance]:
-    """A dead zone around zero, u' = sign(u) max(|u| - w, 0); or backlash: the command moves the actuator by play of width w.
+    """A dead zone around zero, u' = sign(u) max(|u| - w, 0); or backlash: the command moves the
+    actuator by play of width w.
 
-    Both come before the command is clamped. Play begins in its middle, at the trajectory's first command.
+    Both come before the command is clamped. Play begins in its middle, at the trajectory's first
+    command.
     """
     for actuator in actuators(context.model):
         reach = actuator.reach
         for variant, hook in (("", _zone), ("backlash", _backlash)):
-            size = Quantity("width", "command", 0.0, reach, (0.01 * reach, 0.05 * reach), smooth=False)
-            yield EffectInstance("actuator_deadband", actuator.name, (size,), variant, command=partial(hook, actuator.id))
+            size = Quantity(
+                "width", "command", 0.0, reach, (0.01 * reach, 0.05 * reach), smooth=False
+            )
+            yield EffectInstance(
+                "actuator_deadband",
+                actuator.name,
+                (size,),
+                variant,
+                command=partial(hook, actuator.id),
+            )
 
 
 def _zone(place: int, commands: Array, magnitudes: Array) -> Array:

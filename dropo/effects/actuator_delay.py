@@ -5,26 +5,38 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import actuators, each_and_all
 
 
 def actuator_delay(context: EffectContext) -> Iterator[EffectInstance]:
-    """Dead time of an actuator, or of all of them alike: u'(t) = u(t - T), the mean of it over each physics step.
+    """Dead time of an actuator, or of all of them alike: u'(t) = u(t - T), the mean of it over each
+    physics step.
 
     Before a trajectory begins, its first command is taken to have been held.
     """
     dt = context.control_step
     for target, ids in each_and_all(actuators(context.model)):
-        size = Quantity("delay", "s", 0.0, 10 * dt, (0.02 * dt, 0.25 * dt, dt, 2 * dt, 3 * dt), smooth=False)
-        yield EffectInstance("actuator_delay", target, (size,), actuation=partial(_delayed, ids), alike=() if target else ("sensor_delay",))
+        size = Quantity(
+            "delay", "s", 0.0, 10 * dt, (0.02 * dt, 0.25 * dt, dt, 2 * dt, 3 * dt), smooth=False
+        )
+        yield EffectInstance(
+            "actuator_delay",
+            target,
+            (size,),
+            actuation=partial(_delayed, ids),
+            alike=() if target else ("sensor_delay",),
+        )
 
 
 def _delayed(ids: Sequence[int], commands: Array, step: float, magnitudes: Array) -> Array:
     whole, part = divmod(magnitudes[0] / step, 1.0)
-    out, rows = commands.copy(), np.arange(len(commands)) - int(whole)
+    out = commands.copy()
+    rows = np.arange(len(commands)) - int(whole)
     for place in ids:
         column = commands[:, place]
-        out[:, place] = (1 - part) * column[np.maximum(rows, 0)] + part * column[np.maximum(rows - 1, 0)]
+        out[:, place] = (1 - part) * column[np.maximum(rows, 0)] + part * column[
+            np.maximum(rows - 1, 0)
+        ]
     return out

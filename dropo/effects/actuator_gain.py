@@ -4,13 +4,15 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import actuators, each_and_all
 
 
 def actuator_gain(context: EffectContext) -> Iterator[EffectInstance]:
-    """The gain of an actuator, or of all of them alike, with its feedback terms: its whole force by one factor, F' = (1 + g) F."""
+    """The gain of an actuator, or of all of them alike, with its feedback terms: its whole force by
+    one factor, F' = (1 + g) F.
+    """
     for target, ids in each_and_all(actuators(context.model)):
         gain = Quantity("gain", "1", -0.9, 4.0, (-0.05, -0.01, 0.01, 0.05), relative=True)
         yield EffectInstance("actuator_gain", target, (gain,), model=partial(_scale, ids))

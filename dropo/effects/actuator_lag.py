@@ -6,15 +6,17 @@ from functools import partial
 import numpy as np
 from scipy.signal import lfilter
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import actuators, each_and_all
 
 
 def actuator_lag(context: EffectContext) -> Iterator[EffectInstance]:
-    """A first-order lag of an actuator, or of all of them alike: T dx/dt = u - x, exact for commands that are held.
+    """A first-order lag of an actuator, or of all of them alike: T dx/dt = u - x, exact for
+    commands that are held.
 
-    What acts in a physics step is the mean of x over it. A trajectory begins settled on its first command.
+    What acts in a physics step is the mean of x over it. A trajectory begins settled on its first
+    command.
     """
     dt = context.control_step
     for target, ids in each_and_all(actuators(context.model)):
@@ -26,7 +28,9 @@ def _lagged(ids: Sequence[int], commands: Array, step: float, magnitudes: Array)
     time = max(float(magnitudes[0]), 1e-12)
     keep = np.exp(-step / time)
     behind = commands[:, ids] - commands[:1, ids]
-    before = lfilter([0.0, 1 - keep], [1.0, -keep], behind, axis=0) + commands[:1, ids]  # at the start of each step
+    before = (
+        lfilter([0.0, 1 - keep], [1.0, -keep], behind, axis=0) + commands[:1, ids]
+    )  # at the start of each step
     out = commands.copy()
     out[:, ids] = commands[:, ids] + (before - commands[:, ids]) * (1 - keep) * time / step
     return out

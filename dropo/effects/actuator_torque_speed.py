@@ -5,13 +5,14 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, StepState, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import Joint, actuators, motor_force, motors
 
 
 def actuator_torque_speed(context: EffectContext) -> Iterator[EffectInstance]:
-    """A motor whose force falls with speed while it drives: F' = F max(1 - s |v|, 0) where F v > 0, v the joint's speed.
+    """A motor whose force falls with speed while it drives: F' = F max(1 - s |v|, 0) where F v > 0,
+    v the joint's speed.
 
     The straight torque-speed line of a motor at constant voltage; its no-load speed is 1 / s.
     """
@@ -19,10 +20,16 @@ def actuator_torque_speed(context: EffectContext) -> Iterator[EffectInstance]:
     for joint, ids in motors(context.model):
         for i in ids:
             size = Quantity("slope", f"s/{joint.length}", 0.0, 1.0, (2e-3, 0.02))
-            yield EffectInstance("actuator_torque_speed", names[i], (size,), force=partial(_loss, joint, (i,)))
+            yield EffectInstance(
+                "actuator_torque_speed", names[i], (size,), force=partial(_loss, joint, (i,))
+            )
 
 
 def _loss(joint: Joint, ids: Sequence[int], state: StepState, magnitudes: Array) -> Array:
-    out, speed, drive = np.zeros_like(state.qvel), state.qvel[:, joint.velocity], motor_force(state, joint, ids)
-    out[:, joint.velocity] = np.where(drive * speed > 0, -np.minimum(magnitudes[0] * np.abs(speed), 1.0) * drive, 0.0)
+    out = np.zeros_like(state.qvel)
+    speed = state.qvel[:, joint.velocity]
+    drive = motor_force(state, joint, ids)
+    out[:, joint.velocity] = np.where(
+        drive * speed > 0, -np.minimum(magnitudes[0] * np.abs(speed), 1.0) * drive, 0.0
+    )
     return out

@@ -4,14 +4,16 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 
 MEDIUM = (("density", "kg/m^3", 100.0), ("viscosity", "Pa s", 5.0))
 
 
 def air_drag(context: EffectContext) -> Iterator[EffectInstance]:
-    """The density or the viscosity of the medium: MuJoCo's drag on each body's box of equal inertia."""
+    """The density or the viscosity of the medium: MuJoCo's drag on each body's box of equal
+    inertia.
+    """
     for name, unit, scale in MEDIUM:
         base = float(getattr(context.model.opt, name))
         size = Quantity(name, unit, -base, 20 * scale, (0.01 * scale, 0.2 * scale), base=base)

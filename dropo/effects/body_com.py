@@ -6,26 +6,38 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import bodies
 
 
 def body_com(context: EffectContext) -> Iterator[EffectInstance]:
-    """The centre of mass of a body, along each axis of the body's frame; the rotational inertia about it stays.
+    """The centre of mass of a body, along each axis of the body's frame; the rotational inertia
+    about it stays.
 
-    Of bodies that MuJoCo compiles as simple (free bodies whose frame is at their centre of mass) only where the model can be
-    compiled anew, since it cannot move their centre of mass otherwise.
+    Of bodies that MuJoCo compiles as simple (free bodies whose frame is at their centre of mass)
+    only where the model can be compiled anew, since it cannot move their centre of mass otherwise.
     """
     for body, name in bodies(context.model):
         simple = bool(context.model.body_simple[body])
         if simple and not context.source:
             continue
-        radius = float(np.sqrt(context.model.body_inertia[body].max() / context.model.body_mass[body]))
+        radius = float(
+            np.sqrt(context.model.body_inertia[body].max() / context.model.body_mass[body])
+        )
         for axis, letter in enumerate("xyz"):
             probes = tuple(share * radius for share in (-0.1, -0.01, 0.01, 0.1))
-            size = Quantity(letter, "m", -2 * radius, 2 * radius, probes, base=float(context.model.body_ipos[body, axis]))
-            yield EffectInstance("body_com", name, (size,), letter, model=partial(_move, body, axis), general=simple)
+            size = Quantity(
+                letter,
+                "m",
+                -2 * radius,
+                2 * radius,
+                probes,
+                base=float(context.model.body_ipos[body, axis]),
+            )
+            yield EffectInstance(
+                "body_com", name, (size,), letter, model=partial(_move, body, axis), general=simple
+            )
 
 
 def _move(body: int, axis: int, model: Any, magnitudes: Array) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import bodies
 
@@ -13,7 +13,9 @@ def body_inertia(context: EffectContext) -> Iterator[EffectInstance]:
     """The rotational inertia of a body, all its principal moments by one factor: I' = (1 + s) I."""
     for body, name in bodies(context.model):
         base = float(context.model.body_inertia[body].max())
-        size = Quantity("inertia", "1", -0.8, 4.0, (-0.2, -0.02, 0.02, 0.2), relative=True, base=base)
+        size = Quantity(
+            "inertia", "1", -0.8, 4.0, (-0.2, -0.02, 0.02, 0.2), relative=True, base=base
+        )
         yield EffectInstance("body_inertia", name, (size,), model=partial(_scale, body))
 
 

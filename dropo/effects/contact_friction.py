@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import touching
 
@@ -14,8 +14,8 @@ PROBES = (-0.8, -0.5, -0.2, -0.02, 0.02, 0.2)  # contacts that stick feel nothin
 def contact_friction(context: EffectContext) -> Iterator[EffectInstance]:
     """Sliding friction of all contacts by one factor, or of one geom's: mu' = (1 + s) mu.
 
-    A contact takes the larger friction of its two geoms, so that one geom's has no effect below that of the world's geoms; such
-    sizes are not offered.
+    A contact takes the larger friction of its two geoms, so that one geom's has no effect below
+    that of the world's geoms; such sizes are not offered.
     """
     size = Quantity("sliding", "1", -0.95, 5.0, PROBES, smooth=False, relative=True)
     geoms = touching(context.model)
@@ -28,7 +28,9 @@ def contact_friction(context: EffectContext) -> Iterator[EffectInstance]:
         least = max(size.low, float(world.max(initial=0.0)) / own - 1) if own > 0 else 0.0
         if least < 0:
             probes = tuple(probe for probe in size.probes if probe > least)
-            number = Quantity("sliding", "1", least, size.high, probes, smooth=False, relative=True, base=own)
+            number = Quantity(
+                "sliding", "1", least, size.high, probes, smooth=False, relative=True, base=own
+            )
             yield EffectInstance("contact_friction", name, (number,), model=partial(_scale, geom))
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import touching
 
@@ -14,10 +14,11 @@ NUMBERS = ("time constant", "damping ratio")
 
 
 def contact_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
-    """Time constant or damping ratio (MuJoCo's solref) by a factor, or the distance at which contacts begin; of all geoms or of one.
+    """Time constant or damping ratio (MuJoCo's solref) by a factor, or the distance at which
+    contacts begin; of all geoms or of one.
 
-    MuJoCo takes a mean of two geoms' solref, and the sum of their margins. Geoms that give stiffness and damping themselves
-    (a negative solref) keep theirs.
+    MuJoCo takes a mean of two geoms' solref, and the sum of their margins. Geoms that give
+    stiffness and damping themselves (a negative solref) keep theirs.
     """
     geoms = touching(context.model)
     places: list[tuple[str | None, tuple[int, ...]]] = [(None, ())] if geoms else []
@@ -26,9 +27,17 @@ def contact_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
         soft = context.model.geom_solref[list(ids) or slice(None), 0] > 0
         for place, name in enumerate(NUMBERS) if np.any(soft) else []:
             size = Quantity(name, "1", -0.8, 5.0, (-0.2, -0.02, 0.02, 0.2), relative=True)
-            yield EffectInstance("contact_stiffness", target, (size,), name.replace(" ", "-"), model=partial(_scale, place, ids))
+            yield EffectInstance(
+                "contact_stiffness",
+                target,
+                (size,),
+                name.replace(" ", "-"),
+                model=partial(_scale, place, ids),
+            )
         size = Quantity("margin", "m", -0.05, 0.05, (-2e-3, -2e-4, 2e-4, 2e-3), smooth=False)
-        yield EffectInstance("contact_stiffness", target, (size,), "margin", model=partial(_widen, ids))
+        yield EffectInstance(
+            "contact_stiffness", target, (size,), "margin", model=partial(_widen, ids)
+        )
 
 
 def _scale(place: int, ids: tuple[int, ...], model: Any, magnitudes: Array) -> None:

@@ -5,19 +5,23 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import bodies
 
 
 def external_force(context: EffectContext) -> Iterator[EffectInstance]:
     """A constant force at a body's centre of mass, along one of the world's axes."""
-    weight = float(context.model.body_mass.sum() * max(np.linalg.norm(context.model.opt.gravity), 1.0))
+    weight = float(
+        context.model.body_mass.sum() * max(np.linalg.norm(context.model.opt.gravity), 1.0)
+    )
     for body, name in bodies(context.model):
         for axis, letter in enumerate("xyz"):
             probes = tuple(share * weight for share in (-0.02, -0.002, 0.002, 0.02))
             size = Quantity(letter, "N", -weight, weight, probes)
-            yield EffectInstance("external_force", name, (size,), letter, wrench=partial(_push, body, axis))
+            yield EffectInstance(
+                "external_force", name, (size,), letter, wrench=partial(_push, body, axis)
+            )
 
 
 def _push(body: int, axis: int, magnitudes: Array) -> tuple[int, Array]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from dropo.core.contracts.effect import EffectInstance, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance
 from dropo.effects.support.model_field import Entry, Field, by_kind
 from dropo.effects.support.places import joints
 
@@ -12,5 +12,8 @@ FIELD = Field("joint_armature", "dof_armature", "armature")
 def joint_armature(context: EffectContext) -> Iterator[EffectInstance]:
     """The reflected inertia of a joint's rotor and gear, or of all of them alike."""
     for kind, same in by_kind(joints(context.model)):
-        entries = [Entry(joint.name, (joint.velocity,), 0.1 * float(context.model.dof_M0[joint.velocity])) for joint in same]
+        entries = [
+            Entry(joint.name, (joint.velocity,), 0.1 * float(context.model.dof_M0[joint.velocity]))
+            for joint in same
+        ]
         yield from FIELD.instances(context.model, entries, same[0].inertia, kind)

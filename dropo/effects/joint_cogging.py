@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, StepState, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import Joint, actuators, torque_scale
 
@@ -13,18 +13,35 @@ PERIODS = (6, 7, 8, 10, 12, 14, 16, 18, 20, 21, 24, 28, 30, 36, 42, 48)  # cogs 
 
 
 def joint_cogging(context: EffectContext) -> Iterator[EffectInstance]:
-    """Torque a sin(n q) + b cos(n q) of a driven hinge, for each of some numbers n of cogs a turn; the variant names n."""
-    driven = {actuator.joint.id: actuator.joint for actuator in actuators(context.model) if actuator.joint is not None}
+    """Torque a sin(n q) + b cos(n q) of a driven hinge, for each of some numbers n of cogs a turn;
+    the variant names n.
+    """
+    driven = {
+        actuator.joint.id: actuator.joint
+        for actuator in actuators(context.model)
+        if actuator.joint is not None
+    }
     for joint in driven.values():
         if joint.length != "rad":
             continue
         scale = torque_scale(context.model, joint)
-        parts = tuple(Quantity(name, joint.force, -scale, scale, (0.01 * scale,)) for name in ("sine", "cosine"))
+        parts = tuple(
+            Quantity(name, joint.force, -scale, scale, (0.01 * scale,))
+            for name in ("sine", "cosine")
+        )
         for cogs in PERIODS:
-            yield EffectInstance("joint_cogging", joint.name, parts, f"{cogs}-a-turn", force=partial(_cogs, joint, cogs), order=cogs)
+            yield EffectInstance(
+                "joint_cogging",
+                joint.name,
+                parts,
+                f"{cogs}-a-turn",
+                force=partial(_cogs, joint, cogs),
+                order=cogs,
+            )
 
 
 def _cogs(joint: Joint, cogs: int, state: StepState, magnitudes: Array) -> Array:
-    out, angle = np.zeros_like(state.qvel), cogs * state.qpos[:, joint.position]
+    out = np.zeros_like(state.qvel)
+    angle = cogs * state.qpos[:, joint.position]
     out[:, joint.velocity] = magnitudes[0] * np.sin(angle) + magnitudes[1] * np.cos(angle)
     return out

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.effects.support.model_field import Entry, Field
 from dropo.effects.support.places import joints
 
@@ -18,6 +18,8 @@ def joint_limit(context: EffectContext) -> Iterator[EffectInstance]:
         for side, name in enumerate(("lower", "upper")):
             probes = tuple(share * width for share in (-0.05, -0.005, 0.005, 0.05))
             base = float(context.model.jnt_range[joint.id, side])
-            shift = Quantity(name, joint.length, -0.5 * width, 0.5 * width, probes, smooth=False, base=base)
+            shift = Quantity(
+                name, joint.length, -0.5 * width, 0.5 * width, probes, smooth=False, base=base
+            )
             change = FIELD.change([Entry(joint.name, (joint.id, side), width)])
             yield EffectInstance("joint_limit", joint.name, (shift,), name, model=change)

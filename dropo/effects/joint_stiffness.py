@@ -6,20 +6,29 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, StepState, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import Joint, joints, torque_scale
 
 
 def joint_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
-    """A spring in a joint: -k (q - r) about the model's own rest position r, or F - k (q - r) with a load F, which moves it."""
+    """A spring in a joint: -k (q - r) about the model's own rest position r, or F - k (q - r) with
+    a load F, which moves it.
+    """
     for joint in joints(context.model):
-        scale, base = torque_scale(context.model, joint), float(context.model.jnt_stiffness[joint.id])
-        probes = tuple(share * scale for share in (-0.05, -0.005, 0.005, 0.05) if share * scale >= -base)
+        scale = torque_scale(context.model, joint)
+        base = float(context.model.jnt_stiffness[joint.id])
+        probes = tuple(
+            share * scale for share in (-0.05, -0.005, 0.005, 0.05) if share * scale >= -base
+        )
         stiffness = Quantity("stiffness", joint.stiffness, -base, 5 * scale, probes, base=base)
-        yield EffectInstance("joint_stiffness", joint.name, (stiffness,), model=partial(_stiffen, joint))
+        yield EffectInstance(
+            "joint_stiffness", joint.name, (stiffness,), model=partial(_stiffen, joint)
+        )
         load = Quantity("load", joint.force, -scale, scale, (0.01 * scale,))
-        yield EffectInstance("joint_stiffness", joint.name, (stiffness, load), "rest", force=partial(_spring, joint))
+        yield EffectInstance(
+            "joint_stiffness", joint.name, (stiffness, load), "rest", force=partial(_spring, joint)
+        )
 
 
 def _stiffen(joint: Joint, model: Any, magnitudes: Array) -> None:
@@ -27,6 +36,7 @@ def _stiffen(joint: Joint, model: Any, magnitudes: Array) -> None:
 
 
 def _spring(joint: Joint, state: StepState, magnitudes: Array) -> Array:
-    out, rest = np.zeros_like(state.qvel), state.model.qpos_spring[joint.position]
+    out = np.zeros_like(state.qvel)
+    rest = state.model.qpos_spring[joint.position]
     out[:, joint.velocity] = magnitudes[1] - magnitudes[0] * (state.qpos[:, joint.position] - rest)
     return out

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.contracts.time_profile import growing, setting_in
 from dropo.core.services.validation import Array
 from dropo.effects.actuator_gain import actuator_gain
@@ -19,16 +19,25 @@ CHANGING = (body_mass, joint_damping, joint_friction, actuator_gain, contact_fri
 
 
 def parameter_drift(context: EffectContext) -> Iterator[EffectInstance]:
-    """A declared parameter, or a number of the model, that changes: "from" a moment on that is to be found, or as a "ramp".
+    """A declared parameter, or a number of the model, that changes: "from" a moment on that is to
+    be found, or as a "ramp".
 
-    theta(t) = theta + d [t >= t*] or theta + d r(t), with t how far into the data a segment begins and r from 0 to 1 in ten
-    stages. The target is the parameter's name or the label of the effect that sets in.
+    theta(t) = theta + d [t >= t*] or theta + d r(t), with t how far into the data a segment begins
+    and r from 0 to 1 in ten stages. The target is the parameter's name or the label of the effect
+    that sets in.
     """
     for place, parameter in enumerate(context.parameters):
         width = parameter.high - parameter.low
         probes = tuple(share * width for share in (-0.1, -0.01, 0.01, 0.1))
         size = Quantity(parameter.name, parameter.unit, -width, width, probes)
-        yield from _drifting(EffectInstance(parameter.name, None, (size,), declared=partial(_add, place, parameter.lower, parameter.upper)))
+        yield from _drifting(
+            EffectInstance(
+                parameter.name,
+                None,
+                (size,),
+                declared=partial(_add, place, parameter.lower, parameter.upper),
+            )
+        )
     for effect in CHANGING:
         for instance in effect(context):
             if instance.target is not None or effect is contact_friction:

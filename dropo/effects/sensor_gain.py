@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import is_rotation
 
@@ -15,7 +15,13 @@ def sensor_gain(context: EffectContext) -> Iterator[EffectInstance]:
     for place, (name, _) in enumerate(context.signals):
         if not is_rotation(name):
             size = Quantity("gain", "1", -0.9, 4.0, (-0.05, -0.005, 0.005, 0.05), relative=True)
-            yield EffectInstance("sensor_gain", name, (size,), start=partial(_back, place), measurement=partial(_scale, place))
+            yield EffectInstance(
+                "sensor_gain",
+                name,
+                (size,),
+                start=partial(_back, place),
+                measurement=partial(_scale, place),
+            )
 
 
 def _back(place: int, rows: Array, slopes: Array, magnitudes: Array) -> Array:

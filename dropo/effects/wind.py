@@ -4,18 +4,24 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 
 
 def wind(context: EffectContext) -> Iterator[EffectInstance]:
-    """Wind along one of the world's axes, in a medium of a density to be found with it (MuJoCo's drag, see air_drag)."""
+    """Wind along one of the world's axes, in a medium of a density to be found with it (MuJoCo's
+    drag, see air_drag).
+    """
     base = float(context.model.opt.density)
     for axis, letter in enumerate("xyz"):
         trials = tuple((pair,) for pair in ((1.2, -5.0), (1.2, 5.0), (20.0, -5.0), (20.0, 5.0)))
         density = Quantity("density", "kg/m^3", -base, 2000.0, (1.2, 20.0), base=base)
-        speed = Quantity("speed", "m/s", -30.0, 30.0, (-5.0, 5.0), base=float(context.model.opt.wind[axis]))
-        yield EffectInstance("wind", None, (density, speed), letter, model=partial(_blow, axis), trials=trials)
+        speed = Quantity(
+            "speed", "m/s", -30.0, 30.0, (-5.0, 5.0), base=float(context.model.opt.wind[axis])
+        )
+        yield EffectInstance(
+            "wind", None, (density, speed), letter, model=partial(_blow, axis), trials=trials
+        )
 
 
 def _blow(axis: int, model: Any, magnitudes: Array) -> None:

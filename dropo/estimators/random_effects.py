@@ -1,4 +1,6 @@
-"""Random effects: the population that recordings are drawn from, each recording's own parameters, and whether they differ."""
+"""Random effects: the population that recordings are drawn from, each recording's own parameters,
+and whether they differ.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,23 +22,28 @@ from dropo.estimators.dropo import DROPO
 from dropo.evaluation.variance_components import spread_tests
 
 LEVEL = 0.05  # p-values below it count as a difference
-FEW = 10  # groups below which a spread's relative standard error, 1 / sqrt(2 (G - 1)), is above a quarter
-UNTOLD = 1e-6  # of the information of the group that tells most about a parameter: below it a group tells nothing
+# groups below which a spread's relative standard error, 1 / sqrt(2 (G - 1)), is above a quarter
+FEW = 10
+# of the information of the group that tells most about a parameter: below it a group tells nothing
+UNTOLD = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomEffects(Estimator):
-    """Each group (the data's, else each trajectory) has one draw of the parameters from a population, which is fitted.
+    """Each group (the data's, else each trajectory) has one draw of the parameters from a
+    population, which is fitted.
 
-    The likelihood "random-effects" is maximised as DROPO's are. The Fit is the population: sd is the spread to train under,
-    mean_se the ignorance of its mean, which more groups would shrink. Arrays: "group" (G,) its number, "group_mean" (G, d) and
-    "group_covariance" (G, d, d) of its parameters given all data, with the ignorance of the mean (Henderson 1975, Biometrics
-    31), not that of the spread. details: "groups"; "groups_differ", the tests of `spread_tests`; "predictive_sd" of a new
-    group, sqrt(sd^2 + mean_se^2).
+    The likelihood "random-effects" is maximised as DROPO's are. The Fit is the population: sd is
+    the spread to train under, mean_se the ignorance of its mean, which more groups would shrink.
+    Arrays: "group" (G,) its number, "group_mean" (G, d) and "group_covariance" (G, d, d) of its
+    parameters given all data, with the ignorance of the mean (Henderson 1975, Biometrics 31), not
+    that of the spread. details: "groups"; "groups_differ", the tests of `spread_tests`;
+    "predictive_sd" of a new group, sqrt(sd^2 + mean_se^2).
 
-    Maximum likelihood takes the mean as known: with G groups its variances are (G - 1) / G of an unbiased estimate. family:
-    "truncated_gaussian", whose spreads need 2 groups, however many parameters there are, as each is fitted on its own; or
-    "full", whose covariance needs more groups than parameters, else it is singular. epsilon, start, start_noise: as DROPO's.
+    Maximum likelihood takes the mean as known: with G groups its variances are (G - 1) / G of an
+    unbiased estimate. family: "truncated_gaussian", whose spreads need 2 groups, however many
+    parameters there are, as each is fitted on its own; or "full", whose covariance needs more
+    groups than parameters, else it is singular. epsilon, start, start_noise: as DROPO's.
     """
 
     family: Literal["truncated_gaussian", "full"] = "truncated_gaussian"
@@ -50,11 +57,16 @@ class RandomEffects(Estimator):
         self._recipe()
 
     def _recipe(self) -> "_Population":
-        settings: Any = {"epsilon": self.epsilon, "start": self.start, "start_noise": self.start_noise}
+        settings: Any = {
+            "epsilon": self.epsilon,
+            "start": self.start,
+            "start_noise": self.start_noise,
+        }
         return _Population(likelihood="random-effects", family=self.family, **settings)
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        count, d = len(np.unique(problem.segments.group)), len(problem.space)
+        count = len(np.unique(problem.segments.group))
+        d = len(problem.space)
         _enough(count, d, self.family)
         return self._recipe()._fit(problem, run)
 
@@ -62,12 +74,14 @@ class RandomEffects(Estimator):
 def _enough(count: int, d: int, family: str) -> None:
     if count == 1:
         raise Incompatible(
-            "All data are one group, and one group cannot tell a spread. Use method 'dropo', or name the groups of rows that share"
+            "All data are one group, and one group cannot tell a spread. Use method "
+            "'dropo', or name the groups of rows that share"
             " one draw of the parameters ('group' in the data)."
         )
     if family == "full" and count <= d:
         raise Incompatible(
-            f"{count} groups cannot tell a covariance of {d} parameters: with fewer than {d + 1} it is singular."
+            f"{count} groups cannot tell a covariance of {d} parameters: with fewer than "
+            f"{d + 1} it is singular."
             " Use family 'truncated_gaussian', whose spreads are independent, or bring more groups."
         )
 
@@ -79,31 +93,50 @@ class _Population(DROPO):
     name = "random-effects"
 
     def _summary(
-        self, problem: Problem, run: Run, family: Family, objective: LogLikelihood, found: SearchResult,
-        checked: dict[str, Any] | None = None, warnings: Sequence[str] = (),
-    ) -> Fit:  # fmt: skip
+        self,
+        problem: Problem,
+        run: Run,
+        family: Family,
+        objective: LogLikelihood,
+        found: SearchResult,
+        checked: dict[str, Any] | None = None,
+        warnings: Sequence[str] = (),
+    ) -> Fit:
         assert isinstance(objective, GroupedLogLikelihood)
         fit = super()._summary(problem, run, family, objective, found, checked, warnings)
-        groups, information = objective.groups(found.point), objective.value_score_information(found.point)[2]
+        groups = objective.groups(found.point)
+        information = objective.value_score_information(found.point)[2]
         d = len(fit.mean)
-        kept, covariance = _posterior(groups, fit.correlation * np.outer(fit.sd, fit.sd), information[:d, :d])
+        kept, covariance = _posterior(
+            groups, fit.correlation * np.outer(fit.sd, fit.sd), information[:d, :d]
+        )
         tests = spread_tests(objective, problem.space.names, found.point, run.rng)
         record = _record(problem, groups, kept, covariance)
         details = {
-            "groups": record, "groups_differ": tests,
+            "groups": record,
+            "groups_differ": tests,
             "predictive_sd": _numbers(fit.space.names, np.hypot(fit.sd, fit.mean_se)),
-        }  # fmt: skip
+        }
         fit = replace(
-            fit, arrays={**fit.arrays, "group": groups.label.astype(float), "group_mean": groups.mean, "group_covariance": covariance},
-            details={**fit.details, **details}, warnings=(*fit.warnings, *_doubts(groups, fit)),
-        )  # fmt: skip
+            fit,
+            arrays={
+                **fit.arrays,
+                "group": groups.label.astype(float),
+                "group_mean": groups.mean,
+                "group_covariance": covariance,
+            },
+            details={**fit.details, **details},
+            warnings=(*fit.warnings, *_doubts(groups, fit)),
+        )
         return replace(fit, message=f"{fit.message} {_sentence(tests)}\n{_table(fit)}")
 
 
 def _posterior(groups: Groups, spread: Array, information: Array) -> tuple[Array, Array]:
-    """How much of the mean each group's parameters keep, W = (I + S G)^-1 (G, d, d), and their covariance (G, d, d).
+    """How much of the mean each group's parameters keep, W = (I + S G)^-1 (G, d, d), and their
+    covariance (G, d, d).
 
-    (S^-1 + G)^-1 if the mean were known, and W V W' for V, the covariance of its estimate; NaN where no group tells a mean.
+    (S^-1 + G)^-1 if the mean were known, and W V W' for V, the covariance of its estimate; NaN
+    where no group tells a mean.
     """
     kept = np.asarray(np.linalg.inv(np.eye(len(spread)) + spread @ groups.precision), dtype=float)
     of_mean = np.full_like(spread, np.nan)
@@ -114,37 +147,59 @@ def _posterior(groups: Groups, spread: Array, information: Array) -> tuple[Array
 
 
 def _record(problem: Problem, groups: Groups, kept: Array, covariance: Array) -> dict[str, Any]:
-    """What fit.json says of the groups. shrinkage: the share of a group's own deviation that is not believed, on average."""
+    """What fit.json says of the groups. shrinkage: the share of a group's own deviation that is not
+    believed, on average.
+    """
     named = problem.segments.trajectories.group is not None
     sd = np.median(np.sqrt(np.einsum("gdd->gd", covariance)), axis=0)
     return {
-        "of": "groups" if named else "trajectories", "count": len(groups), "fewest_rows": int(groups.rows.min()),
-        "most_rows": int(groups.rows.max()), "shrinkage": _numbers(problem.space.names, np.einsum("gdd->gd", kept).mean(axis=0)),
+        "of": "groups" if named else "trajectories",
+        "count": len(groups),
+        "fewest_rows": int(groups.rows.min()),
+        "most_rows": int(groups.rows.max()),
+        "shrinkage": _numbers(problem.space.names, np.einsum("gdd->gd", kept).mean(axis=0)),
         "median_sd": _numbers(problem.space.names, sd),
-    }  # fmt: skip
+    }
 
 
 def _numbers(names: Sequence[str], values: Array) -> dict[str, float | None]:
-    return {name: float(value) if np.isfinite(value) else None for name, value in zip(names, values, strict=True)}
+    return {
+        name: float(value) if np.isfinite(value) else None
+        for name, value in zip(names, values, strict=True)
+    }
 
 
 def _doubts(groups: Groups, fit: Fit) -> list[str]:
     """What so few groups, or groups that say so little, cannot tell."""
-    count, d, out = len(groups), len(fit.mean), []
+    count = len(groups)
+    d = len(fit.mean)
+    out = []
     if count < FEW:
         error = 100 / np.sqrt(2 * (count - 1))
-        out.append(f"every spread rests on {count} groups: its relative standard error is at least {error:.0f} %, whatever their rows")
+        out.append(
+            f"every spread rests on {count} groups: its relative standard error is at "
+            f"least {error:.0f} %, whatever their rows"
+        )
     if count <= d:
-        out.append(f"{count} groups cannot show whether the {d} parameters vary together: their spreads are fitted as independent")
+        out.append(
+            f"{count} groups cannot show whether the {d} parameters vary together: their "
+            "spreads are fitted as independent"
+        )
     own = np.einsum("gdd->gd", groups.precision)
     tells = own > UNTOLD * own.max(axis=0)
     for i, name in enumerate(fit.space.names):
         silent = groups.label[~tells[:, i]]
         if tells[:, i].sum() < 2:
-            out.append(f"{int(tells[:, i].sum())} of {count} groups tell anything about {name}: its spread rests on nothing")
+            out.append(
+                f"{int(tells[:, i].sum())} of {count} groups tell anything about {name}: "
+                "its spread rests on nothing"
+            )
         elif len(silent):
             shown = ", ".join(map(str, silent[:5])) + (", ..." if len(silent) > 5 else "")
-            out.append(f"{len(silent)} of {count} groups tell nothing about {name}, and get the population's ({shown})")
+            out.append(
+                f"{len(silent)} of {count} groups tell nothing about {name}, and get the "
+                f"population's ({shown})"
+            )
     return out
 
 
@@ -157,7 +212,9 @@ def _sentence(tests: dict[str, Any]) -> str:
     same = [f"{name} ({_p(test)})" for name, test in parameters if test["p_value"] >= LEVEL]
     if not differ:
         return f"Recordings differ ({_p(tests)}), in which parameter the data do not tell."
-    return f"Recordings differ in {', '.join(differ)}" + (f"; no difference is found in {', '.join(same)}." if same else ".")
+    return f"Recordings differ in {', '.join(differ)}" + (
+        f"; no difference is found in {', '.join(same)}." if same else "."
+    )
 
 
 def _p(test: dict[str, float]) -> str:
@@ -167,11 +224,31 @@ def _p(test: dict[str, float]) -> str:
 def _table(fit: Fit) -> str:
     """The spread to train under beside what is not known."""
     groups = fit.details["groups"]
-    header = ["", "spread to train under", "ignorance of the mean", "ignorance of a group", "a new group", "shrinkage"]
+    header = [
+        "",
+        "spread to train under",
+        "ignorance of the mean",
+        "ignorance of a group",
+        "a new group",
+        "shrinkage",
+    ]
     rows = []
     for i, name in enumerate(fit.space.names):
-        told = [groups["median_sd"][name], fit.details["predictive_sd"][name], groups["shrinkage"][name]]
-        rows.append([name, *(number(np.nan if x is None else float(x), 4) for x in (fit.sd[i], fit.mean_se[i], *told))])
-    few, many = groups["fewest_rows"], groups["most_rows"]
+        told = [
+            groups["median_sd"][name],
+            fit.details["predictive_sd"][name],
+            groups["shrinkage"][name],
+        ]
+        rows.append(
+            [
+                name,
+                *(
+                    number(np.nan if x is None else float(x), 4)
+                    for x in (fit.sd[i], fit.mean_se[i], *told)
+                ),
+            ]
+        )
+    few = groups["fewest_rows"]
+    many = groups["most_rows"]
     sizes = f"{few}" if few == many else f"{few} to {many}"
     return f"{groups['count']} {groups['of']} of {sizes} rows, standard deviations:\n{text_table(header, rows)}"

@@ -14,10 +14,12 @@ from dropo.estimators.support.summary import summarize
 
 @dataclass(frozen=True, kw_only=True)
 class UniformRandomization(Estimator):
-    """Uniform distributions on `count` bounds drawn at random from the search space (thesis, section 6.1); fits nothing.
+    """Uniform distributions on `count` bounds drawn at random from the search space (thesis,
+    section 6.1); fits nothing.
 
-    The fit is the one number `which` of them; all are in `arrays["bounds"]` (count, 2, d). Its log-likelihood, at the
-    problem's epsilon or else the residuals' variance, is that of `draws` draws.
+    The fit is the one number `which` of them; all are in `arrays["bounds"]` (count, 2, d). Its
+    log-likelihood, at the problem's epsilon or else the residuals' variance, is that of `draws`
+    draws.
     """
 
     count: int = 10
@@ -27,7 +29,13 @@ class UniformRandomization(Estimator):
 
     def __post_init__(self) -> None:
         require(self.count >= 1, "count", "at least 1", self.count, "UniformRandomization")
-        require(0 <= self.which < self.count, "which", f"0 to {self.count - 1}", self.which, "UniformRandomization")
+        require(
+            0 <= self.which < self.count,
+            "which",
+            f"0 to {self.count - 1}",
+            self.which,
+            "UniformRandomization",
+        )
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         randomness, base = run.rng.spawn(2)
@@ -39,14 +47,29 @@ class UniformRandomization(Estimator):
         targets = problem.simulator.targets(problem.segments)
         with run.counting(evaluations=1):
             mean = likelihood.bind(problem.simulator, problem.segments, family, 1.0, base).mean(phi)
-        epsilon = np.mean((mean - targets) ** 2, axis=0) if problem.epsilon is None else np.broadcast_to(problem.epsilon, targets.shape[1:])
+        epsilon = (
+            np.mean((mean - targets) ** 2, axis=0)
+            if problem.epsilon is None
+            else np.broadcast_to(problem.epsilon, targets.shape[1:])
+        )
         with run.counting(evaluations=1):
-            value = likelihood.bind(problem.simulator, problem.segments, family, np.asarray(epsilon, dtype=float), base)(phi)
+            value = likelihood.bind(
+                problem.simulator, problem.segments, family, np.asarray(epsilon, dtype=float), base
+            )(phi)
         return summarize(
-            problem, run, method=self.name, family=family, family_name="uniform", phi=phi, epsilon=np.asarray(epsilon, dtype=float),
-            log_likelihood=value, mean_prediction=mean, status=Status.DONE, message="Bounds drawn at random; nothing was fitted.",
+            problem,
+            run,
+            method=self.name,
+            family=family,
+            family_name="uniform",
+            phi=phi,
+            epsilon=np.asarray(epsilon, dtype=float),
+            log_likelihood=value,
+            mean_prediction=mean,
+            status=Status.DONE,
+            message="Bounds drawn at random; nothing was fitted.",
             arrays={"bounds": bounds},
-        )  # fmt: skip
+        )
 
 
 def random_bounds(problem: Problem, count: int, rng: np.random.Generator) -> Array:

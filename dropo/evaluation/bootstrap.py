@@ -1,4 +1,6 @@
-"""The block bootstrap: the estimate's own distribution, by fitting the data again with whole pieces drawn anew."""
+"""The block bootstrap: the estimate's own distribution, by fitting the data again with whole pieces
+drawn anew.
+"""
 
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,7 +20,9 @@ from dropo.core.services.validation import Array, require
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """Estimates on data drawn anew. means, scales: (B, d), NaN in the rows of fits that failed; pieces: what was drawn."""
+    """Estimates on data drawn anew. means, scales: (B, d), NaN in the rows of fits that failed;
+    pieces: what was drawn.
+    """
 
     space: ParameterSpace
     means: Array
@@ -37,14 +41,18 @@ class Bootstrap:
 
 
 def bootstrap(
-    problem: Problem, estimator: Estimator, *, replications: int = 200, rng: np.random.Generator | int | None = 0,
+    problem: Problem,
+    estimator: Estimator,
+    *,
+    replications: int = 200,
+    rng: np.random.Generator | int | None = 0,
     executor: Executor | None = None,
-) -> Bootstrap:  # fmt: skip
+) -> Bootstrap:
     """Fits the problem on `replications` data sets of pieces drawn with replacement.
 
-    Pieces are trajectories where there are 20, else the named groups where there are 20, else overlapping blocks of
-    5 n^(1/3) of n transitions (Künsch 1989), within trajectories. executor: any concurrent.futures.Executor, threads where there
-    is none; the same draws on any.
+    Pieces are trajectories where there are 20, else the named groups where there are 20, else
+    overlapping blocks of 5 n^(1/3) of n transitions (Künsch 1989), within trajectories. executor:
+    any concurrent.futures.Executor, threads where there is none; the same draws on any.
     """
     require(replications >= 2, "replications", "at least 2", replications, "bootstrap")
     pieces, kind = _pieces(problem)
@@ -57,12 +65,18 @@ def bootstrap(
             found = list(threads.map(task, seeds))
     means, scales = (np.array(values) for values in zip(*found, strict=True))
     if not np.isfinite(means).all(axis=1).any():
-        raise SimulationFailed("Every fit of the bootstrap failed. Fit the data themselves first, to see why.")
+        raise SimulationFailed(
+            "Every fit of the bootstrap failed. Fit the data themselves first, to see why."
+        )
     return Bootstrap(problem.space, means, scales, kind)
 
 
-def resampled(trajectories: Trajectories, pieces: list[Ints], size: int, rng: np.random.Generator) -> Trajectories:
-    """At least `size` transitions of pieces drawn with replacement, each of them a group and an end of a trajectory."""
+def resampled(
+    trajectories: Trajectories, pieces: list[Ints], size: int, rng: np.random.Generator
+) -> Trajectories:
+    """At least `size` transitions of pieces drawn with replacement, each of them a group and an end
+    of a trajectory.
+    """
     drawn: list[Ints] = []
     while sum(map(len, drawn)) < size:
         drawn.append(pieces[rng.integers(len(pieces))])
@@ -71,11 +85,20 @@ def resampled(trajectories: Trajectories, pieces: list[Ints], size: int, rng: np
     ends[:-1] |= np.diff(rows) != 1
     ends[np.cumsum([len(piece) for piece in drawn]) - 1] = True
     group = (
-        None if trajectories.group is None else _fresh(trajectories.group[rows], np.repeat(np.arange(len(drawn)), list(map(len, drawn))))
+        None
+        if trajectories.group is None
+        else _fresh(
+            trajectories.group[rows], np.repeat(np.arange(len(drawn)), list(map(len, drawn)))
+        )
     )
     time = None if trajectories.time is None else trajectories.time[rows]
     return Trajectories(
-        trajectories.observations[rows], trajectories.actions[rows], trajectories.next_observations[rows], ends, group, time
+        trajectories.observations[rows],
+        trajectories.actions[rows],
+        trajectories.next_observations[rows],
+        ends,
+        group,
+        time,
     )
 
 
@@ -91,15 +114,23 @@ def _pieces(problem: Problem) -> tuple[list[Ints], str]:
     if data.group is not None and len(np.unique(data.group)) >= MANY:
         return [np.flatnonzero(data.group == g) for g in np.unique(data.group)], "groups"
     length = max(problem.length, int(np.ceil(5 * len(data) ** (1 / 3))))
-    blocks = [np.arange(i, min(i + length, stop)) for start, stop in data.spans for i in range(start, max(start + 1, stop - length + 1))]
+    blocks = [
+        np.arange(i, min(i + length, stop))
+        for start, stop in data.spans
+        for i in range(start, max(start + 1, stop - length + 1))
+    ]
     return blocks, f"blocks of {length} transitions"
 
 
-def _replication(problem: Problem, estimator: Estimator, pieces: list[Ints], seed: int) -> tuple[ArrayLike, ArrayLike]:
+def _replication(
+    problem: Problem, estimator: Estimator, pieces: list[Ints], seed: int
+) -> tuple[ArrayLike, ArrayLike]:
     rng = np.random.default_rng(seed)
     data = resampled(problem.trajectories, pieces, len(problem.trajectories), rng)
     try:
-        fit = estimator.fit(replace(problem, trajectories=data, everything=None, held_out=None), rng=rng)
+        fit = estimator.fit(
+            replace(problem, trajectories=data, everything=None, held_out=None), rng=rng
+        )
     except DropoError:
         nothing = np.full(len(problem.space), np.nan)
         return nothing, nothing

@@ -11,22 +11,36 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 
-IGNORANT = 0.29  # the standard deviation of a uniform law on [0, 1]: a direction known no better is not known
+# the standard deviation of a uniform law on [0, 1]: a direction known no better is not known
+IGNORANT = 0.29
 NOTHING = 1e-10  # of the largest eigenvalue: information below it is rounding of the differences
 SHARE = 0.05  # of a direction's largest component: smaller ones are left out of its name
 
 
 def identify(problem: Problem, fit: Fit) -> list[str]:
-    """Sentences on parameters and combinations of them that the data do not determine, parameters on a bound, signals that do
-    not move or carry no information, and actions that never change; none where all is well."""
+    """Sentences on parameters and combinations of them that the data do not determine, parameters
+    on a bound, signals that do not move or carry no information, and actions that never change;
+    none where all is well.
+    """
     _, jacobian = problem.simulator.linearize(fit.mean, problem.segments)
     directions = null_directions(problem.space, jacobian, fit.epsilon)
-    return [*blind_spots(problem, fit.mean, jacobian, directions), *_bounds(problem.space, fit.mean)]
+    return [
+        *blind_spots(problem, fit.mean, jacobian, directions),
+        *_bounds(problem.space, fit.mean),
+    ]
 
 
-def blind_spots(problem: Problem, mean: Array, jacobian: Array, directions: Sequence[Array]) -> list[str]:
-    """As `identify`, bounds left out, from the sensitivities (R, p, d) at the mean (d,) and their null directions (d,)."""
-    return [*undetermined(problem.space, mean, directions), *_signals(problem, jacobian), *_actions(problem)]
+def blind_spots(
+    problem: Problem, mean: Array, jacobian: Array, directions: Sequence[Array]
+) -> list[str]:
+    """As `identify`, bounds left out, from the sensitivities (R, p, d) at the mean (d,) and their
+    null directions (d,).
+    """
+    return [
+        *undetermined(problem.space, mean, directions),
+        *_signals(problem, jacobian),
+        *_actions(problem),
+    ]
 
 
 def undetermined(space: ParameterSpace, mean: Array, directions: Sequence[Array]) -> list[str]:
@@ -43,9 +57,13 @@ def determined(space: ParameterSpace, directions: Sequence[Array]) -> NDArray[np
 
 
 def null_directions(space: ParameterSpace, jacobian: Array, epsilon: Array) -> list[Array]:
-    """Directions (d,) of the parameters, each of few, that no prediction notices: by sensitivities (R, p, d) under noise variances (p,)."""
+    """Directions (d,) of the parameters, each of few, that no prediction notices: by sensitivities
+    (R, p, d) under noise variances (p,).
+    """
     width = space.high - space.low
-    white = (jacobian * width / np.sqrt(np.maximum(epsilon, 1e-300))[:, None]).reshape(-1, len(space))
+    white = (jacobian * width / np.sqrt(np.maximum(epsilon, 1e-300))[:, None]).reshape(
+        -1, len(space)
+    )
     information = white.T @ white  # of the means, in units of their search intervals
     size = np.diagonal(information)
     told = size > max(1 / IGNORANT**2, NOTHING * float(size.max(initial=0.0)))
@@ -85,8 +103,8 @@ def _sparse(rows: Array) -> list[Array]:
 def _name(space: ParameterSpace, mean: Array, direction: Array) -> str:
     """What a step along the direction (d,), which no prediction notices, leaves as it is.
 
-    Of two positive parameters, equal steps of their logarithms leave the ratio, opposite ones the product; else equal steps
-    leave the difference and opposite ones the sum.
+    Of two positive parameters, equal steps of their logarithms leave the ratio, opposite ones the
+    product; else equal steps leave the difference and opposite ones the sum.
     """
     which = _moved(space, direction)
     names = [space.names[i] for i in which]
@@ -94,13 +112,21 @@ def _name(space: ParameterSpace, mean: Array, direction: Array) -> str:
         return f"the data do not determine {names[0]}"
     if len(which) == 2:
         one, two = names
-        relative = direction[which] / mean[which] if (space.low[which] > 0).all() else np.array([1.0, 0.0])
+        relative = (
+            direction[which] / mean[which] if (space.low[which] > 0).all() else np.array([1.0, 0.0])
+        )
         for (a, b), like, unlike in ((relative, "/", "*"), (direction[which], "-", "+")):
             if abs(abs(a) - abs(b)) < SHARE * max(abs(a), abs(b)):
-                return f"only {one} {like if a * b > 0 else unlike} {two} is determined by the data, not each of them"
+                return (
+                    f"only {one} {like if a * b > 0 else unlike} {two} is determined by the "
+                    "data, not each of them"
+                )
     joined = f"{', '.join(names[:-1])} and {names[-1]}"
     steps = " : ".join(f"{d:.2g}" for d in direction[which] / np.abs(direction[which]).max())
-    return f"the data determine {joined} only together: steps in the proportion {steps} change no prediction"
+    return (
+        f"the data determine {joined} only together: steps in the proportion {steps} change no "
+        "prediction"
+    )
 
 
 def _signals(problem: Problem, jacobian: Array) -> list[str]:

@@ -12,24 +12,40 @@ from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.validation import Array
 
 REACH = 20  # control steps that are predicted from one measurement
-SHOWN, JUDGED = 4, 40  # windows that are kept, one after another; and those of the errors by horizon, from all over the data
+# windows that are kept, one after another; and those of the errors by horizon, from all over the
+# data
+SHOWN = 4
+JUDGED = 40
 ROWS = 240  # control steps, in rows like those of the fit, for the calibration
-DRAWS, REPEATS = 24, 8  # of the parameters; and of the noise, for each of these
+# of the parameters; and of the noise, for each of these
+DRAWS = 24
+REPEATS = 8
 
 
-def predict(problem: Problem, fit: Fit, *, rng: np.random.Generator | int | None = 0) -> Predictions:
-    """Windows of up to 20 control steps replayed from their measured starts, under the fit and under what was known before.
+def predict(
+    problem: Problem, fit: Fit, *, rng: np.random.Generator | int | None = 0
+) -> Predictions:
+    """Windows of up to 20 control steps replayed from their measured starts, under the fit and
+    under what was known before.
 
-    Before: the model's own numbers, or the middle of the search intervals where there are none or the data were simulated from them;
-    the band is that of parameters drawn evenly from the search intervals. After: the fitted mean, and draws of the fitted distribution.
-    Both bands hold the measurements' noise too. The data are those held out, where the problem has such.
+    Before: the model's own numbers, or the middle of the search intervals where there are none or
+    the data were simulated from them;
+    the band is that of parameters drawn evenly from the search intervals. After: the fitted mean,
+    and draws of the fitted distribution. Both bands hold the measurements' noise too. The data are
+    those held out, where the problem has such.
     """
     generator = np.random.default_rng(rng)
-    problem = problem.using(length=next((row["lambda"] for row in fit.details.get("lambda_choice", ()) if row["chosen"]), None))
+    problem = problem.using(
+        length=next(
+            (row["lambda"] for row in fit.details.get("lambda_choice", ()) if row["chosen"]), None
+        )
+    )
     data = problem.trajectories if problem.held_out is None else problem.held_out
     name, value = _known_before(problem)
     box = problem.space.from_unit(generator.random((DRAWS, len(problem.space))))
-    shown, judged, rows = _shown(problem, data), _judged(problem, data), _rows(problem, data)
+    shown = _shown(problem, data)
+    judged = _judged(problem, data)
+    rows = _rows(problem, data)
     sigma = np.sqrt(np.nan_to_num(np.broadcast_to(fit.epsilon, (len(problem.simulator.signals),))))
     targets = problem.simulator.targets(problem.cut(data))
     spread = np.where(np.ptp(targets, axis=0) > 0, np.std(targets, axis=0), 0.0)
@@ -37,28 +53,42 @@ def predict(problem: Problem, fit: Fit, *, rng: np.random.Generator | int | None
         name: np.concatenate([value[None], box]),
         "fitted distribution": np.concatenate([fit.mean[None], fit.sample(DRAWS, generator)]),
     }
-    sides = [_side(problem, label, values, (shown, judged, rows), sigma, spread, generator) for label, values in under.items()]
+    sides = [
+        _side(problem, label, values, (shown, judged, rows), sigma, spread, generator)
+        for label, values in under.items()
+    ]
     reach = judged.steps.shape[1]
     noise = np.sqrt(np.mean((sigma / _unit(spread)) ** 2)) if np.any(sigma > 0) else np.nan
     first = np.array([start for start, _ in data.spans])[data.trajectory[shown.steps[:, 0]]]
     return Predictions(
-        tuple(s.name for s in problem.simulator.signals), tuple(s.unit for s in problem.simulator.signals),
-        float(getattr(problem.simulator, "control_step", np.nan)), shown.steps[:, 0] - first,
-        _by_window(problem.simulator.targets(shown), shown), data.next_observations[shown.steps], spread, np.full(reach, noise),
-        int(rows.lengths.max()), problem.held_out is not None, *sides,
-    )  # fmt: skip
+        tuple(s.name for s in problem.simulator.signals),
+        tuple(s.unit for s in problem.simulator.signals),
+        float(getattr(problem.simulator, "control_step", np.nan)),
+        shown.steps[:, 0] - first,
+        _by_window(problem.simulator.targets(shown), shown),
+        data.next_observations[shown.steps],
+        spread,
+        np.full(reach, noise),
+        int(rows.lengths.max()),
+        problem.held_out is not None,
+        *sides,
+    )
 
 
 def _known_before(problem: Problem) -> tuple[str, Array]:
     """What stood for the parameters before any fit, in words and as (d,)."""
     nominal = problem.simulator.nominal
     if nominal is None or problem.truth is not None:
-        return "middle of the search intervals", problem.space.from_unit(np.full(len(problem.space), 0.5))
+        return "middle of the search intervals", problem.space.from_unit(
+            np.full(len(problem.space), 0.5)
+        )
     return "the model's own numbers", np.asarray(nominal, dtype=float)
 
 
 def _shown(problem: Problem, data: Trajectories) -> Segments:
-    """Windows one after another, in the middle of the longest trajectory; the first trajectories where a window must begin with one."""
+    """Windows one after another, in the middle of the longest trajectory; the first trajectories
+    where a window must begin with one.
+    """
     begins, length = _begins(problem, data)
     if _from_the_start(problem):
         return data.from_rows(begins[:SHOWN], length, every_step=True)
@@ -95,24 +125,41 @@ def _rows(problem: Problem, data: Trajectories) -> Segments:
 
 
 def _side(
-    problem: Problem, name: str, values: Array, places: tuple[Segments, Segments, Segments], sigma: Array, spread: Array,
+    problem: Problem,
+    name: str,
+    values: Array,
+    places: tuple[Segments, Segments, Segments],
+    sigma: Array,
+    spread: Array,
     rng: np.random.Generator,
-) -> Side:  # fmt: skip
+) -> Side:
     """values: (1 + K, d), the line's and the band's."""
-    simulator, (shown, judged, rows) = problem.simulator, places
+    simulator = problem.simulator
+    (shown, judged, rows) = places
     found = simulator.predict(values, shown)
-    drawn = found[1:, None] + sigma * rng.standard_normal((len(values) - 1, REPEATS, *found.shape[1:]))
+    drawn = found[1:, None] + sigma * rng.standard_normal(
+        (len(values) - 1, REPEATS, *found.shape[1:])
+    )
     ends = _quantiles(drawn.reshape(-1, *found.shape[1:]), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    errors = _by_window(simulator.predict(values[:1], judged)[0] - simulator.targets(judged), judged) / _unit(spread)
-    compared, targets = simulator.predict(values, rows), simulator.targets(rows)
+    errors = _by_window(
+        simulator.predict(values[:1], judged)[0] - simulator.targets(judged), judged
+    ) / _unit(spread)
+    compared = simulator.predict(values, rows)
+    targets = simulator.targets(rows)
     return Side(
-        name, _by_window(found[0], shown), np.stack([_by_window(end, shown) for end in ends]), _rms(errors, (0, 2)),
-        _rms(compared[0] - targets, (0,)), _pit(compared[1:], targets, sigma, problem.noise_degrees),
-    )  # fmt: skip
+        name,
+        _by_window(found[0], shown),
+        np.stack([_by_window(end, shown) for end in ends]),
+        _rms(errors, (0, 2)),
+        _rms(compared[0] - targets, (0,)),
+        _pit(compared[1:], targets, sigma, problem.noise_degrees),
+    )
 
 
 def _pit(draws: Array, targets: Array, sigma: Array, degrees: float | None) -> Array:
-    """(R p,) the share of the prediction (K, R, p), with its noise, that lies below each target (R, p)."""
+    """(R p,) the share of the prediction (K, R, p), with its noise, that lies below each target (R,
+    p).
+    """
     distribution = stats.norm if degrees is None else stats.t(degrees)
     tiny = 1e-12 * np.maximum(np.abs(targets).max(axis=0), 1e-300)
     below = np.mean(distribution.cdf((targets - draws) / np.maximum(sigma, tiny)), axis=0)

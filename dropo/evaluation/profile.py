@@ -1,4 +1,6 @@
-"""The profile likelihood of one or two parameters: how well the data are explained where these are held, all else at its best."""
+"""The profile likelihood of one or two parameters: how well the data are explained where these are
+held, all else at its best.
+"""
 
 from dataclasses import dataclass
 
@@ -20,9 +22,10 @@ REACH = 3.5  # standard errors to either side of the estimate
 
 @dataclass(frozen=True)
 class Profile:
-    """grid: the n values of each of the one or two parameters' means; values: (n,) or (n, n), the highest log-likelihood there
-    [nats]; best: the highest of all, at no held value. Rows count as independent: where they are not, compare
-    with `Fit.interval`."""
+    """grid: the n values of each of the one or two parameters' means; values: (n,) or (n, n), the
+    highest log-likelihood there [nats]; best: the highest of all, at no held value. Rows count
+    as independent: where they are not, compare with `Fit.interval`.
+    """
 
     names: tuple[str, ...]
     grid: tuple[Array, ...]
@@ -30,14 +33,25 @@ class Profile:
     best: float
 
     def region(self, level: float = 0.95) -> Array:
-        """Where the likelihood-ratio test does not reject, a mask like `values`: 2 (best - value) <= the chi-square quantile."""
+        """Where the likelihood-ratio test does not reject, a mask like `values`: 2 (best - value)
+        <= the chi-square quantile.
+        """
         require(0 < level < 1, "level", "between 0 and 1", level, "Profile.region")
         return np.asarray(2 * (self.best - self.values) <= stats.chi2.ppf(level, len(self.names)))
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
-        """The ends of one parameter's region, between grid points by straight lines; infinite where the grid does not reach it."""
-        require(len(self.names) == 1, "parameters", "one, for an interval", self.names, "Profile.interval")
-        inside, (grid,) = self.region(level), self.grid
+        """The ends of one parameter's region, between grid points by straight lines; infinite where
+        the grid does not reach it.
+        """
+        require(
+            len(self.names) == 1,
+            "parameters",
+            "one, for an interval",
+            self.names,
+            "Profile.interval",
+        )
+        inside = self.region(level)
+        (grid,) = self.grid
         if not inside.any():
             return float("nan"), float("nan")
         first, last = (int(i) for i in np.flatnonzero(inside)[[0, -1]])
@@ -53,15 +67,28 @@ class Profile:
 
 
 def profile(
-    problem: Problem, fit: Fit, parameters: tuple[str, ...], *, points: int = 21, likelihood: LocalLikelihood | None = None,
-    epsilon: Epsilon | None = None, rng: np.random.Generator | int | None = 0,
-) -> Profile:  # fmt: skip
-    """The profile log-likelihood of the means of one or two parameters, on `points` values each around a fit.
+    problem: Problem,
+    fit: Fit,
+    parameters: tuple[str, ...],
+    *,
+    points: int = 21,
+    likelihood: LocalLikelihood | None = None,
+    epsilon: Epsilon | None = None,
+    rng: np.random.Generator | int | None = 0,
+) -> Profile:
+    """The profile log-likelihood of the means of one or two parameters, on `points` values each
+    around a fit.
 
-    likelihood: a local one, built around the fit; by default that of the fit, else the emulated. epsilon: its noise; by default the
-    problem's where it states one, else learned with the rest.
+    likelihood: a local one, built around the fit; by default that of the fit, else the emulated.
+    epsilon: its noise; by default the problem's where it states one, else learned with the rest.
     """
-    require(len(parameters) in (1, 2) and len(set(parameters)) == len(parameters), "parameters", "one or two names", parameters, "profile")
+    require(
+        len(parameters) in (1, 2) and len(set(parameters)) == len(parameters),
+        "parameters",
+        "one or two names",
+        parameters,
+        "profile",
+    )
     require(points >= 5, "points", "at least 5", points, "profile")
     for name in parameters:
         known("parameter", name, problem.space.names)
@@ -72,8 +99,17 @@ def profile(
     grids = [_grid(objective, top.phi, place, points) for place in places]
     values = np.full([points] * len(places), -np.inf)
     for index in np.ndindex(*values.shape):
-        held = _Held(objective, top.phi, places, np.array([grid[i] for grid, i in zip(grids, index, strict=True)]))
-        values[index] = maximize_locally(held, top.phi[held.free]).value if held.free.any() else held.value_score_information(np.empty(0))[0]
+        held = _Held(
+            objective,
+            top.phi,
+            places,
+            np.array([grid[i] for grid, i in zip(grids, index, strict=True)]),
+        )
+        values[index] = (
+            maximize_locally(held, top.phi[held.free]).value
+            if held.free.any()
+            else held.value_score_information(np.empty(0))[0]
+        )
     return Profile(tuple(parameters), tuple(grids), values, max(top.value, float(values.max())))
 
 
@@ -81,10 +117,13 @@ class _Held(LocalLogLikelihood):
     """A local log-likelihood with some of its unknowns held."""
 
     def __init__(self, objective: LocalLogLikelihood, phi: Array, places: list[int], values: Array):
-        self.objective, self.whole = objective, phi.copy()
+        self.objective = objective
+        self.whole = phi.copy()
         self.whole[places] = values
         self.free = ~np.isin(np.arange(len(phi)), places)
-        self.unknowns = ParameterSpace(tuple(p for p, free in zip(objective.unknowns, self.free, strict=True) if free))
+        self.unknowns = ParameterSpace(
+            tuple(p for p, free in zip(objective.unknowns, self.free, strict=True) if free)
+        )
 
     def _at(self, phi: Array) -> Array:
         full = self.whole.copy()
@@ -109,21 +148,32 @@ class _Held(LocalLogLikelihood):
 
 
 def _around(
-    problem: Problem, fit: Fit, likelihood: LocalLikelihood | None, epsilon: Epsilon | None, rng: np.random.Generator
-) -> LocalLogLikelihood:  # fmt: skip
+    problem: Problem,
+    fit: Fit,
+    likelihood: LocalLikelihood | None,
+    epsilon: Epsilon | None,
+    rng: np.random.Generator,
+) -> LocalLogLikelihood:
     if likelihood is None:
         own = fit.details.get("likelihood", "emulated")
         likelihood = find("likelihoods", own)()
     if not isinstance(likelihood, LocalLikelihood):
-        raise Incompatible(f"A profile needs a local likelihood, and {type(likelihood).__name__} is none. Give likelihood=Emulated().")
+        raise Incompatible(
+            f"A profile needs a local likelihood, and {type(likelihood).__name__} is none. "
+            "Give likelihood=Emulated()."
+        )
     if epsilon is None:
         learned = None if problem.epsilon is not None and fit.method != "least-squares" else "each"
-        epsilon = Noise(fit.epsilon, learned, start=problem.start_noise, degrees=problem.noise_degrees)  # type: ignore[arg-type]
+        epsilon = Noise(
+            fit.epsilon, learned, start=problem.start_noise, degrees=problem.noise_degrees
+        )  # type: ignore[arg-type]
     box = problem.space.high - problem.space.low
     error = np.where(np.isfinite(fit.mean_se), fit.mean_se, box / 6)
     width = np.clip(np.maximum(fit.sd, (REACH + 1) / 2 * error), 1e-6 * box, box / 6)
     family = find("families", fit.family)(problem.space)
-    return likelihood.linearize_at(problem.simulator, problem.segments, family, epsilon, fit.mean, width, rng)
+    return likelihood.linearize_at(
+        problem.simulator, problem.segments, family, epsilon, fit.mean, width, rng
+    )
 
 
 def _start(objective: LocalLogLikelihood, fit: Fit) -> Array:
@@ -133,8 +183,13 @@ def _start(objective: LocalLogLikelihood, fit: Fit) -> Array:
 
 
 def _grid(objective: LocalLogLikelihood, phi: Array, place: int, points: int) -> Array:
-    """Values within `REACH` standard errors of the maximum, by the information, and within the local likelihood's bounds."""
+    """Values within `REACH` standard errors of the maximum, by the information, and within the
+    local likelihood's bounds.
+    """
     information = objective.value_score_information(phi)[2]
     error = float(np.sqrt(np.linalg.pinv(information, hermitian=True)[place, place]))
-    low, high = objective.unknowns.low[place], objective.unknowns.high[place]
-    return np.linspace(max(low, phi[place] - REACH * error), min(high, phi[place] + REACH * error), points)
+    low = objective.unknowns.low[place]
+    high = objective.unknowns.high[place]
+    return np.linspace(
+        max(low, phi[place] - REACH * error), min(high, phi[place] + REACH * error), points
+    )

@@ -17,7 +17,9 @@ class Point(Family):
 
     def __init__(self, space: ParameterSpace):
         super().__init__(space)
-        self.unknowns = ParameterSpace(tuple(Parameter(f"mean.{p.name}", p.low, p.high, p.unit) for p in space))
+        self.unknowns = ParameterSpace(
+            tuple(Parameter(f"mean.{p.name}", p.low, p.high, p.unit) for p in space)
+        )
 
     def _draw(self, phi: Array, base: Array) -> Array:
         return phi + constant(np.zeros(base.shape), phi)

@@ -10,11 +10,15 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.validation import Array
 
 CUT = 2.0  # [sigma], thesis, section 5.3
-SD = float(np.sqrt(1 - 2 * CUT * np.exp(-(CUT**2) / 2) / np.sqrt(2 * np.pi) / (1 - 2 * ndtr(-CUT))))  # 0.8796, of sigma = 1
+SD = float(
+    np.sqrt(1 - 2 * CUT * np.exp(-(CUT**2) / 2) / np.sqrt(2 * np.pi) / (1 - 2 * ndtr(-CUT)))
+)  # 0.8796, of sigma = 1
 
 
 class TruncatedGaussian(Family):
-    """xi_i ~ N(mean_i, scale_i^2) given |xi_i - mean_i| <= 2 scale_i (thesis, section 5.3); the scale is sigma, sd = 0.8796 sigma."""
+    """xi_i ~ N(mean_i, scale_i^2) given |xi_i - mean_i| <= 2 scale_i (thesis, section 5.3); the
+    scale is sigma, sd = 0.8796 sigma.
+    """
 
     standard = TRUNCATED_NORMAL
 

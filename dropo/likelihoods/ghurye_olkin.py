@@ -14,7 +14,12 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import namespace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array, require
-from dropo.likelihoods.monte_carlo import cholesky_rows, log_determinant, sample_moments, square_distance
+from dropo.likelihoods.monte_carlo import (
+    cholesky_rows,
+    log_determinant,
+    sample_moments,
+    square_distance,
+)
 
 
 @dataclass(frozen=True)
@@ -22,35 +27,69 @@ class GhuryeOlkin(SampledLikelihood):
     """The unbiased estimator of a normal density from K > p + 3 independent samples, for each row.
 
     With n = K, M = (n - 1) Cov and q = (y - m)' M^-1 (y - m) / (1 - 1/n), the estimate is
-        Gamma((n-1)/2) / Gamma((n-p-1)/2) (pi (1 - 1/n))^(-p/2) |M|^(-1/2) max(0, 1 - q)^((n-p-3)/2),
-    which is the ratio of constants in its source put together (Ghurye, Olkin 1969, Annals of Mathematical Statistics 40;
-    used by Price, Drovandi, Lee, Nott 2018, J. Computational and Graphical Statistics 27), with
-    |M - u u'| = |M| (1 - u' M^-1 u). Its mean over samples is N(y; mean, covariance) exactly where predictions are normal; the
-    density is unbiased, its logarithm is not. epsilon enters as noise added to the predictions, so that the samples carry it.
+        Gamma((n-1)/2) / Gamma((n-p-1)/2) (pi (1 - 1/n))^(-p/2) |M|^(-1/2) max(0, 1 -
+        q)^((n-p-3)/2),
+    which is the ratio of constants in its source put together (Ghurye, Olkin 1969, Annals of
+    Mathematical Statistics 40;
+    used by Price, Drovandi, Lee, Nott 2018, J. Computational and Graphical Statistics 27), with |M
+    - u u'| = |M| (1 - u' M^-1 u). Its mean over samples is N(y; mean, covariance) exactly where
+    predictions are normal; the density is unbiased, its logarithm is not. epsilon enters as noise
+    added to the predictions, so that the samples carry it.
 
-    Where q >= 1 the positive part vanishes and the row is -inf: a target some sqrt(K) standard deviations away has no
-    density, so start a search where the spread covers the data, or take more draws.
+    Where q >= 1 the positive part vanishes and the row is -inf: a target some sqrt(K) standard
+    deviations away has no density, so start a search where the spread covers the data, or take more
+    draws.
     """
 
     independent: ClassVar[bool] = True
 
-    def bind(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, rng: np.random.Generator) -> LogLikelihood:
+    def bind(
+        self,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        rng: np.random.Generator,
+    ) -> LogLikelihood:
         _require_draws(self.draws, len(simulator.signals))
         return super().bind(simulator, segments, family, epsilon, rng)
 
-    def _log_density(self, predictions: Array, targets: Array, epsilon: Array, noise: Array | None) -> Array:
-        xp, (n, _, p) = namespace(predictions), predictions.shape
+    def _log_density(
+        self, predictions: Array, targets: Array, epsilon: Array, noise: Array | None
+    ) -> Array:
+        xp = namespace(predictions)
+        (n, _, p) = predictions.shape
         _require_draws(n, p)
         if (epsilon > 0).any():
-            require(noise is not None, "noise", "given where epsilon is not 0", None, "GhuryeOlkin.log_density")
+            require(
+                noise is not None,
+                "noise",
+                "given where epsilon is not 0",
+                None,
+                "GhuryeOlkin.log_density",
+            )
             predictions = predictions + xp.sqrt(epsilon) * noise
         mean, covariance = sample_moments(predictions)
         factor = cholesky_rows((n - 1) * covariance)  # of M
         q = square_distance(factor, targets - mean) / (1 - 1 / n)
-        constant = math.lgamma((n - 1) / 2) - math.lgamma((n - p - 1) / 2) - 0.5 * p * math.log(math.pi * (1 - 1 / n))
-        density: Array = constant - 0.5 * log_determinant(factor) + 0.5 * (n - p - 3) * xp.log(xp.where(q < 1, 1 - q, 0.0))
+        constant = (
+            math.lgamma((n - 1) / 2)
+            - math.lgamma((n - p - 1) / 2)
+            - 0.5 * p * math.log(math.pi * (1 - 1 / n))
+        )
+        density: Array = (
+            constant
+            - 0.5 * log_determinant(factor)
+            + 0.5 * (n - p - 3) * xp.log(xp.where(q < 1, 1 - q, 0.0))
+        )
         return density
 
 
 def _require_draws(draws: int, signals: int) -> None:
-    require(draws > signals + 3, "draws", f"above p + 3 = {signals + 3}, for p = {signals} signals", draws, "GhuryeOlkin")
+    require(
+        draws > signals + 3,
+        "draws",
+        f"above p + 3 = {signals + 3}, for p = {signals} signals",
+        draws,
+        "GhuryeOlkin",
+    )

@@ -1,4 +1,6 @@
-"""The Gaussian likelihood of a simulator that is linear around the estimate: 2 d + 1 simulations of a segment, for many parameters."""
+"""The Gaussian likelihood of a simulator that is linear around the estimate: 2 d + 1 simulations of
+a segment, for many parameters.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,15 +22,27 @@ SHARE = 0.5  # of the width: the step of the differences
 
 @dataclass(frozen=True)
 class Linear(LocalLikelihood):
-    """y ~ N(f(c) + J (mean - c), J S J' + diag(epsilon)), S the covariance of the member, J by central differences at c.
+    """y ~ N(f(c) + J (mean - c), J S J' + diag(epsilon)), S the covariance of the member, J by
+    central differences at c.
 
-    The differences take half the width as their step. Parameters of a logarithmic family are taken as their logarithms.
-    Nothing stands for what the linear model leaves: with a small epsilon and a wide member, 'emulated' is the exact one.
+    The differences take half the width as their step. Parameters of a logarithmic family are taken
+    as their logarithms.
+    Nothing stands for what the linear model leaves: with a small epsilon and a wide member,
+    'emulated' is the exact one.
     """
 
-    def linearize_at(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
-        rng: np.random.Generator, *, rough: bool = False,
-    ) -> LocalLogLikelihood:  # fmt: skip
+    def linearize_at(
+        self,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        centre: Array,
+        width: Array,
+        rng: np.random.Generator,
+        *,
+        rough: bool = False,
+    ) -> LocalLogLikelihood:
         axial = along(simulator, segments, family, centre, SHARE * width)
         return LinearRows(axial, simulator, segments, family, epsilon, centre, width)
 
@@ -37,15 +51,28 @@ class LinearRows(GaussianRows):
     """f(x) = value + slope (x - c), x the parameters or their logarithms."""
 
     def __init__(
-        self, axial: Axial, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array
+        self,
+        axial: Axial,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        centre: Array,
+        width: Array,
     ):
-        d, p = len(centre), len(simulator.signals)
+        d = len(centre)
+        p = len(simulator.signals)
         columns = 2 * max(d, len(family.unknowns) - d) + 3 * p
-        super().__init__(simulator, segments, family, epsilon, centre, width, 3 * columns**2 + 3 * columns * p)
-        self.axial, self.centre = axial, coordinates(family, centre)
+        super().__init__(
+            simulator, segments, family, epsilon, centre, width, 3 * columns**2 + 3 * columns * p
+        )
+        self.axial = axial
+        self.centre = coordinates(family, centre)
 
     def predict(self, values: Array) -> Array:
-        return self.axial.value + np.moveaxis(self.axial.slope @ (coordinates(self.family, values) - self.centre).T, -1, 0)
+        return self.axial.value + np.moveaxis(
+            self.axial.slope @ (coordinates(self.family, values) - self.centre).T, -1, 0
+        )
 
     def _member(self, own: Any) -> Any:
         """The member's mean from the centre (d,) and covariance (d, d)."""
@@ -61,7 +88,9 @@ class LinearRows(GaussianRows):
         mean, covariance = slopes_of_moments(self.family, own)
         return mean, Entries.of(covariance)
 
-    def _parts(self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns) -> Parts:
+    def _parts(
+        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns
+    ) -> Parts:
         by_mean, entries = slopes
         slope = whiten @ self.axial.slope[rows]
         a, b = entries.pairs(slope)
@@ -70,7 +99,8 @@ class LinearRows(GaussianRows):
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """The l entries of the members' covariance that move, first <= second: their places (l,), slopes (n, l), and weights (n, l).
+    """The l entries of the members' covariance that move, first <= second: their places (l,),
+    slopes (n, l), and weights (n, l).
 
     A weight counts an entry beside the diagonal twice, for it stands for its mirror image too.
     """
@@ -83,20 +113,31 @@ class Entries:
     @staticmethod
     def of(slopes: Array) -> "Entries":
         """From d S (n, d, d)."""
-        first, second = (places.astype(np.int64) for places in np.nonzero(np.triu(np.abs(slopes).max(axis=0, initial=0.0))))
+        first, second = (
+            places.astype(np.int64)
+            for places in np.nonzero(np.triu(np.abs(slopes).max(axis=0, initial=0.0)))
+        )
         moved = slopes[:, first, second]
         return Entries(first, second, moved, moved * np.where(first == second, 1, 2))
 
     def pairs(self, columns: Array) -> tuple[Array, Array]:
-        """The columns (r, p, d) of each entry's first and second place, (r, p, l); one object where all are on the diagonal."""
+        """The columns (r, p, d) of each entry's first and second place, (r, p, l); one object where
+        all are on the diagonal.
+        """
         a = columns[:, :, self.first]
         return a, a if np.array_equal(self.first, self.second) else columns[:, :, self.second]
 
 
-def along(simulator: Simulator, segments: Segments, family: Family, centre: Array, step: Array) -> Axial:
-    """The simulator along the coordinates in which the family is taken, from steps (d,) in the parameters' units."""
+def along(
+    simulator: Simulator, segments: Segments, family: Family, centre: Array, step: Array
+) -> Axial:
+    """The simulator along the coordinates in which the family is taken, from steps (d,) in the
+    parameters' units.
+    """
     relative = step / centre if family.logarithmic else step
-    return along_parameters(simulator, segments, coordinates(family, centre), relative, logarithmic=family.logarithmic)
+    return along_parameters(
+        simulator, segments, coordinates(family, centre), relative, logarithmic=family.logarithmic
+    )
 
 
 def coordinates(family: Family, values: Array) -> Array:
@@ -105,20 +146,29 @@ def coordinates(family: Family, values: Array) -> Array:
 
 
 def moments_of(family: Family, own: Any) -> tuple[Any, Any]:
-    """Mean (d,) and covariance (d, d) of the member, or of its logarithms where the family is logarithmic; arrays or tensors."""
+    """Mean (d,) and covariance (d, d) of the member, or of its logarithms where the family is
+    logarithmic; arrays or tensors.
+    """
     xp = namespace(own)
-    mean, sd = family.mean(own), family.sd(own)
+    mean = family.mean(own)
+    sd = family.sd(own)
     covariance = constant(family.correlation(own), own) * sd[:, None] * sd[None, :]
     if not family.logarithmic:
         return mean, covariance
-    covariance = xp.log1p(covariance / (mean[:, None] * mean[None, :]))  # exact for multivariate log-normals
+    covariance = xp.log1p(
+        covariance / (mean[:, None] * mean[None, :])
+    )  # exact for multivariate log-normals
     return xp.log(mean) - 0.5 * xp.linalg.diagonal(covariance), covariance
 
 
 def slopes_of_moments(family: Family, own: Array) -> tuple[Array, Array]:
-    """d mean (n, d) and d covariance (n, d, d) of `moments_of` in each of the family's unknowns, by central differences."""
+    """d mean (n, d) and d covariance (n, d, d) of `moments_of` in each of the family's unknowns, by
+    central differences.
+    """
     box = family.unknowns.high - family.unknowns.low
     step = 1e-6 * np.maximum(np.abs(own), 1e-6 * box) * np.eye(len(own))
     sides = [(moments_of(family, own + s), moments_of(family, own - s), 2 * s.sum()) for s in step]
-    mean, covariance = zip(*(((up[0] - down[0]) / h, (up[1] - down[1]) / h) for up, down, h in sides), strict=True)
+    mean, covariance = zip(
+        *(((up[0] - down[0]) / h, (up[1] - down[1]) / h) for up, down, h in sides), strict=True
+    )
     return np.stack(mean), np.stack(covariance)

@@ -1,4 +1,6 @@
-"""Raw logs to data that a fit takes: checked, aligned, resampled on the model's control step, with the noise of every signal."""
+"""Raw logs to data that a fit takes: checked, aligned, resampled on the model's control step, with
+the noise of every signal.
+"""
 
 import json
 import os
@@ -16,7 +18,15 @@ from dropo.core.services.errors import BadArgument, BadFile
 from dropo.core.services.tables import Printed, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding
-from dropo.logs.grids import CLOSE, LeftOut, commanded, measured, observed, steps_per_action, whole_spans
+from dropo.logs.grids import (
+    CLOSE,
+    LeftOut,
+    commanded,
+    measured,
+    observed,
+    steps_per_action,
+    whole_spans,
+)
 from dropo.logs.log_checks import check_runs
 from dropo.logs.mapping import Mapping, read_mapping
 from dropo.logs.model_joints import Machine, load_machine
@@ -25,7 +35,8 @@ from dropo.logs.readers.reader import Report
 from dropo.logs.recordings import Run, read_runs
 from dropo.logs.signals.clocks import Lateness, aligned
 
-PROBLEM, RECORD = "problem.yaml", "import.json"
+PROBLEM = "problem.yaml"
+RECORD = "import.json"
 SHOWN = 20
 OURS = ("model", "frame_skip", "data", "observation", "action")
 HEAD = """# Written by `dropo data import`. `dropo fit` needs parameters; noise levels of the signals stand in {record}. For example:
@@ -57,28 +68,64 @@ class Import(Printed):
     def to_json(self) -> dict[str, Any]:
         """The content of import.json."""
         return {
-            "version": __version__, "frame_skip": self.frame_skip, "control_step_s": self.control_step, "runs": self.rows,
-            "trajectories": self.trajectories, "inputs": list(self.inputs),
+            "version": __version__,
+            "frame_skip": self.frame_skip,
+            "control_step_s": self.control_step,
+            "runs": self.rows,
+            "trajectories": self.trajectories,
+            "inputs": list(self.inputs),
             "delays": [asdict(late) | {"removed": late.removed} for late in self.delays],
             "noise": {name: asdict(noise) for name, noise in self.noise.items()},
-            "left_out": [{"run": span.run, "from_s": span.start, "to_s": span.stop, "why": span.why} for span in self.left_out],
+            "left_out": [
+                {"run": span.run, "from_s": span.start, "to_s": span.stop, "why": span.why}
+                for span in self.left_out
+            ],
             "findings": [asdict(finding) for finding in self.findings],
-        }  # fmt: skip
+        }
 
     def parts(self) -> list[str | Table]:
         """Counts, a table of the noise, delays, spans left out, and findings."""
-        read, resampled, dropped = (sum(run[key] for run in self.rows.values()) for key in ("read", "resampled", "dropped"))
-        counts = (f"{len(self.arrays['observations'])} rows in {len(self.trajectories)} trajectories of {len(self.rows)} runs, every "
-                  f"{1e3 * self.control_step:.6g} ms ({self.frame_skip} physics steps); of {read} rows read, {dropped} were dropped; "
-                  f"{resampled} rows are resampled.")  # fmt: skip
-        rows = tuple((name, noise.unit, "-" if noise.sd is None else number(noise.sd), "estimated" if noise.estimated else "logged")
-                     for name, noise in self.noise.items())  # fmt: skip
-        left_out = [f"left out: {span.run}, {span.start:.6g} s to {span.stop:.6g} s: {span.why}" for span in self.left_out]
-        more = [f"... and {len(left_out) - SHOWN} more spans left out"] if len(left_out) > SHOWN else []
+        read, resampled, dropped = (
+            sum(run[key] for run in self.rows.values()) for key in ("read", "resampled", "dropped")
+        )
+        counts = (
+            f"{len(self.arrays['observations'])} rows in {len(self.trajectories)} "
+            f"trajectories of {len(self.rows)} runs, every "
+            f"{1e3 * self.control_step:.6g} ms ({self.frame_skip} physics steps); of "
+            f"{read} rows read, {dropped} were dropped; "
+            f"{resampled} rows are resampled."
+        )
+        rows = tuple(
+            (
+                name,
+                noise.unit,
+                "-" if noise.sd is None else number(noise.sd),
+                "estimated" if noise.estimated else "logged",
+            )
+            for name, noise in self.noise.items()
+        )
+        left_out = [
+            f"left out: {span.run}, {span.start:.6g} s to {span.stop:.6g} s: {span.why}"
+            for span in self.left_out
+        ]
+        more = (
+            [f"... and {len(left_out) - SHOWN} more spans left out"]
+            if len(left_out) > SHOWN
+            else []
+        )
         delays = [str(late) for late in self.delays if late.removed]
         on_time = len(self.delays) - len(delays)
-        delays += [f"Delays too small to tell, and left: {on_time} (see {RECORD})."] if on_time else []
-        return [counts, Table("", ("signal", "unit", "noise sd", ""), rows), *delays, *left_out[:SHOWN], *more, *map(str, self.findings)]
+        delays += (
+            [f"Delays too small to tell, and left: {on_time} (see {RECORD})."] if on_time else []
+        )
+        return [
+            counts,
+            Table("", ("signal", "unit", "noise sd", ""), rows),
+            *delays,
+            *left_out[:SHOWN],
+            *more,
+            *map(str, self.findings),
+        ]
 
 
 def import_logs(
@@ -89,10 +136,12 @@ def import_logs(
     *,
     progress: Report = lambda share, text: None,
 ) -> Import:
-    """Reads logs by a mapping file, and writes the data, problem.yaml and import.json beside it; nothing where something is refused.
+    """Reads logs by a mapping file, and writes the data, problem.yaml and import.json beside it;
+    nothing where something is refused.
 
-    logs: files or folders, of which each is a recording (or holds several runs); mapping: the YAML file that says which column is which
-    joint or actuator; model: the MJCF file; out: the data file, .npz; progress(share, text): called while it works.
+    logs: files or folders, of which each is a recording (or holds several runs); mapping: the YAML
+    file that says which column is which joint or actuator; model: the MJCF file; out: the data
+    file, .npz; progress(share, text): called while it works.
     """
     place = Path(out)
     _check_place(place)
@@ -103,19 +152,30 @@ def import_logs(
     return found
 
 
-def prepare(logs: Sequence[str | Path], mapping: Mapping, machine: Machine, *, progress: Report = lambda share, text: None) -> Import:
+def prepare(
+    logs: Sequence[str | Path],
+    mapping: Mapping,
+    machine: Machine,
+    *,
+    progress: Report = lambda share, text: None,
+) -> Import:
     """What `import_logs` writes, without writing it."""
     raw = read_runs(logs, mapping, lambda share, text: progress(0.5 * share, text))
     findings = check_runs(raw, machine)
     for finding in findings:
         if finding.level == "error":
-            raise BadArgument(f"{', '.join(map(str, logs))}: {str(finding).removeprefix('error: ')}")
+            raise BadArgument(
+                f"{', '.join(map(str, logs))}: {str(finding).removeprefix('error: ')}"
+            )
     progress(0.5, "aligning")
     runs, delays = aligned([cleaned(run, machine) for run in raw], machine)
     skip, off = steps_per_action(runs, machine.timestep, mapping.rate)
     if abs(off) > CLOSE and mapping.rate is not None:
         near = 1 / (skip * machine.timestep)
-        expected = f"a rate whose control step is a whole number of physics steps of {machine.timestep:g} s, such as {near:.6g} Hz"
+        expected = (
+            "a rate whose control step is a whole number of physics steps of "
+            f"{machine.timestep:g} s, such as {near:.6g} Hz"
+        )
         raise mapping.refusal("rate", expected, f"{mapping.rate:g}")
     progress(0.7, "velocities")
     runs, noise = with_velocities(runs, machine)
@@ -134,9 +194,15 @@ class _Piece:
 
 
 def _gathered(
-    raw: Sequence[Run], runs: Sequence[Run], mapping: Mapping, machine: Machine, skip: int, delays: list[Lateness], noise: dict[str, Noise],
+    raw: Sequence[Run],
+    runs: Sequence[Run],
+    mapping: Mapping,
+    machine: Machine,
+    skip: int,
+    delays: list[Lateness],
+    noise: dict[str, Noise],
     findings: list[Finding],
-) -> Import:  # fmt: skip
+) -> Import:
     step = skip * machine.timestep
     pieces: list[_Piece] = []
     left_out: list[LeftOut] = []
@@ -149,60 +215,105 @@ def _gathered(
         for span in own:
             names = [channel.name for channel in mapping.of("qpos")]
             states = {
-                field: [measured(s, span, machine.joints[name]) for name in names if (s := run.of(field, name))]
+                field: [
+                    measured(s, span, machine.joints[name])
+                    for name in names
+                    if (s := run.of(field, name))
+                ]
                 for field in ("qpos", "qvel")
             }
             items, observations = observed(machine, names, states["qpos"], states["qvel"])
-            pieces.append(_Piece(observations, _commands(run, span, step, mapping, places), span.at, number_))
+            pieces.append(
+                _Piece(observations, _commands(run, span, step, mapping, places), span.at, number_)
+            )
         kept = min((len(series.time) for series in run.series), default=0)
         longest = max((len(stamps.time) for stamps in before.stamps), default=0)
         rows[_unique(run, rows)] = {
-            "log": str(run.path), "read": before.rows, "dropped": before.without_stamp + longest - kept,
-            "resampled": sum(len(span.at) for span in own if span.resampled), "kept": sum(len(span.at) for span in own),
+            "log": str(run.path),
+            "read": before.rows,
+            "dropped": before.without_stamp + longest - kept,
+            "resampled": sum(len(span.at) for span in own if span.resampled),
+            "kept": sum(len(span.at) for span in own),
             "trajectories": len(own),
-        }  # fmt: skip
+        }
     if not pieces:
         why = left_out[0].why if left_out else "too few rows"
-        raise BadArgument(f"No run holds a trajectory: {why}. See `dropo data check LOG --map MAP --model MODEL`.")
-    return Import(_arrays(pieces, mapping), items, action, skip, step, rows, [len(p.time) for p in pieces], delays, noise, left_out,
-                  findings, mapping.candidates)  # fmt: skip
+        raise BadArgument(
+            f"No run holds a trajectory: {why}. See `dropo data check LOG --map MAP --model MODEL`."
+        )
+    return Import(
+        _arrays(pieces, mapping),
+        items,
+        action,
+        skip,
+        step,
+        rows,
+        [len(p.time) for p in pieces],
+        delays,
+        noise,
+        left_out,
+        findings,
+        mapping.candidates,
+    )
 
 
 def _unique(run: Run, taken: dict[str, Any]) -> str:
-    return run.name if run.name not in taken else str(run.path) if str(run.path) not in taken else f"{run.path}: {run.name} ({len(taken)})"
+    return (
+        run.name
+        if run.name not in taken
+        else str(run.path)
+        if str(run.path) not in taken
+        else f"{run.path}: {run.name} ({len(taken)})"
+    )
 
 
 def _action(mapping: Mapping, machine: Machine) -> tuple[list[str], list[str]]:
-    """The items of an action row, and the actuators in their order; all of them, at zero, where no command is mapped."""
+    """The items of an action row, and the actuators in their order; all of them, at zero, where no
+    command is mapped.
+    """
     names = {channel.name for channel in mapping.channels if channel.field == "ctrl"}
     ordered = [name for name in machine.actuators if name in names or not names]
-    return (["ctrl"] if len(ordered) == len(machine.actuators) else [f"ctrl[{machine.actuators[name].index}]" for name in ordered]), ordered
+    return (
+        ["ctrl"]
+        if len(ordered) == len(machine.actuators)
+        else [f"ctrl[{machine.actuators[name].index}]" for name in ordered]
+    ), ordered
 
 
-def _commands(run: Run, span: Any, step: float, mapping: Mapping, names: list[str]) -> dict[str, Array]:
+def _commands(
+    run: Run, span: Any, step: float, mapping: Mapping, names: list[str]
+) -> dict[str, Array]:
     """The actions (n, q) of every candidate."""
     if not mapping.candidates:
         return {"": np.zeros((len(span.at), len(names)))}
     return {
-        candidate: np.hstack([commanded(s, span, step) for name in names if (s := run.of("ctrl", name, candidate))])
+        candidate: np.hstack(
+            [commanded(s, span, step) for name in names if (s := run.of("ctrl", name, candidate))]
+        )
         for candidate in mapping.candidates
     }
 
 
 def _arrays(pieces: list[_Piece], mapping: Mapping) -> dict[str, Array]:
-    """The arrays of data.npz; the first candidate's commands are the actions, and all candidates' stand beside them."""
+    """The arrays of data.npz; the first candidate's commands are the actions, and all candidates'
+    stand beside them.
+    """
 
     def joined(of: Callable[[_Piece], Array]) -> Array:
         return np.concatenate([of(piece) for piece in pieces])
 
     candidates = list(pieces[0].actions)
     arrays = {
-        "observations": joined(lambda p: p.observations), "actions": joined(lambda p: p.actions[candidates[0]]),
-        "terminals": joined(lambda p: np.arange(len(p.time)) == len(p.time) - 1), "time": joined(lambda p: p.time),
+        "observations": joined(lambda p: p.observations),
+        "actions": joined(lambda p: p.actions[candidates[0]]),
+        "terminals": joined(lambda p: np.arange(len(p.time)) == len(p.time) - 1),
+        "time": joined(lambda p: p.time),
         "group": joined(lambda p: np.full(len(p.time), p.run)),
-    }  # fmt: skip
+    }
     if len(candidates) > 1:
-        arrays |= {f"actions.{name}": joined(lambda p, name=name: p.actions[name]) for name in candidates}  # type: ignore[misc]
+        arrays |= {
+            f"actions.{name}": joined(lambda p, name=name: p.actions[name]) for name in candidates
+        }  # type: ignore[misc]
     return arrays
 
 
@@ -218,7 +329,10 @@ def _check_place(out: Path) -> None:
     except (yaml.YAMLError, UnicodeDecodeError):
         content = None
     if not isinstance(content, dict) or set(content) - set(OURS):
-        expected = "no file, or one that an import wrote, since this one would be lost (move it, or import into another folder)"
+        expected = (
+            "no file, or one that an import wrote, since this one would be lost (move it, or "
+            "import into another folder)"
+        )
         raise BadFile(problem, "", expected, "one that was changed")
 
 
@@ -227,9 +341,16 @@ def _write(found: Import, out: Path, model: Path, machine: Machine) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     body = max(range(1, machine.model.nbody), key=lambda i: machine.model.body_mass[i], default=0)
     mass = float(machine.model.body_mass[body])
-    head = HEAD.format(record=RECORD, body=machine.model.body(body).name, low=mass / 2, high=2 * mass)
-    content = {"model": os.path.relpath(model, out.parent), "frame_skip": found.frame_skip, "data": out.name,
-               "observation": found.observation, "action": found.action}  # fmt: skip
+    head = HEAD.format(
+        record=RECORD, body=machine.model.body(body).name, low=mass / 2, high=2 * mass
+    )
+    content = {
+        "model": os.path.relpath(model, out.parent),
+        "frame_skip": found.frame_skip,
+        "data": out.name,
+        "observation": found.observation,
+        "action": found.action,
+    }
     with ExitStack() as stack:
         places = {name: out.parent / f".{name}.part" for name in (out.name, PROBLEM, RECORD)}
         for part in places.values():
@@ -237,6 +358,8 @@ def _write(found: Import, out: Path, model: Path, machine: Machine) -> None:
         with places[out.name].open("wb") as file:
             np.savez(file, **found.arrays)  # type: ignore[arg-type]
         places[PROBLEM].write_text(head + yaml.safe_dump(content, sort_keys=False, width=120))
-        places[RECORD].write_text(json.dumps(found.to_json() | {"model": str(model)}, indent=1, allow_nan=False) + "\n")
+        places[RECORD].write_text(
+            json.dumps(found.to_json() | {"model": str(model)}, indent=1, allow_nan=False) + "\n"
+        )
         for name, part in places.items():
             part.replace(out.parent / name)

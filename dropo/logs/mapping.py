@@ -1,4 +1,6 @@
-"""The mapping file of an import: which column of a log is which joint or actuator, in which unit, with which sign and clock."""
+"""The mapping file of an import: which column of a log is which joint or actuator, in which unit,
+with which sign and clock.
+"""
 
 import math
 import re
@@ -31,7 +33,8 @@ class Clock:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a column stands: a file beside the log ("{stem}_imu.csv"), a topic of it, and the clock of its stamps.
+    """Where a column stands: a file beside the log ("{stem}_imu.csv"), a topic of it, and the clock
+    of its stamps.
 
     own_clock: its stamps come from another clock than those of the log.
     """
@@ -44,9 +47,11 @@ class Source:
 
 @dataclass(frozen=True)
 class Channel:
-    """One or more columns that are the numbers of a joint's "qpos" or "qvel", or of an actuator's "ctrl".
+    """One or more columns that are the numbers of a joint's "qpos" or "qvel", or of an actuator's
+    "ctrl".
 
-    value = factor (sign column + offset), in the SI unit; candidate: of the commands, where a log has several.
+    value = factor (sign column + offset), in the SI unit; candidate: of the commands, where a log
+    has several.
     """
 
     field: str
@@ -71,7 +76,8 @@ class Channel:
 class Mapping:
     """A mapping file, checked against a model.
 
-    run: the column that tells runs apart; only: names or patterns of the runs to take; rate: of the control step [Hz].
+    run: the column that tells runs apart; only: names or patterns of the runs to take; rate: of the
+    control step [Hz].
     """
 
     path: Path
@@ -82,12 +88,18 @@ class Mapping:
 
     def of(self, field: str, candidate: str = "") -> tuple[Channel, ...]:
         """The channels of "qpos", "qvel" or, by candidate, "ctrl"."""
-        return tuple(channel for channel in self.channels if (channel.field, channel.candidate) == (field, candidate))
+        return tuple(
+            channel
+            for channel in self.channels
+            if (channel.field, channel.candidate) == (field, candidate)
+        )
 
     @property
     def candidates(self) -> tuple[str, ...]:
         """The commands that the log has: COMMAND alone, those under `inputs`, or none."""
-        return tuple(dict.fromkeys(channel.candidate for channel in self.channels if channel.field == "ctrl"))
+        return tuple(
+            dict.fromkeys(channel.candidate for channel in self.channels if channel.field == "ctrl")
+        )
 
     def refusal(self, key: str, expected: str, got: str) -> BadFile:
         """What is raised where the log does not fit the mapping."""
@@ -106,12 +118,19 @@ def read_mapping(path: str | Path, machine: Machine) -> Mapping:
     if rate is not None and rate <= 0:
         raise entries.bad("rate", "the control steps of a second [Hz], above 0")
     column = run.text("column", "the column that tells runs apart") if "column" in run else None
-    return Mapping(entries.path, channels, column, run.texts("only", (), "names of runs, or patterns such as 'A0_*'")
-                   if "only" in run else (), rate)  # fmt: skip
+    return Mapping(
+        entries.path,
+        channels,
+        column,
+        run.texts("only", (), "names of runs, or patterns such as 'A0_*'") if "only" in run else (),
+        rate,
+    )
 
 
 def _main_source(entries: Entries) -> Source:
-    time = entries.level("time", (*CLOCK_KEYS, "file", "topic"), "a mapping such as {column: t, unit: s}")
+    time = entries.level(
+        "time", (*CLOCK_KEYS, "file", "topic"), "a mapping such as {column: t, unit: s}"
+    )
     return Source(_optional(time, "file"), _optional(time, "topic"), _clock(time))
 
 
@@ -130,26 +149,44 @@ def _channels(entries: Entries, machine: Machine, source: Source) -> Iterator[Ch
         for name in level.content:
             level.known(name, name, machine.joints, "the name of a joint of the model")
             yield _joint_channel(
-                level.level(name, COLUMN_KEYS, "a mapping such as {column: q1, unit: rad}"), field, machine.joints[name], source
+                level.level(name, COLUMN_KEYS, "a mapping such as {column: q1, unit: rad}"),
+                field,
+                machine.joints[name],
+                source,
             )
     without = sorted(set(entries.level("qvel").content) - set(entries.level("qpos").content))
     if without:
-        raise entries.bad("qvel", "velocities of joints whose positions are mapped", f"{', '.join(without)} without one")
+        raise entries.bad(
+            "qvel",
+            "velocities of joints whose positions are mapped",
+            f"{', '.join(without)} without one",
+        )
     if "ctrl" in entries and "inputs" in entries:
         raise entries.bad("inputs", "either `ctrl` or, for several candidates, `inputs`", "both")
-    candidates = entries.level("inputs", what="a mapping from candidates to commands, each as under `ctrl`")
-    levels = {name: candidates.level(name, what="a mapping from actuator names to columns") for name in candidates.content}
+    candidates = entries.level(
+        "inputs", what="a mapping from candidates to commands, each as under `ctrl`"
+    )
+    levels = {
+        name: candidates.level(name, what="a mapping from actuator names to columns")
+        for name in candidates.content
+    }
     for candidate, level in (
-        levels.items() if levels else [(COMMAND, entries.level("ctrl", what="a mapping from actuator names to columns"))]
+        levels.items()
+        if levels
+        else [(COMMAND, entries.level("ctrl", what="a mapping from actuator names to columns"))]
     ):
         yield from _commands(level, machine, source, candidate)
     if len({frozenset(level.content) for level in levels.values()}) > 1:
         raise entries.bad(
-            "inputs", "the same actuators in every candidate", "; ".join(f"{k}: {', '.join(v.content)}" for k, v in levels.items())
+            "inputs",
+            "the same actuators in every candidate",
+            "; ".join(f"{k}: {', '.join(v.content)}" for k, v in levels.items()),
         )
 
 
-def _commands(level: Entries, machine: Machine, source: Source, candidate: str) -> Iterator[Channel]:
+def _commands(
+    level: Entries, machine: Machine, source: Source, candidate: str
+) -> Iterator[Channel]:
     for name in level.content:
         level.known(name, name, machine.actuators, "the name of an actuator of the model")
         entry = level.level(name, COLUMN_KEYS, "a mapping such as {column: tau1, unit: N m}")
@@ -166,16 +203,43 @@ def _joint_channel(entry: Entries, field: str, joint: Joint, source: Source) -> 
 
 
 def _channel(
-    entry: Entries, field: str, name: str, columns: tuple[str, ...], si: tuple[str, ...], factors: tuple[float, ...],
-    source: Source, candidate: str,
-) -> Channel:  # fmt: skip
-    signs, offsets = _numbers(entry, "sign", len(columns), 1.0), _numbers(entry, "offset", len(columns), 0.0)
+    entry: Entries,
+    field: str,
+    name: str,
+    columns: tuple[str, ...],
+    si: tuple[str, ...],
+    factors: tuple[float, ...],
+    source: Source,
+    candidate: str,
+) -> Channel:
+    signs = _numbers(entry, "sign", len(columns), 1.0)
+    offsets = _numbers(entry, "offset", len(columns), 0.0)
     if any(abs(sign) != 1 for sign in signs):
         raise entry.bad("sign", "1 or -1")
     own = "clock" in entry
-    clock = _clock(entry.level("clock", CLOCK_KEYS, "a mapping such as {column: t, unit: us}")) if own else source.clock
-    place = Source(_optional(entry, "file") or source.file, _optional(entry, "topic") or source.topic, clock, own)
-    return Channel(field, name, columns, si, factors, signs, offsets, place, candidate, entry.prefix.removesuffix("."))
+    clock = (
+        _clock(entry.level("clock", CLOCK_KEYS, "a mapping such as {column: t, unit: us}"))
+        if own
+        else source.clock
+    )
+    place = Source(
+        _optional(entry, "file") or source.file,
+        _optional(entry, "topic") or source.topic,
+        clock,
+        own,
+    )
+    return Channel(
+        field,
+        name,
+        columns,
+        si,
+        factors,
+        signs,
+        offsets,
+        place,
+        candidate,
+        entry.prefix.removesuffix("."),
+    )
 
 
 def _columns(entry: Entries, width: int) -> tuple[str, ...]:
@@ -185,7 +249,9 @@ def _columns(entry: Entries, width: int) -> tuple[str, ...]:
     given = entry.content.get("columns")
     listed = [given] if isinstance(given, str) else given
     if not isinstance(listed, list) or not all(isinstance(name, str) and name for name in listed):
-        raise entry.bad("columns", f"a list of {width} columns, or a slice such as 'pose[0:{width}]'")
+        raise entry.bad(
+            "columns", f"a list of {width} columns, or a slice such as 'pose[0:{width}]'"
+        )
     names = tuple(column for name in listed for column in _expanded(name))
     if len(names) != width:
         raise entry.bad("columns", f"{width} columns", f"{len(names)}")
@@ -194,31 +260,50 @@ def _columns(entry: Entries, width: int) -> tuple[str, ...]:
 
 def _expanded(name: str) -> list[str]:
     found = _SLICE.match(name)
-    return [f"{found['name']}[{i}]" for i in range(int(found["start"]), int(found["stop"]))] if found else [name]
+    return (
+        [f"{found['name']}[{i}]" for i in range(int(found["start"]), int(found["stop"]))]
+        if found
+        else [name]
+    )
 
 
-def _units(entry: Entries, si: tuple[str, ...], allowed: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """SI unit and factor of every column; one unit alone stands for the leading columns of its kind."""
+def _units(
+    entry: Entries, si: tuple[str, ...], allowed: tuple[str, ...]
+) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """SI unit and factor of every column; one unit alone stands for the leading columns of its
+    kind.
+    """
     given = entry.content.get("unit")
     if given is None:
         return si, (1.0,) * len(si)
     listed = given if isinstance(given, list) else [given]
     for unit in listed:
-        if not isinstance(unit, str) or unit not in UNITS or UNITS[unit][0] not in (*allowed, *(si if len(si) > 1 else ())):
+        if (
+            not isinstance(unit, str)
+            or unit not in UNITS
+            or UNITS[unit][0] not in (*allowed, *(si if len(si) > 1 else ()))
+        ):
             raise entry.bad("unit", named("a unit", unit, units_of(allowed)), shown(unit))
     if len(si) == 1 or len(listed) == len(si):
         found = [UNITS[unit] for unit in listed[: len(si)]]
-        wrong = next((i for i, (base, _) in enumerate(found) if len(si) > 1 and base != si[i]), None)
+        wrong = next(
+            (i for i, (base, _) in enumerate(found) if len(si) > 1 and base != si[i]), None
+        )
         if wrong is not None or len(listed) != len(si):
             raise entry.bad("unit", "one unit for each column, of its kind")
         return tuple(base for base, _ in found), tuple(factor for _, factor in found)
-    return si, tuple(next((UNITS[unit][1] for unit in listed if UNITS[unit][0] == base), 1.0) for base in si)
+    return si, tuple(
+        next((UNITS[unit][1] for unit in listed if UNITS[unit][0] == base), 1.0) for base in si
+    )
 
 
 def _numbers(entry: Entries, key: str, width: int, default: float) -> tuple[float, ...]:
     """A number for every column: one for all, or a list."""
     given = entry.content.get(key, default)
     listed = given if isinstance(given, list) else [given] * width
-    if len(listed) != width or any(isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x) for x in listed):
+    if len(listed) != width or any(
+        isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x)
+        for x in listed
+    ):
         raise entry.bad(key, f"a number, or a list of {width}" if width > 1 else "a number")
     return tuple(float(x) for x in listed)

@@ -12,7 +12,12 @@ from dropo.core.services.validation import Array
 KINDS = ("free", "ball", "slide", "hinge")
 WIDTHS = {"free": (7, 6), "ball": (4, 3), "slide": (1, 1), "hinge": (1, 1)}
 _POSITIONS = {"free": ("m",) * 3 + ("",) * 4, "ball": ("",) * 4, "slide": ("m",), "hinge": ("rad",)}
-_VELOCITIES = {"free": ("m/s",) * 3 + ("rad/s",) * 3, "ball": ("rad/s",) * 3, "slide": ("m/s",), "hinge": ("rad/s",)}
+_VELOCITIES = {
+    "free": ("m/s",) * 3 + ("rad/s",) * 3,
+    "ball": ("rad/s",) * 3,
+    "slide": ("m/s",),
+    "hinge": ("rad/s",),
+}
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,9 @@ class Joint:
 
 @dataclass(frozen=True)
 class Actuator:
-    """An actuator: its place in ctrl, its control range where it has one, and the dof of the joint it drives (None: no joint)."""
+    """An actuator: its place in ctrl, its control range where it has one, and the dof of the joint
+    it drives (None: no joint).
+    """
 
     name: str
     index: int
@@ -46,7 +53,9 @@ class Actuator:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A compiled model's joints and actuators by name, in the model's order; a joint without a name goes by its body's."""
+    """A compiled model's joints and actuators by name, in the model's order; a joint without a name
+    goes by its body's.
+    """
 
     model: mujoco.MjModel
     joints: dict[str, Joint]
@@ -61,10 +70,14 @@ class Machine:
     def velocity_lag(self) -> float:
         """Seconds by which the model's own velocities are behind its positions.
 
-        Its semi-implicit integrators move a position by the velocity of the step's end, so that a state's velocity is that of the
-        middle of the step before; RK4's is not late.
+        Its semi-implicit integrators move a position by the velocity of the step's end, so that a
+        state's velocity is that of the middle of the step before; RK4's is not late.
         """
-        return 0.0 if self.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else self.timestep / 2
+        return (
+            0.0
+            if self.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+            else self.timestep / 2
+        )
 
     @property
     def gravity(self) -> Array:
@@ -79,7 +92,9 @@ def load_machine(path: str | Path) -> Machine:
     try:
         return machine_of(mujoco.MjModel.from_xml_path(str(path)))
     except ValueError as error:
-        raise BadFile(path, "", "an MJCF file", f"one that MuJoCo refuses ({' '.join(str(error).split())})") from None
+        raise BadFile(
+            path, "", "an MJCF file", f"one that MuJoCo refuses ({' '.join(str(error).split())})"
+        ) from None
 
 
 def machine_of(model: mujoco.MjModel) -> Machine:
@@ -88,12 +103,30 @@ def machine_of(model: mujoco.MjModel) -> Machine:
     for j in range(model.njnt):
         name = model.joint(j).name or model.body(int(model.jnt_bodyid[j])).name or f"joint {j}"
         limits = tuple(map(float, model.jnt_range[j])) if model.jnt_limited[j] else None
-        joints[name] = Joint(name, KINDS[int(model.jnt_type[j])], int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j]), limits)  # type: ignore[arg-type]
+        joints[name] = Joint(
+            name,
+            KINDS[int(model.jnt_type[j])],
+            int(model.jnt_qposadr[j]),
+            int(model.jnt_dofadr[j]),
+            limits,
+        )  # type: ignore[arg-type]
     actuators = {}
     for i in range(model.nu):
-        limits = tuple(map(float, model.actuator_ctrlrange[i])) if model.actuator_ctrllimited[i] else None
-        driven = int(model.actuator_trnid[i, 0]) if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT else None
+        limits = (
+            tuple(map(float, model.actuator_ctrlrange[i]))
+            if model.actuator_ctrllimited[i]
+            else None
+        )
+        driven = (
+            int(model.actuator_trnid[i, 0])
+            if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+            else None
+        )
         dof = None if driven is None else int(model.jnt_dofadr[driven])
-        name = model.actuator(i).name or (f"actuator {i}" if driven is None else model.joint(driven).name) or f"actuator {i}"
+        name = (
+            model.actuator(i).name
+            or (f"actuator {i}" if driven is None else model.joint(driven).name)
+            or f"actuator {i}"
+        )
         actuators[name] = Actuator(name, i, limits, dof)  # type: ignore[arg-type]
     return Machine(model, joints, actuators)

@@ -1,4 +1,6 @@
-"""Series of a raw log made fit for a simulator: cleaned, unwrapped, and with velocities where none were logged."""
+"""Series of a raw log made fit for a simulator: cleaned, unwrapped, and with velocities where none
+were logged.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +16,8 @@ from dropo.logs.recordings import Run, Series
 from dropo.logs.signals.stamps import gaps, going_on
 from dropo.logs.signals.velocities import Velocities, estimate_velocities
 
-ROWS, RUNS = 4000, 20
+ROWS = 4000
+RUNS = 20
 """Rows of a run, and runs, that a noise level is estimated from at most."""
 LEAST = 20
 """Rows that a velocity is estimated from at least."""
@@ -22,7 +25,8 @@ LEAST = 20
 
 @dataclass(frozen=True)
 class Noise:
-    """The noise level of a signal, a standard deviation in its unit: of the measurement, or of the estimate where it has none.
+    """The noise level of a signal, a standard deviation in its unit: of the measurement, or of the
+    estimate where it has none.
 
     sd is None for commands, which are taken as they are, and where there are too few rows.
     """
@@ -33,7 +37,9 @@ class Noise:
 
 
 def cleaned(run: Run, machine: Machine) -> Run:
-    """The run without rows whose stamps do not go on or in which a sensor hangs; hinge angles go on beyond a turn."""
+    """The run without rows whose stamps do not go on or in which a sensor hangs; hinge angles go on
+    beyond a turn.
+    """
     return replace(run, series=tuple(_cleaned(series, machine) for series in run.series))
 
 
@@ -44,7 +50,9 @@ def _cleaned(series: Series, machine: Machine) -> Series:
     keep = np.ones(len(series.time), dtype=bool)
     cut = gaps(series.time)
     for values in series.values.T:
-        for start, stop in hangs(Column(series.label, "", series.time, values, series.rows, breaks=cut)):
+        for start, stop in hangs(
+            Column(series.label, "", series.time, values, series.rows, breaks=cut)
+        ):
             keep[start + 1 : stop] = False
     series = series.take(keep)
     hinge = series.channel.field == "qpos" and machine.joints[series.channel.name].kind == "hinge"
@@ -54,8 +62,8 @@ def _cleaned(series: Series, machine: Machine) -> Series:
 def with_velocities(runs: Sequence[Run], machine: Machine) -> tuple[list[Run], dict[str, Noise]]:
     """The runs with a velocity for every position, and the noise level of every column of both.
 
-    Velocities that were not logged come from a smoother (not causal) of each stretch between gaps, as late behind the positions as
-    the model's own are.
+    Velocities that were not logged come from a smoother (not causal) of each stretch between gaps,
+    as late behind the positions as the model's own are.
     """
     levels: dict[str, list[tuple[float, int]]] = {}
     units: dict[str, tuple[str, bool]] = {}
@@ -70,16 +78,24 @@ def with_velocities(runs: Sequence[Run], machine: Machine) -> tuple[list[Run], d
                 more.append(velocity)
                 _note(levels, units, velocity.channel, noise, len(velocity.time), True)
             if number in some:
-                noise = _noise(series) if series.channel.field != "ctrl" else np.full(len(series.channel.columns), np.nan)
+                noise = (
+                    _noise(series)
+                    if series.channel.field != "ctrl"
+                    else np.full(len(series.channel.columns), np.nan)
+                )
                 _note(levels, units, series.channel, noise, len(series.time), False)
         out.append(replace(run, series=(*run.series, *more)))
     return out, {name: Noise(_pooled(pairs), *units[name]) for name, pairs in levels.items()}
 
 
 def _note(
-    levels: dict[str, list[tuple[float, int]]], units: dict[str, tuple[str, bool]], channel: Channel, noise: Array, rows: int,
+    levels: dict[str, list[tuple[float, int]]],
+    units: dict[str, tuple[str, bool]],
+    channel: Channel,
+    noise: Array,
+    rows: int,
     estimated: bool,
-) -> None:  # fmt: skip
+) -> None:
     for i, (unit, sd) in enumerate(zip(channel.units, noise, strict=True)):
         name = channel.label if len(channel.units) == 1 else f"{channel.label}[{i}]"
         levels.setdefault(name, []).append((float(sd), rows))
@@ -93,7 +109,11 @@ def _pooled(pairs: list[tuple[float, int]]) -> float | None:
 
 
 def _pieces(series: Series) -> list[Ints]:
-    return [piece for piece in np.split(np.arange(len(series.time)), gaps(series.time)) if len(piece) >= LEAST]
+    return [
+        piece
+        for piece in np.split(np.arange(len(series.time)), gaps(series.time))
+        if len(piece) >= LEAST
+    ]
 
 
 def _noise(series: Series) -> Array:
@@ -109,10 +129,19 @@ def _estimated(position: Series, joint: Joint) -> tuple[Series, Array]:
     """The velocity of a position, of its stretches that are long enough, and its noise level (k,)."""
     units = joint.units("qvel")
     channel = replace(position.channel, field="qvel", units=units, columns=units)
-    stretches = [(rows, *_velocity(estimate_velocities(position.time[rows], _even(position.values[rows], joint)), joint))
-                 for rows in _pieces(position)]  # fmt: skip
+    stretches = [
+        (
+            rows,
+            *_velocity(
+                estimate_velocities(position.time[rows], _even(position.values[rows], joint)), joint
+            ),
+        )
+        for rows in _pieces(position)
+    ]
     if not stretches:
-        return Series(channel, position.time, np.zeros((len(position.time), len(units))), position.rows), np.full(len(units), np.nan)
+        return Series(
+            channel, position.time, np.zeros((len(position.time), len(units))), position.rows
+        ), np.full(len(units), np.nan)
     rows = np.concatenate([stretch[0] for stretch in stretches])
     variance = sum(len(stretch[0]) * stretch[2] ** 2 for stretch in stretches) / len(rows)
     values = np.concatenate([stretch[1] for stretch in stretches])
@@ -131,13 +160,21 @@ def _even(values: Array, joint: Joint) -> Array:
 
 
 def _velocity(smooth: Velocities, joint: Joint) -> tuple[Array, Array]:
-    """Velocities (n, k) and their noise (k,): a quaternion's are turned into the body's angular velocity, 2 Im(conj(q) dq/dt)."""
+    """Velocities (n, k) and their noise (k,): a quaternion's are turned into the body's angular
+    velocity, 2 Im(conj(q) dq/dt).
+    """
     quaternion = joint.quaternion()
     if quaternion is None:
         return smooth.velocities, smooth.velocity_noise
-    q, dq = smooth.positions[:, quaternion], smooth.velocities[:, quaternion]
-    w, v, dw, dv = q[:, :1], q[:, 1:], dq[:, :1], dq[:, 1:]
+    q = smooth.positions[:, quaternion]
+    dq = smooth.velocities[:, quaternion]
+    w = q[:, :1]
+    v = q[:, 1:]
+    dw = dq[:, :1]
+    dv = dq[:, 1:]
     turning = 2 * (w * dv - dw * v - np.cross(v, dv)) / np.sum(q**2, axis=1, keepdims=True)
     level = 2 * np.sqrt(np.mean(smooth.velocity_noise[quaternion] ** 2))
     linear = slice(0, quaternion.start)
-    return np.hstack([smooth.velocities[:, linear], turning]), np.concatenate([smooth.velocity_noise[linear], np.full(3, level)])
+    return np.hstack([smooth.velocities[:, linear], turning]), np.concatenate(
+        [smooth.velocity_noise[linear], np.full(3, level)]
+    )

@@ -1,4 +1,6 @@
-"""Runs of raw logs as series of numbers: read by a mapping, in SI units, each with its own time stamps."""
+"""Runs of raw logs as series of numbers: read by a mapping, in SI units, each with its own time
+stamps.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +25,8 @@ FAR = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """The numbers of a channel in the order of the log: values (n, k) at `time` (n,) [s]; rows (n,): their places in the log.
+    """The numbers of a channel in the order of the log: values (n, k) at `time` (n,) [s]; rows
+    (n,): their places in the log.
 
     Rows without a value are left out.
     """
@@ -49,7 +52,9 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
-    """All time stamps of one source in a run, (n,) [s], with their rows in the log; `name` is what messages call them."""
+    """All time stamps of one source in a run, (n,) [s], with their rows in the log; `name` is what
+    messages call them.
+    """
 
     name: str
     time: Array
@@ -58,7 +63,9 @@ class Stamps:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One recording: its series, the stamps of every source, how many rows were read, and how many lacked a stamp."""
+    """One recording: its series, the stamps of every source, how many rows were read, and how many
+    lacked a stamp.
+    """
 
     name: str
     path: Path
@@ -70,14 +77,27 @@ class Run:
     def of(self, field: str, name: str, candidate: str = "") -> Series | None:
         """The series of a joint or actuator, or None."""
         key = (field, name, candidate)
-        return next((s for s in self.series if (s.channel.field, s.channel.name, s.channel.candidate) == key), None)
+        return next(
+            (
+                s
+                for s in self.series
+                if (s.channel.field, s.channel.name, s.channel.candidate) == key
+            ),
+            None,
+        )
 
 
 def read_runs(logs: Sequence[str | Path], mapping: Mapping, progress: Report) -> list[Run]:
     """The runs of all logs, in order, where the mapping says `only` those it names."""
     runs = []
     for i, path in enumerate(logs):
-        runs += list(_runs(open_log(path), mapping, lambda share, text, i=i: progress((i + share) / len(logs), text)))  # type: ignore[misc]
+        runs += list(
+            _runs(
+                open_log(path),
+                mapping,
+                lambda share, text, i=i: progress((i + share) / len(logs), text),
+            )
+        )  # type: ignore[misc]
     if not runs:
         raise mapping.refusal("run.only", "runs of the logs", "patterns that fit none")
     return runs
@@ -98,7 +118,9 @@ def _runs(log: Log, mapping: Mapping, progress: Report) -> Iterator[Run]:
     by_source: dict[Source, list[Channel]] = {}
     for channel in mapping.channels:
         by_source.setdefault(channel.source, []).append(channel)
-    tables = [_table(log, source, channels, mapping, progress) for source, channels in by_source.items()]
+    tables = [
+        _table(log, source, channels, mapping, progress) for source, channels in by_source.items()
+    ]
     names = _names(tables, log, mapping)
     origins: dict[bool, Any] = {}
     for name in names:
@@ -110,19 +132,27 @@ def _names(tables: list[_Table], log: Log, mapping: Mapping) -> list[Any]:
     if tables[0].run is None:
         if mapping.only:
             raise mapping.refusal(
-                "run.only", "a log with several runs", f"{log.path}, which is one (`run: {{column: ...}}` tells them apart)"
+                "run.only",
+                "a log with several runs",
+                f"{log.path}, which is one (`run: {{column: ...}}` tells them apart)",
             )
         return [None]
     _, first = np.unique(tables[0].run, return_index=True)
     names = [tables[0].run[i] for i in sorted(first)]
-    return [name for name in names if not mapping.only or any(fnmatchcase(_word(name), pattern) for pattern in mapping.only)]
+    return [
+        name
+        for name in names
+        if not mapping.only or any(fnmatchcase(_word(name), pattern) for pattern in mapping.only)
+    ]
 
 
 def _word(name: Any) -> str:
     return f"{name:g}" if isinstance(name, float | np.floating) else str(name)
 
 
-def _table(log: Log, source: Source, channels: list[Channel], mapping: Mapping, progress: Report) -> _Table:
+def _table(
+    log: Log, source: Source, channels: list[Channel], mapping: Mapping, progress: Report
+) -> _Table:
     """Reads the columns of one source."""
     if source.file is not None:
         log = open_log(log.path.parent / source.file.replace("{stem}", log.path.stem))
@@ -132,23 +162,43 @@ def _table(log: Log, source: Source, channels: list[Channel], mapping: Mapping, 
             _known(column, known, log, mapping, f"{channel.key}.column")
     stamp = source.clock.column or _own_stamps(log, source)
     if stamp is None and mapping.rate is None:
-        raise mapping.refusal("rate", f"the rows of a second [Hz], since {log.path} has no time stamps", "nothing")
+        raise mapping.refusal(
+            "rate", f"the rows of a second [Hz], since {log.path} has no time stamps", "nothing"
+        )
     if stamp is not None:
-        _known(stamp, known, log, mapping, f"{channels[0].key}.clock" if source.own_clock else "time.column")
+        _known(
+            stamp,
+            known,
+            log,
+            mapping,
+            f"{channels[0].key}.clock" if source.own_clock else "time.column",
+        )
     run = mapping.run or log.run_column
     if run is not None:
         _known(run, known, log, mapping, "run.column")
-    wanted = dict.fromkeys([column for channel in channels for column in channel.columns] + [name for name in (stamp, run) if name])
+    wanted = dict.fromkeys(
+        [column for channel in channels for column in channel.columns]
+        + [name for name in (stamp, run) if name]
+    )
     found = log.read(source.topic, list(wanted), progress)
     for channel in channels:
         for column in channel.columns:
             if found[column].dtype.kind not in "biuf":
                 raise BadFile(
-                    log.path, f"column {column!r}", "numbers", "texts" if found[column].dtype.kind in "US" else str(found[column].dtype)
+                    log.path,
+                    f"column {column!r}",
+                    "numbers",
+                    "texts" if found[column].dtype.kind in "US" else str(found[column].dtype),
                 )
     if stamp is not None and found[stamp].dtype.kind not in "iufM":
         raise BadFile(log.path, f"column {stamp!r}", "time stamps: numbers or dates", "texts")
-    return _Table(source, channels, found, None if stamp is None else found[stamp], None if run is None else found[run])
+    return _Table(
+        source,
+        channels,
+        found,
+        None if stamp is None else found[stamp],
+        None if run is None else found[run],
+    )
 
 
 def _own_stamps(log: Log, source: Source) -> str | None:
@@ -162,24 +212,44 @@ def _known(column: str, columns: list[str], log: Log, mapping: Mapping, key: str
         raise mapping.refusal(key, named(f"a column of {log.path}", column, columns), shown(column))
 
 
-def _run(log: Log, name: Any, tables: list[_Table], mapping: Mapping, origins: dict[bool, Any]) -> Run:
-    series, stamps, read, without = [], [], 0, 0
+def _run(
+    log: Log, name: Any, tables: list[_Table], mapping: Mapping, origins: dict[bool, Any]
+) -> Run:
+    series = []
+    stamps = []
+    read = 0
+    without = 0
     for table in tables:
         length = len(next(iter(table.columns.values())))
-        rows = np.arange(length) if table.run is None or name is None else np.flatnonzero(table.run == name)
+        rows = (
+            np.arange(length)
+            if table.run is None or name is None
+            else np.flatnonzero(table.run == name)
+        )
         time = _time(table, rows, mapping, origins)
         timed = np.isfinite(time)
-        read, without = read + len(rows), without + int((~timed).sum())
-        rows, time = rows[timed], time[timed]
+        read = read + len(rows)
+        without = without + int((~timed).sum())
+        rows = rows[timed]
+        time = time[timed]
         numbers = rows - rows[:1] if log.separate_runs else rows
         stamps.append(Stamps(_stamp_name(table), time, numbers))
         for channel in table.channels:
-            values = np.stack([table.columns[column][rows] for column in channel.columns], axis=1).astype(float)
-            values = np.array(channel.factors) * (np.array(channel.signs) * values + np.array(channel.offsets))
+            values = np.stack(
+                [table.columns[column][rows] for column in channel.columns], axis=1
+            ).astype(float)
+            values = np.array(channel.factors) * (
+                np.array(channel.signs) * values + np.array(channel.offsets)
+            )
             there = np.isfinite(values).all(axis=1)
             if there.sum() < 2:
                 where = f"{log.path}" if name is None else f"run {_word(name)!r} of {log.path}"
-                raise BadFile(where, f"column {channel.columns[0]!r}", "at least two rows with a number", f"{int(there.sum())}")
+                raise BadFile(
+                    where,
+                    f"column {channel.columns[0]!r}",
+                    "at least two rows with a number",
+                    f"{int(there.sum())}",
+                )
             series.append(Series(channel, time[there], values[there], numbers[there]))
     word = log.path.stem if name is None else _word(name)
     return Run(word, log.path, tuple(series), tuple(stamps), read, without)
@@ -192,14 +262,20 @@ def _stamp_name(table: _Table) -> str:
 
 
 def _time(table: _Table, rows: Ints, mapping: Mapping, origins: dict[bool, Any]) -> Array:
-    """Seconds; NaN where there is no stamp. Sources of one clock share their origin; another clock has its own."""
+    """Seconds; NaN where there is no stamp.
+
+    Sources of one clock share their origin; another clock has its own.
+    """
     if table.stamps is None:
         return np.arange(len(rows)) / float(mapping.rate or 1)
-    stamps, unit = table.stamps[rows], table.source.clock.unit
+    stamps = table.stamps[rows]
+    unit = table.source.clock.unit
     missing = np.isnat(stamps) if stamps.dtype.kind == "M" else ~np.isfinite(stamps)
     if missing.all():
         return np.full(len(rows), np.nan)
     first = stamps[~missing][0]
     far = stamps.dtype.kind == "M" or abs(float(seconds(np.asarray([first]), unit)[0])) > FAR
-    origin = (first if table.source.own_clock else origins.setdefault(False, first)) if far else None
+    origin = (
+        (first if table.source.own_clock else origins.setdefault(False, first)) if far else None
+    )
     return np.where(missing, np.nan, seconds(stamps, unit, origin))

@@ -22,7 +22,9 @@ _BY_SI: dict[str, dict[str, float]] = {
     "V": {"V": 1.0, "mV": 1e-3},
     "": {"": 1.0, "1": 1.0, "%": 1e-2},
 }
-UNITS: dict[str, tuple[str, float]] = {name: (si, factor) for si, names in _BY_SI.items() for name, factor in names.items()}
+UNITS: dict[str, tuple[str, float]] = {
+    name: (si, factor) for si, names in _BY_SI.items() for name, factor in names.items()
+}
 """Unit -> (its SI unit, factor)."""
 
 
@@ -32,12 +34,16 @@ def units_of(si: tuple[str, ...]) -> list[str]:
 
 
 def seconds(stamps: NDArray[Any], unit: str, origin: Any = None) -> Array:
-    """Time stamps (n,) as float64 seconds behind `origin`; whole numbers and dates are subtracted before they are rounded.
+    """Time stamps (n,) as float64 seconds behind `origin`; whole numbers and dates are subtracted
+    before they are rounded.
 
     origin: a stamp of the same kind; by default the value 0, or 1970 for dates.
     """
     if stamps.dtype.kind == "M":
-        stamps, unit = stamps.astype("datetime64[ns]").astype(np.int64), "ns"
-        origin = None if origin is None else np.asarray(origin).astype("datetime64[ns]").astype(np.int64)
+        stamps = stamps.astype("datetime64[ns]").astype(np.int64)
+        unit = "ns"
+        origin = (
+            None if origin is None else np.asarray(origin).astype("datetime64[ns]").astype(np.int64)
+        )
     since = stamps if origin is None else stamps - origin
     return np.asarray(since, dtype=np.float64) * SECONDS[unit]

@@ -11,23 +11,43 @@ from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.core.services.validation import known, nearest
 
-# The kind of element that a field's row belongs to, by the field's prefix; `dof_` rows are found by their joint's name.
+# The kind of element that a field's row belongs to, by the field's prefix; `dof_` rows are found by
+# their joint's name.
 PREFIXES = {
-    "body": "body", "jnt": "joint", "dof": "joint", "geom": "geom", "site": "site", "cam": "camera", "light": "light", "mesh": "mesh",
-    "hfield": "hfield", "pair": "pair", "eq": "equality", "tendon": "tendon", "actuator": "actuator", "sensor": "sensor", "mat": "material",
-}  # fmt: skip
+    "body": "body",
+    "jnt": "joint",
+    "dof": "joint",
+    "geom": "geom",
+    "site": "site",
+    "cam": "camera",
+    "light": "light",
+    "mesh": "mesh",
+    "hfield": "hfield",
+    "pair": "pair",
+    "eq": "equality",
+    "tendon": "tendon",
+    "actuator": "actuator",
+    "sensor": "sensor",
+    "mat": "material",
+}
 SERVO = ("actuator_kp", "actuator_kv")
-"""The gains of a position or velocity servo's loop, by name: MuJoCo keeps each in two places of gainprm and biasprm."""
-MOVES_FRAMES = ("body_ipos", "body_iquat")  # mj_setConst refuses these unless the body was compiled as not simple
+"""The gains of a position or velocity servo's loop, by name: MuJoCo keeps each in two places of
+gainprm and biasprm.
+"""
+MOVES_FRAMES = (
+    "body_ipos",
+    "body_iquat",
+)  # mj_setConst refuses these unless the body was compiled as not simple
 
 
 @dataclass(frozen=True)
 class FieldParameter(Parameter):
     """A parameter that stands for a number of the model.
 
-    field: an MjModel array ("body_mass") or an mjOption entry ("gravity"); element: its body, joint, geom, ... by name,
-    None where the field has no elements; index: the place within the element's row; relative: the value is a factor on
-    the model's own number (on the whole row, without an index); derived: mj_setConst follows (the thesis leaves it).
+    field: an MjModel array ("body_mass") or an mjOption entry ("gravity"); element: its body,
+    joint, geom, ... by name, None where the field has no elements; index: the place within the
+    element's row; relative: the value is a factor on the model's own number (on the whole row,
+    without an index); derived: mj_setConst follows (the thesis leaves it).
     """
 
     _: KW_ONLY
@@ -50,7 +70,10 @@ class Binding:
         self._in_option = parameter.field not in model_fields(model)
         if self._in_option and parameter.field not in option_fields(model):
             valid = [*model_fields(model), *option_fields(model)]
-            raise UnknownName(f"No field of MjModel or mjOption called {parameter.field!r}. {nearest(parameter.field, valid)}")
+            raise UnknownName(
+                f"No field of MjModel or mjOption called {parameter.field!r}. "
+                f"{nearest(parameter.field, valid)}"
+            )
         self._where = _entries(parameter, model, self._array(model))
         self._nominal = np.array(self.read(model), dtype=float)
 
@@ -83,20 +106,32 @@ class Binding:
         return array[self._where] if isinstance(array, np.ndarray) else array
 
 
-def _servo_places(parameter: FieldParameter, model: mujoco.MjModel) -> list[tuple[str, tuple[int, int], float]]:
-    """The arrays, places and signs of a servo's gain: of a position servo kp (and kv, its damping), of a velocity servo kv."""
+def _servo_places(
+    parameter: FieldParameter, model: mujoco.MjModel
+) -> list[tuple[str, tuple[int, int], float]]:
+    """The arrays, places and signs of a servo's gain: of a position servo kp (and kv, its damping),
+    of a velocity servo kv.
+    """
     rows = _rows(parameter, model)
     i = 0 if rows is None else rows[0]
-    gain, bias = model.actuator_gainprm[i], model.actuator_biasprm[i]
-    position, velocity = bias[1] == -gain[0] != 0, bias[1] == 0 and bias[2] == -gain[0] != 0
-    if parameter.index is not None or not (position or (velocity and parameter.field == "actuator_kv")):
+    gain = model.actuator_gainprm[i]
+    bias = model.actuator_biasprm[i]
+    position = bias[1] == -gain[0] != 0
+    velocity = bias[1] == 0 and bias[2] == -gain[0] != 0
+    if parameter.index is not None or not (
+        position or (velocity and parameter.field == "actuator_kv")
+    ):
         raise BadArgument(
-            f"The field {parameter.field!r} of parameter {parameter.name!r} is a gain of a position servo, or kv of a velocity servo,"
+            f"The field {parameter.field!r} of parameter {parameter.name!r} is a gain of a "
+            "position servo, or kv of a velocity servo,"
             f" and has no index: {parameter.element!r} is none."
         )
     if parameter.field == "actuator_kp":
         return [("actuator_gainprm", (i, 0), 1.0), ("actuator_biasprm", (i, 1), -1.0)]
-    return [("actuator_biasprm", (i, 2), -1.0), *([("actuator_gainprm", (i, 0), 1.0)] if velocity else [])]
+    return [
+        ("actuator_biasprm", (i, 2), -1.0),
+        *([("actuator_gainprm", (i, 0), 1.0)] if velocity else []),
+    ]
 
 
 def _float_like(value: Any) -> bool:
@@ -110,22 +145,35 @@ def model_fields(model: mujoco.MjModel) -> list[str]:
         *(
             name
             for name in dir(model)
-            if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray) and _float_like(getattr(model, name))
+            if not name.startswith("_")
+            and isinstance(getattr(model, name), np.ndarray)
+            and _float_like(getattr(model, name))
         ),
     ]
 
 
 def option_fields(model: mujoco.MjModel) -> list[str]:
     """The names of mjOption's float entries."""
-    return [name for name in dir(model.opt) if not name.startswith("_") and _float_like(getattr(model.opt, name))]
+    return [
+        name
+        for name in dir(model.opt)
+        if not name.startswith("_") and _float_like(getattr(model.opt, name))
+    ]
 
 
 def element_names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
-    """The names of the model's elements of one kind ("body", "joint", ...), and their ids; unnamed ones are left out."""
+    """The names of the model's elements of one kind ("body", "joint", ...), and their ids; unnamed
+    ones are left out.
+    """
     obj = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-    count = {"joint": "njnt", "camera": "ncam", "equality": "neq", "actuator": "nu", "pair": "npair", "material": "nmat"}.get(
-        kind, f"n{kind}"
-    )
+    count = {
+        "joint": "njnt",
+        "camera": "ncam",
+        "equality": "neq",
+        "actuator": "nu",
+        "pair": "npair",
+        "material": "nmat",
+    }.get(kind, f"n{kind}")
     found = ((mujoco.mj_id2name(model, obj, i), i) for i in range(getattr(model, count)))
     return {name: i for name, i in found if name}
 
@@ -138,22 +186,34 @@ def _entries(parameter: FieldParameter, model: mujoco.MjModel, array: Any) -> An
         shape = np.shape(array)
         if parameter.element is not None:
             raise BadArgument(
-                f"The field {parameter.field!r} of {owner} has no named elements, and the name {parameter.element!r} was given."
+                f"The field {parameter.field!r} of {owner} has no named elements, and the "
+                f"name {parameter.element!r} was given."
             )
     else:
-        shape = np.shape(array[rows])[1:] if isinstance(rows, int) is False and len(rows) == 1 else np.shape(array[rows])
+        shape = (
+            np.shape(array[rows])[1:]
+            if isinstance(rows, int) is False and len(rows) == 1
+            else np.shape(array[rows])
+        )
     size = int(np.prod(shape))
     if parameter.index is None:
         if size > 1 and not parameter.relative:
-            raise BadArgument(f"The field {parameter.field!r} of {owner} has {size} numbers: give the index, 0 to {size - 1}.")
+            raise BadArgument(
+                f"The field {parameter.field!r} of {owner} has {size} numbers: give the "
+                f"index, 0 to {size - 1}."
+            )
         return (slice(None) if shape else ()) if rows is None else np.array(rows)
     if not 0 <= parameter.index < max(size, 1):
         raise BadArgument(
-            f"The index of {owner} must be 0 to {size - 1}, the field {parameter.field!r} has {size} numbers there. Got {parameter.index}."
+            f"The index of {owner} must be 0 to {size - 1}, the field {parameter.field!r} "
+            f"has {size} numbers there. Got {parameter.index}."
         )
     if rows is None:
         return np.unravel_index(parameter.index, shape) if shape else ()
-    grid = np.argwhere(np.isin(np.arange(len(array)), rows)[(...,) + (None,) * (array.ndim - 1)] & np.ones(array.shape, dtype=bool))
+    grid = np.argwhere(
+        np.isin(np.arange(len(array)), rows)[(...,) + (None,) * (array.ndim - 1)]
+        & np.ones(array.shape, dtype=bool)
+    )
     return tuple(int(i) for i in grid[parameter.index])
 
 
@@ -165,7 +225,10 @@ def _rows(parameter: FieldParameter, model: mujoco.MjModel) -> list[int] | None:
         return None
     names = element_names(model, kind)
     if parameter.element is None:
-        raise BadArgument(f"The field {parameter.field!r} of parameter {parameter.name!r} needs the name of a {kind}. {nearest('', names)}")
+        raise BadArgument(
+            f"The field {parameter.field!r} of parameter {parameter.name!r} needs the name "
+            f"of a {kind}. {nearest('', names)}"
+        )
     i = names[known(kind, parameter.element, names)]
     if prefix != "dof":
         return [i]
@@ -176,29 +239,40 @@ def _rows(parameter: FieldParameter, model: mujoco.MjModel) -> list[int] | None:
 ITEM = re.compile(r"^(?P<field>\w+)(?:\[(?P<slice>-?\d*(?::-?\d*)?)\]|\.(?P<name>[^\[\]]+))?$")
 
 
-def item_columns(text: str, sizes: dict[str, int], addresses: dict[str, dict[str, tuple[int, int]]]) -> tuple[str, list[int]]:
-    """An observation or action item, such as "qpos[1:]" or "qpos.thigh_joint", as (field, places in it).
+def item_columns(
+    text: str, sizes: dict[str, int], addresses: dict[str, dict[str, tuple[int, int]]]
+) -> tuple[str, list[int]]:
+    """An observation or action item, such as "qpos[1:]" or "qpos.thigh_joint", as (field, places in
+    it).
 
-    sizes: the length of each field; addresses: for each field, the start and number of places of its named elements.
+    sizes: the length of each field; addresses: for each field, the start and number of places of
+    its named elements.
     """
     match = ITEM.match(text.replace(" ", ""))
     if match is None:
         raise BadArgument(
-            f"The item {text!r} must be a field, with a slice or an element's name, such as 'qpos[1:]' or 'qpos.thigh_joint'."
+            f"The item {text!r} must be a field, with a slice or an element's name, such "
+            "as 'qpos[1:]' or 'qpos.thigh_joint'."
         )
     field = known("field", match["field"], sizes)
     if match["name"]:
-        start, count = addresses[field][known(f"element of {field}", match["name"], addresses[field])]
+        start, count = addresses[field][
+            known(f"element of {field}", match["name"], addresses[field])
+        ]
         return field, list(range(start, start + count))
     places = list(range(sizes[field]))
     if match["slice"] is None:
         return field, places
     if ":" not in match["slice"]:
         if not -len(places) <= int(match["slice"]) < len(places):
-            raise BadArgument(f"The item {text!r} is outside of {field}, which has {len(places)} numbers.")
+            raise BadArgument(
+                f"The item {text!r} is outside of {field}, which has {len(places)} numbers."
+            )
         return field, [places[int(match["slice"])]]
     begin, end = (int(part) if part else None for part in match["slice"].split(":"))
     chosen = places[slice(begin, end)]
     if not chosen or (end is not None and end > len(places)):
-        raise BadArgument(f"The item {text!r} is outside of {field}, which has {len(places)} numbers.")
+        raise BadArgument(
+            f"The item {text!r} is outside of {field}, which has {len(places)} numbers."
+        )
     return field, chosen

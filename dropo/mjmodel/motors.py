@@ -1,4 +1,6 @@
-"""Motors as engineers know them: a data sheet's numbers as those of an MJCF joint and its actuator, and as parameters to fit."""
+"""Motors as engineers know them: a data sheet's numbers as those of an MJCF joint and its actuator,
+and as parameters to fit.
+"""
 
 import json
 import math
@@ -13,16 +15,22 @@ from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.validation import known, require
 from dropo.mjmodel.fields import FieldParameter
 
-WIDE = 3.0  # a parameter's interval reaches from the data sheet's number divided by it to that many times as much
-FRICTION = 0.2  # of the peak torque: the largest dry friction, and the largest viscous one at the speed without load
+# a parameter's interval reaches from the data sheet's number divided by it to that many times as
+# much
+WIDE = 3.0
+# of the peak torque: the largest dry friction, and the largest viscous one at the speed without
+# load
+FRICTION = 0.2
 
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor with its gear; what a data sheet does not say is None and is left as the model has it.
+    """A motor with its gear; what a data sheet does not say is None and is left as the model has
+    it.
 
-    gear_ratio: motor turns a turn of the joint; rotor_inertia [kg m^2], torque_constant [N m / A]: before the gear; rated_torque,
-    peak_torque [N m], no_load_speed [rad/s], coulomb [N m], viscous [N m s/rad]: behind it; source: of the numbers.
+    gear_ratio: motor turns a turn of the joint; rotor_inertia [kg m^2], torque_constant [N m / A]:
+    before the gear; rated_torque, peak_torque [N m], no_load_speed [rad/s], coulomb [N m], viscous
+    [N m s/rad]: behind it; source: of the numbers.
     """
 
     label: str = ""
@@ -41,8 +49,14 @@ class Motor:
             value = getattr(self, field.name)
             if field.name in ("label", "source") or value is None:
                 continue
-            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-            least_ok = number and (value > 0 or (value == 0 and field.name in ("coulomb", "viscous", "rotor_inertia")))
+            number = (
+                isinstance(value, int | float)
+                and not isinstance(value, bool)
+                and math.isfinite(value)
+            )
+            least_ok = number and (
+                value > 0 or (value == 0 and field.name in ("coulomb", "viscous", "rotor_inertia"))
+            )
             require(least_ok, field.name, "a number above 0", value, f"motor {self.label!r}")
 
     @property
@@ -52,12 +66,16 @@ class Motor:
 
     @property
     def torque_per_ampere(self) -> float | None:
-        """At the joint [N m / A], without the gear's losses: the torque that a measured current means."""
+        """At the joint [N m / A], without the gear's losses: the torque that a measured current
+        means.
+        """
         return None if self.torque_constant is None else self.torque_constant * self.gear_ratio
 
 
 def read_motors(path: Path | None = None) -> dict[str, Motor]:
-    """The motors of a JSON file, by name, each a mapping with the fields of `Motor`; of the package's own library by default."""
+    """The motors of a JSON file, by name, each a mapping with the fields of `Motor`; of the
+    package's own library by default.
+    """
     own = files("dropo.mjmodel") / "motors.json"
     where: Any = own if path is None else path
     try:
@@ -83,32 +101,70 @@ def motor_of(entry: Any, where: str) -> Motor:
 
 
 def mount(spec: mujoco.MjSpec, joint: str, motor: Motor) -> None:
-    """Writes the motor's numbers into the joint of a specification, and its peak torque into the range of its actuators' forces."""
+    """Writes the motor's numbers into the joint of a specification, and its peak torque into the
+    range of its actuators' forces.
+    """
     names = [one.name for one in spec.joints if one.name]
     place = spec.joint(known("joint", joint, names))
     if place.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-        raise Incompatible(f"A motor turns a hinge or moves a slide, and the joint {joint!r} is neither.")
-    for attribute, number in (("armature", motor.armature), ("frictionloss", motor.coulomb), ("damping", motor.viscous)):
+        raise Incompatible(
+            f"A motor turns a hinge or moves a slide, and the joint {joint!r} is neither."
+        )
+    for attribute, number in (
+        ("armature", motor.armature),
+        ("frictionloss", motor.coulomb),
+        ("damping", motor.viscous),
+    ):
         if number is not None:
             old = getattr(place, attribute)
-            setattr(place, attribute, number if isinstance(old, float | int) else [number, *list(old)[1:]])
+            setattr(
+                place,
+                attribute,
+                number if isinstance(old, float | int) else [number, *list(old)[1:]],
+            )
     for actuator in spec.actuators:
         if actuator.target == joint and motor.peak_torque is not None:
             limit = motor.peak_torque / abs(float(actuator.gear[0]))
-            actuator.forcelimited, actuator.forcerange = True, [-limit, limit]
+            actuator.forcelimited = True
+            actuator.forcerange = [-limit, limit]
 
 
 def motor_parameters(joint: str, motor: Motor) -> list[FieldParameter]:
-    """What is worth fitting of a motor at a joint: rotor inertia, dry and viscous friction, in intervals around the data sheet's."""
+    """What is worth fitting of a motor at a joint: rotor inertia, dry and viscous friction, in
+    intervals around the data sheet's.
+    """
     out = []
     if motor.armature:
-        low, high = motor.armature / WIDE, motor.armature * WIDE
-        out.append(FieldParameter(f"{joint}_armature", low, high, "kg m^2", field="dof_armature", element=joint))
-    dry = WIDE * motor.coulomb if motor.coulomb else FRICTION * motor.peak_torque if motor.peak_torque else None
+        low = motor.armature / WIDE
+        high = motor.armature * WIDE
+        out.append(
+            FieldParameter(
+                f"{joint}_armature", low, high, "kg m^2", field="dof_armature", element=joint
+            )
+        )
+    dry = (
+        WIDE * motor.coulomb
+        if motor.coulomb
+        else FRICTION * motor.peak_torque
+        if motor.peak_torque
+        else None
+    )
     if dry is not None:
-        out.append(FieldParameter(f"{joint}_friction", 0.0, dry, "N m", field="dof_frictionloss", element=joint))
-    wet = None if motor.peak_torque is None or motor.no_load_speed is None else FRICTION * motor.peak_torque / motor.no_load_speed
+        out.append(
+            FieldParameter(
+                f"{joint}_friction", 0.0, dry, "N m", field="dof_frictionloss", element=joint
+            )
+        )
+    wet = (
+        None
+        if motor.peak_torque is None or motor.no_load_speed is None
+        else FRICTION * motor.peak_torque / motor.no_load_speed
+    )
     wet = WIDE * motor.viscous if motor.viscous else wet
     if wet is not None:
-        out.append(FieldParameter(f"{joint}_damping", 0.0, wet, "N m s/rad", field="dof_damping", element=joint))
+        out.append(
+            FieldParameter(
+                f"{joint}_damping", 0.0, wet, "N m s/rad", field="dof_damping", element=joint
+            )
+        )
     return out

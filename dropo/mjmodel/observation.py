@@ -1,4 +1,6 @@
-"""The columns of an observation row, and the coordinates in which predictions are compared with measurements."""
+"""The columns of an observation row, and the coordinates in which predictions are compared with
+measurements.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,23 +25,42 @@ class _Column:
 
 
 class Layout:
-    """Observation rows (P,) of a model; compared as p signals, where a quaternion's four columns count for three.
+    """Observation rows (P,) of a model; compared as p signals, where a quaternion's four columns
+    count for three.
 
-    items: slices of "qpos", "qvel", "act" and "sensordata", or elements by name. A quaternion is compared in the tangent
-    space at the measured one: a rotation vector in the body's frame, 0 for the measurement (mj_differentiatePos).
+    items: slices of "qpos", "qvel", "act" and "sensordata", or elements by name. A quaternion is
+    compared in the tangent space at the measured one: a rotation vector in the body's frame, 0 for
+    the measurement (mj_differentiatePos).
     """
 
     def __init__(self, model: mujoco.MjModel, items: Sequence[str]):
-        sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na, "sensordata": model.nsensordata}
+        sizes = {
+            "qpos": model.nq,
+            "qvel": model.nv,
+            "act": model.na,
+            "sensordata": model.nsensordata,
+        }
         addresses = _addresses(model)
-        self.columns = [_Column(field, i) for item in items for field, places in [item_columns(item, sizes, addresses)] for i in places]
+        self.columns = [
+            _Column(field, i)
+            for item in items
+            for field, places in [item_columns(item, sizes, addresses)]
+            for i in places
+        ]
         if not self.columns:
             raise BadArgument("The observation must have at least one column. Got none.")
         self.quaternions = self._quaternion_columns(model)
         self.model_units = _units(model)
         self.names = [_name(model, column) for column in self.columns]
         self.signals = self._signals()
-        self._plain = np.array([i for i in range(len(self.columns)) if not any(i in quat for quat in self.quaternions)], dtype=int)
+        self._plain = np.array(
+            [
+                i
+                for i in range(len(self.columns))
+                if not any(i in quat for quat in self.quaternions)
+            ],
+            dtype=int,
+        )
         self._start = {field: self._places(field) for field in STATE}
 
     def __len__(self) -> int:
@@ -50,8 +71,12 @@ class Layout:
         return any(column.field == "sensordata" for column in self.columns)
 
     def _places(self, field: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        found = [(i, column.place) for i, column in enumerate(self.columns) if column.field == field]
-        return np.array([i for i, _ in found], dtype=np.int64), np.array([place for _, place in found], dtype=np.int64)
+        found = [
+            (i, column.place) for i, column in enumerate(self.columns) if column.field == field
+        ]
+        return np.array([i for i, _ in found], dtype=np.int64), np.array(
+            [place for _, place in found], dtype=np.int64
+        )
 
     def _quaternion_columns(self, model: mujoco.MjModel) -> list[list[int]]:
         """The four columns of each quaternion that is observed; a part of one is refused."""
@@ -61,7 +86,8 @@ class Layout:
             have = [where[i] for i in range(start, start + 4) if i in where]
             if have and (len(have) < 4 or have != list(range(have[0], have[0] + 4))):
                 raise BadArgument(
-                    f"The observation must hold all four numbers of the quaternion at qpos[{start}:{start + 4}], in order, or none."
+                    "The observation must hold all four numbers of the quaternion at "
+                    f"qpos[{start}:{start + 4}], in order, or none."
                 )
             if have:
                 found.append(have)
@@ -86,7 +112,9 @@ class Layout:
         return np.array([(column.field, column.place) in named for column in self.columns])
 
     def observe(self, states: Array, sensors: Array | None, model: mujoco.MjModel) -> Array:
-        """Observation rows (..., P) from full physics states (..., 1 + nq + nv + na + ...) and sensor data; NaN without."""
+        """Observation rows (..., P) from full physics states (..., 1 + nq + nv + na + ...) and
+        sensor data; NaN without.
+        """
         first = {"qpos": 1, "qvel": 1 + model.nq, "act": 1 + model.nq + model.nv}
         out = np.empty((*states.shape[:-1], len(self)))
         for i, column in enumerate(self.columns):
@@ -96,8 +124,12 @@ class Layout:
                 out[..., i] = states[..., first[column.field] + column.place]
         return out
 
-    def write_start(self, states: Array, rows: Array, chosen: NDArray[np.bool_], model: mujoco.MjModel) -> None:
-        """Writes the chosen columns of observation rows (N, P) into full physics states (N, n), in place."""
+    def write_start(
+        self, states: Array, rows: Array, chosen: NDArray[np.bool_], model: mujoco.MjModel
+    ) -> None:
+        """Writes the chosen columns of observation rows (N, P) into full physics states (N, n), in
+        place.
+        """
         first = {"qpos": 1, "qvel": 1 + model.nq, "act": 1 + model.nq + model.nv}
         for field, (columns, places) in self._start.items():
             take = chosen[columns]
@@ -113,7 +145,9 @@ class Layout:
         return out
 
     def coordinates(self, rows: Array, measured: Array) -> Array:
-        """Observation rows (..., P) as signals (..., p), in the chart at the measured rows (broadcast against `rows`)."""
+        """Observation rows (..., P) as signals (..., p), in the chart at the measured rows
+        (broadcast against `rows`).
+        """
         plain, rotations = self._signal_places()
         out = np.empty((*rows.shape[:-1], len(self.signals)))
         out[..., plain] = rows[..., self._plain]
@@ -130,7 +164,9 @@ class Layout:
 
     def _signal_places(self) -> tuple[list[int], list[list[int]]]:
         """Where the plain columns and each quaternion's rotations stand among the signals."""
-        plain, rotations, at = [], [], 0
+        plain = []
+        rotations = []
+        at = 0
         firsts = {quat[0] for quat in self.quaternions}
         inside = {i for quat in self.quaternions for i in quat[1:]}
         for i in range(len(self)):
@@ -145,20 +181,40 @@ class Layout:
 
 def quaternion_addresses(model: mujoco.MjModel) -> list[int]:
     """Where in qpos the quaternions of free and ball joints begin."""
-    return [int(a) + (3 if t == FREE else 0) for a, t in zip(model.jnt_qposadr, model.jnt_type, strict=True) if t in (FREE, BALL)]
+    return [
+        int(a) + (3 if t == FREE else 0)
+        for a, t in zip(model.jnt_qposadr, model.jnt_type, strict=True)
+        if t in (FREE, BALL)
+    ]
 
 
 def _addresses(model: mujoco.MjModel) -> dict[str, dict[str, tuple[int, int]]]:
-    """Start and length of each named element in qpos, qvel, act and sensordata; a joint without a name goes by its body's."""
+    """Start and length of each named element in qpos, qvel, act and sensordata; a joint without a
+    name goes by its body's.
+    """
     joints = _joint_names(model)
     width = {FREE: (7, 6), BALL: (4, 3), SLIDE: (1, 1), HINGE: (1, 1)}
     kinds = [int(t) for t in model.jnt_type]
-    actuators = {name: i for name, i in element_names(model, "actuator").items() if model.actuator_actnum[i] > 0}
+    actuators = {
+        name: i
+        for name, i in element_names(model, "actuator").items()
+        if model.actuator_actnum[i] > 0
+    }
     return {
-        "qpos": {name: (int(model.jnt_qposadr[j]), width[kinds[j]][0]) for name, j in joints.items()},
-        "qvel": {name: (int(model.jnt_dofadr[j]), width[kinds[j]][1]) for name, j in joints.items()},
-        "act": {name: (int(model.actuator_actadr[i]), int(model.actuator_actnum[i])) for name, i in actuators.items()},
-        "sensordata": {name: (int(model.sensor_adr[i]), int(model.sensor_dim[i])) for name, i in element_names(model, "sensor").items()},
+        "qpos": {
+            name: (int(model.jnt_qposadr[j]), width[kinds[j]][0]) for name, j in joints.items()
+        },
+        "qvel": {
+            name: (int(model.jnt_dofadr[j]), width[kinds[j]][1]) for name, j in joints.items()
+        },
+        "act": {
+            name: (int(model.actuator_actadr[i]), int(model.actuator_actnum[i]))
+            for name, i in actuators.items()
+        },
+        "sensordata": {
+            name: (int(model.sensor_adr[i]), int(model.sensor_dim[i]))
+            for name, i in element_names(model, "sensor").items()
+        },
     }
 
 
@@ -173,7 +229,9 @@ def _joint_names(model: mujoco.MjModel) -> dict[str, int]:
 
 
 def _name(model: mujoco.MjModel, column: _Column) -> str:
-    """ "qpos.thigh_joint", or "qpos[3]" where the element has no name or several numbers (then "qpos.box[0]")."""
+    """ "qpos.thigh_joint", or "qpos[3]" where the element has no name or several numbers (then
+    "qpos.box[0]").
+    """
     for name, (start, count) in _addresses(model)[column.field].items():
         if start <= column.place < start + count:
             return f"{column.field}.{name}" + (f"[{column.place - start}]" if count > 1 else "")
@@ -196,8 +254,15 @@ def multiply(a: Array, b: Array) -> Array:
     """The product of quaternions (..., 4), w x y z."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack([aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
-                     aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw], axis=-1)  # fmt: skip
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
 
 
 def exponential(rotation: Array) -> Array:
@@ -207,11 +272,15 @@ def exponential(rotation: Array) -> Array:
 
 
 def logarithm(quaternion: Array) -> Array:
-    """Rotation vectors (..., 3) [rad], of length at most pi, of quaternions (..., 4) of any length but 0."""
+    """Rotation vectors (..., 3) [rad], of length at most pi, of quaternions (..., 4) of any length
+    but 0.
+    """
     imaginary = quaternion[..., 1:] * np.where(quaternion[..., :1] < 0, -1.0, 1.0)
     real = np.abs(quaternion[..., 0])
     length = np.linalg.norm(imaginary, axis=-1)
     angle = 2 * np.arctan2(length, real)
     small = length < 1e-150
-    factor = np.where(small, 2.0 / np.where(real > 0, real, 1.0), angle / np.where(small, 1.0, length))
+    factor = np.where(
+        small, 2.0 / np.where(real > 0, real, 1.0), angle / np.where(small, 1.0, length)
+    )
     return factor[..., None] * imaginary

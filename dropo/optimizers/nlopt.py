@@ -27,14 +27,18 @@ class _Nlopt(CallbackOptimizer):
     def _minimise(self, cost: Callable[[Array], tuple[float, Array | None]]) -> str:
         import nlopt
 
-        nlopt.srand(int(self.rng.integers(2**31)))  # NLopt's generator belongs to the thread, and so to this optimizer
+        nlopt.srand(
+            int(self.rng.integers(2**31))
+        )  # NLopt's generator belongs to the thread, and so to this optimizer
         search = nlopt.opt(getattr(nlopt, self.algorithm), self.dimension)
         search.set_lower_bounds(np.zeros(self.dimension))
         search.set_upper_bounds(np.ones(self.dimension))
         search.set_initial_step(np.minimum(self.step, self.widest))
         search.set_xtol_rel(self.tolerance)
         search.set_xtol_abs(np.full(self.dimension, self.tolerance))
-        search.set_maxeval(self.budget + 1)  # one more than is ever asked for, so that running out is not taken for an end
+        search.set_maxeval(
+            self.budget + 1
+        )  # one more than is ever asked for, so that running out is not taken for an end
         objective = _Objective(cost, search.force_stop)
         search.set_min_objective(objective)
         try:
@@ -43,16 +47,28 @@ class _Nlopt(CallbackOptimizer):
             raise objective.error or RuntimeError("NLopt was stopped from outside.") from None
         except nlopt.RoundoffLimited:
             return "Rounding errors hide any further improvement."
-        except (RuntimeError, nlopt.runtime_error) as error:  # NLopt's word for a line search that finds nothing lower
-            return f"{self.algorithm} found nothing better along its last direction ({error or 'no reason given'})."
+        except (
+            RuntimeError,
+            nlopt.runtime_error,
+        ) as error:  # NLopt's word for a line search that finds nothing lower
+            return (
+                f"{self.algorithm} found nothing better along its last direction "
+                f"({error or 'no reason given'})."
+            )
         return REASONS.get(search.last_optimize_result(), "NLopt stopped.")
 
 
 class _Objective:
-    """The cost as NLopt calls it. Some of its methods go on after an exception, which Python cannot bear, so it is kept back."""
+    """The cost as NLopt calls it.
 
-    def __init__(self, cost: Callable[[Array], tuple[float, Array | None]], force_stop: Callable[[], None]):
-        self.cost, self.force_stop = cost, force_stop
+    Some of its methods go on after an exception, which Python cannot bear, so it is kept back.
+    """
+
+    def __init__(
+        self, cost: Callable[[Array], tuple[float, Array | None]], force_stop: Callable[[], None]
+    ):
+        self.cost = cost
+        self.force_stop = force_stop
         self.error: BaseException | None = None
 
     def __call__(self, point: Array, gradient: Any) -> float:
@@ -69,7 +85,9 @@ class _Objective:
 
 
 class Bobyqa(_Nlopt):
-    """Quadratic models in a trust region (Powell 2009); fast where the cost is smooth, lost where it is not."""
+    """Quadratic models in a trust region (Powell 2009); fast where the cost is smooth, lost where
+    it is not.
+    """
 
     algorithm = "LN_BOBYQA"
     widest = 0.49  # the trust region must fit twice between the bounds
@@ -82,14 +100,19 @@ class Sbplx(_Nlopt):
 
 
 class Crs2(_Nlopt):
-    """Controlled random search with local mutation (Kaelo and Ali 2006); global, random, ends with the budget alone."""
+    """Controlled random search with local mutation (Kaelo and Ali 2006); global, random, ends with
+    the budget alone.
+    """
 
     algorithm = "GN_CRS2_LM"
-    tolerance = 0.0  # NLopt compares successive best points here, which are close by chance long before the end
+    # NLopt compares successive best points here, which are close by chance long before the end
+    tolerance = 0.0
 
 
 class DirectL(_Nlopt):
-    """Dividing rectangles, biased to local search (Gablonsky and Kelley 2001); global, not random, ends with the budget alone."""
+    """Dividing rectangles, biased to local search (Gablonsky and Kelley 2001); global, not random,
+    ends with the budget alone.
+    """
 
     algorithm = "GN_DIRECT_L"
 

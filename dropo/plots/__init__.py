@@ -1,8 +1,8 @@
 """Figures of fits and diagnoses with matplotlib: one function a figure, axes in and out.
 
-Each function draws into `ax` where one is given, else into a figure of its own, and returns the Axes. Nothing but the figure is changed:
-no global style. Colours are Okabe and Ito's, told apart by all kinds of sight: orange is the model before, blue after, dark what was
-measured.
+Each function draws into `ax` where one is given, else into a figure of its own, and returns the
+Axes. Nothing but the figure is changed: no global style. Colours are Okabe and Ito's, told apart by
+all kinds of sight: orange is the model before, blue after, dark what was measured.
 """
 
 from dropo.plots.causes import candidates, changes, forces, residuals, similarity, sizes
@@ -11,6 +11,22 @@ from dropo.plots.motion import calibration, errors, horizon, trajectory
 from dropo.plots.search import convergence, moves, noise, trace, tuning
 
 __all__ = [
-    "calibration", "candidates", "changes", "convergence", "corner", "correlation", "errors", "forces", "horizon", "moves", "noise",
-    "parameters", "residuals", "similarity", "sizes", "trace", "trajectory", "tuning",
-]  # fmt: skip
+    "calibration",
+    "candidates",
+    "changes",
+    "convergence",
+    "corner",
+    "correlation",
+    "errors",
+    "forces",
+    "horizon",
+    "moves",
+    "noise",
+    "parameters",
+    "residuals",
+    "similarity",
+    "sizes",
+    "trace",
+    "trajectory",
+    "tuning",
+]

@@ -10,7 +10,21 @@ from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array
-from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, LIGHT, OTHER, Axes, axes_of, empty, folded, legend, with_unit
+from dropo.plots.style import (
+    AFTER,
+    BEFORE,
+    FONT,
+    GREY,
+    INK,
+    LIGHT,
+    OTHER,
+    Axes,
+    axes_of,
+    empty,
+    folded,
+    legend,
+    with_unit,
+)
 
 MOST = 6  # parameters in a corner plot
 DRAWS = 4000
@@ -20,18 +34,35 @@ SHARES = (0.9, 0.5)  # of the draws, inside the contours
 
 
 def parameters(fit: Fit, ax: Axes | None = None, *, priors: dict[str, Prior] | None = None) -> Axes:
-    """Every parameter on its own search interval: the mean's 95 % interval, the distribution's mean +- 2 sd, the truth where it is known.
+    """Every parameter on its own search interval: the mean's 95 % interval, the distribution's mean
+    +- 2 sd, the truth where it is known.
 
     priors: drawn as heights above the interval.
     """
     ax = axes_of(ax, size=(4.2, 0.6 + 0.38 * len(fit.space)))
     place = np.arange(len(fit.space))[::-1]
-    spread = fit.space.to_unit(np.clip(np.stack([fit.mean - 2 * fit.sd, fit.mean, fit.mean + 2 * fit.sd]), fit.space.low, fit.space.high))
+    spread = fit.space.to_unit(
+        np.clip(
+            np.stack([fit.mean - 2 * fit.sd, fit.mean, fit.mean + 2 * fit.sd]),
+            fit.space.low,
+            fit.space.high,
+        )
+    )
     interval = fit.space.to_unit(fit.interval().T)
     ax.barh(place, 1, height=0.44, color=LIGHT, label="searched")
-    for i, prior in ((fit.space.names.index(name), prior) for name, prior in (priors or {}).items()):
+    for i, prior in (
+        (fit.space.names.index(name), prior) for name, prior in (priors or {}).items()
+    ):
         _draw_prior(ax, fit.space, i, prior, place[i])
-    ax.barh(place, spread[2] - spread[0], left=spread[0], height=0.44, color=AFTER, alpha=0.45, label="distribution ± 2 sd")
+    ax.barh(
+        place,
+        spread[2] - spread[0],
+        left=spread[0],
+        height=0.44,
+        color=AFTER,
+        alpha=0.45,
+        label="distribution ± 2 sd",
+    )
     ax.hlines(place, *interval, color=AFTER, lw=2.2)
     ax.plot(spread[1], place, "|", color=AFTER, ms=11, mew=2, label="mean, 95 % interval")
     truth = fit.details.get("truth", {})
@@ -39,7 +70,13 @@ def parameters(fit: Fit, ax: Axes | None = None, *, priors: dict[str, Prior] | N
         values = np.array([truth.get(name, np.nan) for name in fit.space.names])
         ax.plot(fit.space.to_unit(values), place, "D", color=BEFORE, ms=3.6, label="truth")
     labels = [f"{with_unit(p.name, p.unit)}\n{p.low:.3g} … {p.high:.3g}" for p in fit.space]
-    ax.set(yticks=place, yticklabels=labels, xlim=(-0.02, 1.02), xticks=[0, 0.5, 1], ylim=(-0.6, len(fit.space) + 0.9))
+    ax.set(
+        yticks=place,
+        yticklabels=labels,
+        xlim=(-0.02, 1.02),
+        xticks=[0, 0.5, 1],
+        ylim=(-0.6, len(fit.space) + 0.9),
+    )
     ax.set_xticklabels(["lower end", "middle", "upper end"])
     ax.tick_params(axis="y", labelsize=FONT - 1, length=0)
     legend(ax, loc="upper left", ncols=2, columnspacing=1.0, handlelength=1.4, borderaxespad=0)
@@ -63,8 +100,8 @@ def draws_of(fit: Fit) -> Array:
 
 
 def corner(fit: Fit, axes: Any = None) -> Any:
-    """The joint distribution of the parameters, two by two: contours that hold half and 90 % of the draws; of up to six, those that vary
-    most beside their search interval.
+    """The joint distribution of the parameters, two by two: contours that hold half and 90 % of the
+    draws; of up to six, those that vary most beside their search interval.
 
     axes: (d, d) Axes, or None for a figure of its own. Returns them.
     """
@@ -76,9 +113,13 @@ def corner(fit: Fit, axes: Any = None) -> Any:
         import matplotlib.pyplot as plt
 
         side = 1.2 + 0.8 * len(chosen)
-        axes = plt.subplots(len(chosen), len(chosen), figsize=(side, side), layout="constrained", squeeze=False)[1]
+        axes = plt.subplots(
+            len(chosen), len(chosen), figsize=(side, side), layout="constrained", squeeze=False
+        )[1]
     units = [_near(fit, i) for i in range(len(fit.space))]
-    draws = (draws - np.array([unit.base for unit in units])) / np.array([unit.scale for unit in units])
+    draws = (draws - np.array([unit.base for unit in units])) / np.array(
+        [unit.scale for unit in units]
+    )
     for row, i in enumerate(chosen):
         for column, j in enumerate(chosen):
             _cell(axes[row][column], units, draws, int(i), int(j), row, column, len(chosen))
@@ -96,8 +137,12 @@ class _Unit:
 
 
 def _near(fit: Fit, i: int) -> _Unit:
-    """As it is; in a power of ten where it is very small or large; where the distribution is narrow beside its mean, as a difference."""
-    parameter, mean, sd = fit.space[i], float(fit.mean[i]), float(fit.sd[i])
+    """As it is; in a power of ten where it is very small or large; where the distribution is narrow
+    beside its mean, as a difference.
+    """
+    parameter = fit.space[i]
+    mean = float(fit.mean[i])
+    sd = float(fit.sd[i])
     narrow = 0 < sd < NARROW * abs(mean)
     power = int(np.floor(np.log10(sd if narrow else max(abs(mean), sd, 1e-300))))
     base = round(mean, -power) if narrow else 0.0
@@ -105,10 +150,17 @@ def _near(fit: Fit, i: int) -> _Unit:
     name = folded(parameter.name) + (f"\n− {base:.{max(0, -power)}f}" if narrow else "")
     unit = f"1e{power} {parameter.unit}".rstrip() if power else parameter.unit
     truth = fit.details.get("truth", {}).get(parameter.name)
-    return _Unit(f"{name}\n[{unit}]" if unit else name, base, 10.0**power, None if truth is None else (truth - base) / 10.0**power)
+    return _Unit(
+        f"{name}\n[{unit}]" if unit else name,
+        base,
+        10.0**power,
+        None if truth is None else (truth - base) / 10.0**power,
+    )
 
 
-def _cell(ax: Axes, units: list[_Unit], draws: Array, i: int, j: int, row: int, column: int, count: int) -> None:
+def _cell(
+    ax: Axes, units: list[_Unit], draws: Array, i: int, j: int, row: int, column: int, count: int
+) -> None:
     if column > row:
         ax.set_axis_off()
         return
@@ -122,7 +174,10 @@ def _cell(ax: Axes, units: list[_Unit], draws: Array, i: int, j: int, row: int, 
     if truth is not None and draws[:, j].min() <= truth <= draws[:, j].max():
         ax.axvline(truth, color=BEFORE, lw=1)
     ax.tick_params(labelsize=FONT - 1.5)
-    for axis, last, unit in ((ax.xaxis, row == count - 1, units[j]), (ax.yaxis, column == 0 and row > 0, units[i])):
+    for axis, last, unit in (
+        (ax.xaxis, row == count - 1, units[j]),
+        (ax.yaxis, column == 0 and row > 0, units[i]),
+    ):
         axis.set_major_locator(_few_ticks(3 if count < 4 else 2))
         if last:
             axis.set_label_text(unit.label, fontsize=FONT - 1)
@@ -149,23 +204,37 @@ def _contours(ax: Axes, x: Array, y: Array) -> None:
     shares = np.cumsum(ranked) / ranked.sum()
     levels = [float(ranked[np.searchsorted(shares, share)]) for share in SHARES]
     centres = [_padded((edges[:-1] + edges[1:]) / 2) for edges in (across, up)]
-    ax.contourf(*centres, smooth.T, levels=[*levels, float(ranked[0]) * 1.001], colors=[AFTER, AFTER], alpha=0.35)
+    ax.contourf(
+        *centres,
+        smooth.T,
+        levels=[*levels, float(ranked[0]) * 1.001],
+        colors=[AFTER, AFTER],
+        alpha=0.35,
+    )
     ax.contour(*centres, smooth.T, levels=levels, colors=[AFTER], linewidths=0.8)
 
 
 def _padded(centres: Array) -> Array:
     step = centres[1] - centres[0]
-    return np.concatenate([centres[0] - step * np.arange(3, 0, -1), centres, centres[-1] + step * np.arange(1, 4)])
+    return np.concatenate(
+        [centres[0] - step * np.arange(3, 0, -1), centres, centres[-1] + step * np.arange(1, 4)]
+    )
 
 
 def correlation(fit: Fit, ax: Axes | None = None) -> Axes:
     """The correlations between the parameters, as numbers on squares: blue above 0, orange below."""
-    matrix = np.corrcoef(draws_of(fit).T) if fit.details.get("over") == "parameters" else fit.correlation
-    return squares(np.atleast_2d(matrix), fit.space.names, axes_of(ax), "Only one parameter was fitted.")
+    matrix = (
+        np.corrcoef(draws_of(fit).T) if fit.details.get("over") == "parameters" else fit.correlation
+    )
+    return squares(
+        np.atleast_2d(matrix), fit.space.names, axes_of(ax), "Only one parameter was fitted."
+    )
 
 
 def squares(matrix: Array, names: tuple[str, ...], ax: Axes, otherwise: str) -> Axes:
-    """A symmetric matrix of numbers in [-1, 1], the lower half of it, with the names along its diagonal."""
+    """A symmetric matrix of numbers in [-1, 1], the lower half of it, with the names along its
+    diagonal.
+    """
     count = len(names)
     if count < 2:
         return empty(ax, otherwise)
@@ -174,10 +243,34 @@ def squares(matrix: Array, names: tuple[str, ...], ax: Axes, otherwise: str) -> 
         for j in range(i):
             value = float(matrix[i, j])
             shade = AFTER if value >= 0 else BEFORE
-            ax.fill([j, j + 1, j + 1, j], [-i, -i, -i - 1, -i - 1], color=shade, alpha=min(1.0, abs(value)) * 0.6, lw=0)
-            ax.text(j + 0.5, -i - 0.5, f"{value:.2f}", ha="center", va="center", fontsize=small, color=INK)
-        ax.text(i + 0.1, -i - 0.5, names[i], ha="left", va="center", fontsize=small, color=INK if count < 12 else GREY)
-    wide = max((i + 0.1) / max(0.2, 1 - len(name) * small * CHARACTER) for i, name in enumerate(names))
+            ax.fill(
+                [j, j + 1, j + 1, j],
+                [-i, -i, -i - 1, -i - 1],
+                color=shade,
+                alpha=min(1.0, abs(value)) * 0.6,
+                lw=0,
+            )
+            ax.text(
+                j + 0.5,
+                -i - 0.5,
+                f"{value:.2f}",
+                ha="center",
+                va="center",
+                fontsize=small,
+                color=INK,
+            )
+        ax.text(
+            i + 0.1,
+            -i - 0.5,
+            names[i],
+            ha="left",
+            va="center",
+            fontsize=small,
+            color=INK if count < 12 else GREY,
+        )
+    wide = max(
+        (i + 0.1) / max(0.2, 1 - len(name) * small * CHARACTER) for i, name in enumerate(names)
+    )
     ax.set(xlim=(0, max(count + 0.5, wide)), ylim=(-count, 0))
     ax.set_axis_off()
     return ax

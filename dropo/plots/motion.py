@@ -6,7 +6,19 @@ import numpy as np
 
 from dropo.core.records.predictions import Predictions, Side
 from dropo.core.services.validation import Array, known, require
-from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, Axes, axes_of, empty, legend, plain_log, with_unit
+from dropo.plots.style import (
+    AFTER,
+    BEFORE,
+    FONT,
+    GREY,
+    INK,
+    Axes,
+    axes_of,
+    empty,
+    legend,
+    plain_log,
+    with_unit,
+)
 
 BINS = 10  # of probabilities
 TOLD = 2.576  # standard errors of a bin's count: beyond it once in a hundred
@@ -15,13 +27,22 @@ TOLD = 2.576  # standard errors of a bin's count: beyond it once in a hundred
 def predictions_of(result: Any) -> Predictions:
     """Predictions themselves, or those of a diagnosis."""
     found = getattr(result, "motion", result)
-    require(isinstance(found, Predictions), "result", "Predictions, or a Diagnosis that has such", type(result).__name__, "dropo.plots")
+    require(
+        isinstance(found, Predictions),
+        "result",
+        "Predictions, or a Diagnosis that has such",
+        type(result).__name__,
+        "dropo.plots",
+    )
     return found
 
 
 def sides(found: Predictions) -> list[tuple[Side, str, Any, str]]:
     """(side, colour, line, mark) of before and after; of after alone where nothing was changed."""
-    both: list[tuple[Side, str, Any, str]] = [(found.before, BEFORE, (0, (4, 2)), "o"), (found.after, AFTER, "-", "s")]
+    both: list[tuple[Side, str, Any, str]] = [
+        (found.before, BEFORE, (0, (4, 2)), "o"),
+        (found.after, AFTER, "-", "s"),
+    ]
     return both if changed(found) else both[1:]
 
 
@@ -31,29 +52,45 @@ def changed(found: Predictions) -> bool:
 
 
 def telling(result: Any, most: int = 6) -> list[str]:
-    """The signals whose squared errors change most beside their spread, most first, without those that never change; where there is one
-    model alone, those that it is off most in."""
+    """The signals whose squared errors change most beside their spread, most first, without those
+    that never change; where there is one model alone, those that it is off most in.
+    """
     found = predictions_of(result)
-    change = np.abs(found.before.by_signal**2 - found.after.by_signal**2) if changed(found) else found.after.by_signal**2
+    change = (
+        np.abs(found.before.by_signal**2 - found.after.by_signal**2)
+        if changed(found)
+        else found.after.by_signal**2
+    )
     share = np.nan_to_num(change, nan=np.inf) / np.where(found.spread > 0, found.spread**2, np.inf)
-    share[np.ptp(found.measured, axis=(0, 1)) <= 0] = 0.0  # rotations, which are compared in the chart at the measurement
+    share[np.ptp(found.measured, axis=(0, 1)) <= 0] = (
+        0.0  # rotations, which are compared in the chart at the measurement
+    )
     order = np.argsort(-share, kind="stable")
     return [found.names[i] for i in order[:most] if share[i] > 0]
 
 
 def trajectory(result: Any, signal: str, ax: Axes | None = None) -> Axes:
-    """One signal as measured and as predicted from the measured start of each window, with both models' 90 % bands.
+    """One signal as measured and as predicted from the measured start of each window, with both
+    models' 90 % bands.
 
     result: Predictions, or a Diagnosis. signal: its name.
     """
-    found, ax = predictions_of(result), axes_of(ax)
+    found = predictions_of(result)
+    ax = axes_of(ax)
     i = found.names.index(known("signal", signal, found.names))
     step, unit = (1.0, "control steps") if np.isnan(found.seconds) else (found.seconds, "s")
     for w, begin in enumerate(_side_by_side(found)):
         time = step * (begin + 1 + np.arange(found.measured.shape[1]))
         for side, color, style, _ in sides(found):
             ax.fill_between(time, *side.band[:, w, :, i], color=color, alpha=0.18, lw=0)
-            ax.plot(time, side.line[w, :, i], color=color, lw=1.5, ls=style, label=side.name if w == 0 else None)
+            ax.plot(
+                time,
+                side.line[w, :, i],
+                color=color,
+                lw=1.5,
+                ls=style,
+                label=side.name if w == 0 else None,
+            )
         label = "measured" if w == 0 else None
         ax.plot(time, found.measured[w, :, i], ".", color=INK, ms=3.2, label=label, zorder=3)
     ax.set(xlabel=f"time [{unit}]", title=with_unit(signal, found.units[i]))
@@ -62,22 +99,35 @@ def trajectory(result: Any, signal: str, ax: Axes | None = None) -> Axes:
 
 
 def _side_by_side(found: Predictions) -> Array:
-    """Where on the axis the windows begin: as in the data where they follow one another, else one behind the other."""
-    length, begins = found.measured.shape[1], found.begins
+    """Where on the axis the windows begin: as in the data where they follow one another, else one
+    behind the other.
+    """
+    length = found.measured.shape[1]
+    begins = found.begins
     in_order = len(begins) < 2 or int(np.diff(begins).min()) >= length
-    return np.asarray(begins if in_order and np.ptp(begins) < 3 * length * len(begins) else np.arange(len(begins)) * (length + 2))
+    return np.asarray(
+        begins
+        if in_order and np.ptp(begins) < 3 * length * len(begins)
+        else np.arange(len(begins)) * (length + 2)
+    )
 
 
 def horizon(result: Any, ax: Axes | None = None) -> Axes:
-    """Root mean square errors by how far ahead is predicted, all signals together, each in units of its own spread."""
-    found, ax = predictions_of(result), axes_of(ax)
+    """Root mean square errors by how far ahead is predicted, all signals together, each in units of
+    its own spread.
+    """
+    found = predictions_of(result)
+    ax = axes_of(ax)
     steps = np.arange(1, len(found.before.by_horizon) + 1)
     for side, color, _, mark in sides(found):
-        ax.plot(steps, 100 * side.by_horizon, color=color, marker=mark, ms=3.5, lw=1.3, label=side.name)
+        ax.plot(
+            steps, 100 * side.by_horizon, color=color, marker=mark, ms=3.5, lw=1.3, label=side.name
+        )
     if np.isfinite(found.noise).any():
         ax.plot(steps, 100 * found.noise, color=GREY, lw=1.2, ls=(0, (2, 2)), label="noise alone")
     ax.set(xlabel="control steps ahead", ylabel="error [% of the motion's spread]")
-    smallest, largest = np.nanmin([s.by_horizon for s in (found.before, found.after)]), np.nanmax(found.before.by_horizon)
+    smallest = np.nanmin([s.by_horizon for s in (found.before, found.after)])
+    largest = np.nanmax(found.before.by_horizon)
     if smallest < 0.05 * largest:
         ax.set_yscale("log")
     else:
@@ -88,17 +138,27 @@ def horizon(result: Any, ax: Axes | None = None) -> Axes:
 
 
 def errors(result: Any, ax: Axes | None = None) -> Axes:
-    """Each signal's root mean square error before and after, in the rows that a fit compares, beside the signal's own spread."""
-    found, ax = predictions_of(result), axes_of(ax)
+    """Each signal's root mean square error before and after, in the rows that a fit compares,
+    beside the signal's own spread.
+    """
+    found = predictions_of(result)
+    ax = axes_of(ax)
     place = np.arange(len(found.names))[::-1]
     unit = np.where(found.spread > 0, found.spread, np.nan)
-    before, after = 100 * found.before.by_signal / unit, 100 * found.after.by_signal / unit
+    before = 100 * found.before.by_signal / unit
+    after = 100 * found.after.by_signal / unit
     ax.hlines(place, np.fmin(before, after), np.fmax(before, after), color=GREY, lw=1.1)
     if changed(found):
         ax.plot(before, place, "o", color=BEFORE, ms=4.5, label=found.before.name)
     ax.plot(after, place, "s", color=AFTER, ms=4.2, label=found.after.name)
     ax.set(yticks=place, yticklabels=found.names, ylim=(-0.7, len(found.names) + 1.6))
-    ax.set(xscale="log", xlabel=f"error after {found.rows_after} step{'s' * (found.rows_after > 1)} [% of the signal's spread]")
+    ax.set(
+        xscale="log",
+        xlabel=(
+            f"error after {found.rows_after} step{'s' * (found.rows_after > 1)} [% of the "
+            "signal's spread]"
+        ),
+    )
     plain_log(ax)
     ax.tick_params(axis="y", labelsize=FONT - 1)
     legend(ax, loc="upper left", ncols=2, columnspacing=1.0, handletextpad=0.2)
@@ -106,12 +166,15 @@ def errors(result: Any, ax: Axes | None = None) -> Axes:
 
 
 def calibration(result: Any, ax: Axes | None = None) -> Axes:
-    """How often measurements fall where they should: the probabilities that were predicted for what lies below them, counted.
+    """How often measurements fall where they should: the probabilities that were predicted for what
+    lies below them, counted.
 
-    Level at 100 % where predictions are calibrated; raised at both ends where they are too sure, in the middle where too cautious; the
-    grey band holds 99 % of the bins of independent calibrated predictions.
+    Level at 100 % where predictions are calibrated; raised at both ends where they are too sure, in
+    the middle where too cautious; the grey band holds 99 % of the bins of independent calibrated
+    predictions.
     """
-    found, ax = predictions_of(result), axes_of(ax)
+    found = predictions_of(result)
+    ax = axes_of(ax)
     edges = np.linspace(0, 1, BINS + 1)
     counted = [(side, color, style) for side, color, style, _ in sides(found) if len(side.pit)]
     if not counted:
@@ -121,7 +184,11 @@ def calibration(result: Any, ax: Axes | None = None) -> Axes:
     for side, color, style in counted:
         share = 100 * BINS * np.histogram(side.pit, edges)[0] / len(side.pit)
         ax.stairs(share, edges, color=color, lw=1.8, ls=style, label=side.name)
-    ax.set(xlim=(0, 1), xlabel="predicted probability of less", ylabel="measurements [% of the expected]")
+    ax.set(
+        xlim=(0, 1),
+        xlabel="predicted probability of less",
+        ylabel="measurements [% of the expected]",
+    )
     ax.set_ylim(bottom=0)
     legend(ax, room=0.22, loc="upper left")
     return ax

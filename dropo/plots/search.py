@@ -5,20 +5,41 @@ from numpy.typing import ArrayLike
 
 from dropo.core.records.fit import Fit
 from dropo.core.records.predictions import Predictions
-from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, OTHER, PURPLE, Axes, axes_of, empty, legend, plain_log
+from dropo.plots.style import (
+    AFTER,
+    BEFORE,
+    FONT,
+    GREY,
+    INK,
+    OTHER,
+    PURPLE,
+    Axes,
+    axes_of,
+    empty,
+    legend,
+    plain_log,
+)
 
 MOST = 6  # lines in a figure
 
 
-def convergence(simulator_steps: ArrayLike, log_likelihood: ArrayLike, ax: Axes | None = None) -> Axes:
-    """How far below its end the log-likelihood was, over the simulator steps spent: every evaluation, and the best so far."""
-    steps, values, ax = np.asarray(simulator_steps, dtype=float), np.asarray(log_likelihood, dtype=float), axes_of(ax)
+def convergence(
+    simulator_steps: ArrayLike, log_likelihood: ArrayLike, ax: Axes | None = None
+) -> Axes:
+    """How far below its end the log-likelihood was, over the simulator steps spent: every
+    evaluation, and the best so far.
+    """
+    steps = np.asarray(simulator_steps, dtype=float)
+    values = np.asarray(log_likelihood, dtype=float)
+    ax = axes_of(ax)
     finite = np.isfinite(values)
-    steps, values = steps[finite], values[finite]
+    steps = steps[finite]
+    values = values[finite]
     if not len(values):
         return empty(ax, "Nothing was searched.")
     best = np.maximum.accumulate(values)
-    missing, behind = best[-1] - values, best[-1] - best
+    missing = best[-1] - values
+    behind = best[-1] - best
     ax.plot(steps, missing, ".", color=GREY, ms=3.5, label="evaluations")
     ax.step(steps, behind, where="post", color=AFTER, lw=1.6, label="best so far")
     ax.set(xlabel="simulator steps", ylabel="nats below the highest")
@@ -30,14 +51,24 @@ def convergence(simulator_steps: ArrayLike, log_likelihood: ArrayLike, ax: Axes 
 
 
 def moves(after_round: ArrayLike, fit: Fit, ax: Axes | None = None) -> Axes:
-    """How far each mean was from its last value after each round of the search, in shares of its interval. after_round: (n, d)."""
-    means, ax = np.asarray(after_round, dtype=float), axes_of(ax)
+    """How far each mean was from its last value after each round of the search, in shares of its
+    interval. after_round: (n, d).
+    """
+    means = np.asarray(after_round, dtype=float)
+    ax = axes_of(ax)
     if len(means) < 2:
         return empty(ax, "The search took one round.")
     share = np.abs(means - fit.mean) / (fit.space.high - fit.space.low)
     for i, name in enumerate(fit.space.names[:MOST]):
-        ax.plot(np.arange(1, len(means) + 1), np.where(share[:, i] > 0, share[:, i], np.nan), marker="os^vDP"[i], ms=4, lw=1.2, label=name,
-                color=(AFTER, BEFORE, OTHER, INK, GREY, PURPLE)[i])  # fmt: skip
+        ax.plot(
+            np.arange(1, len(means) + 1),
+            np.where(share[:, i] > 0, share[:, i], np.nan),
+            marker="os^vDP"[i],
+            ms=4,
+            lw=1.2,
+            label=name,
+            color=(AFTER, BEFORE, OTHER, INK, GREY, PURPLE)[i],
+        )
     ax.set(yscale="log", xlabel="round", ylabel="from the last value [of the interval]")
     ax.xaxis.get_major_locator().set_params(integer=True)
     legend(ax)
@@ -51,20 +82,36 @@ def trace(fit: Fit, ax: Axes | None = None) -> Axes:
         return empty(ax, "Nothing was drawn.")
     density = fit.arrays["log_density"]
     every = max(1, len(density) // 200)
-    ax.plot(np.arange(len(density))[::every], density[::every, :MOST], color=AFTER, lw=0.6, alpha=0.6)
-    ax.set(xlabel="step", ylabel="log density of six walkers" if density.shape[1] > MOST else "log density")
+    ax.plot(
+        np.arange(len(density))[::every], density[::every, :MOST], color=AFTER, lw=0.6, alpha=0.6
+    )
+    ax.set(
+        xlabel="step",
+        ylabel="log density of six walkers" if density.shape[1] > MOST else "log density",
+    )
     return ax
 
 
 def tuning(fit: Fit, ax: Axes | None = None) -> Axes:
-    """The sweep over epsilon (Tiboni 2021, figure 6.4): mean squared error and the variance of the distribution, with the one chosen."""
-    ax, table = axes_of(ax), fit.details.get("tuning")
+    """The sweep over epsilon (Tiboni 2021, figure 6.4): mean squared error and the variance of the
+    distribution, with the one chosen.
+    """
+    ax = axes_of(ax)
+    table = fit.details.get("tuning")
     if not table:
         return empty(ax, "Epsilon was not tuned.")
-    epsilon, mse, variance = (np.array([row[key] for row in table]) for key in ("epsilon", "mse", "total_variance"))
+    epsilon, mse, variance = (
+        np.array([row[key] for row in table]) for key in ("epsilon", "mse", "total_variance")
+    )
     ax.plot(epsilon, mse, color=BEFORE, marker="o", ms=4, label="mean squared error")
     ax.plot(epsilon, variance, color=AFTER, marker="s", ms=4, label="variance of the distribution")
-    ax.axhline(fit.details["mse_threshold"], color=GREY, lw=1, ls=(0, (2, 2)), label="largest error accepted")
+    ax.axhline(
+        fit.details["mse_threshold"],
+        color=GREY,
+        lw=1,
+        ls=(0, (2, 2)),
+        label="largest error accepted",
+    )
     ax.axvline(float(fit.epsilon[0]), color=GREY, lw=1, label="chosen")
     ax.set(xscale="log", yscale="log", xlabel="epsilon")
     legend(ax, room=0.35, loc="upper right")
@@ -72,12 +119,30 @@ def tuning(fit: Fit, ax: Axes | None = None) -> Axes:
 
 
 def noise(fit: Fit, predictions: Predictions, ax: Axes | None = None) -> Axes:
-    """The standard deviation of the noise that the fit gives or takes for each signal, beside the errors that are left."""
-    ax, place = axes_of(ax), np.arange(len(predictions.names))[::-1]
+    """The standard deviation of the noise that the fit gives or takes for each signal, beside the
+    errors that are left.
+    """
+    ax = axes_of(ax)
+    place = np.arange(len(predictions.names))[::-1]
     unit = np.where(predictions.spread > 0, predictions.spread, np.nan)
-    ax.plot(100 * np.sqrt(fit.epsilon) / unit, place, "|", color=AFTER, ms=10, mew=2, label="noise, sd")
-    ax.plot(100 * predictions.after.by_signal / unit, place, "s", color=GREY, ms=3.8, label="error that is left")
-    ax.set(yticks=place, yticklabels=predictions.names, ylim=(-0.7, len(place) + 1.2), xscale="log", xlabel="% of the signal's spread")
+    ax.plot(
+        100 * np.sqrt(fit.epsilon) / unit, place, "|", color=AFTER, ms=10, mew=2, label="noise, sd"
+    )
+    ax.plot(
+        100 * predictions.after.by_signal / unit,
+        place,
+        "s",
+        color=GREY,
+        ms=3.8,
+        label="error that is left",
+    )
+    ax.set(
+        yticks=place,
+        yticklabels=predictions.names,
+        ylim=(-0.7, len(place) + 1.2),
+        xscale="log",
+        xlabel="% of the signal's spread",
+    )
     plain_log(ax)
     ax.tick_params(axis="y", labelsize=FONT - 1)
     legend(ax, loc="upper left", ncols=2)

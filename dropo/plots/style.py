@@ -8,8 +8,14 @@ from dropo.core.services.optional_dependencies import need
 Axes = Any
 """A matplotlib Axes, which has no types of its own."""
 
-INK, GREY, LIGHT = "#222222", "#8A8A8A", "#DDDDDD"
-BEFORE, AFTER, OTHER, PURPLE = "#D55E00", "#0072B2", "#009E73", "#CC79A7"  # of Okabe and Ito's palette
+INK = "#222222"
+GREY = "#8A8A8A"
+LIGHT = "#DDDDDD"
+# of Okabe and Ito's palette
+BEFORE = "#D55E00"
+AFTER = "#0072B2"
+OTHER = "#009E73"
+PURPLE = "#CC79A7"
 SIZE = (4.2, 2.9)  # [in] of one figure
 FONT = 8.5  # [pt]
 
@@ -28,7 +34,17 @@ def axes_of(ax: Axes | None, *, size: tuple[float, float] = SIZE) -> Axes:
 def empty(ax: Axes, sentence: str) -> Axes:
     """The axes with a sentence in place of a figure that nothing can be drawn in."""
     ax.set_axis_off()
-    ax.text(0.5, 0.5, sentence, ha="center", va="center", wrap=True, color=GREY, transform=ax.transAxes, fontsize=FONT)
+    ax.text(
+        0.5,
+        0.5,
+        sentence,
+        ha="center",
+        va="center",
+        wrap=True,
+        color=GREY,
+        transform=ax.transAxes,
+        fontsize=FONT,
+    )
     return ax
 
 
@@ -59,7 +75,9 @@ def plain_log(ax: Axes) -> None:
 
 
 def legend(ax: Axes, *, room: float = 0.0, **where: Any) -> None:
-    """A legend without a frame. room: the share of the axes' height that is added above the data for it."""
+    """A legend without a frame. room: the share of the axes' height that is added above the data
+    for it.
+    """
     low, high = ax.get_ylim()
     if room and ax.get_yscale() == "log":
         ax.set_ylim(low, high * (high / low) ** room)

@@ -2,10 +2,10 @@
 
 `python -m dropo.problems.find_hopper_policy --out hopper_policy.json` takes about a minute.
 
-ARS V2 of Mania, Guy and Recht, "Simple random search of static linear policies is competitive for reinforcement
-learning", 2018, Algorithm 1, on batched simulation. The bonus for being alive is left out of the search, which else
-settles for standing still. The search stops at a semi-converged policy: one that collects data with noise on its
-actions and seldom falls.
+ARS V2 of Mania, Guy and Recht, "Simple random search of static linear policies is competitive for
+reinforcement learning", 2018, Algorithm 1, on batched simulation. The bonus for being alive is left
+out of the search, which else settles for standing still. The search stops at a semi-converged
+policy: one that collects data with noise on its actions and seldom falls.
 """
 
 import argparse
@@ -25,10 +25,18 @@ from dropo.problems.hopper.model import FRAME_SKIP, hopper_model
 from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
 
 STEPS = 500  # control steps of a trajectory
-DIRECTIONS, BEST, STEP, SIZE = 16, 8, 0.02, 0.03  # N, b, alpha, nu of Algorithm 1
+# N, b, alpha, nu of Algorithm 1
+DIRECTIONS = 16
+BEST = 8
+STEP = 0.02
+SIZE = 0.03
 ACTION_NOISE = 0.1  # standard deviation, in training and in collecting
-TRIALS, EVERY = 100, 10  # trajectories of an evaluation; updates between two
-RETURN, LASTING = 1200, 0.97  # semi-converged: the return with the bonus of 1 a step, the share that must not fall
+# trajectories of an evaluation; updates between two
+TRIALS = 100
+EVERY = 10
+# semi-converged: the return with the bonus of 1 a step, the share that must not fall
+RETURN = 1200
+LASTING = 0.97
 SEED = 3
 
 
@@ -42,9 +50,15 @@ class Moments:
 
     def add(self, values: Array) -> None:
         """Takes in values (m, 11), by the update of Chan, Golub and LeVeque (1983)."""
-        total, shift = self.count + len(values), values.mean(axis=0) - self.mean
-        self.square = self.square + values.var(axis=0) * len(values) + shift**2 * self.count * len(values) / total
-        self.mean, self.count = self.mean + shift * len(values) / total, total
+        total = self.count + len(values)
+        shift = values.mean(axis=0) - self.mean
+        self.square = (
+            self.square
+            + values.var(axis=0) * len(values)
+            + shift**2 * self.count * len(values) / total
+        )
+        self.mean = self.mean + shift * len(values) / total
+        self.count = total
 
     @property
     def deviation(self) -> Array:
@@ -53,27 +67,40 @@ class Moments:
 
 
 def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> Runs:
-    """n trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a trajectory."""
+    """n trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
+    trajectory.
+    """
     noise = rng.standard_normal((n, STEPS, model.nu))
     weights = np.broadcast_to(policy.weights, (n, 3, 11))
-    act = lambda states, ids, step: replace(policy, weights=weights[ids])(observe(states), noise[ids, step])
-    return closed_loop(model, act, start_states(rng, n), STEPS, frame_skip=FRAME_SKIP, alive=healthy)
+    act = lambda states, ids, step: replace(policy, weights=weights[ids])(
+        observe(states), noise[ids, step]
+    )
+    return closed_loop(
+        model, act, start_states(rng, n), STEPS, frame_skip=FRAME_SKIP, alive=healthy
+    )
 
 
 def returns(model: mujoco.MjModel, runs: Runs) -> Array:
-    """(n,) Gymnasium's return without the bonus for being alive: distance per second, less 0.001 of the squared actions."""
+    """(n,) Gymnasium's return without the bonus for being alive: distance per second, less 0.001 of
+    the squared actions.
+    """
     travelled = runs.states[np.arange(len(runs.lengths)), runs.lengths, 0] - runs.states[:, 0, 0]
-    gains: Array = travelled / (FRAME_SKIP * model.opt.timestep) - 1e-3 * np.nansum(runs.actions**2, axis=(1, 2))
+    gains: Array = travelled / (FRAME_SKIP * model.opt.timestep) - 1e-3 * np.nansum(
+        runs.actions**2, axis=(1, 2)
+    )
     return gains
 
 
 def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
     """The policy after each update, for ever: Algorithm 1 of Mania et al. 2018, V2-t."""
-    weights, seen = np.zeros((3, 11)), Moments()
+    weights = np.zeros((3, 11))
+    seen = Moments()
     while True:
         tried = rng.standard_normal((DIRECTIONS, 3, 11))
         both = weights + SIZE * np.concatenate([tried, -tried])
-        runs = run(model, LinearPolicy(both, seen.mean, seen.deviation, ACTION_NOISE), 2 * DIRECTIONS, rng)
+        runs = run(
+            model, LinearPolicy(both, seen.mean, seen.deviation, ACTION_NOISE), 2 * DIRECTIONS, rng
+        )
         gains = returns(model, runs).reshape(2, DIRECTIONS)
         best = np.argsort(-gains.max(axis=0))[:BEST]
         change = ((gains[0] - gains[1])[best, None, None] * tried[best]).sum(axis=0)
@@ -86,7 +113,9 @@ def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
 def rounded(policy: LinearPolicy) -> LinearPolicy:
     """The policy to six digits, as its JSON keeps it."""
     six = np.vectorize(lambda value: float(f"{value:.6g}"), otypes=[float])
-    return LinearPolicy(six(policy.weights), six(policy.mean), six(policy.deviation), policy.action_noise)
+    return LinearPolicy(
+        six(policy.weights), six(policy.mean), six(policy.deviation), policy.action_noise
+    )
 
 
 def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy, dict[str, float]]:
@@ -97,24 +126,52 @@ def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy,
             continue
         kept = rounded(policy)
         runs = run(model, kept, TRIALS, trial_rng)
-        value, lasting = float((returns(model, runs) + runs.lengths).mean()), float((runs.lengths == STEPS).mean())
-        print(f"update {update}: return {value:.0f}, {lasting:.0%} of {TRIALS} trajectories do not fall", file=sys.stderr, flush=True)
+        value = float((returns(model, runs) + runs.lengths).mean())
+        lasting = float((runs.lengths == STEPS).mean())
+        print(
+            (
+                f"update {update}: return {value:.0f}, {lasting:.0%} of {TRIALS} trajectories "
+                "do not fall"
+            ),
+            file=sys.stderr,
+            flush=True,
+        )
         if update >= updates or (value >= RETURN and lasting >= LASTING):
-            return kept, {"seed": seed, "updates": update, "return": round(value), "lasting": lasting}
+            return kept, {
+                "seed": seed,
+                "updates": update,
+                "return": round(value),
+                "lasting": lasting,
+            }
     raise AssertionError("the search has no end")
 
 
 def as_json(policy: LinearPolicy, figures: dict[str, float]) -> str:
     """One line a key."""
-    values = {name: np.asarray(value).tolist() for name, value in asdict(policy).items()} | {"found": figures}
-    return "{\n" + ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in values.items()) + "\n}\n"
+    values = {name: np.asarray(value).tolist() for name, value in asdict(policy).items()} | {
+        "found": figures
+    }
+    return (
+        "{\n"
+        + ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in values.items())
+        + "\n}\n"
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Finds the hopper's policy by augmented random search.")
-    parser.add_argument("--seed", type=int, default=SEED, help="the same seed finds the same policy on the same machine")
+    parser = argparse.ArgumentParser(
+        description="Finds the hopper's policy by augmented random search."
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=SEED,
+        help="the same seed finds the same policy on the same machine",
+    )
     parser.add_argument("--updates", type=int, default=300, help="how many updates at most")
-    parser.add_argument("--out", type=Path, help="the JSON file to write; the standard output without it")
+    parser.add_argument(
+        "--out", type=Path, help="the JSON file to write; the standard output without it"
+    )
     options = parser.parse_args()
     text = as_json(*found(hopper_model(), options.seed, options.updates))
     if options.out is None:

@@ -11,9 +11,11 @@ PAGES = {"fit": fit_page, "diagnosis": diagnosis_page, "unfinished": unfinished_
 
 
 def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
-    """Makes the page of what `dropo fit` or `dropo diagnose` left in a folder, report.html there unless `out` says otherwise.
+    """Makes the page of what `dropo fit` or `dropo diagnose` left in a folder, report.html there
+    unless `out` says otherwise.
 
-    The page holds everything that it shows and loads nothing. Raises BadFile where the folder holds no result.
+    The page holds everything that it shows and loads nothing. Raises BadFile where the folder holds
+    no result.
     """
     result = read_result(folder)
     path = Path(folder) / "report.html" if out is None else Path(out)

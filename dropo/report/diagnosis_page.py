@@ -10,65 +10,141 @@ from dropo.core.records.figure_data import Pictures
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
 from dropo.report.folder import Result
-from dropo.report.page import Cell, Section, figure, grid, notes, page, paragraph, percent, plain, table
+from dropo.report.page import (
+    Cell,
+    Section,
+    figure,
+    grid,
+    notes,
+    page,
+    paragraph,
+    percent,
+    plain,
+    table,
+)
 from dropo.report.svg import picture
 from dropo.report.svg import rows as svg_rows
 
-ROW, HEAD = 0.42, 0.6  # [in] of a picture with a row for each effect
+# [in] of a picture with a row for each effect
+ROW = 0.42
+HEAD = 0.6
 RESPONSE = "response to the effect"
 GOOD = {"consistent": "good", "explained": "good", "partly": "bad", "unexplained": "bad"}
 
 
 def diagnosis_page(result: Result) -> str:
     """The file's text."""
-    content, found = result.content, result.pictures
-    units = {} if result.predictions is None else dict(zip(result.predictions.names, result.predictions.units, strict=True))
+    content = result.content
+    found = result.pictures
+    units = (
+        {}
+        if result.predictions is None
+        else dict(zip(result.predictions.names, result.predictions.units, strict=True))
+    )
     sections = [
-        *([_searched(found), _causes(content), _evidence(found, units)] if found is not None else [_causes(content)]),
-        _fitted(content, result.record), parts.motion(result.predictions), parts.errors(result.predictions, _errors(content)),
-        _remaining(content, found), parts.made(result),
-    ]  # fmt: skip
+        *(
+            [_searched(found), _causes(content), _evidence(found, units)]
+            if found is not None
+            else [_causes(content)]
+        ),
+        _fitted(content, result.record),
+        parts.motion(result.predictions),
+        parts.errors(result.predictions, _errors(content)),
+        _remaining(content, found),
+        parts.made(result),
+    ]
     kicker = f"dropo diagnose · {result.problem}"
-    return page(kicker, content["headline"].replace("+-", "±"), _cards(content), [s for s in sections if s is not None])
+    return page(
+        kicker,
+        content["headline"].replace("+-", "±"),
+        _cards(content),
+        [s for s in sections if s is not None],
+    )
 
 
 def _cards(content: dict[str, Any]) -> list[tuple[str, str, str]]:
-    gain = content["extended"]["held_out_log_likelihood"] - content["baseline"]["held_out_log_likelihood"]
+    gain = (
+        content["extended"]["held_out_log_likelihood"]
+        - content["baseline"]["held_out_log_likelihood"]
+    )
     causes = ", ".join(words(_label(cause)) for cause in content["causes"]) or "none"
     return [
-        ("verdict", content["verdict"], GOOD.get(content["verdict"], "")), ("cause", causes, ""),
-        ("gain on data held out", f"{gain:.3g} nats a step", ""), ("simulator steps", f"{content['simulator_steps']:,}", ""),
+        ("verdict", content["verdict"], GOOD.get(content["verdict"], "")),
+        ("cause", causes, ""),
+        ("gain on data held out", f"{gain:.3g} nats a step", ""),
+        ("simulator steps", f"{content['simulator_steps']:,}", ""),
         ("time", f"{content['wall_time_s']:.1f} s", ""),
-    ]  # fmt: skip
+    ]
 
 
 def _label(cause: dict[str, Any]) -> str:
-    return cause["effect"] + (f":{cause['target']}" if cause["target"] else "") + (f".{cause['variant']}" if cause.get("variant") else "")
+    return (
+        cause["effect"]
+        + (f":{cause['target']}" if cause["target"] else "")
+        + (f".{cause['variant']}" if cause.get("variant") else "")
+    )
 
 
 def _searched(found: Pictures) -> Section:
-    """The candidates of every round, which say the cause in one look, and what they cannot be told from."""
-    shown, ended = [], ""
+    """The candidates of every round, which say the cause in one look, and what they cannot be told
+    from.
+    """
+    shown = []
+    ended = ""
     for i, bars in enumerate(found.rounds):
         if not bars:
             ended = paragraph(f"In round {i + 1} no effect looked likely enough to be fitted.")
             continue
-        rows, accepted = in_order(bars), [bar for bar in bars if bar.accepted]
-        listed = "; ".join(f"{words(bar.label)} {plain(bar.gain, 4) if bar.gain is not None else 'same response'}" for bar in rows)
-        title = f"Round {i + 1}: {words(accepted[0].label)}" if accepted else f"Round {i + 1}: nothing is confirmed"
-        caption = "A bracket joins what these data cannot tell apart. " if any(not bar.told for bar in bars) else ""
-        caption += f"An effect is confirmed beyond {found.needed:.1f} nats (dashed) and well beyond its error (dark line)."
+        rows = in_order(bars)
+        accepted = [bar for bar in bars if bar.accepted]
+        listed = "; ".join(
+            f"{words(bar.label)} {plain(bar.gain, 4) if bar.gain is not None else 'same response'}"
+            for bar in rows
+        )
+        title = (
+            f"Round {i + 1}: {words(accepted[0].label)}"
+            if accepted
+            else f"Round {i + 1}: nothing is confirmed"
+        )
+        caption = (
+            "A bracket joins what these data cannot tell apart. "
+            if any(not bar.told for bar in bars)
+            else ""
+        )
+        caption += (
+            f"An effect is confirmed beyond {found.needed:.1f} nats (dashed) and well beyond "
+            "its error (dark line)."
+        )
         text = f"Bars: nats that each effect gains on data held out. {listed}."
-        svg = picture(lambda ax, i=i: plots.candidates(found, ax, found=i), text, size=svg_rows(max(len(rows), 2), ROW, HEAD))  # type: ignore[misc]
+        svg = picture(
+            lambda ax, i=i: plots.candidates(found, ax, found=i),
+            text,
+            size=svg_rows(max(len(rows), 2), ROW, HEAD),
+        )  # type: ignore[misc]
         shown.append(figure(svg, title, caption))
     names = found.similarity.labels
     if len(names) > 1:
         cosines = np.array(found.similarity.cosines) - 2 * np.eye(len(names))
         one, two = np.unravel_index(int(cosines.argmax()), cosines.shape)
-        told = f"Most alike are {words(names[int(one)])} and {words(names[int(two)])}, with {cosines[one, two]:.2f}."
-        svg = picture(lambda ax: plots.similarity(found, ax), f"Matrix of similarities between effects. {told}")
-        shown.append(figure(svg, "How alike the effects are in these data", f"{told} At 1 no data of this kind tell them apart."))
-    lead = "The effects that looked most likely, each fitted with everything else, judged on data that nothing was fitted to."
+        told = (
+            f"Most alike are {words(names[int(one)])} and {words(names[int(two)])}, with "
+            f"{cosines[one, two]:.2f}."
+        )
+        svg = picture(
+            lambda ax: plots.similarity(found, ax),
+            f"Matrix of similarities between effects. {told}",
+        )
+        shown.append(
+            figure(
+                svg,
+                "How alike the effects are in these data",
+                f"{told} At 1 no data of this kind tell them apart.",
+            )
+        )
+    lead = (
+        "The effects that looked most likely, each fitted with everything else, judged on data "
+        "that nothing was fitted to."
+    )
     return Section("What was tried", lead, grid(*shown) + ended)
 
 
@@ -77,22 +153,45 @@ def _causes(content: dict[str, Any]) -> Section:
     for cause in content["causes"]:
         for name, e in cause["estimate"].items():
             error = np.nan if e["se"] is None else e["se"]
-            rows.append([
-                Cell(words(_label(cause))), Cell(name), Cell(f"{e['value']:+.4g}", e["value"]), Cell(plain(error, 2), error),
-                Cell(e["unit"]), Cell("–" if e.get("model") is None else plain(e["model"])),
-                Cell(plain(cause["held_out_gain"], 3), cause["held_out_gain"]),
-                Cell(plain(cause["held_out_gain_se"], 2)), Cell(_p_value(cause["p_value"]), cause["p_value"]),
-            ])  # fmt: skip
-    header = ["effect", "quantity", "added", "standard error", "unit", "the model has", "nats a step", "standard error", "p-value"]
-    told = [_confused(cause, other) for cause in content["causes"] for other in cause["confused_with"]]
+            rows.append(
+                [
+                    Cell(words(_label(cause))),
+                    Cell(name),
+                    Cell(f"{e['value']:+.4g}", e["value"]),
+                    Cell(plain(error, 2), error),
+                    Cell(e["unit"]),
+                    Cell("–" if e.get("model") is None else plain(e["model"])),
+                    Cell(plain(cause["held_out_gain"], 3), cause["held_out_gain"]),
+                    Cell(plain(cause["held_out_gain_se"], 2)),
+                    Cell(_p_value(cause["p_value"]), cause["p_value"]),
+                ]
+            )
+    header = [
+        "effect",
+        "quantity",
+        "added",
+        "standard error",
+        "unit",
+        "the model has",
+        "nats a step",
+        "standard error",
+        "p-value",
+    ]
+    told = [
+        _confused(cause, other) for cause in content["causes"] for other in cause["confused_with"]
+    ]
     told += [
         f"{words(_label(c))} only acts like the cause: its size differs with {c['acts_like']}."
         for c in content["causes"]
         if c.get("acts_like")
     ]
-    body = table(header, rows) if rows else paragraph("No effect was confirmed on the data held out.")
+    body = (
+        table(header, rows) if rows else paragraph("No effect was confirmed on the data held out.")
+    )
     return Section(
-        "Causes", "What was added to the model, and what it gains on data held out." if rows else "", body + (notes(told) if told else "")
+        "Causes",
+        "What was added to the model, and what it gains on data held out." if rows else "",
+        body + (notes(told) if told else ""),
     )
 
 
@@ -100,12 +199,26 @@ def _fitted(content: dict[str, Any], record: dict[str, Any]) -> Section | None:
     """The declared parameters as fitted, beside their search intervals."""
     declared = {entry["name"]: entry for entry in record.get("parameters", ())}
     rows = [
-        [Cell(name), Cell(declared[name]["unit"]), Cell(plain(value), value),
-         *(Cell(plain(declared[name][end]), declared[name][end]) for end in ("low", "high"))]
-        for name, value in content.get("parameters", {}).items() if name in declared
-    ]  # fmt: skip
-    lead = "Declared by the problem, and fitted together with the causes; a fit of the extended problem says how well they are known."
-    return Section("Parameters", lead, table(["parameter", "unit", "value", "searched from", "to"], rows)) if rows else None
+        [
+            Cell(name),
+            Cell(declared[name]["unit"]),
+            Cell(plain(value), value),
+            *(Cell(plain(declared[name][end]), declared[name][end]) for end in ("low", "high")),
+        ]
+        for name, value in content.get("parameters", {}).items()
+        if name in declared
+    ]
+    lead = (
+        "Declared by the problem, and fitted together with the causes; a fit of the extended "
+        "problem says how well they are known."
+    )
+    return (
+        Section(
+            "Parameters", lead, table(["parameter", "unit", "value", "searched from", "to"], rows)
+        )
+        if rows
+        else None
+    )
 
 
 def _errors(content: dict[str, Any]) -> str:
@@ -119,28 +232,51 @@ def _errors(content: dict[str, Any]) -> str:
     named += [("with what was found", content["extended"]["horizons"])] if content["causes"] else []
     rows = []
     for at in zip(*(horizons for _, horizons in named), strict=True):
-        steps, seconds, last = at[0]["steps"], at[0]["seconds"], at[-1]
-        after = Cell(f"{steps} step{'s' * (steps > 1)}" + (f", {plain(seconds, 3)} s" if seconds else ""), steps)
+        steps = at[0]["steps"]
+        seconds = at[0]["seconds"]
+        last = at[-1]
+        after = Cell(
+            f"{steps} step{'s' * (steps > 1)}" + (f", {plain(seconds, 3)} s" if seconds else ""),
+            steps,
+        )
         rows.append(
-            [after, Cell("of the motion"), *(Cell(percent(h["rmse"]), h["rmse"]) for h in at), Cell(percent(last["noise"]), last["noise"])]
+            [
+                after,
+                Cell("of the motion"),
+                *(Cell(percent(h["rmse"]), h["rmse"]) for h in at),
+                Cell(percent(last["noise"]), last["noise"]),
+            ]
         )
         for unit in last["units"]:
             off = [*(h["units"][unit]["rmse"] for h in at), last["units"][unit]["noise"]]
             rows.append([after, Cell(unit), *(Cell(plain(value, 3), value) for value in off)])
-    return table(["after", "unit", *(name for name, _ in named), "by sensor noise"], rows) if rows else ""
+    return (
+        table(["after", "unit", *(name for name, _ in named), "by sensor noise"], rows)
+        if rows
+        else ""
+    )
 
 
 def _pushed(span: dict[str, Any]) -> str:
     """A span that was left out."""
-    where = f"{'held-out ' * span['held_out']}run {span['run']}, {span['from']:.2f} to {span['to']:.2f} s"
-    return f"Left out: {where}, where {span['signal']} is {plain(span['off'], 3)} {span['unit']} off after {plain(span['after'], 3)} s."
+    where = (
+        f"{'held-out ' * span['held_out']}run {span['run']}, {span['from']:.2f} to "
+        f"{span['to']:.2f} s"
+    )
+    return (
+        f"Left out: {where}, where {span['signal']} is {plain(span['off'], 3)} {span['unit']} "
+        f"off after {plain(span['after'], 3)} s."
+    )
 
 
 def _odd(run: dict[str, Any]) -> str:
     """A run that disagrees with the others."""
     which = f"{'Held-out run' if run['held_out'] else 'Run'} {run['run']}"
     own = f"{plain(run['value'])} ± {plain(run['se'], 2)} {run['unit']}".rstrip()
-    return f"{which} disagrees with the others: its {run['parameter']} is {own}, theirs {plain(run['others'])}."
+    return (
+        f"{which} disagrees with the others: its {run['parameter']} is {own}, theirs "
+        f"{plain(run['others'])}."
+    )
 
 
 def _p_value(value: float) -> str:
@@ -150,38 +286,70 @@ def _p_value(value: float) -> str:
 def _confused(cause: dict[str, Any], other: dict[str, Any]) -> str:
     place = f" at {other['target']}" if other.get("target") else ""
     more = f" To tell: {other['to_tell']}." if other.get("to_tell") else ""
-    return f"{words(_label(cause))} may as well be {other['effect'].replace('_', ' ')}{place}: {other['why']}.{more}"
+    return (
+        f"{words(_label(cause))} may as well be {other['effect'].replace('_', ' ')}{place}: "
+        f"{other['why']}.{more}"
+    )
 
 
 def _evidence(found: Pictures, units: dict[str, str]) -> Section | None:
     """For every cause: its residuals, its size by regime, its size over time."""
     shown = []
     for i, one in enumerate(found.axes):
-        before, after = (float(np.sqrt(np.mean(np.square(values)))) for values in (one.before, one.after))
-        text = f"Root mean square {before:.3g} {one.unit} without it, {after:.3g} {one.unit} with it."
-        text += " Over what the effect changes in the prediction: a slope says that it is there." if one.axis == RESPONSE else ""
-        svg = picture(lambda ax, i=i: plots.residuals(found, ax, found=i), f"Dots: error of {one.signal} over {one.axis}. {text}")  # type: ignore[misc]
+        before, after = (
+            float(np.sqrt(np.mean(np.square(values)))) for values in (one.before, one.after)
+        )
+        text = (
+            f"Root mean square {before:.3g} {one.unit} without it, {after:.3g} {one.unit} with it."
+        )
+        text += (
+            " Over what the effect changes in the prediction: a slope says that it is there."
+            if one.axis == RESPONSE
+            else ""
+        )
+        svg = picture(
+            lambda ax, i=i: plots.residuals(found, ax, found=i),
+            f"Dots: error of {one.signal} over {one.axis}. {text}",
+        )  # type: ignore[misc]
         shown.append(figure(svg, f"{words(one.label)}: errors over {one.axis}", text))
     for i, part in enumerate(found.sizes):
-        listed = ", ".join(f"{size:.0%} ± {196 * error:.0f} %" for size, error in zip(part.size, part.error, strict=True))
-        text = f"One size in all parts has p = {part.p_value:.2g}: level for a true cause, sloped for what only acts like it."
+        listed = ", ".join(
+            f"{size:.0%} ± {196 * error:.0f} %"
+            for size, error in zip(part.size, part.error, strict=True)
+        )
+        text = (
+            f"One size in all parts has p = {part.p_value:.2g}: level for a true cause, sloped "
+            "for what only acts like it."
+        )
         draw = partial(plots.sizes, found, found=i, unit=units.get(part.variable.strip("|"), ""))
         svg = picture(draw, f"Size in parts of the data by {part.variable}: {listed}.")
         shown.append(figure(svg, f"{words(part.label)}: size by {part.variable}", text))
     for i, sums in enumerate(found.sums):
         peak = float(np.abs(sums.score).max(initial=0.0))
         text = f"The largest departure is {peak:.2f}; beyond {BRIDGE} the size changes with time."
-        svg = picture(lambda ax, i=i: plots.changes(found, ax, found=i), f"Summed scores over the data. {text}")  # type: ignore[misc]
+        svg = picture(
+            lambda ax, i=i: plots.changes(found, ax, found=i),
+            f"Summed scores over the data. {text}",
+        )  # type: ignore[misc]
         shown.append(figure(svg, f"{words(sums.label)}: does its size change?", text))
     return (
-        Section("Is it the cause?", "A true cause has one size everywhere, and leaves no pattern behind.", grid(*shown)) if shown else None
+        Section(
+            "Is it the cause?",
+            "A true cause has one size everywhere, and leaves no pattern behind.",
+            grid(*shown),
+        )
+        if shown
+        else None
     )
 
 
 def _remaining(content: dict[str, Any], found: Pictures | None) -> Section:
     left = content["remaining"]
     told = [f"It shows in {where}." for where in left["where"]]
-    told += [f"{words(_label(one | {'variant': ''}))} looked likely and was not confirmed." for one in content["suspects"]]
+    told += [
+        f"{words(_label(one | {'variant': ''}))} looked likely and was not confirmed."
+        for one in content["suspects"]
+    ]
     told += [_odd(run) for run in content.get("odd_runs", [])]
     told += [_pushed(span) for span in (content.get("disturbances") or {}).get("spans", [])]
     told += [*content.get("undetermined", []), *content.get("warnings", [])]
@@ -189,7 +357,10 @@ def _remaining(content: dict[str, Any], found: Pictures | None) -> Section:
     if found is not None:
         forces = found.forces
         worst = int(np.argmax(forces.before))
-        text = f"At {forces.names[worst]} {forces.before[worst]:.3g} {forces.units[worst]} before, {forces.after[worst]:.3g} after."
+        text = (
+            f"At {forces.names[worst]} {forces.before[worst]:.3g} {forces.units[worst]} "
+            f"before, {forces.after[worst]:.3g} after."
+        )
         svg = picture(
             lambda ax: plots.forces(found, ax),
             f"Bars: unexplained force at each joint. {text}",

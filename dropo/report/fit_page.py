@@ -9,16 +9,38 @@ from dropo.core.services.tables import estimate
 from dropo.plots.distribution import MOST
 from dropo.report import parts
 from dropo.report.folder import Result
-from dropo.report.page import Cell, Section, figure, grid, notes, page, paragraph, percent, plain, table
+from dropo.report.page import (
+    Cell,
+    Section,
+    figure,
+    grid,
+    notes,
+    page,
+    paragraph,
+    percent,
+    plain,
+    table,
+)
 from dropo.report.svg import picture
 from dropo.report.svg import rows as svg_rows
 
 LEVEL = "Level, and alike for all walkers, where they have come to the posterior."
-ROW, HEAD = 0.4, 0.8  # [in] of a picture with a row for each parameter
-WIDE = "The orange band is that of all parameters in the search intervals: what the data had to decide."
+# [in] of a picture with a row for each parameter
+ROW = 0.4
+HEAD = 0.8
+WIDE = (
+    "The orange band is that of all parameters in the search intervals: what the data had to "
+    "decide."
+)
 POSTERIORS = ("epopt", "npe")
-SPREAD = "The mean with its standard error and 95 % interval; sd is the spread of the parameter itself, from draw to draw."
-KNOWN = "The posterior of parameters that are the same in all data: sd is how well each is known, and no spread from draw to draw."
+SPREAD = (
+    "The mean with its standard error and 95 % interval; sd is the spread of the parameter "
+    "itself, from draw to draw."
+)
+KNOWN = (
+    "The posterior of parameters that are the same in all data: sd is how well each is known, "
+    "and no spread from draw to draw."
+)
 CHECKED = {
     True: "Nothing in the residuals speaks against the model.",
     False: "The residuals say that the model is wrong, so intervals are too narrow.",
@@ -31,21 +53,34 @@ def fit_page(result: Result) -> str:
     fit = result.fit
     assert fit is not None
     sections = [
-        parts.motion(result.predictions, WIDE), _parameters(fit, result.record.get("priors", {})), parts.errors(result.predictions),
-        _remaining(fit, result), _search(fit, result), parts.made(result),
-    ]  # fmt: skip
-    return page(f"dropo fit · {fit.problem}", headline(fit, result), _cards(fit, result), [s for s in sections if s is not None])
+        parts.motion(result.predictions, WIDE),
+        _parameters(fit, result.record.get("priors", {})),
+        parts.errors(result.predictions),
+        _remaining(fit, result),
+        _search(fit, result),
+        parts.made(result),
+    ]
+    return page(
+        f"dropo fit · {fit.problem}",
+        headline(fit, result),
+        _cards(fit, result),
+        [s for s in sections if s is not None],
+    )
 
 
 def headline(fit: Fit, result: Result) -> str:
     """The finding in a few sentences."""
     count = len(fit.space)
-    begun = f"{count} parameter{'s' * (count > 1)} of {fit.problem}, found from {fit.transitions:,} transitions"
+    begun = (
+        f"{count} parameter{'s' * (count > 1)} of {fit.problem}, found from "
+        f"{fit.transitions:,} transitions"
+    )
     found = result.predictions
     if found is not None and np.isfinite(found.before.by_horizon[-1]):
         reach = len(found.before.by_horizon)
         ahead = f"{reach} step{'s' * (reach > 1)} ahead"
-        before, after = percent(found.before.by_horizon[-1]), percent(found.after.by_horizon[-1])
+        before = percent(found.before.by_horizon[-1])
+        after = percent(found.after.by_horizon[-1])
         begun += f": the error {ahead} goes from {before} to {after} of the motion's spread"
     told = CHECKED[fit.trusted if "model_check" in fit.details else None]
     ended = {
@@ -57,18 +92,23 @@ def headline(fit: Fit, result: Result) -> str:
 
 def _cards(fit: Fit, result: Result) -> list[tuple[str, str, str]]:
     good = "good" if fit.status in (Status.CONVERGED, Status.DONE) else "bad"
-    checked = [("model check", "passed", "good") if fit.trusted else ("model check", "failed", "bad")]
+    checked = [
+        ("model check", "passed", "good") if fit.trusted else ("model check", "failed", "bad")
+    ]
     return [
         ("status", fit.status.value.replace("_", " "), good),
         *(checked if "model_check" in fit.details else []),
-        ("method", fit.method, ""), ("transitions", f"{fit.transitions:,}", ""),
-        ("nats per transition", plain(fit.log_likelihood / fit.transitions), ""), ("simulator steps", f"{fit.simulator_steps:,}", ""),
+        ("method", fit.method, ""),
+        ("transitions", f"{fit.transitions:,}", ""),
+        ("nats per transition", plain(fit.log_likelihood / fit.transitions), ""),
+        ("simulator steps", f"{fit.simulator_steps:,}", ""),
         ("time", f"{fit.wall_time_s:.1f} s", ""),
-    ]  # fmt: skip
+    ]
 
 
 def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
-    truth, intervals = fit.details.get("truth", {}), fit.interval()
+    truth = fit.details.get("truth", {})
+    intervals = fit.interval()
     header = [
         "parameter",
         "unit",
@@ -97,14 +137,27 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
             *([Cell(str(priors.get(p.name, "uniform")))] if priors else []),
         ]
         rows.append(row + ([_number(truth[p.name], 7)] if truth else []))
-    said = "; ".join(f"{p.name} {plain(fit.mean[i])} {p.unit}, sd {plain(fit.sd[i], 2)}" for i, p in enumerate(fit.space))
+    said = "; ".join(
+        f"{p.name} {plain(fit.mean[i])} {p.unit}, sd {plain(fit.sd[i], 2)}"
+        for i, p in enumerate(fit.space)
+    )
     svg = picture(
-        lambda ax: plots.parameters(fit, ax, priors=priors), f"Bars: each parameter in its search interval. {said}.",
+        lambda ax: plots.parameters(fit, ax, priors=priors),
+        f"Bars: each parameter in its search interval. {said}.",
         size=svg_rows(len(fit.space), ROW, HEAD),
-    )  # fmt: skip
-    lead = SPREAD if fit.details.get("over") != "parameters" and fit.method not in POSTERIORS else KNOWN
+    )
+    lead = (
+        SPREAD
+        if fit.details.get("over") != "parameters" and fit.method not in POSTERIORS
+        else KNOWN
+    )
     caption = "Grey is what was searched, pale blue the distribution, the line the mean."
-    return Section("Parameters", lead, table(header, rows) + grid(figure(svg, "Where in the search interval", caption), *_joint(fit)))
+    return Section(
+        "Parameters",
+        lead,
+        table(header, rows)
+        + grid(figure(svg, "Where in the search interval", caption), *_joint(fit)),
+    )
 
 
 def _number(value: float, digits: int) -> Cell:
@@ -119,13 +172,25 @@ def _joint(fit: Fit) -> list[str]:
     strongest = _strongest(fit)
     shown = [
         figure(
-            picture(lambda axes: plots.corner(fit, axes), f"Corner plot of {count} parameters. {strongest}", size=(4.4, 4.4), grid=count),
+            picture(
+                lambda axes: plots.corner(fit, axes),
+                f"Corner plot of {count} parameters. {strongest}",
+                size=(4.4, 4.4),
+                grid=count,
+            ),
             "Joint distribution",
-            f"Contours hold half and 90 % of the draws. {strongest}" + (" Orange: the truth." if fit.details.get("truth") else ""),
+            f"Contours hold half and 90 % of the draws. {strongest}"
+            + (" Orange: the truth." if fit.details.get("truth") else ""),
         )
-    ]  # fmt: skip
+    ]
     if len(fit.space) > 2 and np.any(np.abs(fit.correlation - np.eye(len(fit.space))) > 0):
-        shown.append(figure(picture(lambda ax: plots.correlation(fit, ax), f"Correlation matrix. {strongest}"), "Correlation", strongest))
+        shown.append(
+            figure(
+                picture(lambda ax: plots.correlation(fit, ax), f"Correlation matrix. {strongest}"),
+                "Correlation",
+                strongest,
+            )
+        )
     return shown
 
 
@@ -134,7 +199,10 @@ def _strongest(fit: Fit) -> str:
     i, j = np.unravel_index(int(off.argmax()), off.shape)
     if off[i, j] == 0:
         return "Each parameter is drawn by itself: this family has no correlations."
-    return f"The strongest correlation is {fit.correlation[i, j]:.2f}, of {fit.space[int(i)].name} and {fit.space[int(j)].name}."
+    return (
+        f"The strongest correlation is {fit.correlation[i, j]:.2f}, of "
+        f"{fit.space[int(i)].name} and {fit.space[int(j)].name}."
+    )
 
 
 def _noise(fit: Fit, result: Result) -> list[str]:
@@ -143,35 +211,81 @@ def _noise(fit: Fit, result: Result) -> list[str]:
     if fit.details.get("tuning"):
         text = f"The smallest epsilon whose error is acceptable is {fit.epsilon[0]:.3g}."
         shown.append(
-            figure(picture(lambda ax: plots.tuning(fit, ax), f"Error and variance over epsilon. {text}"), "Tuning of epsilon", text)
+            figure(
+                picture(
+                    lambda ax: plots.tuning(fit, ax), f"Error and variance over epsilon. {text}"
+                ),
+                "Tuning of epsilon",
+                text,
+            )
         )
     found = result.predictions
     if found is not None and len(fit.epsilon) == len(found.names) and np.any(fit.epsilon > 0):
-        known = result.record.get("epsilon") is not None and result.record.get("settings", {}).get("epsilon") is None
+        known = (
+            result.record.get("epsilon") is not None
+            and result.record.get("settings", {}).get("epsilon") is None
+        )
         how = "stated by the problem" if known else "of the fit"
-        worst = int(np.nanargmax(found.after.by_signal / np.sqrt(np.where(fit.epsilon > 0, fit.epsilon, np.nan))))
+        worst = int(
+            np.nanargmax(
+                found.after.by_signal / np.sqrt(np.where(fit.epsilon > 0, fit.epsilon, np.nan))
+            )
+        )
         ratio = found.after.by_signal[worst] / np.sqrt(fit.epsilon[worst])
-        text = f"The error that is left is at most {ratio:.2g} times the noise {how}, in {found.names[worst]}."
-        svg = picture(lambda ax: plots.noise(fit, found, ax), f"Noise and errors of each signal. {text}", size=svg_rows(len(found.names)))
+        text = (
+            f"The error that is left is at most {ratio:.2g} times the noise {how}, in "
+            f"{found.names[worst]}."
+        )
+        svg = picture(
+            lambda ax: plots.noise(fit, found, ax),
+            f"Noise and errors of each signal. {text}",
+            size=svg_rows(len(found.names)),
+        )
         shown.append(figure(svg, "Noise", text))
     return shown
 
 
 def _search(fit: Fit, result: Result) -> Section:
-    history, shown, diagnostics = result.history, _noise(fit, result), ""
-    several = bool({"tuning", "lambda_choice"} & set(fit.details))  # fits, of which the journal holds all
+    history = result.history
+    shown = _noise(fit, result)
+    diagnostics = ""
+    several = bool(
+        {"tuning", "lambda_choice"} & set(fit.details)
+    )  # fits, of which the journal holds all
     if "log_density" in fit.arrays:
-        shown.append(figure(picture(lambda ax: plots.trace(fit, ax), "Log density of the walkers by step."), "The walkers", LEVEL))
+        shown.append(
+            figure(
+                picture(lambda ax: plots.trace(fit, ax), "Log density of the walkers by step."),
+                "The walkers",
+                LEVEL,
+            )
+        )
         diagnostics = _posterior(fit)
     elif several:
         diagnostics = _lengths(fit)
     elif history is not None and history.means is not None and len(history.means) > 1:
-        rounds, means = len(history.means), history.means
-        text = f"How far each mean was from where it ended, in shares of its search interval, after each of {rounds} rounds."
-        shown.append(figure(picture(lambda ax: plots.moves(means, fit, ax), text), "The estimate, round by round", text))
+        rounds = len(history.means)
+        means = history.means
+        text = (
+            "How far each mean was from where it ended, in shares of its search interval, "
+            f"after each of {rounds} rounds."
+        )
+        shown.append(
+            figure(
+                picture(lambda ax: plots.moves(means, fit, ax), text),
+                "The estimate, round by round",
+                text,
+            )
+        )
     elif history is not None and np.isfinite(history.values).any():
-        text = f"{len(history.values)} evaluations, the highest log-likelihood {np.nanmax(history.values):.6g}."
-        svg = picture(lambda ax: plots.convergence(history.steps, history.values, ax), f"Log-likelihood over simulator steps: {text}")
+        text = (
+            f"{len(history.values)} evaluations, the highest log-likelihood "
+            f"{np.nanmax(history.values):.6g}."
+        )
+        svg = picture(
+            lambda ax: plots.convergence(history.steps, history.values, ax),
+            f"Log-likelihood over simulator steps: {text}",
+        )
         shown.append(figure(svg, "The search", text))
     return Section("Noise and search", fit.message, (grid(*shown) if shown else "") + diagnostics)
 
@@ -180,17 +294,35 @@ def _lengths(fit: Fit) -> str:
     """The table of the lengths of segments that were tried, where one was chosen."""
     tried = fit.details.get("lambda_choice", [])
     rows = [
-        [_number(row["lambda"], 6), _number(np.nan if row["below_best"] is None else row["below_best"], 4), _number(row["paired_error"], 3),
-         Cell("chosen" if row["chosen"] else "")] for row in tried
-    ]  # fmt: skip
-    return table(["lambda", "nats below the best on data held out", "standard error", ""], rows) if rows else ""
+        [
+            _number(row["lambda"], 6),
+            _number(np.nan if row["below_best"] is None else row["below_best"], 4),
+            _number(row["paired_error"], 3),
+            Cell("chosen" if row["chosen"] else ""),
+        ]
+        for row in tried
+    ]
+    return (
+        table(["lambda", "nats below the best on data held out", "standard error", ""], rows)
+        if rows
+        else ""
+    )
 
 
 def _posterior(fit: Fit) -> str:
     columns = fit.details.get("posterior", {})
     names = list(next(iter(columns.values()), {}))
-    rows = [[Cell(name), *(_number(np.nan if v[name] is None else v[name], 4) for v in columns.values())] for name in names]
-    return table(["unknown", *(column.replace("_", " ").replace("r hat", "R-hat") for column in columns)], rows)
+    rows = [
+        [
+            Cell(name),
+            *(_number(np.nan if v[name] is None else v[name], 4) for v in columns.values()),
+        ]
+        for name in names
+    ]
+    return table(
+        ["unknown", *(column.replace("_", " ").replace("r hat", "R-hat") for column in columns)],
+        rows,
+    )
 
 
 def _remaining(fit: Fit, result: Result) -> Section:
@@ -201,5 +333,9 @@ def _remaining(fit: Fit, result: Result) -> Section:
         told.append(parts.calibrated(result.predictions))
     if "model_check" not in fit.details:
         told.append(CHECKED[None])
-    body = notes(told) if told else paragraph("Nothing: the residuals look like noise, and the data tell every parameter.")
+    body = (
+        notes(told)
+        if told
+        else paragraph("Nothing: the residuals look like noise, and the data tell every parameter.")
+    )
     return Section("What remains unexplained", "", body)

@@ -18,9 +18,11 @@ JOURNAL = "evaluations.jsonl"
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A fit, a diagnosis, or neither, where a run was interrupted before its end; what is not there is None.
+    """A fit, a diagnosis, or neither, where a run was interrupted before its end; what is not there
+    is None.
 
-    content: of fit.json or diagnosis.json; record: of run.json, or the journal's header; made: the command, and versions.
+    content: of fit.json or diagnosis.json; record: of run.json, or the journal's header; made: the
+    command, and versions.
     """
 
     folder: Path
@@ -35,12 +37,20 @@ class Result:
     @property
     def kind(self) -> str:
         """ "fit", "diagnosis" or "unfinished"."""
-        return "fit" if self.fit is not None else "diagnosis" if "verdict" in self.content else "unfinished"
+        return (
+            "fit"
+            if self.fit is not None
+            else "diagnosis"
+            if "verdict" in self.content
+            else "unfinished"
+        )
 
     @property
     def problem(self) -> str:
         """The problem's name."""
-        return str(self.content.get("problem") or self.record.get("problem") or self.folder.resolve().name)
+        return str(
+            self.content.get("problem") or self.record.get("problem") or self.folder.resolve().name
+        )
 
 
 def read_result(folder: str | Path) -> Result:
@@ -48,13 +58,21 @@ def read_result(folder: str | Path) -> Result:
     folder = Path(folder)
     if not folder.is_dir():
         raise BadFile(folder, "", RESULT, "a file" if folder.exists() else "no such folder")
-    record, made = _json(folder / "run.json"), _json(folder / "made.json")
+    record = _json(folder / "run.json")
+    made = _json(folder / "made.json")
     predictions = Predictions.load(folder) if (folder / FILE).is_file() else None
     if (folder / "diagnosis.json").is_file():
         content = _json(folder / "diagnosis.json")
         _check(folder / "diagnosis.json", content, ("verdict", "headline", "causes", "remaining"))
         kept = content.get("pictures")
-        return Result(folder, content, record, made, pictures=_pictures(folder, kept) if kept else None, predictions=predictions)
+        return Result(
+            folder,
+            content,
+            record,
+            made,
+            pictures=_pictures(folder, kept) if kept else None,
+            predictions=predictions,
+        )
     journal = folder / JOURNAL
     if (folder / "fit.json").is_file():
         content = _json(folder / "fit.json")
@@ -85,7 +103,12 @@ def _json(path: Path) -> dict[str, Any]:
 def _check(path: Path, content: dict[str, Any], keys: tuple[str, ...]) -> None:
     version = str(content.get("version", ""))
     if _numbers(version) > _numbers(__version__):
-        raise BadFile(path, "version", f"{__version__} or older (a newer dropo reads it: pip install -U dropo)", version)
+        raise BadFile(
+            path,
+            "version",
+            f"{__version__} or older (a newer dropo reads it: pip install -U dropo)",
+            version,
+        )
     missing = [key for key in keys if key not in content]
     if missing:
         raise BadFile(path, missing[0], "what a run writes", "nothing")
@@ -100,7 +123,12 @@ def _pictures(folder: Path, kept: dict[str, Any]) -> Pictures:
     try:
         return Pictures.from_json(kept)
     except (KeyError, TypeError) as error:
-        raise BadFile(folder / "diagnosis.json", "pictures", "what a diagnosis writes", f"{type(error).__name__}: {error}") from None
+        raise BadFile(
+            folder / "diagnosis.json",
+            "pictures",
+            "what a diagnosis writes",
+            f"{type(error).__name__}: {error}",
+        ) from None
 
 
 def _listing(folder: Path) -> str:

@@ -13,8 +13,10 @@ from dropo.core.services.validation import Array
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """steps: (n,) simulator steps spent up to each evaluation; values: (n,) the log-likelihood there, NaN where it is not comparable, as
-    in rounds on parts of the data; means: (r, d) the distribution's mean after each round of a local likelihood, None otherwise."""
+    """steps: (n,) simulator steps spent up to each evaluation; values: (n,) the log-likelihood
+    there, NaN where it is not comparable, as in rounds on parts of the data; means: (r, d) the
+    distribution's mean after each round of a local likelihood, None otherwise.
+    """
 
     steps: Array
     values: Array
@@ -22,15 +24,25 @@ class History:
 
 
 def read_history(path: Path, parameters: int | None) -> tuple[dict[str, Any], History]:
-    """The journal's header, and the search. parameters: how many are fitted; None, as the header says."""
+    """The journal's header, and the search. parameters: how many are fitted; None, as the header
+    says.
+    """
     lines = path.read_text().splitlines()
     try:
-        entries = [json.loads(line) for line in lines[: len(lines) if path.read_bytes().endswith(b"\n") else -1]]
+        entries = [
+            json.loads(line)
+            for line in lines[: len(lines) if path.read_bytes().endswith(b"\n") else -1]
+        ]
         header = dict(entries[0]["header"]) if entries else {}
         d = len(header.get("parameters", ())) if parameters is None else parameters
         return header, _history(entries[1:], d)
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise BadFile(path, "", "the evaluations of a run, one JSON line each", f"{type(error).__name__}: {error}") from None
+        raise BadFile(
+            path,
+            "",
+            "the evaluations of a run, one JSON line each",
+            f"{type(error).__name__}: {error}",
+        ) from None
 
 
 def _history(entries: list[dict[str, Any]], d: int) -> History:
@@ -41,7 +53,8 @@ def _history(entries: list[dict[str, Any]], d: int) -> History:
     for entry in entries:
         points = np.asarray(entry["points"], dtype=float)
         answers = np.asarray(entry["answers"], dtype=float).reshape(len(points), -1)
-        before, spent = spent, spent + entry["counts"]["steps"]
+        before = spent
+        spent = spent + entry["counts"]["steps"]
         if len(points) == 1 and points.shape[1] == 2 * d and answers.shape[1] > 2 * d + 2:
             means.append(answers[0, 2 * d + 2 : 3 * d + 2])
         steps += np.linspace(before, spent, len(points) + 1)[1:].tolist()

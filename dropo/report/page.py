@@ -1,4 +1,6 @@
-"""A page from its parts: sections of text, pictures and tables in one HTML file that loads nothing else."""
+"""A page from its parts: sections of text, pictures and tables in one HTML file that loads nothing
+else.
+"""
 
 import re
 from collections.abc import Sequence
@@ -13,7 +15,9 @@ from dropo import __version__
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell: what it shows, and the value by which it sorts where that is another; words: whether it is a sentence."""
+    """A table's cell: what it shows, and the value by which it sorts where that is another; words:
+    whether it is a sentence.
+    """
 
     text: str
     value: float | None = None
@@ -32,11 +36,16 @@ class Section:
 SHORT = 250  # letters of a headline; the sentences behind them stand beneath it
 
 
-def page(kicker: str, headline: str, cards: Sequence[tuple[str, str, str]], sections: Sequence[Section]) -> str:
+def page(
+    kicker: str, headline: str, cards: Sequence[tuple[str, str, str]], sections: Sequence[Section]
+) -> str:
     """The whole file. cards: the figures beneath the headline, (name, value, "good", "bad" or "")."""
     first, rest = shortened(headline)
     beneath = f"<p>{escape(rest)}</p>" if rest else ""
-    shown = "".join(f'<div><dt>{escape(name)}</dt><dd class="{kind}">{escape(value)}</dd></div>' for name, value, kind in cards)
+    shown = "".join(
+        f'<div><dt>{escape(name)}</dt><dd class="{kind}">{escape(value)}</dd></div>'
+        for name, value, kind in cards
+    )
     parts = "\n".join(
         f"<section><h2>{escape(s.title)}</h2>{f'<p class=lead>{escape(s.lead)}</p>' if s.lead else ''}\n{s.body}</section>"
         for s in sections
@@ -65,7 +74,9 @@ def page(kicker: str, headline: str, cards: Sequence[tuple[str, str, str]], sect
 
 
 def shortened(text: str, most: int = SHORT) -> tuple[str, str]:
-    """The sentences with which a text begins, at least one, of so many letters at most; and the others."""
+    """The sentences with which a text begins, at least one, of so many letters at most; and the
+    others.
+    """
     sentences = re.split(r"(?<=\.) (?=[A-Z])", text)
     lengths = np.cumsum([len(sentence) + 1 for sentence in sentences])
     count = max(1, int(np.sum(lengths - 1 <= most)))
@@ -77,7 +88,9 @@ def _part(name: str) -> str:
 
 
 def figure(svg: str, title: str, caption: str = "") -> str:
-    """A picture with its title above and what it says beneath; without a title, where the picture has its own."""
+    """A picture with its title above and what it says beneath; without a title, where the picture
+    has its own.
+    """
     above = f"<h3>{escape(title)}</h3>" if title else ""
     below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     return f"<figure>{above}{svg}{below}</figure>"
@@ -89,22 +102,34 @@ def grid(*figures: str) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Cell]], *, told: bool = False) -> str:
-    """A table that sorts by the column whose head is clicked. told: whether its last column holds words."""
-    head = "".join(f'<th scope="col"><button type="button">{escape(name)}</button></th>' for name in header)
+    """A table that sorts by the column whose head is clicked. told: whether its last column holds
+    words.
+    """
+    head = "".join(
+        f'<th scope="col"><button type="button">{escape(name)}</button></th>' for name in header
+    )
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
     kind = "told" if told else "numbers"
-    return f'<div class="scroll" tabindex="0"><table class="{kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    return (
+        '<div class="scroll" tabindex="0"><table '
+        f'class="{kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    )
 
 
 def _cell(cell: Cell) -> str:
-    value = "" if cell.value is None or not np.isfinite(cell.value) else f' data-value="{float(cell.value)!r}"'
+    value = (
+        ""
+        if cell.value is None or not np.isfinite(cell.value)
+        else f' data-value="{float(cell.value)!r}"'
+    )
     return f"<td{' class=text' if cell.words else ''}{value}>{escape(cell.text)}</td>"
 
 
 def legend(*entries: tuple[str, str, bool]) -> str:
     """(name, CSS variable, whether dots)."""
     items = "".join(
-        f'<li{" class=dots" if dots else ""} style="--swatch: var(--{color})">{escape(name)}</li>' for name, color, dots in entries
+        f'<li{" class=dots" if dots else ""} style="--swatch: var(--{color})">{escape(name)}</li>'
+        for name, color, dots in entries
     )
     return f'<ul class="legend">{items}</ul>'
 

@@ -1,4 +1,6 @@
-"""Figures as pictures inside a page: their colours follow the page's, and they say in words what they show."""
+"""Figures as pictures inside a page: their colours follow the page's, and they say in words what
+they show.
+"""
 
 import io
 import re
@@ -10,22 +12,49 @@ from typing import Any
 from dropo.core.services.optional_dependencies import need
 from dropo.plots.style import AFTER, BEFORE, FONT, GREY, INK, LIGHT, OTHER, PURPLE, SIZE
 
-COLORS = {INK: "ink", GREY: "grey", LIGHT: "light", BEFORE: "before", AFTER: "after", OTHER: "other", PURPLE: "purple"}
+COLORS = {
+    INK: "ink",
+    GREY: "grey",
+    LIGHT: "light",
+    BEFORE: "before",
+    AFTER: "after",
+    OTHER: "other",
+    PURPLE: "purple",
+}
 """The page's CSS variables by the colours of the figures."""
 STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none", "svg.hashsalt": "dropo", "font.size": FONT, "axes.titlesize": FONT + 0.5, "text.color": INK,
-    "axes.edgecolor": GREY, "axes.labelcolor": INK, "axes.titlecolor": INK, "xtick.color": GREY, "ytick.color": GREY,
-    "xtick.labelcolor": INK, "ytick.labelcolor": INK, "axes.linewidth": 0.7, "axes.axisbelow": True, "path.simplify_threshold": 0.3,
-    "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"],
-}  # fmt: skip
-ROW, HEAD = 0.2, 0.75  # [in] of a picture with a row for each signal
+    "svg.fonttype": "none",
+    "svg.hashsalt": "dropo",
+    "font.size": FONT,
+    "axes.titlesize": FONT + 0.5,
+    "text.color": INK,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.axisbelow": True,
+    "path.simplify_threshold": 0.3,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+}
+# [in] of a picture with a row for each signal
+ROW = 0.2
+HEAD = 0.75
 IDENTITY = re.compile(r'(\bid="|url\(#|href="#)')
 PLACES = re.compile(r'\b(?:d|x|y|points|transform)="[^"]*"')
 LONG = re.compile(r"-?\d+\.\d{3,}")
 
 
-def picture(draw: Callable[[Any], Any], text: str, *, size: tuple[float, float] = SIZE, grid: int = 0) -> str:
-    """An <svg> of what draw(axes) draws; text: what it shows, for those who cannot see it. grid: so many axes a side instead of one."""
+def picture(
+    draw: Callable[[Any], Any], text: str, *, size: tuple[float, float] = SIZE, grid: int = 0
+) -> str:
+    """An <svg> of what draw(axes) draws; text: what it shows, for those who cannot see it. grid: so
+    many axes a side instead of one.
+    """
     need("matplotlib", extra="plots", caller="A report")
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -34,7 +63,12 @@ def picture(draw: Callable[[Any], Any], text: str, *, size: tuple[float, float] 
         figure = Figure(figsize=size, layout="constrained")
         draw(figure.subplots(grid, grid, squeeze=False) if grid else figure.subplots())
         file = io.StringIO()
-        figure.savefig(file, format="svg", transparent=True, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        figure.savefig(
+            file,
+            format="svg",
+            transparent=True,
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )
     return themed(file.getvalue(), text)
 
 
@@ -44,14 +78,26 @@ def rows(count: int, each: float = ROW, more: float = HEAD) -> tuple[float, floa
 
 
 def themed(svg: str, text: str) -> str:
-    """The <svg> element alone: as wide as it may be, with the page's colours and font, and identities that are its own in the page."""
+    """The <svg> element alone: as wide as it may be, with the page's colours and font, and
+    identities that are its own in the page.
+    """
     start = svg.index("<svg")
     box = re.search(r'viewBox="([^"]+)"', svg)
     assert box is not None
-    inside = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", svg[svg.index(">", start) + 1 :], flags=re.DOTALL)
+    inside = re.sub(
+        r"<metadata>.*?</metadata>|<style.*?</style>",
+        "",
+        svg[svg.index(">", start) + 1 :],
+        flags=re.DOTALL,
+    )
     for color, name in COLORS.items():
         inside = re.sub(color, f"var(--{name})", inside, flags=re.IGNORECASE)
     inside = inside.replace("font-family: 'DejaVu Sans', sans-serif", "font-family: var(--font)")
-    inside = PLACES.sub(lambda found: LONG.sub(lambda one: f"{float(one[0]):.2f}", found[0]), inside)
+    inside = PLACES.sub(
+        lambda found: LONG.sub(lambda one: f"{float(one[0]):.2f}", found[0]), inside
+    )
     inside = IDENTITY.sub(rf"\g<1>p{sha256(inside.encode()).hexdigest()[:6]}-", inside)
-    return f'<svg role="img" aria-label="{escape(text)}" viewBox="{box[1]}" xmlns:xlink="http://www.w3.org/1999/xlink">{inside}'
+    return (
+        f'<svg role="img" aria-label="{escape(text)}" viewBox="{box[1]}" '
+        f'xmlns:xlink="http://www.w3.org/1999/xlink">{inside}'
+    )

@@ -1,4 +1,6 @@
-"""A video of the measured motion with what was simulated as a ghost over it: before on the left, after on the right."""
+"""A video of the measured motion with what was simulated as a ghost over it: before on the left,
+after on the right.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -10,29 +12,45 @@ from dropo.core.services.errors import DropoError
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array
 
-WIDTH, HEIGHT = 480, 480  # [pixels] of each half
-FRAMES, EACH = 30, 3  # a second; and for each control step
+# [pixels] of each half
+WIDTH = 480
+HEIGHT = 480
+# a second; and for each control step
+FRAMES = 30
+EACH = 3
 GHOSTS = ((0.95, 0.42, 0.0, 0.6), (0.1, 0.55, 0.95, 0.6))  # before, after; as in the page's figures
 MEASURED = (0.75, 0.75, 0.72, 1.0)
 
 
 def write_video(found: Predictions, simulator: Any, path: Path) -> Path:
-    """Every window, slowed down, as H.264; simulator: a MujocoSimulator of the run's model. Needs the extra `video`,
-    and without a display the environment variable MUJOCO_GL=egl before MuJoCo is imported.
+    """Every window, slowed down, as H.264; simulator: a MujocoSimulator of the run's model.
 
-    What the data do not hold of the state, such as a hopper's place along the floor, stays where the model begins.
+    Needs the extra `video`, and without a display the environment variable MUJOCO_GL=egl before
+    MuJoCo is imported.
+
+    What the data do not hold of the state, such as a hopper's place along the floor, stays where
+    the model begins.
     """
     need("imageio_ffmpeg", extra="video", caller="A video")
     import imageio_ffmpeg
 
     measured = _states(found, simulator, None)
     halves = [_states(found, simulator, side) for side in (found.before, found.after)]
-    stage, whole = _Stage(simulator.model), path.with_name(f".{path.stem}.part{path.suffix}")
-    writer = imageio_ffmpeg.write_frames(str(whole), (2 * WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7)
+    stage = _Stage(simulator.model)
+    whole = path.with_name(f".{path.stem}.part{path.suffix}")
+    writer = imageio_ffmpeg.write_frames(
+        str(whole), (2 * WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7
+    )
     writer.send(None)
     try:
         for k, qpos in enumerate(measured):
-            frame = np.concatenate([stage.frame(qpos, half[k], ghost) for half, ghost in zip(halves, GHOSTS, strict=True)], axis=1)
+            frame = np.concatenate(
+                [
+                    stage.frame(qpos, half[k], ghost)
+                    for half, ghost in zip(halves, GHOSTS, strict=True)
+                ],
+                axis=1,
+            )
             for _ in range(EACH):
                 writer.send(np.ascontiguousarray(frame))
     finally:
@@ -43,16 +61,23 @@ def write_video(found: Predictions, simulator: Any, path: Path) -> Path:
 
 
 def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
-    """Joint positions (T, nq) of a model, `step` seconds apart, as H.264 in their own time; needs what `write_video` needs."""
+    """Joint positions (T, nq) of a model, `step` seconds apart, as H.264 in their own time; needs
+    what `write_video` needs.
+    """
     need("imageio_ffmpeg", extra="video", caller="A video")
     import imageio_ffmpeg
 
-    stage, whole = _Stage(model), path.with_name(f".{path.stem}.part{path.suffix}")
-    writer = imageio_ffmpeg.write_frames(str(whole), (WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7)
+    stage = _Stage(model)
+    whole = path.with_name(f".{path.stem}.part{path.suffix}")
+    writer = imageio_ffmpeg.write_frames(
+        str(whole), (WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7
+    )
     writer.send(None)
     try:
         for time in np.arange(0, len(qpos) * step, 1 / FRAMES):
-            writer.send(np.ascontiguousarray(stage.frame(qpos[min(round(time / step), len(qpos) - 1)])))
+            writer.send(
+                np.ascontiguousarray(stage.frame(qpos[min(round(time / step), len(qpos) - 1)]))
+            )
     finally:
         writer.close()
         stage.close()
@@ -63,7 +88,8 @@ def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
 def _states(found: Predictions, simulator: Any, side: Side | None) -> Array:
     """(W L, nq) joint positions as measured, or as a side predicted them."""
     rows = found.rows.reshape(-1, found.rows.shape[2])
-    layout, model = simulator.layout, simulator.model
+    layout = simulator.layout
+    model = simulator.model
     if side is not None:
         rows = layout.move(rows, (side.line - found.measured).reshape(len(rows), -1))
     states = np.zeros((len(rows), 1 + model.nq + model.nv + model.na))
@@ -78,33 +104,46 @@ class _Stage:
     def __init__(self, model: Any):
         import mujoco
 
-        self.mujoco, self.model = mujoco, _plain(model)
+        self.mujoco = mujoco
+        self.model = _plain(model)
         try:
             self.renderer = mujoco.Renderer(self.model, HEIGHT, WIDTH)
         except Exception as error:  # whatever the graphics library says
-            told = "Set MUJOCO_GL to egl, osmesa or glfw before Python starts, or leave out --video."
+            told = (
+                "Set MUJOCO_GL to egl, osmesa or glfw before Python starts, or leave out --video."
+            )
             raise DropoError(f"MuJoCo cannot draw here: {error}. {told}") from None
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self.renderer.scene.flags[flag] = 0
         self.solid, self.ghost = mujoco.MjData(self.model), mujoco.MjData(self.model)
-        self.camera, self.option = mujoco.MjvCamera(), mujoco.MjvOption()
+        self.camera = mujoco.MjvCamera()
+        self.option = mujoco.MjvOption()
         mujoco.mjv_defaultFreeCamera(self.model, self.camera)
         if self.model.ncam:
-            self.camera.type, self.camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+            self.camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+            self.camera.fixedcamid = 0
 
-    def frame(self, qpos: Array, ghost: Array | None = None, color: tuple[float, ...] = MEASURED) -> Any:
-        """(HEIGHT, WIDTH, 3) the measured robot, and the simulated one translucent in a colour, where there is one."""
+    def frame(
+        self, qpos: Array, ghost: Array | None = None, color: tuple[float, ...] = MEASURED
+    ) -> Any:
+        """(HEIGHT, WIDTH, 3) the measured robot, and the simulated one translucent in a colour,
+        where there is one.
+        """
         scene = self.renderer.scene
         for data, place in ((self.solid, qpos), (self.ghost, qpos if ghost is None else ghost)):
             data.qpos[:] = place
             self.mujoco.mj_forward(self.model, data)
         self.renderer.update_scene(self.solid, self.camera, self.option)
-        first, dynamic = scene.ngeom, self.mujoco.mjtCatBit.mjCAT_DYNAMIC
+        first = scene.ngeom
+        dynamic = self.mujoco.mjtCatBit.mjCAT_DYNAMIC
         if ghost is not None:
-            self.mujoco.mjv_addGeoms(self.model, self.ghost, self.option, self.mujoco.MjvPerturb(), dynamic, scene)
+            self.mujoco.mjv_addGeoms(
+                self.model, self.ghost, self.option, self.mujoco.MjvPerturb(), dynamic, scene
+            )
         for i, geom in enumerate(scene.geoms[: scene.ngeom]):
             if geom.category == dynamic:
-                geom.matid, geom.rgba[:] = -1, color if i >= first else MEASURED
+                geom.matid = -1
+                geom.rgba[:] = color if i >= first else MEASURED
         return self.renderer.render()
 
     def close(self) -> None:
@@ -118,5 +157,8 @@ def _plain(model: Any) -> Any:
 
     out = copy.copy(model)
     out.vis.quality.offsamples = 0
-    out.vis.global_.offwidth, out.vis.global_.offheight = max(WIDTH, out.vis.global_.offwidth), max(HEIGHT, out.vis.global_.offheight)
+    out.vis.global_.offwidth, out.vis.global_.offheight = (
+        max(WIDTH, out.vis.global_.offwidth),
+        max(HEIGHT, out.vis.global_.offheight),
+    )
     return out

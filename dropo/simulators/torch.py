@@ -19,20 +19,27 @@ if TYPE_CHECKING:
 
 
 class TorchSimulator(Simulator):
-    """Replays all draws and segments at once, in float64. A plug-in writes `_advance`, of torch operations alone.
+    """Replays all draws and segments at once, in float64.
 
-    `predict` takes tensors and gives tensors with their history; sensitivities are exact, by forward-mode differentiation.
+    A plug-in writes `_advance`, of torch operations alone.
+
+    `predict` takes tensors and gives tensors with their history; sensitivities are exact, by
+    forward-mode differentiation.
     """
 
     has_gradients = True
 
     def __init__(self, parameters: Sequence[Parameter], signals: Sequence[Signal | str]):
         self.space = ParameterSpace(tuple(parameters))
-        self.signals = [signal if isinstance(signal, Signal) else Signal(signal) for signal in signals]
+        self.signals = [
+            signal if isinstance(signal, Signal) else Signal(signal) for signal in signals
+        ]
 
     @abstractmethod
     def _advance(self, values: "Tensor", states: "Tensor", actions: "Tensor") -> "Tensor":
-        """One control step: values (K, 1, d), states (K, N, p), actions (N, q) -> the states after it (K, N, p)."""
+        """One control step: values (K, 1, d), states (K, N, p), actions (N, q) -> the states after
+        it (K, N, p).
+        """
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Any:
         import torch
@@ -43,15 +50,19 @@ class TorchSimulator(Simulator):
             return self._replay(torch.tensor(values), segments, offsets).numpy()
 
     def _replay(self, values: "Tensor", segments: Segments, offsets: Any) -> "Tensor":
-        """(K, R, p), level after level: a segment of a chain goes on from where the one before it ended."""
+        """(K, R, p), level after level: a segment of a chain goes on from where the one before it
+        ended.
+        """
         import torch
 
         starts = constant(segments.starts, values).expand(len(values), -1, -1)
         starts = starts if offsets is None else starts + constant(offsets, values)
-        columns, place = torch.as_tensor(segments.set_columns), np.empty(len(segments), dtype=np.int64)
+        columns = torch.as_tensor(segments.set_columns)
+        place = np.empty(len(segments), dtype=np.int64)
         blocks: list[Tensor] = []
         for level in segments.levels:
-            begin, before = starts[:, level], segments.previous[level]
+            begin = starts[:, level]
+            before = segments.previous[level]
             if before[0] >= 0:
                 begin = torch.where(columns, begin, blocks[-1][:, place[before], -1])
             blocks.append(self._level(values[:, None], begin, segments, level))
@@ -60,11 +71,16 @@ class TorchSimulator(Simulator):
         segment, step = segments.rows
         return torch.cat(blocks, dim=1)[:, order[segment], step]
 
-    def _level(self, values: "Tensor", states: "Tensor", segments: Segments, level: Any) -> "Tensor":
-        """The states after every step (K, n, L, p) of segments without a predecessor among them; each rests where it has ended."""
+    def _level(
+        self, values: "Tensor", states: "Tensor", segments: Segments, level: Any
+    ) -> "Tensor":
+        """The states after every step (K, n, L, p) of segments without a predecessor among them;
+        each rests where it has ended.
+        """
         import torch
 
-        actions, lengths = constant(segments.actions[level], values), torch.as_tensor(segments.lengths[level])
+        actions = constant(segments.actions[level], values)
+        lengths = torch.as_tensor(segments.lengths[level])
         steps = []
         for j in range(actions.shape[1]):
             after = self._advance(values, states, actions[:, j])
@@ -72,8 +88,11 @@ class TorchSimulator(Simulator):
             steps.append(states)
         return torch.stack(steps, dim=2)
 
-    def linearize(self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None) -> tuple[Array, Array]:
-        """The prediction (R, p) and its exact sensitivities (R, p, d): d equal draws, each with the tangent of one parameter.
+    def linearize(
+        self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """The prediction (R, p) and its exact sensitivities (R, p, d): d equal draws, each with the
+        tangent of one parameter.
 
         With a `step` given, central differences as in the contract.
         """

@@ -1,4 +1,6 @@
-"""The contracts as functions, for authors of plug-ins: each raises AssertionError, with what is wrong, or is silent."""
+"""The contracts as functions, for authors of plug-ins: each raises AssertionError, with what is
+wrong, or is silent.
+"""
 
 from dropo.testing.effects import check_effect as check_effect
 from dropo.testing.families import check_family as check_family

@@ -22,7 +22,8 @@ DRAWS = 50
 def check_likelihood(likelihood: Likelihood) -> None:
     """Raises AssertionError, saying what is wrong, unless the likelihood keeps to the contract.
 
-    Any likelihood is bound to a small linear problem; of one from samples the density itself is checked too.
+    Any likelihood is bound to a small linear problem; of one from samples the density itself is
+    checked too.
     """
     if isinstance(likelihood, SampledLikelihood):
         _check_rows(likelihood)
@@ -35,7 +36,9 @@ def check_likelihood(likelihood: Likelihood) -> None:
 
 
 class Line(Simulator):
-    """o_{t+1} = o_t + a_t xi, entry by entry, with two parameters; fails in the segments that start at `broken` or above."""
+    """o_{t+1} = o_t + a_t xi, entry by entry, with two parameters; fails in the segments that start
+    at `broken` or above.
+    """
 
     has_gradients = False
 
@@ -45,18 +48,31 @@ class Line(Simulator):
         self.broken = broken
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
-        begin = segments.starts if offsets is None else segments.starts + offsets  # (N, 2) or (K, N, 2)
+        begin = (
+            segments.starts if offsets is None else segments.starts + offsets
+        )  # (N, 2) or (K, N, 2)
         begin = np.where(begin[..., :1] >= self.broken, np.nan, begin)
         path = np.cumsum(segments.actions, axis=1) * values[:, None, None]  # (K, N, L, 2)
         segment, step = segments.rows
-        ends: Array = (np.broadcast_to(begin, (len(values), *begin.shape[-2:]))[:, :, None] + path)[:, segment, step]
+        ends: Array = (np.broadcast_to(begin, (len(values), *begin.shape[-2:]))[:, :, None] + path)[
+            :, segment, step
+        ]
         return ends
 
 
-def line_data(rng: np.random.Generator, *, mean: float = 2.0, sd: float = 0.3, rows: int = 40) -> Trajectories:
-    """Transitions of `Line`, of which each has its own draw of both parameters from N(mean, sd^2), with noise of variance EPSILON."""
-    start, action = rng.uniform(-1, 1, (rows, 2)), rng.uniform(1, 2, (rows, 2))
-    following = start + action * rng.normal(mean, sd, (rows, 2)) + np.sqrt(EPSILON) * rng.standard_normal((rows, 2))
+def line_data(
+    rng: np.random.Generator, *, mean: float = 2.0, sd: float = 0.3, rows: int = 40
+) -> Trajectories:
+    """Transitions of `Line`, of which each has its own draw of both parameters from N(mean, sd^2),
+    with noise of variance EPSILON.
+    """
+    start = rng.uniform(-1, 1, (rows, 2))
+    action = rng.uniform(1, 2, (rows, 2))
+    following = (
+        start
+        + action * rng.normal(mean, sd, (rows, 2))
+        + np.sqrt(EPSILON) * rng.standard_normal((rows, 2))
+    )
     return Trajectories(start, action, following, np.ones(rows, dtype=bool))
 
 
@@ -69,61 +85,98 @@ def _samples(p: int, rows: int) -> tuple[Array, Array, Array]:
 
 
 def _check_rows(likelihood: SampledLikelihood) -> None:
-    name, (predictions, targets, noise) = type(likelihood).__name__, _samples(2, 7)
+    name = type(likelihood).__name__
+    (predictions, targets, noise) = _samples(2, 7)
     epsilon = np.full(2, EPSILON)
-    density: Callable[[Array, Array, Array], Array] = lambda x, y, z: likelihood.log_density(x, y, epsilon, z)
+    density: Callable[[Array, Array, Array], Array] = lambda x, y, z: likelihood.log_density(
+        x, y, epsilon, z
+    )
     given = predictions.copy(), targets.copy(), noise.copy()
     whole = density(predictions, targets, noise)
     assert whole.shape == (7,), f"{name}.log_density gives shape {whole.shape}, not (7,)"
     assert np.isfinite(whole).all(), f"{name}.log_density gives {whole} on ordinary predictions"
     unchanged = all(map(np.array_equal, given, (predictions, targets, noise)))
     assert unchanged, f"{name}.log_density changes its arguments"
-    assert np.array_equal(whole, density(predictions, targets, noise)), f"{name}.log_density is not deterministic"
-    order, draws = np.array([3, 0, 6, 1, 5, 2, 4]), np.random.default_rng(1).permutation(DRAWS)
+    assert np.array_equal(whole, density(predictions, targets, noise)), (
+        f"{name}.log_density is not deterministic"
+    )
+    order = np.array([3, 0, 6, 1, 5, 2, 4])
+    draws = np.random.default_rng(1).permutation(DRAWS)
     moved = density(predictions[:, order], targets[order], noise[:, order])
-    assert np.allclose(whole[order], moved, rtol=1e-9), f"the rows of {name}.log_density depend on their order"
+    assert np.allclose(whole[order], moved, rtol=1e-9), (
+        f"the rows of {name}.log_density depend on their order"
+    )
     moved = density(predictions[draws], targets, noise[draws])
-    assert np.allclose(whole, moved, rtol=1e-9), f"{name}.log_density depends on the order of the draws"
+    assert np.allclose(whole, moved, rtol=1e-9), (
+        f"{name}.log_density depends on the order of the draws"
+    )
     moved = density(predictions + 5.0, targets + 5.0, noise)
-    assert np.allclose(whole, moved, rtol=1e-7), f"{name}.log_density changes when predictions and targets move together"
+    assert np.allclose(whole, moved, rtol=1e-7), (
+        f"{name}.log_density changes when predictions and targets move together"
+    )
     predictions[3, 4] = np.nan
     failed = density(predictions, targets, noise)
-    assert failed[4] == -np.inf, f"a failed simulation must give -inf in its row; {name}.log_density gives {failed[4]}"
+    assert failed[4] == -np.inf, (
+        f"a failed simulation must give -inf in its row; {name}.log_density gives {failed[4]}"
+    )
     others = np.allclose(np.delete(whole, 4), np.delete(failed, 4), rtol=1e-9)
     assert others, f"a failed simulation changes other rows of {name}.log_density"
 
 
 def _check_epsilon(likelihood: SampledLikelihood) -> None:
-    name, (predictions, targets, noise) = type(likelihood).__name__, _samples(2, 7)
+    name = type(likelihood).__name__
+    (predictions, targets, noise) = _samples(2, 7)
     far = predictions.mean(axis=0) + 5.0
-    narrow, wide = (likelihood.log_density(predictions, far, np.full(2, e), noise) for e in (EPSILON, 4.0))
+    narrow, wide = (
+        likelihood.log_density(predictions, far, np.full(2, e), noise) for e in (EPSILON, 4.0)
+    )
     assert (wide > narrow).all(), f"a larger epsilon does not widen the density of {name}"
     same = np.broadcast_to(targets, predictions.shape)
     try:
         value = likelihood.log_density(same, targets, np.zeros(2), noise)
     except BadArgument:
         return
-    told = f"{name}.log_density gives {value[0]} for equal predictions without epsilon: its _log_density must give NaN there"
+    told = (
+        f"{name}.log_density gives {value[0]} for equal predictions without epsilon: its "
+        "_log_density must give NaN there"
+    )
     assert np.isfinite(value).all(), told
 
 
 def _check_normalised(likelihood: SampledLikelihood, p: int, *, points: int, reach: float) -> None:
     predictions, _, noise = _samples(p, 1)
     u = np.linspace(-reach, reach, points)
-    nodes, weights = np.sinh(u), np.cosh(u) * (u[1] - u[0])  # dense in the middle, far in the tails
+    # dense in the middle, far in the tails
+    nodes = np.sinh(u)
+    weights = np.cosh(u) * (u[1] - u[0])
     mesh = np.stack(np.meshgrid(*[nodes] * p, indexing="ij"), axis=-1).reshape(-1, p)
     weight = np.prod(np.stack(np.meshgrid(*[weights] * p, indexing="ij"), axis=-1), axis=-1).ravel()
-    targets, shape = predictions.mean(axis=(0, 1)) + mesh, (DRAWS, len(mesh), p)
-    logs = likelihood.log_density(np.broadcast_to(predictions, shape), targets, np.full(p, EPSILON), np.broadcast_to(noise, shape))
+    targets = predictions.mean(axis=(0, 1)) + mesh
+    shape = (DRAWS, len(mesh), p)
+    logs = likelihood.log_density(
+        np.broadcast_to(predictions, shape),
+        targets,
+        np.full(p, EPSILON),
+        np.broadcast_to(noise, shape),
+    )
     total = float(np.exp(logs) @ weight)
     name = type(likelihood).__name__
-    assert abs(total - 1) < 2e-3, f"exp({name}.log_density) integrates to {total:.4g} over targets of p = {p}, not to 1"
+    assert abs(total - 1) < 2e-3, (
+        f"exp({name}.log_density) integrates to {total:.4g} over targets of p = {p}, not to 1"
+    )
 
 
-def _bind(likelihood: Likelihood, epsilon: Epsilon = EPSILON, broken: float = np.inf) -> tuple[LogLikelihood, Family, Segments]:
-    simulator, segments = Line(broken), line_data(np.random.default_rng(3)).segments()
+def _bind(
+    likelihood: Likelihood, epsilon: Epsilon = EPSILON, broken: float = np.inf
+) -> tuple[LogLikelihood, Family, Segments]:
+    simulator = Line(broken)
+    segments = line_data(np.random.default_rng(3)).segments()
     family: Family = find("families", "truncated_gaussian")(simulator.space)
-    return likelihood.bind(simulator, segments, family, epsilon, np.random.default_rng(4)), family, segments
+    return (
+        likelihood.bind(simulator, segments, family, epsilon, np.random.default_rng(4)),
+        family,
+        segments,
+    )
 
 
 def _member(bound: LogLikelihood, family: Family, mean: float) -> Array:
@@ -135,28 +188,51 @@ def _member(bound: LogLikelihood, family: Family, mean: float) -> Array:
 def _check_bound(likelihood: Likelihood) -> None:
     name = type(likelihood).__name__
     bound, family, segments = _bind(likelihood)
-    assert bound.unknowns.names[: len(family.unknowns)] == family.unknowns.names, f"the unknowns of {name} do not begin with the family's"
+    assert bound.unknowns.names[: len(family.unknowns)] == family.unknowns.names, (
+        f"the unknowns of {name} do not begin with the family's"
+    )
     phi = _member(bound, family, 2.0)
-    rows, shape = bound.rows(phi), segments.targets.shape
+    rows = bound.rows(phi)
+    shape = segments.targets.shape
     assert rows.shape == shape[:1], f"{name}: rows has shape {rows.shape}, not {shape[:1]}"
-    assert np.array_equal(rows, bound.rows(phi)), f"{name}: the log-likelihood is not deterministic: the same phi gave other rows"
-    assert np.isclose(bound(phi), rows.sum()), f"{name}: the log-likelihood is {bound(phi)}, the sum of its rows {rows.sum()}"
-    assert np.array_equal(rows, _bind(likelihood)[0].rows(phi)), f"{name}: bound twice with the same rng, the log-likelihoods differ"
-    assert bound.mean(phi).shape == shape, f"{name}: mean has shape {bound.mean(phi).shape}, not {shape}"
+    assert np.array_equal(rows, bound.rows(phi)), (
+        f"{name}: the log-likelihood is not deterministic: the same phi gave other rows"
+    )
+    assert np.isclose(bound(phi), rows.sum()), (
+        f"{name}: the log-likelihood is {bound(phi)}, the sum of its rows {rows.sum()}"
+    )
+    assert np.array_equal(rows, _bind(likelihood)[0].rows(phi)), (
+        f"{name}: bound twice with the same rng, the log-likelihoods differ"
+    )
+    assert bound.mean(phi).shape == shape, (
+        f"{name}: mean has shape {bound.mean(phi).shape}, not {shape}"
+    )
     error = float(np.abs(bound.mean(phi) - segments.targets).mean())
-    assert error < 1.0, f"{name}: mean is {error:.3g} away from data that the member generated, whose spread is about 0.5"
-    assert np.allclose(bound.epsilon(phi), np.full(2, EPSILON)), f"{name}: epsilon is {bound.epsilon(phi)}, but {EPSILON} was given"
+    assert error < 1.0, (
+        f"{name}: mean is {error:.3g} away from data that the member generated, whose "
+        "spread is about 0.5"
+    )
+    assert np.allclose(bound.epsilon(phi), np.full(2, EPSILON)), (
+        f"{name}: epsilon is {bound.epsilon(phi)}, but {EPSILON} was given"
+    )
     wrong = bound(_member(bound, family, 3.0))
-    assert bound(phi) > wrong, f"{name}: the member that generated the data has {bound(phi):.5g} nat, one 3 sd away {wrong:.5g}"
+    assert bound(phi) > wrong, (
+        f"{name}: the member that generated the data has {bound(phi):.5g} nat, one 3 sd "
+        f"away {wrong:.5g}"
+    )
     if bound.has_gradients:
         _check_gradient(bound, phi, name)
 
 
 def _check_gradient(bound: LogLikelihood, phi: Array, name: str) -> None:
     gradient = bound.gradient(phi)
-    assert gradient.shape == phi.shape, f"{name}: the gradient has shape {gradient.shape}, not {phi.shape}"
+    assert gradient.shape == phi.shape, (
+        f"{name}: the gradient has shape {gradient.shape}, not {phi.shape}"
+    )
     half = 1e-5 * np.abs(phi)
-    slopes = np.array([(bound(phi + step) - bound(phi - step)) / (2 * step.sum()) for step in np.diag(half)])
+    slopes = np.array(
+        [(bound(phi + step) - bound(phi - step)) / (2 * step.sum()) for step in np.diag(half)]
+    )
     fits = np.allclose(gradient, slopes, rtol=1e-3, atol=1e-4 * float(np.abs(slopes).max()))
     assert fits, f"{name}: the gradient is {gradient}, differences give {slopes}"
 
@@ -168,10 +244,17 @@ def _check_learned(likelihood: Likelihood) -> None:
     except Incompatible:
         return
     assert len(bound.unknowns) > len(family.unknowns), f"{name}: a learned epsilon adds no unknown"
-    low, high = _member(bound, family, 2.0), _member(bound, family, 2.0)
-    low[len(family.unknowns) :] = bound.unknowns.from_unit(np.full(len(bound.unknowns), 0.4))[len(family.unknowns) :]
-    assert (bound.epsilon(low) < bound.epsilon(high)).all(), f"{name}: the learned epsilon does not follow its unknown"
-    assert bound(low) != bound(high), f"{name}: the log-likelihood does not depend on the learned epsilon"
+    low = _member(bound, family, 2.0)
+    high = _member(bound, family, 2.0)
+    low[len(family.unknowns) :] = bound.unknowns.from_unit(np.full(len(bound.unknowns), 0.4))[
+        len(family.unknowns) :
+    ]
+    assert (bound.epsilon(low) < bound.epsilon(high)).all(), (
+        f"{name}: the learned epsilon does not follow its unknown"
+    )
+    assert bound(low) != bound(high), (
+        f"{name}: the log-likelihood does not depend on the learned epsilon"
+    )
 
 
 def _check_failures(likelihood: Likelihood) -> None:
@@ -185,6 +268,12 @@ def _check_failures(likelihood: Likelihood) -> None:
         rows = bound.rows(phi)
     except SimulationFailed:
         return
-    assert (rows[failing] == -np.inf).all(), f"{name}: rows with failed simulations must be -inf; they are {rows[failing]}"
-    assert np.allclose(rows[~failing], whole.rows(phi)[~failing], rtol=1e-9), f"{name}: failed simulations change other rows"
-    assert bound(phi) == -np.inf, f"{name}: the log-likelihood must be -inf where a simulation failed; it is {bound(phi)}"
+    assert (rows[failing] == -np.inf).all(), (
+        f"{name}: rows with failed simulations must be -inf; they are {rows[failing]}"
+    )
+    assert np.allclose(rows[~failing], whole.rows(phi)[~failing], rtol=1e-9), (
+        f"{name}: failed simulations change other rows"
+    )
+    assert bound(phi) == -np.inf, (
+        f"{name}: the log-likelihood must be -inf where a simulation failed; it is {bound(phi)}"
+    )

@@ -1,4 +1,6 @@
-"""What parameters are drawn from at an episode's start: a fit, a point, bounds, or any of them growing to its full width."""
+"""What parameters are drawn from at an episode's start: a fit, a point, bounds, or any of them
+growing to its full width.
+"""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -33,7 +35,9 @@ class Point:
     mean: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mean", float_array("mean", self.mean, (len(self.space),), "Point"))
+        object.__setattr__(
+            self, "mean", float_array("mean", self.mean, (len(self.space),), "Point")
+        )
 
     def sample(self, draws: int, rng: Generator) -> Array:
         """(K, d) copies."""
@@ -42,7 +46,9 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Uniform:
-    """Uniform randomization, each parameter on its own between low (d,) and high (d,); without bounds, on the search intervals."""
+    """Uniform randomization, each parameter on its own between low (d,) and high (d,); without
+    bounds, on the search intervals.
+    """
 
     space: ParameterSpace
     low: Array | None = None
@@ -51,9 +57,19 @@ class Uniform:
     def __post_init__(self) -> None:
         for name in ("low", "high"):
             given = getattr(self, name)
-            values = getattr(self.space, name) if given is None else float_array(name, given, (len(self.space),), "Uniform")
+            values = (
+                getattr(self.space, name)
+                if given is None
+                else float_array(name, given, (len(self.space),), "Uniform")
+            )
             object.__setattr__(self, name, values)
-        require(bool(np.all(self.bounds[0] <= self.bounds[1])), "low", "at most high", self.low, "Uniform")
+        require(
+            bool(np.all(self.bounds[0] <= self.bounds[1])),
+            "low",
+            "at most high",
+            self.low,
+            "Uniform",
+        )
 
     @property
     def bounds(self) -> Array:
@@ -73,7 +89,9 @@ class Uniform:
 
 @dataclass(frozen=True, eq=False)
 class Curriculum:
-    """A law that grows from a share `start` of its width to all of it over the first so many control `steps` of training."""
+    """A law that grows from a share `start` of its width to all of it over the first so many
+    control `steps` of training.
+    """
 
     distribution: ParameterDistribution
     steps: int
@@ -110,16 +128,26 @@ def full(distribution: ParameterDistribution | None) -> ParameterDistribution | 
 def draw(distribution: ParameterDistribution, rng: Generator, done: int) -> Array:
     """(d,) one parameter vector, after `done` control steps of training."""
     value = distribution.sample(1, rng)[0]
-    return distribution.mean + distribution.share(done) * (value - distribution.mean) if isinstance(distribution, Curriculum) else value
+    return (
+        distribution.mean + distribution.share(done) * (value - distribution.mean)
+        if isinstance(distribution, Curriculum)
+        else value
+    )
 
 
 def variances_of(distribution: ParameterDistribution) -> Array | None:
     """(p,) the noise variances that a fit learned; None where the law is no fit."""
-    return variances_of(distribution.distribution) if isinstance(distribution, Curriculum) else getattr(distribution, "epsilon", None)
+    return (
+        variances_of(distribution.distribution)
+        if isinstance(distribution, Curriculum)
+        else getattr(distribution, "epsilon", None)
+    )
 
 
 def places_of(distribution: ParameterDistribution) -> dict[str, dict[str, Any]]:
-    """Where in a model each parameter is, as a fit keeps it; effects and parameters of other simulators have none."""
+    """Where in a model each parameter is, as a fit keeps it; effects and parameters of other
+    simulators have none.
+    """
     if isinstance(distribution, Curriculum):
         return places_of(distribution.distribution)
     own = {p.name: place for p in distribution.space if (place := p.place)}

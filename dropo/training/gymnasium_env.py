@@ -1,4 +1,6 @@
-"""Gymnasium's MuJoCo environments side by side: their own code for starts, rewards and observations, our simulations under it."""
+"""Gymnasium's MuJoCo environments side by side: their own code for starts, rewards and
+observations, our simulations under it.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,22 +29,42 @@ class _Diverged(Exception):
 class BatchedGymnasiumEnv(BatchedEnv):
     """Gymnasium environments of one kind, whose `do_simulation` is answered from the batch.
 
-    Where an environment hands its action to the simulation once and as it is, as all of Gymnasium's do, all of them are
-    simulated together; else each in its turn. With the model as it is, the motion is Gymnasium's own, bit for bit. visible: whether
-    the observation begins with the simulator's rows, as noise and sensors' effects need.
+    Where an environment hands its action to the simulation once and as it is, as all of Gymnasium's
+    do, all of them are simulated together; else each in its turn. With the model as it is, the
+    motion is Gymnasium's own, bit for bit. visible: whether the observation begins with the
+    simulator's rows, as noise and sensors' effects need.
     """
 
     def __init__(
-        self, name: str, envs: Sequence[Any], simulator: MujocoSimulator, fill: Callable[[Array], Array], distribution: ParameterDistribution, *, visible: bool,
-        noise: ArrayLike | None = None, threads: int = 1,
-    ):  # fmt: skip
-        self.envs, inner = list(envs), envs[0].unwrapped
-        episodes = Episodes(simulator, len(self.envs), threads=threads, flags=int(inner.model.opt.disableflags), whole=True)
+        self,
+        name: str,
+        envs: Sequence[Any],
+        simulator: MujocoSimulator,
+        fill: Callable[[Array], Array],
+        distribution: ParameterDistribution,
+        *,
+        visible: bool,
+        noise: ArrayLike | None = None,
+        threads: int = 1,
+    ):
+        self.envs = list(envs)
+        inner = envs[0].unwrapped
+        episodes = Episodes(
+            simulator,
+            len(self.envs),
+            threads=threads,
+            flags=int(inner.model.opt.disableflags),
+            whole=True,
+        )
         super().__init__(name, episodes, fill, distribution, noise)
-        changed = self._deviation.any() or any(instance.measurement is not None or instance.sensor_delay is not None for instance, _ in simulator.fixed)
+        changed = self._deviation.any() or any(
+            instance.measurement is not None or instance.sensor_delay is not None
+            for instance, _ in simulator.fixed
+        )
         if changed and not visible:
             raise Incompatible(
-                f"The observation of {name!r} does not begin with positions and velocities as they are, so that noise and effects of"
+                f"The observation of {name!r} does not begin with positions and velocities "
+                "as they are, so that noise and effects of"
                 " sensors have no place in it. Give noise=0, and leave those effects out."
             )
         self._seen = simulator.layout if changed else None
@@ -75,8 +97,11 @@ class BatchedGymnasiumEnv(BatchedEnv):
         if self._together:
             sound = self.episodes.step(ids, actions)
             self._expected = dict(zip(ids.tolist(), actions, strict=True))
-        rewards, bonus, infos = np.zeros(len(ids)), np.zeros(len(ids)), []
-        terminated, truncated = np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
+        rewards = np.zeros(len(ids))
+        bonus = np.zeros(len(ids))
+        infos = []
+        terminated = np.zeros(len(ids), dtype=bool)
+        truncated = np.zeros(len(ids), dtype=bool)
         for k, i in enumerate(ids.tolist()):
             info: dict[str, Any] = {}
             try:
@@ -98,7 +123,10 @@ class BatchedGymnasiumEnv(BatchedEnv):
         if self._together:
             expected = self._expected.pop(i, None)
             if expected is None or not np.array_equal(ctrl, expected):
-                raise Incompatible(f"{self.name!r} changes some of its actions before they are simulated. Take one environment at a time.")
+                raise Incompatible(
+                    f"{self.name!r} changes some of its actions before they are simulated. "
+                    "Take one environment at a time."
+                )
         elif not self.episodes.step(np.array([i]), np.asarray(ctrl, dtype=float)[None], frames)[0]:
             raise _Diverged
         self.episodes.give(i, data=inner.data)
@@ -111,8 +139,11 @@ class BatchedGymnasiumEnv(BatchedEnv):
 
 
 def _passes_actions_on(env: Any) -> bool:
-    """Whether an environment simulates its action as it is, once, for `frame_skip` physics steps: found by one step of its own."""
-    inner, given = env.unwrapped, []
+    """Whether an environment simulates its action as it is, once, for `frame_skip` physics steps:
+    found by one step of its own.
+    """
+    inner = env.unwrapped
+    given = []
     simulate = inner.do_simulation
 
     def watched(ctrl: Any, frames: int) -> None:
@@ -124,4 +155,6 @@ def _passes_actions_on(env: Any) -> bool:
     action = env.action_space.sample()
     env.step(action)
     inner.do_simulation = simulate
-    return len(given) == 1 and np.array_equal(given[0][0], action) and given[0][1] == inner.frame_skip
+    return (
+        len(given) == 1 and np.array_equal(given[0][0], action) and given[0][1] == inner.frame_skip
+    )

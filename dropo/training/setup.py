@@ -29,8 +29,18 @@ class TrainingSetup:
     def batched_env(self, count: int, *, whole: bool = False) -> BatchedEnv:
         """So many environments side by side; whole: under the law at its full width."""
         distribution = full(self.distribution) if whole else self.distribution
-        return batched_env(self.target, distribution, count, noise=self.noise, effects=self.effects, steps=self.steps, threads=self.threads)
+        return batched_env(
+            self.target,
+            distribution,
+            count,
+            noise=self.noise,
+            effects=self.effects,
+            steps=self.steps,
+            threads=self.threads,
+        )
 
     def env(self) -> Any:
         """One gymnasium.Env."""
-        return randomize(self.target, self.distribution, noise=self.noise, effects=self.effects, steps=self.steps)
+        return randomize(
+            self.target, self.distribution, noise=self.noise, effects=self.effects, steps=self.steps
+        )

@@ -20,28 +20,46 @@ class BatchedTaskEnv(BatchedEnv):
     """`count` environments of a problem with a task; steps: of an episode, in place of the task's."""
 
     def __init__(
-        self, problem: Problem, simulator: MujocoSimulator, fill: Callable[[Array], Array], distribution: ParameterDistribution, count: int, *,
-        noise: ArrayLike | None = None, steps: int | None = None, threads: int = 1,
-    ):  # fmt: skip
-        super().__init__(problem.name, Episodes(simulator, count, threads=threads), fill, distribution, noise)
-        self.task, self.length = task_of(problem), steps or task_of(problem).steps
+        self,
+        problem: Problem,
+        simulator: MujocoSimulator,
+        fill: Callable[[Array], Array],
+        distribution: ParameterDistribution,
+        count: int,
+        *,
+        noise: ArrayLike | None = None,
+        steps: int | None = None,
+        threads: int = 1,
+    ):
+        super().__init__(
+            problem.name, Episodes(simulator, count, threads=threads), fill, distribution, noise
+        )
+        self.task = task_of(problem)
+        self.length = steps or task_of(problem).steps
         self.limits = self._limits()
         self.goals = self.task.draw_goals(np.random.default_rng(0), count)
         self._places = simulator.controls
-        self._rows = np.tile(problem.trajectories.observations[:1], (count, 1))  # what each one measured last
+        self._rows = np.tile(
+            problem.trajectories.observations[:1], (count, 1)
+        )  # what each one measured last
         self._age = np.zeros(count, dtype=np.int64)
         self.observations = self.task.seen(self._rows, self.goals).shape[1]
 
     def _limits(self) -> Array:
         if self.task.limits is not None:
             return np.asarray(self.task.limits, dtype=float)
-        model, places = self.episodes.simulator.model, self.episodes.simulator.controls
+        model = self.episodes.simulator.model
+        places = self.episodes.simulator.controls
         limited = np.asarray(model.actuator_ctrllimited[places], dtype=bool)
-        return np.where(limited, model.actuator_ctrlrange[places].T, np.array([[-np.inf], [np.inf]]))
+        return np.where(
+            limited, model.actuator_ctrlrange[places].T, np.array([[-np.inf], [np.inf]])
+        )
 
     def _reset(self, ids: Ints, seeds: Seeds) -> Array:
         streams = [self._streams[i].starts for i in ids.tolist()]
-        self.episodes.reset(ids, np.concatenate([self.task.starts(stream, 1) for stream in streams]))
+        self.episodes.reset(
+            ids, np.concatenate([self.task.starts(stream, 1) for stream in streams])
+        )
         self.goals[ids] = np.concatenate([self.task.draw_goals(stream, 1) for stream in streams])
         self._age[ids] = 0
         return self._observe(ids)
@@ -51,22 +69,31 @@ class BatchedTaskEnv(BatchedEnv):
         return self.task.seen(self._rows[ids], self.goals[ids])
 
     def _step(self, ids: Ints, actions: Array) -> Outcome:
-        before, actions = self.episodes.states(ids), np.asarray(actions, dtype=float)
+        before = self.episodes.states(ids)
+        actions = np.asarray(actions, dtype=float)
         sound = self._move(ids, np.clip(actions, *self.limits), before)
         after = np.where(sound[:, None], self.episodes.states(ids), before)
         self._age[ids] += 1
         lives = self.task.lives(after)
         bonus = np.where(sound & lives, self.task.bonus, 0.0)
-        rewards = np.where(sound, self.task.worth(before, actions, after, self.goals[ids]), 0.0) + bonus
+        rewards = (
+            np.where(sound, self.task.worth(before, actions, after, self.goals[ids]), 0.0) + bonus
+        )
         self._observe(ids[sound])
         return Outcome(
-            self.task.seen(self._rows[ids], self.goals[ids]), rewards, bonus,
-            terminated=sound & ~lives, truncated=~sound | (self._age[ids] >= self.length), broken=~sound, infos=[{} for _ in ids],
-        )  # fmt: skip
+            self.task.seen(self._rows[ids], self.goals[ids]),
+            rewards,
+            bonus,
+            terminated=sound & ~lives,
+            truncated=~sound | (self._age[ids] >= self.length),
+            broken=~sound,
+            infos=[{} for _ in ids],
+        )
 
     def _move(self, ids: Ints, actions: Array, before: Array) -> np.ndarray:
         """(m,) bool, which simulations are sound after the control steps of an action."""
-        commands, sound = self.task.commands(before, actions), np.ones(len(ids), dtype=bool)
+        commands = self.task.commands(before, actions)
+        sound = np.ones(len(ids), dtype=bool)
         full = np.zeros((*commands.shape[:2], self.episodes.simulator.model.nu))
         full[:, :, self._places] = commands
         for step in range(full.shape[1]):
@@ -79,7 +106,8 @@ def task_of(problem: Problem) -> Task:
     """The problem's task; Incompatible where it has none."""
     if problem.task is None:
         raise Incompatible(
-            f"The problem {problem.name!r} has no task to train for. Name a reward under `task` in its problem file"
+            f"The problem {problem.name!r} has no task to train for. Name a reward under "
+            "`task` in its problem file"
             " (task: {reward: reward.py:function}), or give Problem(..., task=Task(...))."
         )
     return problem.task

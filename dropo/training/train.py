@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from dropo.simulators.mujoco.worker import ActiveEffects
 from dropo.training.ars import ARS
-from dropo.training.distributions import ParameterDistribution, Curriculum
+from dropo.training.distributions import Curriculum, ParameterDistribution
 from dropo.training.environments import Target, resolve
 from dropo.training.policy import Policy
 from dropo.training.setup import Progress, TrainingSetup
@@ -25,20 +25,36 @@ class Algorithm(Protocol):
     def name(self) -> str:
         """What the command line calls it."""
 
-    def train(self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress) -> Policy:
-        """A policy for the stage; the folder is where an interrupted training is kept and goes on from."""
+    def train(
+        self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
+    ) -> Policy:
+        """A policy for the stage; the folder is where an interrupted training is kept and goes on
+        from.
+        """
 
 
 def train(
-    target: Target, distribution: ParameterDistribution | None = None, algorithm: Algorithm | None = None, *, noise: ArrayLike | None = None, effects: ActiveEffects = (),
-    steps: int | None = None, rng: Generator | int = 0, threads: int = 1, out: str | Path | None = None, progress: Progress | None = None,
-) -> Policy:  # fmt: skip
-    """Trains a policy for a target whose parameters are drawn from a law at the start of every episode.
+    target: Target,
+    distribution: ParameterDistribution | None = None,
+    algorithm: Algorithm | None = None,
+    *,
+    noise: ArrayLike | None = None,
+    effects: ActiveEffects = (),
+    steps: int | None = None,
+    rng: Generator | int = 0,
+    threads: int = 1,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Policy:
+    """Trains a policy for a target whose parameters are drawn from a law at the start of every
+    episode.
 
-    target: a Problem with a task, its name or file, or the id of a Gymnasium MuJoCo environment; law, noise, effects, steps: as
-    for `randomize`. algorithm: ARS(...), PPO(...) or SAC(...); None: ARS(). threads: 0 for all cores; what ARS finds does not depend on
-    them. out: a folder that keeps the training at every stage: the same call goes on after an interruption, ARS to
-    the same policy; rng must be the same, as a seed or a new generator. progress: called with the share done and a text.
+    target: a Problem with a task, its name or file, or the id of a Gymnasium MuJoCo environment;
+    law, noise, effects, steps: as for `randomize`. algorithm: ARS(...), PPO(...) or SAC(...); None:
+    ARS(). threads: 0 for all cores; what ARS finds does not depend on them. out: a folder that
+    keeps the training at every stage: the same call goes on after an interruption, ARS to the same
+    policy; rng must be the same, as a seed or a new generator. progress: called with the share done
+    and a text.
     """
     algorithm = ARS() if algorithm is None else algorithm
     target = resolve(target)
@@ -46,7 +62,9 @@ def train(
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     setup = TrainingSetup(target, distribution, noise, effects, steps, threads)
-    policy = algorithm.train(setup, np.random.default_rng(rng), folder, progress or (lambda share, text: None))
+    policy = algorithm.train(
+        setup, np.random.default_rng(rng), folder, progress or (lambda share, text: None)
+    )
     policy.about.update(about(setup, algorithm))
     return policy
 
@@ -56,12 +74,17 @@ def about(setup: TrainingSetup, algorithm: Algorithm) -> dict[str, Any]:
     from dropo import __version__
 
     one = setup.batched_env(1)
-    steps, name = one.length, one.name
+    steps = one.length
+    name = one.name
     one.close()
     return {
-        "algorithm": algorithm.name, "settings": settings(algorithm), "target": name, "law": distribution_name(setup.distribution), "steps": steps,
+        "algorithm": algorithm.name,
+        "settings": settings(algorithm),
+        "target": name,
+        "law": distribution_name(setup.distribution),
+        "steps": steps,
         "version": __version__,
-    }  # fmt: skip
+    }
 
 
 def settings(algorithm: Algorithm) -> dict[str, Any]:
@@ -74,8 +97,15 @@ def settings(algorithm: Algorithm) -> dict[str, Any]:
 def distribution_name(distribution: ParameterDistribution | None) -> str:
     """A few words on a law."""
     if isinstance(distribution, Curriculum):
-        return f"{distribution_name(distribution.distribution)}, widening over {distribution.steps} steps"
+        return (
+            f"{distribution_name(distribution.distribution)}, widening over "
+            f"{distribution.steps} steps"
+        )
     if distribution is None:
         return "the model as it is"
     method = getattr(distribution, "method", None)
-    return f"{method} fit of {getattr(distribution, 'problem', '?')}" if method else type(distribution).__name__.lower()
+    return (
+        f"{method} fit of {getattr(distribution, 'problem', '?')}"
+        if method
+        else type(distribution).__name__.lower()
+    )

@@ -18,15 +18,25 @@ def line(seed=0, count=30, steps=4, group=True):
     rng = np.random.default_rng(seed)
     simulator = LinearSimulator(np.array([[[1.0]]]))
     actions = rng.uniform(0.5, 1.5, (count, steps, 1))
-    data = simulate(simulator, np.full((count, 1), 2.0), actions, np.zeros(1), noise_variance=0.01, rng=rng)
-    data = data if group else Trajectories(data.observations, data.actions, data.next_observations, data.terminals)
+    data = simulate(
+        simulator, np.full((count, 1), 2.0), actions, np.zeros(1), noise_variance=0.01, rng=rng
+    )
+    data = (
+        data
+        if group
+        else Trajectories(data.observations, data.actions, data.next_observations, data.terminals)
+    )
     return Problem("line", simulator, data)
 
 
 def test_standard_errors_are_those_of_the_sandwich():
-    """100 replications of 30 trajectories: within 30 % (4.5 standard errors of a spread, 32 %) of the clustered error."""
-    problem, estimator = line(), LeastSquares()
-    fit, found = estimator.fit(problem), bootstrap(problem, estimator, replications=100, rng=0)
+    """100 replications of 30 trajectories: within 30 % (4.5 standard errors of a spread, 32 %) of
+    the clustered error.
+    """
+    problem = line()
+    estimator = LeastSquares()
+    fit = estimator.fit(problem)
+    found = bootstrap(problem, estimator, replications=100, rng=0)
     assert found.means.shape == (100, 1)
     assert found.standard_errors[0] == pytest.approx(fit.mean_se[0], rel=0.3)
     low, high = found.interval()[0]
@@ -39,14 +49,24 @@ def test_the_same_draws_on_any_executor():
     problem = line()
     with ThreadPoolExecutor(1) as one:
         given = bootstrap(problem, LeastSquares(), replications=4, rng=5, executor=one)
-    np.testing.assert_array_equal(given.means, bootstrap(problem, LeastSquares(), replications=4, rng=5).means)
+    np.testing.assert_array_equal(
+        given.means, bootstrap(problem, LeastSquares(), replications=4, rng=5).means
+    )
 
 
 def test_pieces():
-    """Trajectories where there are 20, groups where they are, else blocks of time that overlap and stay within a trajectory."""
+    """Trajectories where there are 20, groups where they are, else blocks of time that overlap and
+    stay within a trajectory.
+    """
     assert _pieces(line())[1] == "trajectories"
     data = line(count=2, steps=60).trajectories
-    grouped = Trajectories(data.observations, data.actions, data.next_observations, data.terminals, np.repeat(np.arange(24), 5))
+    grouped = Trajectories(
+        data.observations,
+        data.actions,
+        data.next_observations,
+        data.terminals,
+        np.repeat(np.arange(24), 5),
+    )
     assert _pieces(Problem("grouped", line().simulator, grouped))[1] == "groups"
     blocks, kind = _pieces(line(count=2, steps=60, group=False))
     assert kind == "blocks of 25 transitions"
@@ -55,7 +75,9 @@ def test_pieces():
 
 
 def test_resampled_data_keep_rows_together():
-    """Every drawn piece is whole, ends its trajectory, and is a group of its own even where it was drawn twice."""
+    """Every drawn piece is whole, ends its trajectory, and is a group of its own even where it was
+    drawn twice.
+    """
     problem = line()
     pieces, _ = _pieces(problem)
     data = resampled(problem.trajectories, pieces, 120, np.random.default_rng(1))

@@ -1,4 +1,6 @@
-"""The model check: silent where the model is right, loud where friction is missing, and it names what the residuals follow."""
+"""The model check: silent where the model is right, loud where friction is missing, and it names
+what the residuals follow.
+"""
 
 from dataclasses import replace
 
@@ -22,7 +24,9 @@ def fitted(noise, seed, size=MANY, estimator=None, **settings):
 
 
 def test_limits_are_those_of_chance():
-    """At 2 % false alarms, 3 of 15 come in 1 of 300 cases; at 95 % detection, 11 of 15 or fewer in 1 of 180."""
+    """At 2 % false alarms, 3 of 15 come in 1 of 300 cases; at 95 % detection, 11 of 15 or fewer in
+    1 of 180.
+    """
     assert stats.binom.sf(2, SETS, 0.02) < 1 / 300
     assert stats.binom.cdf(11, SETS, 0.95) < 1 / 180
 
@@ -41,29 +45,49 @@ def test_start_noise_that_is_modelled_is_not_accused():
 
 
 def test_draws_that_differ_between_groups_are_not_accused():
-    """Mass and damping that differ from push to push are no missing physics: what a draw for each group explains is left out."""
+    """Mass and damping that differ from push to push are no missing physics: what a draw for each
+    group explains is left out.
+    """
     assert sum(not LeastSquares().fit(pushes(seed)).trusted for seed in range(SETS)) < 3
 
 
 @pytest.mark.parametrize("size", [MANY, FEW])
 def test_missing_friction_is_told(size):
-    """In more than 11 of 15 data sets; the sentence names velocity and its sign, and the intervals are not shown as if they held."""
+    """In more than 11 of 15 data sets; the sentence names velocity and its sign, and the intervals
+    are not shown as if they held.
+    """
     fits = [fitted("dry friction", seed, size)[0] for seed in range(SETS)]
     assert sum(not fit.trusted for fit in fits) > 11
-    named = [w for fit in fits for w in fit.warnings if w.startswith("the model is wrong: residuals of velocity follow sign(velocity) (z ")]
+    named = [
+        w
+        for fit in fits
+        for w in fit.warnings
+        if w.startswith("the model is wrong: residuals of velocity follow sign(velocity) (z ")
+    ]
     assert len(named) > 7
     assert "(95 % if the model were right)" in str(fits[0])
     assert fits[0].to_json()["model_check"]["passed"] is False
 
 
 def test_epsilon_that_is_too_small_is_told():
-    """Half the true standard deviation: residuals twice as large as the fit allows; at the true one nothing is said."""
+    """Half the true standard deviation: residuals twice as large as the fit allows; at the true one
+    nothing is said.
+    """
     estimator = lambda variance: DROPO(family="point", epsilon=variance)
-    right, wrong = (fitted("independent", 0, estimator=estimator(v))[0] for v in (2.5e-5, 2.5e-5 / 4))
+    right, wrong = (
+        fitted("independent", 0, estimator=estimator(v))[0] for v in (2.5e-5, 2.5e-5 / 4)
+    )
     assert right.trusted
-    assert right.details["model_check"]["size"]["mean_square"] == pytest.approx(1, abs=4.5 * np.sqrt(1 / 1000))
-    assert wrong.details["model_check"]["size"]["mean_square"] == pytest.approx(4, abs=4 * 4.5 * np.sqrt(1 / 1000))
-    assert any(text.startswith("the model is wrong or epsilon too small: residuals are ") for text in wrong.warnings)
+    assert right.details["model_check"]["size"]["mean_square"] == pytest.approx(
+        1, abs=4.5 * np.sqrt(1 / 1000)
+    )
+    assert wrong.details["model_check"]["size"]["mean_square"] == pytest.approx(
+        4, abs=4 * 4.5 * np.sqrt(1 / 1000)
+    )
+    assert any(
+        text.startswith("the model is wrong or epsilon too small: residuals are ")
+        for text in wrong.warnings
+    )
 
 
 def test_noise_far_above_the_stated_one_is_told():
@@ -74,10 +98,19 @@ def test_noise_far_above_the_stated_one_is_told():
 
 
 def test_signals_that_do_not_move_and_single_trajectories():
-    """A signal of zero variance beside another one, and one trajectory of 30 rows: no alarm, no failure."""
+    """A signal of zero variance beside another one, and one trajectory of 30 rows: no alarm, no
+    failure.
+    """
     rng = np.random.default_rng(0)
     simulator = LinearSimulator(np.array([[[1.0], [0.0]]]))
-    data = simulate(simulator, np.ones((1, 1)), rng.normal(size=(1, 30, 1)), np.zeros(2), noise_variance=np.array([0.01, 0.0]), rng=rng)
+    data = simulate(
+        simulator,
+        np.ones((1, 1)),
+        rng.normal(size=(1, 30, 1)),
+        np.zeros(2),
+        noise_variance=np.array([0.01, 0.0]),
+        rng=rng,
+    )
     fit = LeastSquares().fit(Problem("half blind", simulator, data))
     assert fit.trusted
     assert "y1 does not move" in fit.details["identifiability"]

@@ -10,41 +10,60 @@ from dropo.estimators.least_squares import LeastSquares
 from dropo.evaluation.next_data import rank_next
 from dropo.simulators.toy import SlidingBlock, simulate
 
-TRUTH, NOISE = np.array([1.5, 0.8]), 1e-4
+TRUTH = np.array([1.5, 0.8])
+NOISE = 1e-4
 
 
 def pushed(forces, seed=0):
     """One trajectory for each row of forces (E, T)."""
     rng = np.random.default_rng(seed)
     values = np.tile(TRUTH, (len(forces), 1))
-    return simulate(SlidingBlock(), values, np.asarray(forces)[:, :, None], np.zeros(2), noise_variance=NOISE, rng=rng)
+    return simulate(
+        SlidingBlock(),
+        values,
+        np.asarray(forces)[:, :, None],
+        np.zeros(2),
+        noise_variance=NOISE,
+        rng=rng,
+    )
 
 
 def together(one, other):
     """Both data sets as one."""
     join = lambda name: np.concatenate([getattr(one, name), getattr(other, name)])
-    return Trajectories(join("observations"), join("actions"), join("next_observations"), join("terminals"))
+    return Trajectories(
+        join("observations"), join("actions"), join("next_observations"), join("terminals")
+    )
 
 
 @pytest.fixture(scope="module")
 def known():
-    problem = Problem("block", SlidingBlock(), pushed(np.random.default_rng(1).normal(0, 4, (25, 20))))
+    problem = Problem(
+        "block", SlidingBlock(), pushed(np.random.default_rng(1).normal(0, 4, (25, 20)))
+    )
     return problem, LeastSquares().fit(problem)
 
 
-CANDIDATES = np.stack([np.full(200, 0.2), np.full(200, 2.0), 2.0 * np.sign(np.sin(np.arange(200))), np.zeros(200)])
+CANDIDATES = np.stack(
+    [np.full(200, 0.2), np.full(200, 2.0), 2.0 * np.sign(np.sin(np.arange(200))), np.zeros(200)]
+)
 
 
 @pytest.mark.parametrize("about", [["mass"], ["damping"], None])
 def test_the_first_one_shrinks_the_error_most(known, about):
-    """Data are simulated for each candidate and fitted with what was known: the first and the last in the
-    ranking are those with the least and the largest plain errors."""
+    """Data are simulated for each candidate and fitted with what was known: the first and the last
+    in the ranking are those with the least and the largest plain errors.
+    """
     problem, fit = known
-    ranked = rank_next(problem, fit, [(np.zeros(2), forces[:, None]) for forces in CANDIDATES], about)
+    ranked = rank_next(
+        problem, fit, [(np.zeros(2), forces[:, None]) for forces in CANDIDATES], about
+    )
     assert sorted(r.index for r in ranked) == [0, 1, 2, 3]
     entropies = []
     for forces in CANDIDATES:
-        more = Problem("more", problem.simulator, together(problem.trajectories, pushed(forces[None], 3)))
+        more = Problem(
+            "more", problem.simulator, together(problem.trajectories, pushed(forces[None], 3))
+        )
         _, jacobian = problem.simulator.linearize(LeastSquares().fit(more).mean, more.segments)
         covariance = NOISE * np.linalg.inv(np.einsum("rpd,rpe->de", jacobian, jacobian))
         chosen = [problem.space.names.index(name) for name in about or problem.space.names]
@@ -55,10 +74,14 @@ def test_the_first_one_shrinks_the_error_most(known, about):
 
 
 def test_mass_and_damping_want_other_pushes(known):
-    """Fast changes tell the mass, a long push the damping: a ranking that ignores `about` cannot give both."""
+    """Fast changes tell the mass, a long push the damping: a ranking that ignores `about` cannot
+    give both.
+    """
     problem, fit = known
     candidates = [(np.zeros(2), forces[:, None]) for forces in CANDIDATES]
-    first = {name: rank_next(problem, fit, candidates, [name])[0].index for name in ("mass", "damping")}
+    first = {
+        name: rank_next(problem, fit, candidates, [name])[0].index for name in ("mass", "damping")
+    }
     assert first["mass"] != first["damping"]
 
 

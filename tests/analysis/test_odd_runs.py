@@ -28,12 +28,18 @@ def recorded(payloads, seed=0):
         states = np.array(states) + NOISE * rng.normal(size=(301, 2))
         parts.append((states[:-1], command[:, None], states[1:]))
     ends = np.arange(300 * len(payloads)) % 300 == 299
-    return Trajectories(*(np.concatenate(part) for part in zip(*parts, strict=True)), terminals=ends)
+    return Trajectories(
+        *(np.concatenate(part) for part in zip(*parts, strict=True)), terminals=ends
+    )
 
 
 def test_another_payload_is_named(simulator):  # noqa: F811
-    """Of six runs the one with a heavier link is named, in its inertia and weight, and it alone; the control agrees."""
-    heavy = compare_runs(simulator, recorded([0.6, 0.6, 0.6, 0.8, 0.6, 0.6]), simulator.nominal, STEP)
+    """Of six runs the one with a heavier link is named, in its inertia and weight, and it alone;
+    the control agrees.
+    """
+    heavy = compare_runs(
+        simulator, recorded([0.6, 0.6, 0.6, 0.8, 0.6, 0.6]), simulator.nominal, STEP
+    )
     assert [one.run for one in heavy.odd] == [3]
     assert heavy.odd[0].parameter == "mass"
     assert "run 3 disagrees" in str(heavy)
@@ -42,7 +48,12 @@ def test_another_payload_is_named(simulator):  # noqa: F811
 
 def test_runs_that_all_differ_have_no_odd_one(simulator):  # noqa: F811
     """Masses spread over a third of their mean are a spread, not an odd run."""
-    assert compare_runs(simulator, recorded([0.5, 0.55, 0.6, 0.65, 0.7, 0.62]), simulator.nominal, STEP).odd == ()
+    assert (
+        compare_runs(
+            simulator, recorded([0.5, 0.55, 0.6, 0.65, 0.7, 0.62]), simulator.nominal, STEP
+        ).odd
+        == ()
+    )
 
 
 def test_each_runs_errors_hold(simulator):  # noqa: F811

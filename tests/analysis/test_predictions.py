@@ -34,7 +34,9 @@ def fitted():
 
 
 def test_lines_are_the_simulators(fitted):
-    """After: the fitted mean's own trajectory from the measured start; before: that of the middle of the box."""
+    """After: the fitted mean's own trajectory from the measured start; before: that of the middle
+    of the box.
+    """
     one, fit, found = fitted
     assert found.before.name == "middle of the search intervals"
     middle = (one.space.low + one.space.high) / 2
@@ -48,7 +50,9 @@ def test_lines_are_the_simulators(fitted):
 
 
 def test_errors_fall_to_the_noise(fitted):
-    """At every horizon the fit's error is the noise's within a fifth, and the middle's far above it."""
+    """At every horizon the fit's error is the noise's within a fifth, and the middle's far above
+    it.
+    """
     found = fitted[2]
     np.testing.assert_allclose(found.after.by_horizon, found.noise, rtol=0.2)
     assert (found.before.by_horizon[3:] > 3 * found.noise[3:]).all()
@@ -56,7 +60,9 @@ def test_errors_fall_to_the_noise(fitted):
 
 
 def test_bands_and_probabilities_are_calibrated(fitted):
-    """About 90 % of the dots lie in the band, and probabilities are uniform; a fit that claims a quarter of the noise fails both."""
+    """About 90 % of the dots lie in the band, and probabilities are uniform; a fit that claims a
+    quarter of the noise fails both.
+    """
     one, fit, found = fitted
     sure = predict(one, replace(fit, epsilon=fit.epsilon / 16))
     inside = []
@@ -64,14 +70,18 @@ def test_bands_and_probabilities_are_calibrated(fitted):
         low, high = result.after.band
         inside.append(np.mean((result.measured >= low) & (result.measured <= high)))
     count = found.measured.size
-    assert abs(inside[0] - LEVEL) < 4.5 * np.sqrt(LEVEL * (1 - LEVEL) / count) + 0.02  # quantiles of 192 draws
+    assert (
+        abs(inside[0] - LEVEL) < 4.5 * np.sqrt(LEVEL * (1 - LEVEL) / count) + 0.02
+    )  # quantiles of 192 draws
     assert inside[1] < 0.6
     assert stats.kstest(found.after.pit, "uniform").pvalue > 1e-3
     assert stats.kstest(sure.after.pit, "uniform").pvalue < 1e-6
 
 
 def test_what_was_known_before():
-    """A simulator's own numbers where the data are measured, the middle of the box where they were simulated."""
+    """A simulator's own numbers where the data are measured, the middle of the box where they were
+    simulated.
+    """
     own = SlidingBlock()
     own.nominal = TRUTH + 0.5
     measured = replace(problem(), simulator=own)
@@ -104,16 +114,28 @@ def test_single_transitions_and_whole_trajectories():
 def test_a_length_that_was_chosen_is_taken(fitted):
     """The rows that a fit compares are as far ahead as its own."""
     one, fit, found = fitted
-    chosen = replace(fit, details={**fit.details, "lambda_choice": [{"lambda": 2, "chosen": False}, {"lambda": 5, "chosen": True}]})
+    chosen = replace(
+        fit,
+        details={
+            **fit.details,
+            "lambda_choice": [{"lambda": 2, "chosen": False}, {"lambda": 5, "chosen": True}],
+        },
+    )
     assert (found.rows_after, predict(one, chosen).rows_after) == (1, 5)
 
 
 def test_failed_simulations_leave_gaps():
-    """A simulator that diverges under some draws: lines and bands of the others, errors of the others."""
+    """A simulator that diverges under some draws: lines and bands of the others, errors of the
+    others.
+    """
 
     class Fragile(SlidingBlock):
         def _replay(self, value, starts, actions):
-            return super()._replay(value, starts, actions) if value[0] < 2.5 else np.full((*actions.shape[:2], 2), np.nan)
+            return (
+                super()._replay(value, starts, actions)
+                if value[0] < 2.5
+                else np.full((*actions.shape[:2], 2), np.nan)
+            )
 
     one = replace(problem(), simulator=Fragile())
     found = predict(one, LeastSquares().fit(problem(), rng=0))

@@ -31,16 +31,25 @@ epsilon: 1e-8
 
 @pytest.fixture
 def problem(tmp_path: Path) -> Path:
-    """problem.yaml beside its model and data: 2 trajectories of 20 transitions with noise of sd 1e-4."""
+    """problem.yaml beside its model and data: 2 trajectories of 20 transitions with noise of sd
+    1e-4.
+    """
     mass = FieldParameter("mass", 1, 4, field="body_mass", element="cart")
     simulator = MujocoSimulator(mujoco.MjSpec.from_string(XML), [mass], threads=1)
-    rng, n = np.random.default_rng(0), 40
+    rng = np.random.default_rng(0)
+    n = 40
     terminals = np.arange(n) % 20 == 19
     blank = Trajectories(np.zeros((n, 2)), rng.uniform(-1, 1, (n, 1)), np.zeros((n, 2)), terminals)
     following = simulator.predict([[2.0]], blank.segments(reset="start"))[0]
     observations = np.where(np.roll(terminals, 1)[:, None], 0.0, np.roll(following, 1, axis=0))
     following = following + rng.normal(0, 1e-4, following.shape)
     (tmp_path / "robot.xml").write_text(XML)
-    np.savez(tmp_path / "data.npz", observations=observations, actions=blank.actions, next_observations=following, terminals=terminals)
+    np.savez(
+        tmp_path / "data.npz",
+        observations=observations,
+        actions=blank.actions,
+        next_observations=following,
+        terminals=terminals,
+    )
     (tmp_path / "problem.yaml").write_text(TEXT)
     return tmp_path / "problem.yaml"

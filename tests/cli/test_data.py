@@ -28,7 +28,10 @@ def test_check(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Noise on the next observations is information: status 0."""
     assert main(["data", "check", str(problem)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split(":")[:2] for line in lines] == [["information", " qpos.slide"], ["information", " qvel.slide"]]
+    assert [line.split(":")[:2] for line in lines] == [
+        ["information", " qpos.slide"],
+        ["information", " qvel.slide"],
+    ]
     data = dict(np.load(problem.parent / "data.npz"))
     data["next_observations"][:-1] = data["observations"][1:]
     np.savez(problem.parent / "data.npz", **data)
@@ -37,18 +40,31 @@ def test_check(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_an_error_is_status_2(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Here the check prints it; `dropo fit` and `dropo diagnose` refuse it, unless they are told to take it."""
+    """Here the check prints it; `dropo fit` and `dropo diagnose` refuse it, unless they are told to
+    take it.
+    """
     data = dict(np.load(problem.parent / "data.npz"))
     np.savez(problem.parent / "data.npz", **data, time=np.zeros(40))
     assert main(["data", "check", str(problem), "--json"]) == 2
     sentence = "38 rows are not later than the row before them, the first is row 1."
     advice = "Take them out, or set `terminals` where the clock starts anew."
-    finding = {"level": "error", "signal": "time", "sentence": sentence, "advice": advice, "run": None, "row": 1, "time": 0.0}
+    finding = {
+        "level": "error",
+        "signal": "time",
+        "sentence": sentence,
+        "advice": advice,
+        "run": None,
+        "row": 1,
+        "time": 0.0,
+    }
     assert json.loads(capsys.readouterr().out)["findings"][0] == finding
     way_out = "If they are right all the same: --unchecked, or load(..., checked=False)."
     for command in ("fit", "diagnose"):
         assert main([command, str(problem)]) == 2
-        assert capsys.readouterr().err == f"dropo: {problem}: data: time: {sentence} {advice} {way_out}\n"
+        assert (
+            capsys.readouterr().err
+            == f"dropo: {problem}: data: time: {sentence} {advice} {way_out}\n"
+        )
     assert main(["fit", str(problem), "--unchecked", "--quiet"]) == 0
     assert main(["diagnose", str(problem), "--unchecked", "--quiet"]) == 2
     assert "needs at least 8 windows" in capsys.readouterr().err
@@ -61,7 +77,9 @@ def test_held_out_data_are_checked_too(problem: Path, capsys: pytest.CaptureFixt
     np.savez(problem.parent / "data.npz", **data, time=time)
     problem.write_text(problem.read_text() + "held_out: [1]\n")
     assert main(["data", "check", str(problem)]) == 2
-    assert capsys.readouterr().out.startswith("error: held out: time: 19 rows are not later than the row before them")
+    assert capsys.readouterr().out.startswith(
+        "error: held out: time: 19 rows are not later than the row before them"
+    )
     assert main(["fit", str(problem)]) == 2
     assert "problem.yaml: held_out: time: 19 rows" in capsys.readouterr().err
 
@@ -77,25 +95,34 @@ def logged_arm(folder: Path) -> Path:
     """A problem file of an arm with dry friction, whose command and (rough) current were logged."""
     model = mujoco.MjModel.from_xml_string(ARM)
     model.dof_frictionloss[0] = 0.2
-    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), []
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    rows = []
     for i in range(3001):
         data.ctrl[0] = 1.5 * np.sin(0.03 * i) + np.sin(0.011 * i)
         rows.append((data.qpos[0], data.qvel[0], data.ctrl[0]))
         mujoco.mj_step(model, data)
     log = np.array(rows)
     log[:, :2] += 1e-4 * rng.standard_normal((3001, 2))
-    command, current = log[:, 2:], log[:, 2:] + 0.4 * rng.standard_normal((3001, 1))
+    command = log[:, 2:]
+    current = log[:, 2:] + 0.4 * rng.standard_normal((3001, 1))
     ends = np.arange(3001) % 500 == 499
     ends[-1] = True
     arrays = {"observations": log[:, :2], "terminals": ends, "actions": current}
-    np.savez(folder / "data.npz", **arrays, **{"actions.current": current, "actions.commanded": command})
+    np.savez(
+        folder / "data.npz", **arrays, **{"actions.current": current, "actions.commanded": command}
+    )
     (folder / "arm.xml").write_text(ARM)
-    (folder / "problem.yaml").write_text("model: arm.xml\ndata: data.npz\nobservation: [qpos, qvel]\naction: [ctrl]\n")
+    (folder / "problem.yaml").write_text(
+        "model: arm.xml\ndata: data.npz\nobservation: [qpos, qvel]\naction: [ctrl]\n"
+    )
     return folder / "problem.yaml"
 
 
 def test_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command moved the arm, although the model lacks its friction; `input` in the problem file takes it."""
+    """The command moved the arm, although the model lacks its friction; `input` in the problem file
+    takes it.
+    """
     problem = logged_arm(tmp_path)
     assert main(["data", "inputs", str(problem), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -110,19 +137,30 @@ def test_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "input to trust is 'commanded'" in capsys.readouterr().out
 
 
-def test_inputs_that_are_not_there(problem: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inputs_that_are_not_there(
+    problem: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One command alone is refused, and a name that the data do not hold."""
     assert main(["data", "inputs", str(problem)]) == 2
-    assert "knows one command alone. An import keeps several: map them under `inputs`." in capsys.readouterr().err
+    assert (
+        "knows one command alone. An import keeps several: map them under `inputs`."
+        in capsys.readouterr().err
+    )
     arm = logged_arm(tmp_path)
     arm.write_text(arm.read_text() + "input: currant\n")
     assert main(["fit", str(arm)]) == 2
-    assert "actions.currant: expected an array of that name, got only actions.commanded, actions.current" in capsys.readouterr().err
+    assert (
+        "actions.currant: expected an array of that name, got only actions.commanded, "
+        "actions.current"
+    ) in capsys.readouterr().err
 
 
 def test_unknown_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["data", "check", "cube-tos"]) == 2
-    assert capsys.readouterr().err == "dropo: No data and no problem called 'cube-tos'. Did you mean 'cube-toss'?\n"
+    assert (
+        capsys.readouterr().err
+        == "dropo: No data and no problem called 'cube-tos'. Did you mean 'cube-toss'?\n"
+    )
     assert main(["data", "describe", "none.npz"]) == 2
     wanted = "an .npz file, a folder of .npy files or a Minari data set"
     assert capsys.readouterr().err == f"dropo: none.npz: expected {wanted}, got no such file.\n"
@@ -133,13 +171,19 @@ MAP = "time: {column: t}\nqpos: {slide: {column: x, unit: m}}\nqvel: {slide: {co
 
 @pytest.fixture
 def log(problem: Path) -> Path:
-    """log.csv beside robot.xml and map.yaml: the cart under a sine, 4 s at 100 Hz, and no problem file."""
+    """log.csv beside robot.xml and map.yaml: the cart under a sine, 4 s at 100 Hz, and no problem
+    file.
+    """
     model = mujoco.MjModel.from_xml_path(str(problem.parent / "robot.xml"))
     data = mujoco.MjData(model)
     lines = ["t,x,v,f"]
     for i in range(400):
         data.ctrl[0] = np.sin(3 * 0.01 * i)
-        lines.append(f"{0.01 * i:.6f},{data.qpos[0]!r},{data.qvel[0]!r},{data.ctrl[0]!r}".replace("np.float64(", "").replace(")", ""))
+        lines.append(
+            f"{0.01 * i:.6f},{data.qpos[0]!r},{data.qvel[0]!r},{data.ctrl[0]!r}".replace(
+                "np.float64(", ""
+            ).replace(")", "")
+        )
         mujoco.mj_step(model, data)
     for name in ("problem.yaml", "data.npz"):
         (problem.parent / name).unlink()
@@ -149,18 +193,24 @@ def log(problem: Path) -> Path:
 
 
 def test_import_check_and_fit(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A log becomes a problem that passes the check and, once a parameter is declared, is fitted: the true mass is 2 kg."""
+    """A log becomes a problem that passes the check and, once a parameter is declared, is fitted:
+    the true mass is 2 kg.
+    """
     raw = ["--map", str(log.parent / "map.yaml"), "--model", str(log.parent / "robot.xml")]
     assert main(["data", "check", str(log), *raw]) == 0
     assert capsys.readouterr().out == "Nothing looks odd.\n"
     assert main(["data", "import", str(log), *raw, "--out", str(log.parent / "data.npz")]) == 0
     out = capsys.readouterr().out
     assert out.startswith(
-        "400 rows in 1 trajectories of 1 runs, every 10 ms (1 physics steps); of 400 rows read, 0 were dropped; 0 rows are"
+        "400 rows in 1 trajectories of 1 runs, every 10 ms (1 physics steps); of 400 rows "
+        "read, 0 were dropped; 0 rows are"
     )
     path = log.parent / "problem.yaml"
     assert main(["data", "check", str(path)]) == 0
-    path.write_text(path.read_text() + "parameters: {mass: {field: body_mass, name: cart, low: 1, high: 4, unit: kg}}\n")
+    path.write_text(
+        path.read_text()
+        + "parameters: {mass: {field: body_mass, name: cart, low: 1, high: 4, unit: kg}}\n"
+    )
     assert main(["fit", str(path), "--transitions", "200", "--json"]) == 0
     captured = capsys.readouterr().out
     fitted = json.loads(captured[captured.index("{") :])
@@ -169,26 +219,56 @@ def test_import_check_and_fit(log: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_refused_imports_write_nothing(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Status 2 and one sentence."""
-    raw = ["--map", str(log.parent / "map.yaml"), "--model", str(log.parent / "robot.xml"), "--out", str(log.parent / "out" / "data.npz")]
+    raw = [
+        "--map",
+        str(log.parent / "map.yaml"),
+        "--model",
+        str(log.parent / "robot.xml"),
+        "--out",
+        str(log.parent / "out" / "data.npz"),
+    ]
     (log.parent / "map.yaml").write_text(MAP.replace("column: v", "column: vel"))
     assert main(["data", "import", str(log), *raw]) == 2
     wanted = f"expected a column of {log} (the nearest is 'v'), got 'vel'."
-    assert capsys.readouterr().err == f"dropo: {log.parent / 'map.yaml'}: qvel.slide.column: {wanted}\n"
+    assert (
+        capsys.readouterr().err
+        == f"dropo: {log.parent / 'map.yaml'}: qvel.slide.column: {wanted}\n"
+    )
     (log.parent / "map.yaml").write_text(MAP.replace("unit: m/s", "unit: m/s, sign: -1"))
     assert main(["data", "import", str(log), *raw]) == 2
-    assert "qvel.slide: it has the opposite sign of the change of qpos.slide" in capsys.readouterr().err
+    assert (
+        "qvel.slide: it has the opposite sign of the change of qpos.slide"
+        in capsys.readouterr().err
+    )
     assert main(["data", "check", str(log), *raw[:4]]) == 2
     assert main(["data", "check", str(log), *raw[:2]]) == 2
     assert not (log.parent / "out").exists()
 
 
 def test_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Positions with noise and guessed velocities become a problem with better ones, by a smoother or, worse, by a filter."""
+    """Positions with noise and guessed velocities become a problem with better ones, by a smoother
+    or, worse, by a filter.
+    """
     truth = write_swing(tmp_path)
     errors = []
     for how in ([], ["--causal"]):
         out = tmp_path / f"states{len(how)}"
-        assert main(["data", "states", str(tmp_path / "swing.yaml"), "--unmeasured", "qvel.hinge", "--out", str(out), "--json", *how]) == 0
+        assert (
+            main(
+                [
+                    "data",
+                    "states",
+                    str(tmp_path / "swing.yaml"),
+                    "--unmeasured",
+                    "qvel.hinge",
+                    "--out",
+                    str(out),
+                    "--json",
+                    *how,
+                ]
+            )
+            == 0
+        )
         told = json.loads(capsys.readouterr().out)
         assert told["causal"] is bool(how)
         assert told["signals"]["qvel.hinge"]["measured_sd"] is None
@@ -198,19 +278,37 @@ def test_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     guess = load(tmp_path / "swing.yaml").trajectories.observations
     assert (errors[0] < 0.5 * np.sqrt(np.mean((guess - truth) ** 2, axis=0))).all()
     assert (errors[0] < errors[1]).all()
-    assert main(["data", "states", str(tmp_path / "swing.yaml"), "--unmeasured", "qvel.hing", "--out", str(tmp_path / "no")]) == 2
+    assert (
+        main(
+            [
+                "data",
+                "states",
+                str(tmp_path / "swing.yaml"),
+                "--unmeasured",
+                "qvel.hing",
+                "--out",
+                str(tmp_path / "no"),
+            ]
+        )
+        == 2
+    )
     assert "Did you mean 'qvel.hinge'?" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
 
 
 def write_swing(folder: Path) -> np.ndarray:
-    """A pendulum under random torques, measured with 5 mrad of noise, velocities by differences; the true states (299, 2)."""
+    """A pendulum under random torques, measured with 5 mrad of noise, velocities by differences;
+    the true states (299, 2).
+    """
     xml = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
       <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/></body></worldbody>
       <actuator><motor name="m" joint="hinge"/></actuator></mujoco>"""
     (folder / "swing.xml").write_text(xml)
-    model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(0)
-    state, states, commands = mujoco.MjData(model), [], np.cumsum(rng.normal(0, 0.1, 300))
+    model = mujoco.MjModel.from_xml_string(xml)
+    rng = np.random.default_rng(0)
+    state = mujoco.MjData(model)
+    states = []
+    commands = np.cumsum(rng.normal(0, 0.1, 300))
     for torque in commands:
         states.append([state.qpos[0], state.qvel[0]])
         state.ctrl[0] = torque
@@ -218,6 +316,11 @@ def write_swing(folder: Path) -> np.ndarray:
     truth = np.array(states)
     angle = truth[:, 0] + rng.normal(0, 5e-3, 300)
     seen = np.stack([angle, np.gradient(angle, 0.01)], axis=1)
-    np.savez(folder / "swing.npz", observations=seen, actions=commands[:, None], terminals=np.arange(300) == 299)
+    np.savez(
+        folder / "swing.npz",
+        observations=seen,
+        actions=commands[:, None],
+        terminals=np.arange(300) == 299,
+    )
     (folder / "swing.yaml").write_text("model: swing.xml\nframe_skip: 2\ndata: swing.npz\n")
     return truth[:-1]

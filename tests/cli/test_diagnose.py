@@ -15,11 +15,15 @@ SOME = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 @pytest.fixture(scope="module")
 def damped(tmp_path_factory):
     """A problem file whose data have more damping than its model."""
-    return write_problem(problem([("joint_damping:elbow", [0.05])], episodes=16), tmp_path_factory.mktemp("damped"))
+    return write_problem(
+        problem([("joint_damping:elbow", [0.05])], episodes=16), tmp_path_factory.mktemp("damped")
+    )
 
 
 def test_it_prints_and_writes(damped, tmp_path, capsys):
-    """The headline on standard output, nothing on standard error in a pipe; diagnosis.json; an extended problem that is consistent."""
+    """The headline on standard output, nothing on standard error in a pipe; diagnosis.json; an
+    extended problem that is consistent.
+    """
     out = tmp_path / "out"
     assert main(["diagnose", str(damped), *SOME, "--out", str(out)]) == 0
     printed = capsys.readouterr()
@@ -34,7 +38,9 @@ def test_it_prints_and_writes(damped, tmp_path, capsys):
 
 
 def test_refusals_end_with_2(damped, tmp_path, capsys):
-    """Unknown names, a file where a folder should be, nothing to hide in: status 2, a sentence, nothing written."""
+    """Unknown names, a file where a folder should be, nothing to hide in: status 2, a sentence,
+    nothing written.
+    """
     taken = tmp_path / "file"
     taken.write_text("")
     for arguments, told in (
@@ -45,7 +51,10 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
         (["slide", "--hide", "joint_damping:elbow=1"], "half-cheetah"),
         (["hopper", "--hide", "joint_damping:leg=1"], "Did you mean 'leg_joint'?"),
         (["hopper", "--hide", "joint_dampin:leg_joint=1"], "Did you mean 'joint_damping'?"),
-        (["hopper", "--hide", "joint_damping:leg_joint=much"], "must give a number for damping [N m s/rad]"),
+        (
+            ["hopper", "--hide", "joint_damping:leg_joint=much"],
+            "must give a number for damping [N m s/rad]",
+        ),
         (["hopper", "--hide", "joint_damping:leg_joint=1,2"], "must give a number"),
         (["hopper", "--hide", "joint_damping:leg_joint=nan"], "must be finite and at least -1"),
         (["hopper", "--hide", "joint_damping:leg_joint=-5"], "must be finite and at least -1"),
@@ -59,7 +68,15 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
 
 def test_hidden_in_the_hopper(capsys):
     """The example of the documentation, with few effects to look for."""
-    command = ["diagnose", "hopper", "--hide", "joint_damping:leg_joint=0.6", "--effects", "joint_damping", "--json"]
+    command = [
+        "diagnose",
+        "hopper",
+        "--hide",
+        "joint_damping:leg_joint=0.6",
+        "--effects",
+        "joint_damping",
+        "--json",
+    ]
     assert main(command) == 0
     (cause,) = json.loads(capsys.readouterr().out)["causes"]
     assert (cause["effect"], cause["target"]) == ("joint_damping", "leg_joint")

@@ -1,4 +1,6 @@
-"""`dropo fit`: one answer however often it is killed and however many threads it has; nothing written on refusal."""
+"""`dropo fit`: one answer however often it is killed and however many threads it has; nothing
+written on refusal.
+"""
 
 import json
 import signal
@@ -43,24 +45,41 @@ def wait_for_lines(journal: Path, lines: int, run: "subprocess.Popen[str]") -> N
 
 
 def test_it_prints_and_saves_the_same(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The table holds what fit.json holds; run.json says what was asked for; the Python API gives the same numbers."""
+    """The table holds what fit.json holds; run.json says what was asked for; the Python API gives
+    the same numbers.
+    """
     out = problem.parent / "out"
     assert main(["fit", str(problem), *SMALL, "--out", str(out)]) == 0
     text, errors = capsys.readouterr()
     found = result(out)
     assert errors == ""
     assert "mass" in text
-    assert estimate(found["parameters"]["mass"]["mean"], found["parameters"]["mass"]["mean_se"]) in text
+    assert (
+        estimate(found["parameters"]["mass"]["mean"], found["parameters"]["mass"]["mean_se"])
+        in text
+    )
     assert abs(found["parameters"]["mass"]["mean"] - 2) < 0.2
     assert sorted(path.name for path in out.iterdir()) == [
-        "evaluations.jsonl", "fit.json", "fit.npz", "made.json", "predictions.npz", "run.json",
-    ]  # fmt: skip
+        "evaluations.jsonl",
+        "fit.json",
+        "fit.npz",
+        "made.json",
+        "predictions.npz",
+        "run.json",
+    ]
     record = json.loads((out / "run.json").read_text())
-    assert (record["problem"], record["seed"], record["settings"]["draws"], record["lambda"]) == ("problem", 0, 10, 1)
+    assert (record["problem"], record["seed"], record["settings"]["draws"], record["lambda"]) == (
+        "problem",
+        0,
+        10,
+        1,
+    )
     assert "threads" not in json.dumps(record)
     from dropo.estimators.dropo import DROPO
 
-    api = DROPO(likelihood="monte-carlo", optimizer="cma-es", draws=10, budget=60).fit(load(problem), rng=0)
+    api = DROPO(likelihood="monte-carlo", optimizer="cma-es", draws=10, budget=60).fit(
+        load(problem), rng=0
+    )
     assert {**api.to_json(), "wall_time_s": 0} == {**found, "wall_time_s": 0}
     np.testing.assert_array_equal(Fit.load(out).mean, api.mean)
 
@@ -75,9 +94,17 @@ def test_json_and_quiet(problem: Path, capsys: pytest.CaptureFixture[str]) -> No
 def test_options_reach_the_problem(problem: Path, tmp_path: Path) -> None:
     """--lambda, --transitions, --seed and --epsilon."""
     options = ("--lambda", "3", "--transitions", "30", "--seed", "4", "--epsilon", "1e-6")
-    assert main(["fit", str(problem), *SMALL, *options, "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    found, record = result(tmp_path / "out"), json.loads((tmp_path / "out" / "run.json").read_text())
-    assert (found["seed"], found["transitions"], found["epsilon"]) == (4, 27, [1e-6, 1e-6])  # 6 + 3 segments of 3
+    assert (
+        main(["fit", str(problem), *SMALL, *options, "--out", str(tmp_path / "out"), "--quiet"])
+        == 0
+    )
+    found = result(tmp_path / "out")
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (found["seed"], found["transitions"], found["epsilon"]) == (
+        4,
+        27,
+        [1e-6, 1e-6],
+    )  # 6 + 3 segments of 3
     assert (record["lambda"], record["transitions"], record["settings"]["epsilon"]) == (3, 30, 1e-6)
 
 
@@ -102,8 +129,16 @@ def test_the_kind_of_noise_reaches_the_fit(problem: Path) -> None:
     noisy = ("--start-noise", "--student-t", "8", "--starts", "measured")
     assert main(["fit", str(problem), *noisy, *options, str(problem.parent / "noisy")]) == 0
     settings = json.loads((problem.parent / "noisy" / "run.json").read_text())["settings"]
-    assert (settings["start_noise"], settings["degrees"], settings["starts"], settings["start"]) == (True, 8.0, "measured", "random")
-    assert result(problem.parent / "noisy")["log_likelihood"] != result(problem.parent / "plain")["log_likelihood"]
+    assert (
+        settings["start_noise"],
+        settings["degrees"],
+        settings["starts"],
+        settings["start"],
+    ) == (True, 8.0, "measured", "random")
+    assert (
+        result(problem.parent / "noisy")["log_likelihood"]
+        != result(problem.parent / "plain")["log_likelihood"]
+    )
 
 
 @pytest.mark.parametrize("method", ["least-squares", "droid", "uniform-randomization"])
@@ -125,70 +160,131 @@ def test_the_problem_suggests_settings(problem: Path, monkeypatch: pytest.Monkey
     from dropo.core.services import registry as catalogue
 
     def suggesting(threads: int = 0) -> Problem:
-        return replace(load(problem, threads=threads), name="suggesting", settings={"draws": 7, "budget": 40, "colour": "red"})
+        return replace(
+            load(problem, threads=threads),
+            name="suggesting",
+            settings={"draws": 7, "budget": 40, "colour": "red"},
+        )
 
     monkeypatch.setitem(catalogue._registered["problems"], "suggesting", suggesting)
     out = problem.parent / "out"
-    assert main(["fit", "suggesting", *SAMPLED, "--budget", "50", "--out", str(out), "--quiet"]) == 0
+    assert (
+        main(["fit", "suggesting", *SAMPLED, "--budget", "50", "--out", str(out), "--quiet"]) == 0
+    )
     settings = json.loads((out / "run.json").read_text())["settings"]
     assert (settings["draws"], settings["budget"]) == (7, 50)
 
 
 REFUSALS = {
     "unknown method": (["--method", "drop"], "No method called 'drop'. Did you mean 'dropo'?"),
-    "unknown optimizer": (["--optimizer", "cma"], "No optimizer called 'cma'. Did you mean 'cma-es'?"),
-    "unknown family": (["--family", "uniforn"], "No family called 'uniforn'. Did you mean 'uniform'?"),
-    "unknown likelihood": (["--likelihood", "monte"], "No likelihood called 'monte'. Did you mean 'monte-carlo'?"),
+    "unknown optimizer": (
+        ["--optimizer", "cma"],
+        "No optimizer called 'cma'. Did you mean 'cma-es'?",
+    ),
+    "unknown family": (
+        ["--family", "uniforn"],
+        "No family called 'uniforn'. Did you mean 'uniform'?",
+    ),
+    "unknown likelihood": (
+        ["--likelihood", "monte"],
+        "No likelihood called 'monte'. Did you mean 'monte-carlo'?",
+    ),
     "a setting of another method": (
-        ["--method", "least-squares", "--family", "full"], "method 'least-squares' takes no family. It takes weights, budget, step.",
+        ["--method", "least-squares", "--family", "full"],
+        "method 'least-squares' takes no family. It takes weights, budget, step.",
     ),
     "too few degrees": (
-        ["--student-t", "2"], "Argument --student-t: expected degrees of freedom, a number above 2, got '2'. See `dropo fit --help`.",
+        ["--student-t", "2"],
+        (
+            "Argument --student-t: expected degrees of freedom, a number above 2, got '2'. See "
+            "`dropo fit --help`."
+        ),
     ),
     "noise that a likelihood does not know": (
         ["--likelihood", "random-effects", "--student-t", "8"],
-        "RandomEffects knows no Student t: its integral is Gaussian. Leave degrees out, or use 'emulated'.",
+        (
+            "RandomEffects knows no Student t: its integral is Gaussian. Leave degrees out, or "
+            "use 'emulated'."
+        ),
     ),
-    "lambda below 1": (["--lambda", "0"], "Argument --lambda: expected a whole number of at least 1, got '0'. See `dropo fit --help`."),
+    "lambda below 1": (
+        ["--lambda", "0"],
+        (
+            "Argument --lambda: expected a whole number of at least 1, got '0'. See `dropo fit "
+            "--help`."
+        ),
+    ),
     "lambda too long": (
         ["--lambda", "21"],
-        "lambda = 21 is longer than trajectory 0, which has 20 transitions. Choose a smaller lambda, or leave that trajectory out.",
+        (
+            "lambda = 21 is longer than trajectory 0, which has 20 transitions. Choose a "
+            "smaller lambda, or leave that trajectory out."
+        ),
     ),
-    "one draw": (["--draws", "1"], "Argument --draws: expected a whole number of at least 2, got '1'. See `dropo fit --help`."),
-    "no budget": (["--budget", "0"], "Argument --budget: expected a whole number of at least 1, got '0'. See `dropo fit --help`."),
+    "one draw": (
+        ["--draws", "1"],
+        "Argument --draws: expected a whole number of at least 2, got '1'. See `dropo fit --help`.",
+    ),
+    "no budget": (
+        ["--budget", "0"],
+        (
+            "Argument --budget: expected a whole number of at least 1, got '0'. See `dropo fit "
+            "--help`."
+        ),
+    ),
     "negative epsilon": (
-        ["--epsilon=-1"], "Argument --epsilon: expected a variance of 0 or more, 'tune' or 'learn', got '-1'. See `dropo fit --help`.",
+        ["--epsilon=-1"],
+        (
+            "Argument --epsilon: expected a variance of 0 or more, 'tune' or 'learn', got "
+            "'-1'. See `dropo fit --help`."
+        ),
     ),
     "NaN epsilon": (
-        ["--epsilon", "nan"], "Argument --epsilon: expected a variance of 0 or more, 'tune' or 'learn', got 'nan'. See `dropo fit --help`.",
+        ["--epsilon", "nan"],
+        (
+            "Argument --epsilon: expected a variance of 0 or more, 'tune' or 'learn', got "
+            "'nan'. See `dropo fit --help`."
+        ),
     ),
     "singular covariance": (
         ["--epsilon", "0", "--draws", "2", "--start", "middle", *SAMPLED],
-        "The covariance of the K = 2 predictions at row 0 is singular in p = 2 signals, and an epsilon is 0."
+        "The covariance of the K = 2 predictions at row 0 is singular in p = 2 signals, "
+        "and an epsilon is 0."
         " Give epsilon > 0 (the variance of the measurement noise), or more draws.",
     ),
     "draws of a likelihood without": (
         ["--likelihood", "emulated", "--draws", "9"],
         "The likelihood 'emulated' draws nothing. Leave draws out, or use 'monte-carlo'.",
     ),
-    "half a seed": (["--seed", "0.5"], "Argument --seed: expected a whole number of at least 0, got '0.5'. See `dropo fit --help`."),
-}  # fmt: skip
+    "half a seed": (
+        ["--seed", "0.5"],
+        (
+            "Argument --seed: expected a whole number of at least 0, got '0.5'. See `dropo fit "
+            "--help`."
+        ),
+    ),
+}
 
 
 @pytest.mark.parametrize(("arguments", "message"), REFUSALS.values(), ids=REFUSALS)
-def test_refusals_write_nothing(problem: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refusals_write_nothing(
+    problem: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = sorted(problem.parent.rglob("*"))
     assert main(["fit", str(problem), *arguments, "--out", str(problem.parent / "out")]) == 2
     assert capsys.readouterr() == ("", f"dropo: {message}\n")
     assert sorted(problem.parent.rglob("*")) == before
 
 
-def test_a_refusal_later_in_the_run_writes_nothing(problem: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_later_in_the_run_writes_nothing(
+    problem: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also where some evaluations were recorded already."""
     from dropo.core.services.errors import BadArgument
     from dropo.core.services.evaluation_log import Journal
 
-    append, out = Journal._append, problem.parent / "out"
+    append = Journal._append
+    out = problem.parent / "out"
 
     def third(self: Journal, entry: dict[str, Any]) -> None:
         append(self, entry)
@@ -204,10 +300,15 @@ def test_a_refusal_later_in_the_run_writes_nothing(problem: Path, monkeypatch: p
 def test_a_problem_without_parameters(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem.write_text("model: robot.xml\ndata: data.npz\n")
     assert main(["fit", str(problem)]) == 2
-    assert capsys.readouterr().err == f"dropo: {problem}: parameters: expected at least one parameter to fit, got none.\n"
+    assert (
+        capsys.readouterr().err
+        == f"dropo: {problem}: parameters: expected at least one parameter to fit, got none.\n"
+    )
 
 
-def test_lambda_means_nothing_with_reset_start(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lambda_means_nothing_with_reset_start(
+    problem: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     problem.write_text(problem.read_text() + "reset: start\n")
     assert main(["fit", str(problem), "--lambda", "2"]) == 2
     assert "--lambda has no meaning with `reset: start`" in capsys.readouterr().err
@@ -220,27 +321,46 @@ def test_warnings_are_shown(problem: Path, capsys: pytest.CaptureFixture[str]) -
     np.savez(problem.parent / "data.npz", **data)
     assert main(["fit", str(problem), *SMALL, "--lambda", "3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["warnings"][:2] == [
-        "ctrl.push: 1 of 40 actions are outside the control range [-1, 1] and are clipped; the farthest is 1.5, row 0 at 0 s.",
+        (
+            "ctrl.push: 1 of 40 actions are outside the control range [-1, 1] and are clipped; "
+            "the farthest is 1.5, row 0 at 0 s."
+        ),
         "1 of 3 trajectories are shorter than lambda = 3 and are left out.",
     ]
 
 
 @pytest.mark.parametrize("method", ["dropo", "uniform-randomization"])
-def test_a_folder_of_another_run_is_refused(problem: Path, method: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_of_another_run_is_refused(
+    problem: Path, method: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Another seed, or other data under the same name."""
     out = problem.parent / "out"
-    arguments = ["fit", str(problem), "--method", method, "--out", str(out), "--quiet", *(SMALL if method == "dropo" else ())]
+    arguments = [
+        "fit",
+        str(problem),
+        "--method",
+        method,
+        "--out",
+        str(out),
+        "--quiet",
+        *(SMALL if method == "dropo" else ()),
+    ]
     assert main(arguments) == 0
     before = (out / "fit.json").read_text()
     assert main([*arguments, "--seed", "1"]) == 2
     got = "those of another run (use another --out, or the settings of that run)"
-    assert capsys.readouterr().err == f"dropo: {out}/run.json: seed: expected the settings of this run, got {got}.\n"
+    assert (
+        capsys.readouterr().err
+        == f"dropo: {out}/run.json: seed: expected the settings of this run, got {got}.\n"
+    )
     data = dict(np.load(problem.parent / "data.npz"))
     data["next_observations"][0] += 1e-9
     np.savez(problem.parent / "data.npz", **data)
     assert main(arguments) == 2
     assert "run.json: data_sha256: " in capsys.readouterr().err
-    (problem.parent / "robot.xml").write_text((problem.parent / "robot.xml").read_text().replace('size="0.1"', 'size="0.2"'))
+    (problem.parent / "robot.xml").write_text(
+        (problem.parent / "robot.xml").read_text().replace('size="0.1"', 'size="0.2"')
+    )
     assert main(arguments) == 2
     assert "run.json: data_sha256, model_sha256: " in capsys.readouterr().err
     assert (out / "fit.json").read_text() == before
@@ -252,8 +372,11 @@ def test_out_must_be_a_folder(problem: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_kill_and_resume(problem: Path) -> None:
-    """A run that was killed twice gives what an undisturbed one gives, and one with another number of threads."""
-    whole, killed = problem.parent / "whole", problem.parent / "killed"
+    """A run that was killed twice gives what an undisturbed one gives, and one with another number
+    of threads.
+    """
+    whole = problem.parent / "whole"
+    killed = problem.parent / "killed"
     assert main(["fit", str(problem), *LONG, "--out", str(whole), "--threads", "1", "--quiet"]) == 0
     for lines in (3, 9):
         run = start(problem, *LONG, "--out", str(killed), "--threads", "2")
@@ -271,13 +394,26 @@ def test_kill_and_resume(problem: Path) -> None:
     assert (killed / "evaluations.jsonl").read_text() == (whole / "evaluations.jsonl").read_text()
 
 
-@pytest.mark.parametrize("options", [(), SMALL, (*SMALL, "--epsilon", "tune"), (*SMALL, "--epsilon", "learn", "--start", "least-squares")])
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        SMALL,
+        (*SMALL, "--epsilon", "tune"),
+        (*SMALL, "--epsilon", "learn", "--start", "least-squares"),
+    ],
+)
 def test_a_finished_run_is_replayed(problem: Path, options: tuple[str, ...]) -> None:
-    """The same command again evaluates nothing and gives the same file; so does another number of threads, from the start."""
-    out, other = problem.parent / "out", problem.parent / "other"
+    """The same command again evaluates nothing and gives the same file; so does another number of
+    threads, from the start.
+    """
+    out = problem.parent / "out"
+    other = problem.parent / "other"
     arguments = ["fit", str(problem), *options, "--quiet"]
     assert main([*arguments, "--out", str(out), "--threads", "1"]) == 0
-    before, journals = result(out), [path.read_bytes() for path in out.glob("*.jsonl")]  # none where nothing was worth recording
+    # none where nothing was worth recording
+    before = result(out)
+    journals = [path.read_bytes() for path in out.glob("*.jsonl")]
     assert main([*arguments, "--out", str(out)]) == 0
     assert (result(out), [path.read_bytes() for path in out.glob("*.jsonl")]) == (before, journals)
     assert main([*arguments, "--out", str(other), "--threads", "2"]) == 0
@@ -287,7 +423,8 @@ def test_a_finished_run_is_replayed(problem: Path, options: tuple[str, ...]) -> 
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
 def test_interruption_saves_the_best_so_far(problem: Path, kind: signal.Signals) -> None:
     """Status 1 and "interrupted"; the same command then goes on to what an undisturbed run gives."""
-    whole, out = problem.parent / "whole", problem.parent / "out"
+    whole = problem.parent / "whole"
+    out = problem.parent / "out"
     run = start(problem, *LONG, "--out", str(out))
     wait_for_lines(out / "evaluations.jsonl", 4, run)
     run.send_signal(kind)

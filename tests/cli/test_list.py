@@ -14,7 +14,9 @@ def test_every_name_has_a_sentence(kind: str, capsys: pytest.CaptureFixture[str]
     assert main(["list", kind, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert sorted(found) == catalogue.names(kind)
-    assert all(text.endswith((".", ":")) and not text.startswith("(") for text in found.values()), found
+    assert all(text.endswith((".", ":")) and not text.startswith("(") for text in found.values()), (
+        found
+    )
 
 
 def test_text(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,7 +26,9 @@ def test_text(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
         Much more.
         """
 
-    monkeypatch.setattr(catalogue, "BUILT_IN", {**catalogue.BUILT_IN, "samplers": {"gone": "dropo.none:None_"}})
+    monkeypatch.setattr(
+        catalogue, "BUILT_IN", {**catalogue.BUILT_IN, "samplers": {"gone": "dropo.none:None_"}}
+    )
     monkeypatch.setitem(catalogue._registered, "samplers", {"plug": plug})
     assert main(["list", "samplers"]) == 0
     assert capsys.readouterr().out == (

@@ -14,7 +14,10 @@ HEAVY = ("numpy", "mujoco", "scipy", "torch", "cma", "emcee", "nlopt", "gymnasiu
 
 
 def test_help_imports_nothing_heavy() -> None:
-    code = f"import sys; from dropo.cli.main import main; main(['--help']); print([m for m in {HEAVY} if m in sys.modules])"
+    code = (
+        "import sys; from dropo.cli.main import main; main(['--help']); print([m for m in "
+        f"{HEAVY} if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
 
@@ -29,7 +32,9 @@ def test_help_is_quick() -> None:
     assert min(times) < 1.0
 
 
-@pytest.mark.parametrize("command", [[], ["fit"], ["data"], ["data", "check"], ["data", "describe"], ["list"]])
+@pytest.mark.parametrize(
+    "command", [[], ["fit"], ["data"], ["data", "check"], ["data", "describe"], ["list"]]
+)
 def test_every_command_has_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*command, "--help"]) == 0
     assert capsys.readouterr().out.startswith(f"usage: {' '.join(['dropo', *command])} ")
@@ -51,7 +56,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["data", "check", "nothing"], None),
     ],
 )
-def test_refusals_are_one_line(arguments: list[str], message: str | None, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refusals_are_one_line(
+    arguments: list[str], message: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -60,7 +67,9 @@ def test_refusals_are_one_line(arguments: list[str], message: str | None, capsys
     assert message is None or err == f"dropo: {message}\n"
 
 
-def test_a_failure_is_status_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failure_is_status_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def fail(arguments: object) -> int:
         raise SimulationFailed("It diverged\nat once.")
 

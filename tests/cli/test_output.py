@@ -30,7 +30,11 @@ def _same_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 class _Result(Printed):
     def parts(self) -> list[str | Table]:
-        return ["a [bold]robot[/bold]", Table("", ("joint", "damping [N m s/rad]"), (("knee", "0.6"),)), "warning: little data"]
+        return [
+            "a [bold]robot[/bold]",
+            Table("", ("joint", "damping [N m s/rad]"), (("knee", "0.6"),)),
+            "warning: little data",
+        ]
 
 
 def arguments(**given: bool) -> argparse.Namespace:
@@ -40,7 +44,11 @@ def arguments(**given: bool) -> argparse.Namespace:
 def leaves(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
     """The parsers of the commands that run."""
     below = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    return [leaf for action in below for child in action.choices.values() for leaf in leaves(child)] if below else [parser]
+    return (
+        [leaf for action in below for child in action.choices.values() for leaf in leaves(child)]
+        if below
+        else [parser]
+    )
 
 
 @pytest.mark.parametrize("parser", leaves(_parser()), ids=lambda parser: parser.prog)
@@ -50,7 +58,12 @@ def test_every_command_has_the_further_options(parser: argparse.ArgumentParser) 
 
 def test_a_pipe_gets_plain_text(capsys: pytest.CaptureFixture[str]) -> None:
     show(arguments(), _Result(), None)
-    lines = ["a [bold]robot[/bold]", "joint  damping [N m s/rad]", "-----  -------------------", "knee                   0.6"]
+    lines = [
+        "a [bold]robot[/bold]",
+        "joint  damping [N m s/rad]",
+        "-----  -------------------",
+        "knee                   0.6",
+    ]
     assert capsys.readouterr().out.splitlines() == [*lines, "warning: little data"]
 
 
@@ -79,15 +92,25 @@ def test_quiet_list(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_progress_is_for_terminals() -> None:
-    """One line with the share, what was spent and what is left, taken away at the end; nothing into a pipe or where it is silent."""
-    pipe, terminal, silent = io.StringIO(), _Terminal(), _Terminal()
-    for progress in (Progress(stream=pipe), Progress(stream=terminal), Progress(stream=silent, silent=True)):
+    """One line with the share, what was spent and what is left, taken away at the end; nothing into
+    a pipe or where it is silent.
+    """
+    pipe = io.StringIO()
+    terminal = _Terminal()
+    silent = _Terminal()
+    for progress in (
+        Progress(stream=pipe),
+        Progress(stream=terminal),
+        Progress(stream=silent, silent=True),
+    ):
         progress._begun -= 30
         progress(0.5, "60 evaluations, 1,200 simulator steps")
         progress.close()
     assert pipe.getvalue() == silent.getvalue() == ""
     drawn = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", terminal.getvalue())
-    assert re.search(r"50% 0:00:0\d about 0:00:30 left 60 evaluations, 1,200 simulator steps", drawn)
+    assert re.search(
+        r"50% 0:00:0\d about 0:00:30 left 60 evaluations, 1,200 simulator steps", drawn
+    )
     assert terminal.getvalue().rstrip("\r\n").endswith("\x1b[2K")
 
 
@@ -104,7 +127,11 @@ def test_a_fit_says_what_it_cost_so_far(problem: Path) -> None:
     told: list[str] = []
     loaded = load(problem)
     fit = DROPO().fit(loaded, rng=0, progress=lambda share, text: told.append(text))
-    steps = [int(found[1].replace(",", "")) for found in (re.search(r"([\d,]+) simulator steps$", text) for text in told) if found]
+    steps = [
+        int(found[1].replace(",", ""))
+        for found in (re.search(r"([\d,]+) simulator steps$", text) for text in told)
+        if found
+    ]
     assert len(steps) == len(told) > 0
     assert steps == sorted(steps)
     assert 0 < steps[0] <= steps[-1] <= fit.simulator_steps

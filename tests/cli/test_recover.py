@@ -15,7 +15,13 @@ STOP_AT: list[int] = []
 def toy(work, seeds=None):
     """A study for this test."""
     found = work.map(task, range(seeds or 4))
-    return Study("toy", "Toy", (Table("t", ("a", "b"), (("x", str(sum(row["n"] for row in found))),)),), (), {"found": found})
+    return Study(
+        "toy",
+        "Toy",
+        (Table("t", ("a", "b"), (("x", str(sum(row["n"] for row in found))),)),),
+        (),
+        {"found": found},
+    )
 
 
 def task(item):
@@ -60,7 +66,9 @@ def test_resumes(tmp_path, capsys):
 
 def test_some_problems_alone(monkeypatch, capsys):
     """Those named, in their order."""
-    several = lambda work, seeds=None, *, problems=("a", "b", "c"): Study("several", " ".join(problems), ())
+    several = lambda work, seeds=None, *, problems=("a", "b", "c"): Study(
+        "several", " ".join(problems), ()
+    )
     monkeypatch.setitem(catalogue._registered["studies"], "several", several)
     assert main(["recover", "several"]) == 0
     assert main(["recover", "several", "--problems", "c", "a"]) == 0
@@ -72,8 +80,14 @@ def test_some_problems_alone(monkeypatch, capsys):
     [
         (["table-61"], "No study called 'table-61'. Did you mean 'table-6.1'?"),
         (["toy", "--seeds", "0"], "expected a whole number of at least 1, got '0'"),
-        (["toy", "--published"], "The study 'toy' has no runs of the published method. Leave --published out."),
-        (["toy", "--problems", "hopper"], "The study 'toy' is not one of several problems. Leave --problems out."),
+        (
+            ["toy", "--published"],
+            "The study 'toy' has no runs of the published method. Leave --published out.",
+        ),
+        (
+            ["toy", "--problems", "hopper"],
+            "The study 'toy' is not one of several problems. Leave --problems out.",
+        ),
     ],
 )
 def test_refuses(words, message, capsys):

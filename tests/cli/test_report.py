@@ -6,7 +6,9 @@ from dropo.cli.main import main
 
 
 def test_a_fit_then_its_report(problem, tmp_path, capsys):
-    """The page lies in the folder unless said otherwise; its path is printed; --json and --quiet; data and model are not needed."""
+    """The page lies in the folder unless said otherwise; its path is printed; --json and --quiet;
+    data and model are not needed.
+    """
     out = tmp_path / "run"
     assert main(["fit", str(problem), "--out", str(out), "--quiet"]) == 0
     for name in ("data.npz", "robot.xml", "problem.yaml"):
@@ -29,6 +31,9 @@ def test_refusals(tmp_path, capsys):
     """Status 2, one line, nothing written."""
     assert main(["report", str(tmp_path)]) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"dropo: {tmp_path}: expected a folder that `dropo fit --out` or `dropo diagnose --out` wrote")
+    assert error.startswith(
+        f"dropo: {tmp_path}: expected a folder that `dropo fit --out` or `dropo diagnose "
+        "--out` wrote"
+    )
     assert main(["report", str(tmp_path / "none")]) == 2
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,6 @@
-"""`dropo train` and `dropo evaluate`: what they print, write and refuse, and how training goes on after an interruption."""
+"""`dropo train` and `dropo evaluate`: what they print, write and refuse, and how training goes on
+after an interruption.
+"""
 
 import json
 import os
@@ -36,11 +38,24 @@ def trained(problem, tmp_path):
 
 def arguments(problem, out="policy", budget=4):
     folder = problem.parent
-    return ["train", str(problem), "--fit", str(folder / "fit"), "--budget", str(budget), "--out", str(folder / out), "--threads", "1"]
+    return [
+        "train",
+        str(problem),
+        "--fit",
+        str(folder / "fit"),
+        "--budget",
+        str(budget),
+        "--out",
+        str(folder / out),
+        "--threads",
+        "1",
+    ]
 
 
 def test_trains_saves_and_evaluates(trained, tmp_path, capsys):
-    """The returns under the fit and on the target; a policy that `dropo evaluate` plays to the same returns."""
+    """The returns under the fit and on the target; a policy that `dropo evaluate` plays to the same
+    returns.
+    """
     assert main([*arguments(trained), "--json"]) == 0
     made = json.loads(capsys.readouterr().out)
     assert made["policy"] == str(tmp_path / "policy" / "policy.json")
@@ -49,9 +64,25 @@ def test_trains_saves_and_evaluates(trained, tmp_path, capsys):
     assert set(made["returns"]["as it is"]["lengths"]) == {15}
     assert main(["evaluate", str(tmp_path / "policy"), "--on", str(trained), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == made["returns"]["as it is"]
-    assert main(["evaluate", made["policy"], "--on", str(trained), "--fit", str(tmp_path / "fit"), "--json"]) == 0
+    assert (
+        main(
+            [
+                "evaluate",
+                made["policy"],
+                "--on",
+                str(trained),
+                "--fit",
+                str(tmp_path / "fit"),
+                "--json",
+            ]
+        )
+        == 0
+    )
     assert json.loads(capsys.readouterr().out) == made["returns"]["under the fit"]
-    assert main(["evaluate", made["policy"], "--on", str(trained), "--episodes", "3", "--steps", "4"]) == 0
+    assert (
+        main(["evaluate", made["policy"], "--on", str(trained), "--episodes", "3", "--steps", "4"])
+        == 0
+    )
     assert capsys.readouterr().out.splitlines()[-1].split()[:2] == ["problem", "3"]
 
 
@@ -60,7 +91,8 @@ def test_goes_on_after_an_interruption(trained, tmp_path, capsys, monkeypatch):
     assert main([*arguments(trained, "whole", 6), "--quiet"]) == 0
     from dropo.training.ars import ARS
 
-    update, calls = ARS._update, []
+    update = ARS._update
+    calls = []
 
     def interrupted(self, *given):
         calls.append(1)
@@ -73,7 +105,9 @@ def test_goes_on_after_an_interruption(trained, tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().err == "dropo: Interrupted: the same command goes on from here.\n"
     assert main([*arguments(trained, "parts", 6), "--quiet"]) == 0
     assert len(calls) == 4 + 3
-    assert (tmp_path / "parts" / "policy.json").read_bytes() == (tmp_path / "whole" / "policy.json").read_bytes()
+    assert (tmp_path / "parts" / "policy.json").read_bytes() == (
+        tmp_path / "whole" / "policy.json"
+    ).read_bytes()
     assert main([*arguments(trained, "parts", 7), "--quiet"]) == 2
     assert "settings of this run" in capsys.readouterr().err
 
@@ -86,23 +120,33 @@ def test_a_task_travels_with_its_problem(trained, tmp_path):
     assert back.task.steps == 15
     assert back.task.bonus == 0.5
     states = np.array([[0.3, 0.0], [9.0, 0.0]])
-    np.testing.assert_allclose(back.task.worth(states, np.zeros((2, 1)), states, np.zeros((2, 0))), [-0.25, -8.95])
+    np.testing.assert_allclose(
+        back.task.worth(states, np.zeros((2, 1)), states, np.zeros((2, 0))), [-0.25, -8.95]
+    )
     assert back.task.lives(states).tolist() == [True, False]
     starts = back.task.starts(np.random.default_rng(0), 50)
     data = load(trained).trajectories
-    assert {tuple(row) for row in starts} == {tuple(data.observations[first]) for first, _ in data.spans}
+    assert {tuple(row) for row in starts} == {
+        tuple(data.observations[first]) for first, _ in data.spans
+    }
 
 
-@pytest.mark.parametrize(("task", "said"), [
-    ("{reward: reward.py:nearer}", "task.reward: expected a function as module:name"),
-    ("{reward: nowhere.py:near}", "no such file"),
-    ("{reward: near}", "task.reward: expected a function"),
-    ("{alive: reward.py:near}", "task.reward: expected"),
-    ("{rewards: reward.py:near}", "task.rewards: expected a known key (the nearest is 'reward')"),
-    ("{reward: reward.py:near, steps: 0}", "task.steps: expected a whole number of at least 1"),
-    ("reward.py:near", "near() missing 3 required positional arguments"),
-    ("reward.py:np", "task: expected a Task"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        ("{reward: reward.py:nearer}", "task.reward: expected a function as module:name"),
+        ("{reward: nowhere.py:near}", "no such file"),
+        ("{reward: near}", "task.reward: expected a function"),
+        ("{alive: reward.py:near}", "task.reward: expected"),
+        (
+            "{rewards: reward.py:near}",
+            "task.rewards: expected a known key (the nearest is 'reward')",
+        ),
+        ("{reward: reward.py:near, steps: 0}", "task.steps: expected a whole number of at least 1"),
+        ("reward.py:near", "near() missing 3 required positional arguments"),
+        ("reward.py:np", "task: expected a Task"),
+    ],
+)
 def test_bad_tasks(task, said, trained, capsys):
     """Each names the file, the key and what is wrong."""
     trained.write_text(trained.read_text().replace(TASK, f"task: {task}\n"))
@@ -111,15 +155,22 @@ def test_bad_tasks(task, said, trained, capsys):
 
 
 def test_refusals(trained, tmp_path, capsys, monkeypatch):
-    """A problem without a task, a fit of another model, no fit, a policy of another action space, no extra: status 2, nothing written."""
+    """A problem without a task, a fit of another model, no fit, a policy of another action space,
+    no extra: status 2, nothing written.
+    """
     without = tmp_path / "without.yaml"
     without.write_text(trained.read_text().replace(TASK, ""))
     other = tmp_path / "other.yaml"
-    (tmp_path / "heavy.xml").write_text((tmp_path / "robot.xml").read_text().replace('mass="2"', 'mass="3"'))
+    (tmp_path / "heavy.xml").write_text(
+        (tmp_path / "robot.xml").read_text().replace('mass="2"', 'mass="3"')
+    )
     other.write_text(trained.read_text().replace("robot.xml", "heavy.xml"))
     cases = [
         (["train", str(without)], "has no task to train for"),
-        (["train", str(other), "--fit", str(tmp_path / "fit")], "of another model, that of 'problem': not that of 'other'"),
+        (
+            ["train", str(other), "--fit", str(tmp_path / "fit")],
+            "of another model, that of 'problem': not that of 'other'",
+        ),
         (["train", str(trained), "--fit", str(tmp_path)], "a fit written by `dropo fit --out`"),
         (["train", str(trained), "--widen", "100"], "no --fit was given"),
         (["train", "hoper"], "Did you mean 'hopper'?"),
@@ -145,15 +196,34 @@ def test_video(trained, tmp_path, capsys):
     """An episode as it moves, in its own time."""
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     assert main([*arguments(trained, budget=1), "--quiet"]) == 0
-    small = "import sys; from dropo.report import video; video.WIDTH = video.HEIGHT = 96; from dropo.cli.main import main; sys.exit(main())"
-    line = ["evaluate", str(tmp_path / "policy"), "--on", str(trained), "--episodes", "1", "--video", "--json"]
-    done = subprocess.run([sys.executable, "-c", small, *line], capture_output=True, text=True, env=os.environ | {"MUJOCO_GL": "egl"})
+    small = (
+        "import sys; from dropo.report import video; video.WIDTH = video.HEIGHT = 96; from "
+        "dropo.cli.main import main; sys.exit(main())"
+    )
+    line = [
+        "evaluate",
+        str(tmp_path / "policy"),
+        "--on",
+        str(trained),
+        "--episodes",
+        "1",
+        "--video",
+        "--json",
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", small, *line],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"MUJOCO_GL": "egl"},
+    )
     if "MuJoCo cannot draw here" in done.stderr:
         pytest.skip("no graphics library for drawing off screen")
     assert done.returncode == 0, done.stderr
     path = tmp_path / "policy" / "policy.mp4"
     assert json.loads(done.stdout)["video"] == str(path)
     unpack = [ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    frames = np.frombuffer(subprocess.run(unpack, capture_output=True, check=True).stdout, np.uint8).reshape(-1, 96, 96, 3)
+    frames = np.frombuffer(
+        subprocess.run(unpack, capture_output=True, check=True).stdout, np.uint8
+    ).reshape(-1, 96, 96, 3)
     assert len(frames) == 5  # 16 states, 0.01 s apart, at 30 a second
     assert frames.std() > 5

@@ -6,7 +6,16 @@ import sys
 import numpy as np
 import pytest
 
-from dropo.core.numerics.array_api import checked, cholesky, constant, is_tensor, namespace, ndtri, plain, together
+from dropo.core.numerics.array_api import (
+    checked,
+    cholesky,
+    constant,
+    is_tensor,
+    namespace,
+    ndtri,
+    plain,
+    together,
+)
 from dropo.core.services.errors import BadArgument
 
 torch = pytest.importorskip("torch")
@@ -23,7 +32,9 @@ def test_arrays_stay_arrays():
 
 
 def test_one_tensor_makes_all_of_them_tensors():
-    """Constants become float64 tensors, read-only and reversed arrays too; the tensor keeps its history."""
+    """Constants become float64 tensors, read-only and reversed arrays too; the tensor keeps its
+    history.
+    """
     leaf = torch.ones(2, dtype=torch.float64, requires_grad=True)
     fixed = np.arange(2.0)
     fixed.setflags(write=False)
@@ -50,7 +61,11 @@ def test_factors_are_nan_where_there_is_none(make):
     covariance = root @ root.swapaxes(1, 2)
     covariance[1] = [[1.0, 2.0], [2.0, 1.0]]
     found = plain(cholesky(make(covariance)))
-    np.testing.assert_allclose(found[[0, 2]], root[[0, 2]] * np.sign(np.diagonal(root, axis1=1, axis2=2))[[0, 2], None], rtol=1e-12)
+    np.testing.assert_allclose(
+        found[[0, 2]],
+        root[[0, 2]] * np.sign(np.diagonal(root, axis1=1, axis2=2))[[0, 2], None],
+        rtol=1e-12,
+    )
     assert np.isnan(found[1]).all()
 
 
@@ -65,11 +80,18 @@ def test_checked(make):
 
 
 def test_torch_is_not_imported():
-    """The families, the sampled likelihoods and the robots' module work before anyone imports torch."""
+    """The families, the sampled likelihoods and the robots' module work before anyone imports
+    torch.
+    """
     script = (
         "import numpy as np, sys, dropo.likelihoods.ghurye_olkin, dropo.simulators.differentiable\n"
         "from dropo.likelihoods.monte_carlo import Gaussian\n"
         "Gaussian().log_density(np.random.default_rng(0).normal(size=(9, 3, 2)), np.zeros((3, 2)), 0.1)\n"
         "print('torch' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip() == "False"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "False"
+    )

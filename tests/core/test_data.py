@@ -10,10 +10,14 @@ from dropo.core.services.errors import BadArgument, UnknownName
 
 
 def trajectories(*lengths, group=None):
-    """Row i has observation (i, -i), action (10 i,) and next observation (i + 1, -i - 1): every number tells where it is from."""
+    """Row i has observation (i, -i), action (10 i,) and next observation (i + 1, -i - 1): every
+    number tells where it is from.
+    """
     row = np.arange(sum(lengths), dtype=float)
     ends = np.isin(row, np.cumsum(lengths) - 1)
-    return Trajectories(np.stack([row, -row], 1), 10 * row[:, None], np.stack([row + 1, -row - 1], 1), ends, group)
+    return Trajectories(
+        np.stack([row, -row], 1), 10 * row[:, None], np.stack([row + 1, -row - 1], 1), ends, group
+    )
 
 
 def test_rows_know_their_trajectory():
@@ -36,7 +40,11 @@ def test_arrays_are_read_only_copies():
 
 
 @settings(deadline=None, derandomize=True)
-@given(st.lists(st.integers(1, 12), min_size=1, max_size=5), st.integers(1, 6), st.sampled_from(["transition", "partial"]))
+@given(
+    st.lists(st.integers(1, 12), min_size=1, max_size=5),
+    st.integers(1, 6),
+    st.sampled_from(["transition", "partial"]),
+)
 def test_windows_stay_apart_and_inside(lengths, size, reset):
     """No window crosses a trajectory's end, none overlaps another, and as many as fit are there."""
     data = trajectories(*lengths)
@@ -53,13 +61,17 @@ def test_windows_stay_apart_and_inside(lengths, size, reset):
 
 
 def test_lambda_steps():
-    """lambda = 2 in trajectories of 5 and 4: four windows, two actions each, compared at their ends."""
+    """lambda = 2 in trajectories of 5 and 4: four windows, two actions each, compared at their
+    ends.
+    """
     segments = trajectories(5, 4).segments(2)
     np.testing.assert_array_equal(segments.steps, [[0, 1], [2, 3], [5, 6], [7, 8]])
     np.testing.assert_array_equal(segments.previous, -1)
     np.testing.assert_array_equal(segments.lengths, 2)
     np.testing.assert_array_equal(segments.starts[:, 0], [0, 2, 5, 7])
-    np.testing.assert_array_equal(segments.actions[:, :, 0], [[0, 10], [20, 30], [50, 60], [70, 80]])
+    np.testing.assert_array_equal(
+        segments.actions[:, :, 0], [[0, 10], [20, 30], [50, 60], [70, 80]]
+    )
     np.testing.assert_array_equal(segments.targets[:, 0], [2, 4, 7, 9])
     np.testing.assert_array_equal(segments.rows[1], 1)
 
@@ -70,7 +82,9 @@ def test_every_step():
     np.testing.assert_array_equal(segments.rows, [[0, 0, 1, 1], [0, 1, 0, 1]])
     np.testing.assert_array_equal(segments.targets[:, 0], [1, 2, 3, 4])
     assert segments.comparing_every_step() is segments
-    np.testing.assert_array_equal(trajectories(4).segments(2).comparing_every_step().targets, segments.targets)
+    np.testing.assert_array_equal(
+        trajectories(4).segments(2).comparing_every_step().targets, segments.targets
+    )
 
 
 def test_start_mode():
@@ -85,7 +99,9 @@ def test_start_mode():
 
 
 def test_partial_mode_is_a_chain_in_each_trajectory():
-    """Each window goes on from the one before it; a trajectory's first from none; levels order them for replay."""
+    """Each window goes on from the one before it; a trajectory's first from none; levels order them
+    for replay.
+    """
     segments = trajectories(7, 4).segments(2, reset="partial", set_columns=[True, False])
     np.testing.assert_array_equal(segments.previous, [-1, 0, 1, -1, 3])
     np.testing.assert_array_equal(segments.set_columns, [True, False])
@@ -99,18 +115,24 @@ def test_take():
     np.testing.assert_array_equal(segments.take(segments.trajectory == 1).steps, [[5, 6], [7, 8]])
     chain = trajectories(5, 4).segments(2, reset="partial")
     np.testing.assert_array_equal(chain.take([2, 3]).previous, [-1, 0])
-    with pytest.raises(BadArgument, match=r"'index' of Segments.take must be closed under 'previous'"):
+    with pytest.raises(
+        BadArgument, match=r"'index' of Segments.take must be closed under 'previous'"
+    ):
         chain.take([1, 2])
 
 
 def test_groups():
     """The data's own groups become 0, 1, ...; without, a segment's group is its trajectory."""
     np.testing.assert_array_equal(trajectories(4, 2).segments(2).group, [0, 0, 1])
-    np.testing.assert_array_equal(trajectories(4, 2, group=[7, 7, 9, 9, 7, 7]).segments(2).group, [0, 1, 0])
+    np.testing.assert_array_equal(
+        trajectories(4, 2, group=[7, 7, 9, 9, 7, 7]).segments(2).group, [0, 1, 0]
+    )
 
 
 def test_some_of_the_rows():
-    """The first transitions, and some of the trajectories: each piece ends where the next row is missing."""
+    """The first transitions, and some of the trajectories: each piece ends where the next row is
+    missing.
+    """
     data = trajectories(3, 2, 3, group=[5, 5, 6, 6, 6, 8, 8, 8])
     assert data.head(4).spans == [(0, 3), (3, 4)]
     assert len(data.head(100)) == 8
@@ -120,31 +142,64 @@ def test_some_of_the_rows():
     np.testing.assert_array_equal(kept.group, [0, 0, 1, 2, 2, 2])
     with pytest.raises(BadArgument, match="'rows' of Trajectories must be at least one"):
         data.select([3])
-    with pytest.raises(BadArgument, match=r"'transitions' of Trajectories.first must be at least 1"):
+    with pytest.raises(
+        BadArgument, match=r"'transitions' of Trajectories.first must be at least 1"
+    ):
         data.head(0)
 
 
 def arrays(**changes):
     """Arguments of two good rows of two signals, some of them changed."""
-    good = {"observations": np.zeros((2, 2)), "actions": np.zeros((2, 1)), "next_observations": np.zeros((2, 2)),
-            "terminals": np.array([False, True])}  # fmt: skip
+    good = {
+        "observations": np.zeros((2, 2)),
+        "actions": np.zeros((2, 1)),
+        "next_observations": np.zeros((2, 2)),
+        "terminals": np.array([False, True]),
+    }
     return good | changes
 
 
-@pytest.mark.parametrize(("changes", "words"), [
-    ({"terminals": [False, False]}, "'terminals' of Trajectories must be True on each trajectory's last row. Got 'no True at all'"),
-    ({"terminals": [True, False]}, "'terminals' of Trajectories must be True on the last row"),
-    ({"terminals": [True]}, r"'terminals' of Trajectories must be of shape \(2,\). Got \(1,\)"),
-    ({"observations": [[0, 0], [np.nan, 0]]}, r"'observations' of Trajectories must be finite. Got 'nan at \(1, 0\)'"),
-    ({"actions": [[np.inf], [0]]}, r"'actions' of Trajectories must be finite. Got 'inf at \(0, 0\)'"),
-    ({"observations": np.zeros(2)}, r"'observations' of Trajectories must be of shape \(any, any\). Got \(2,\)"),
-    ({"observations": np.zeros((0, 2))}, "'observations' of Trajectories must be at least one row"),
-    ({"actions": np.zeros((3, 1))}, r"'actions' of Trajectories must be of shape \(2, any\). Got \(3, 1\)"),
-    ({"next_observations": np.zeros((2, 3))}, r"'next_observations' of Trajectories must be of shape \(2, 2\). Got \(2, 3\)"),
-    ({"actions": [["push"], ["pull"]]}, "'actions' of Trajectories must be numbers"),
-    ({"group": [0]}, r"'group' of Trajectories must be of shape \(2,\)"),
-    ({"time": [0.0, np.nan]}, "'time' of Trajectories must be finite"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"terminals": [False, False]},
+            (
+                "'terminals' of Trajectories must be True on each trajectory's last row. Got "
+                "'no True at all'"
+            ),
+        ),
+        ({"terminals": [True, False]}, "'terminals' of Trajectories must be True on the last row"),
+        ({"terminals": [True]}, r"'terminals' of Trajectories must be of shape \(2,\). Got \(1,\)"),
+        (
+            {"observations": [[0, 0], [np.nan, 0]]},
+            r"'observations' of Trajectories must be finite. Got 'nan at \(1, 0\)'",
+        ),
+        (
+            {"actions": [[np.inf], [0]]},
+            r"'actions' of Trajectories must be finite. Got 'inf at \(0, 0\)'",
+        ),
+        (
+            {"observations": np.zeros(2)},
+            r"'observations' of Trajectories must be of shape \(any, any\). Got \(2,\)",
+        ),
+        (
+            {"observations": np.zeros((0, 2))},
+            "'observations' of Trajectories must be at least one row",
+        ),
+        (
+            {"actions": np.zeros((3, 1))},
+            r"'actions' of Trajectories must be of shape \(2, any\). Got \(3, 1\)",
+        ),
+        (
+            {"next_observations": np.zeros((2, 3))},
+            r"'next_observations' of Trajectories must be of shape \(2, 2\). Got \(2, 3\)",
+        ),
+        ({"actions": [["push"], ["pull"]]}, "'actions' of Trajectories must be numbers"),
+        ({"group": [0]}, r"'group' of Trajectories must be of shape \(2,\)"),
+        ({"time": [0.0, np.nan]}, "'time' of Trajectories must be finite"),
+    ],
+)
 def test_data_that_cannot_be_used_is_refused(changes, words):
     """The message names array, rule and what came, with the place of a NaN."""
     with pytest.raises(BadArgument, match=words):
@@ -154,14 +209,25 @@ def test_data_that_cannot_be_used_is_refused(changes, words):
 def test_segments_that_cannot_be_cut_are_refused():
     """lambda below 1, longer than a trajectory, an unknown reset mode, a mask of another size."""
     data = trajectories(5, 3)
-    with pytest.raises(BadArgument, match=r"'lambda' of Trajectories.segments must be at least 1. Got 0"):
+    with pytest.raises(
+        BadArgument, match=r"'lambda' of Trajectories.segments must be at least 1. Got 0"
+    ):
         data.segments(0)
-    with pytest.raises(BadArgument, match=r"lambda = 6 is longer than trajectory 0, which has 5 transitions. Choose a smaller lambda"):
+    with pytest.raises(
+        BadArgument,
+        match=r"lambda = 6 is longer than trajectory 0, which has 5 transitions. Choose a smaller lambda",
+    ):
         data.segments(6)
-    with pytest.raises(BadArgument, match=r"lambda = 4 is longer than trajectory 1, which has 3 transitions"):
+    with pytest.raises(
+        BadArgument, match=r"lambda = 4 is longer than trajectory 1, which has 3 transitions"
+    ):
         data.segments(4, reset="partial")
     assert len(data.segments(4)) == 1
-    with pytest.raises(UnknownName, match=r"No reset mode called 'transitions'. Did you mean 'transition'?"):
+    with pytest.raises(
+        UnknownName, match=r"No reset mode called 'transitions'. Did you mean 'transition'?"
+    ):
         data.segments(reset="transitions")
-    with pytest.raises(BadArgument, match=r"'set_columns' of Trajectories.segments must be of shape \(2,\)"):
+    with pytest.raises(
+        BadArgument, match=r"'set_columns' of Trajectories.segments must be of shape \(2,\)"
+    ):
         data.segments(reset="partial", set_columns=[True])

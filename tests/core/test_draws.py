@@ -10,14 +10,21 @@ from dropo.core.services.errors import BadArgument
 def draws():
     rng = np.random.default_rng(3)
     chain = np.stack([rng.normal(3.0, 0.1, (400, 4)), rng.normal(-1.0, 2.0, (400, 4))], axis=2)
-    return Draws(chain, rng.standard_normal((400, 4)), ("mass", "epsilon[0]"), rng.random((400, 4)) < 0.01)
+    return Draws(
+        chain, rng.standard_normal((400, 4)), ("mass", "epsilon[0]"), rng.random((400, 4)) < 0.01
+    )
 
 
 def test_inference_data_has_its_groups_and_agrees_with_the_summary():
-    """Chains are walkers; ArviZ' own mean, sd and R-hat are those of `Draws`, the means of others are not."""
-    arviz, one = pytest.importorskip("arviz"), draws()
+    """Chains are walkers; ArviZ' own mean, sd and R-hat are those of `Draws`, the means of others
+    are not.
+    """
+    arviz = pytest.importorskip("arviz")
+    one = draws()
     rows = np.random.default_rng(4).standard_normal((400, 4, 7))
-    data = one.to_inference_data(log_likelihood=rows, observed=np.zeros((7, 2)), attributes={"method": "posterior"})
+    data = one.to_inference_data(
+        log_likelihood=rows, observed=np.zeros((7, 2)), attributes={"method": "posterior"}
+    )
     assert set(data.groups()) == {"posterior", "sample_stats", "log_likelihood", "observed_data"}
     assert dict(data.posterior.sizes) == {"chain": 4, "draw": 400}
     assert data.attrs["method"] == "posterior"

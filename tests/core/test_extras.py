@@ -15,21 +15,34 @@ from dropo.core.services.optional_dependencies import need
 def _bare(monkeypatch):
     """As if the packages of the extras were not installed."""
     absent = {"torch", "pyro", "arviz", "matplotlib"}
-    monkeypatch.setattr(extras, "find_spec", lambda name: None if name in absent else importlib.util.find_spec(name))
+    monkeypatch.setattr(
+        extras, "find_spec", lambda name: None if name in absent else importlib.util.find_spec(name)
+    )
 
 
 @pytest.mark.usefixtures("_bare")
 def test_what_needs_an_extra_says_so():
-    """Gradient samplers, ArviZ, plots: refused with the way out, as one of the family and as an ImportError."""
+    """Gradient samplers, ArviZ, plots: refused with the way out, as one of the family and as an
+    ImportError.
+    """
     from dropo.plots.style import axes_of
     from dropo.report.svg import picture
 
     slide = load("slide").using(transitions=20)
     draws = Draws(np.zeros((4, 1, 1)), np.zeros((4, 1)), ("a",))
     for call, words in (
-        (lambda: Posterior(sampler="pyro-nuts").fit(slide), r"pyro-nuts needs torch and pyro, .*\[posterior\]"),
-        (lambda: Posterior(sampler="pyro-svi").fit(slide), r"pyro-svi needs torch and pyro, .*\[posterior\]"),
-        (draws.to_inference_data, r"InferenceData needs arviz, which is not installed: pip install 'dropo\[posterior\]'"),
+        (
+            lambda: Posterior(sampler="pyro-nuts").fit(slide),
+            r"pyro-nuts needs torch and pyro, .*\[posterior\]",
+        ),
+        (
+            lambda: Posterior(sampler="pyro-svi").fit(slide),
+            r"pyro-svi needs torch and pyro, .*\[posterior\]",
+        ),
+        (
+            draws.to_inference_data,
+            r"InferenceData needs arviz, which is not installed: pip install 'dropo\[posterior\]'",
+        ),
         (lambda: axes_of(None), r"matplotlib, .*'dropo\[plots\]'"),
         (lambda: picture(lambda ax: None, "nothing"), r"matplotlib, .*'dropo\[plots\]'"),
     ):

@@ -26,6 +26,9 @@ def test_a_fits_table():
 def test_without_pandas(monkeypatch):
     """A sentence with the way out."""
     found = importlib.util.find_spec
-    monkeypatch.setattr("dropo.core.services.optional_dependencies.find_spec", lambda name: None if name == "pandas" else found(name))
+    monkeypatch.setattr(
+        "dropo.core.services.optional_dependencies.find_spec",
+        lambda name: None if name == "pandas" else found(name),
+    )
     with pytest.raises(DropoError, match=r"pip install 'dropo\[tables\]'"):
         frame([], "effect")

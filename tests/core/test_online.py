@@ -5,7 +5,7 @@ import pytest
 
 from dropo.cli.main import main
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.interactive_estimator import Answer, Callbacks, joined, distribution
+from dropo.core.contracts.interactive_estimator import Answer, Callbacks, distribution, joined
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.evaluation_log import Journal
@@ -24,9 +24,12 @@ def pushes(rng, rows=3):
 
 
 def test_costs_are_counted():
-    """Steps of the problem's own simulator, those that the answer tells of, and the target's transitions; a bare number costs nothing."""
+    """Steps of the problem's own simulator, those that the answer tells of, and the target's
+    transitions; a bare number costs nothing.
+    """
     made = calls()
-    simulator, segments = made.run.problem.simulator, made.run.problem.segments
+    simulator = made.run.problem.simulator
+    segments = made.run.problem.segments
 
     def call(rng):
         simulator.predict([[1.5, 0.8]], segments)
@@ -34,12 +37,17 @@ def test_costs_are_counted():
 
     assert made.number(np.zeros(2), call) == 2.5
     assert made.number(np.zeros(2), lambda rng: 1.0) == 1.0
-    assert (made.run.steps, made.transitions, made.run.evaluations) == (int(segments.lengths.sum()) + 11, 7, 2)
+    assert (made.run.steps, made.transitions, made.run.evaluations) == (
+        int(segments.lengths.sum()) + 11,
+        7,
+        2,
+    )
 
 
 def test_each_call_has_randomness_of_its_own():
     """The same in the same run, other numbers from call to call."""
-    one, same = calls(), calls()
+    one = calls()
+    same = calls()
     first = [one.number(np.zeros(1), lambda rng: rng.random()) for _ in range(3)]
     assert first == [same.number(np.zeros(1), lambda rng: rng.random()) for _ in range(3)]
     assert len(set(first)) == 3
@@ -58,17 +66,24 @@ def test_data_come_back_whole():
 
 
 def test_the_target_is_asked_once(tmp_path):
-    """A run that is taken up has its answers and its counts from the journal; the control: a callback that is asked raises."""
+    """A run that is taken up has its answers and its counts from the journal; the control: a
+    callback that is asked raises.
+    """
 
     def not_again(rng):
         raise AssertionError("asked again")
 
     first = calls(Journal(tmp_path / "calls.jsonl"))
-    number, data = first.number(np.zeros(2), lambda rng: Answer(0.1, steps=5)), first.data(np.ones(2), pushes)
+    number = first.number(np.zeros(2), lambda rng: Answer(0.1, steps=5))
+    data = first.data(np.ones(2), pushes)
     resumed = calls(Journal(tmp_path / "calls.jsonl"))
     assert resumed.number(np.zeros(2), not_again) == number
-    np.testing.assert_array_equal(resumed.data(np.ones(2), not_again).observations, data.observations)
-    assert (resumed.run.steps, resumed.transitions) == (first.run.steps, first.transitions) == (5, 3)
+    np.testing.assert_array_equal(
+        resumed.data(np.ones(2), not_again).observations, data.observations
+    )
+    assert (
+        (resumed.run.steps, resumed.transitions) == (first.run.steps, first.transitions) == (5, 3)
+    )
     with pytest.raises(AssertionError, match="asked again"):
         resumed.number(np.zeros(2), not_again)
 
@@ -96,8 +111,10 @@ def test_without_a_callback():
     with pytest.raises(Incompatible) as refusal:
         SimOpt()
     assert str(refusal.value) == (
-        "Method 'simopt' calls back to collect(fit, rng) -> Trajectories, which a command line cannot give."
-        " In Python: dropo.SimOpt(collect=collect).fit(dropo.load('hopper'), rng=0), with collect a function of yours."
+        "Method 'simopt' calls back to collect(fit, rng) -> Trajectories, which a command "
+        "line cannot give."
+        " In Python: dropo.SimOpt(collect=collect).fit(dropo.load('hopper'), rng=0), with "
+        "collect a function of yours."
     )
     with pytest.raises(BadArgument, match="'performance' of ADR must be a function performance"):
         ADR(performance=3.0)

@@ -8,10 +8,16 @@ from hypothesis import strategies as st
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, UnknownName
 
-LINEAR = st.tuples(st.floats(-1e3, 1e3), st.floats(1e-2, 1e4)).map(lambda x: (x[0], x[0] + x[1], "linear"))
+LINEAR = st.tuples(st.floats(-1e3, 1e3), st.floats(1e-2, 1e4)).map(
+    lambda x: (x[0], x[0] + x[1], "linear")
+)
 LOG = st.tuples(st.floats(1e-9, 1e3), st.floats(1.1, 1e9)).map(lambda x: (x[0], x[0] * x[1], "log"))
 SPACES = st.lists(st.one_of(LINEAR, LOG), min_size=1, max_size=6).map(
-    lambda rows: ParameterSpace(tuple(Parameter(f"p{i}", low, high, scale=scale) for i, (low, high, scale) in enumerate(rows)))
+    lambda rows: ParameterSpace(
+        tuple(
+            Parameter(f"p{i}", low, high, scale=scale) for i, (low, high, scale) in enumerate(rows)
+        )
+    )
 )
 
 
@@ -40,7 +46,9 @@ def test_many_points_at_once(space):
 
 def test_middle_of_a_log_scale():
     """The middle is the arithmetic mean on a linear scale, the geometric one on a log scale."""
-    space = ParameterSpace((Parameter("mass", 1.0, 4.0), Parameter("damping", 1.0, 4.0, scale="log")))
+    space = ParameterSpace(
+        (Parameter("mass", 1.0, 4.0), Parameter("damping", 1.0, 4.0, scale="log"))
+    )
     np.testing.assert_allclose(space.from_unit([0.5, 0.5]), [2.5, 2.0])
 
 
@@ -49,7 +57,9 @@ def test_what_is_physically_possible_by_default(low, lower):
     """A tenth of a positive low, 0 where low is 0, and no limit below a negative one."""
     assert Parameter("x", low, 3.0).lower == lower
     space = ParameterSpace((Parameter("x", low, 3.0),))
-    np.testing.assert_array_equal(space.feasible(np.array([[-5.0], [9.0]])), [[max(lower, -5.0)], [9.0]])
+    np.testing.assert_array_equal(
+        space.feasible(np.array([[-5.0], [9.0]])), [[max(lower, -5.0)], [9.0]]
+    )
 
 
 def test_vectors_from_names():
@@ -59,19 +69,32 @@ def test_vectors_from_names():
     assert space["damping"] == space[1]
     with pytest.raises(UnknownName, match=r"No parameter called 'dampin'. Did you mean 'damping'?"):
         space.vector({"mass": 2.0, "dampin": 0.5})
-    with pytest.raises(BadArgument, match=r"given for every parameter. Got \"none for \['damping'\]\""):
+    with pytest.raises(
+        BadArgument, match=r"given for every parameter. Got \"none for \['damping'\]\""
+    ):
         space.vector({"mass": 2.0})
 
 
-@pytest.mark.parametrize(("arguments", "settings", "words"), [
-    (("", 0.0, 1.0), {}, "'name' of Parameter must be a word"),
-    (("x", 3.0, 0.5), {}, "'low' of Parameter 'x' must be below high = 0.5. Got 3.0"),
-    (("x", 1.0, np.nan), {}, "'low, high' of Parameter 'x' must be finite"),
-    (("x", 0.0, 1.0), {"scale": "log"}, "'low' of Parameter 'x' must be positive on a log scale"),
-    (("x", 0.0, 1.0), {"scale": "ln"}, "'linear' or 'log'"),
-    (("x", 0.0, 1.0), {"lower": 0.5}, "'lower' of Parameter 'x' must be at most low = 0"),
-    (("x", 0.0, 1.0), {"lower": 0.0, "upper": 0.5}, "'upper' of Parameter 'x' must be at least high = 1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "settings", "words"),
+    [
+        (("", 0.0, 1.0), {}, "'name' of Parameter must be a word"),
+        (("x", 3.0, 0.5), {}, "'low' of Parameter 'x' must be below high = 0.5. Got 3.0"),
+        (("x", 1.0, np.nan), {}, "'low, high' of Parameter 'x' must be finite"),
+        (
+            ("x", 0.0, 1.0),
+            {"scale": "log"},
+            "'low' of Parameter 'x' must be positive on a log scale",
+        ),
+        (("x", 0.0, 1.0), {"scale": "ln"}, "'linear' or 'log'"),
+        (("x", 0.0, 1.0), {"lower": 0.5}, "'lower' of Parameter 'x' must be at most low = 0"),
+        (
+            ("x", 0.0, 1.0),
+            {"lower": 0.0, "upper": 0.5},
+            "'upper' of Parameter 'x' must be at least high = 1",
+        ),
+    ],
+)
 def test_refusals(arguments, settings, words):
     """Bounds that make no interval, or do not hold the interval, name parameter and rule."""
     with pytest.raises(BadArgument, match=words):
@@ -80,5 +103,8 @@ def test_refusals(arguments, settings, words):
 
 def test_names_differ():
     """Two parameters of one name are refused."""
-    with pytest.raises(BadArgument, match=r"'names' of ParameterSpace must be different from each other. Got \['x'\]"):
+    with pytest.raises(
+        BadArgument,
+        match=r"'names' of ParameterSpace must be different from each other. Got \['x'\]",
+    ):
         ParameterSpace((Parameter("x", 0.0, 1.0), Parameter("x", 0.0, 2.0)))

@@ -5,24 +5,50 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from dropo.core.records.figure_data import AgainstAxis, Bar, Forces, Pictures, Similarity, Sizes, Sums
+from dropo.core.records.figure_data import (
+    AgainstAxis,
+    Bar,
+    Forces,
+    Pictures,
+    Similarity,
+    Sizes,
+    Sums,
+)
 from dropo.core.records.predictions import Predictions, Side
 from dropo.core.services.errors import BadFile
 
 
 def side(name, rng):
     """Numbers of the right shapes: 2 windows of 3 steps, 2 signals."""
-    return Side(name, rng.random((2, 3, 2)), rng.random((2, 2, 3, 2)), rng.random(3), rng.random(2), rng.random(7))
+    return Side(
+        name,
+        rng.random((2, 3, 2)),
+        rng.random((2, 2, 3, 2)),
+        rng.random(3),
+        rng.random(2),
+        rng.random(7),
+    )
 
 
 def predictions():
     """Of a state that is observed as three columns and compared as two signals."""
     rng = np.random.default_rng(0)
-    measured, rows = rng.random((2, 3, 2)), rng.random((2, 3, 3))
+    measured = rng.random((2, 3, 2))
+    rows = rng.random((2, 3, 3))
     return Predictions(
-        ("x", "v"), ("m", "m/s"), 0.01, np.array([0, 3]), measured, rows, np.ones(2), np.full(3, np.nan), 1, True,
-        side("before", rng), side("after", rng),
-    )  # fmt: skip
+        ("x", "v"),
+        ("m", "m/s"),
+        0.01,
+        np.array([0, 3]),
+        measured,
+        rows,
+        np.ones(2),
+        np.full(3, np.nan),
+        1,
+        True,
+        side("before", rng),
+        side("after", rng),
+    )
 
 
 def test_predictions_come_back(tmp_path):
@@ -31,7 +57,13 @@ def test_predictions_come_back(tmp_path):
     kept.save(tmp_path)
     found = Predictions.load(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["predictions.npz"]
-    assert (found.names, found.units, found.seconds, found.rows_after, found.held_out) == (("x", "v"), ("m", "m/s"), 0.01, 1, True)
+    assert (found.names, found.units, found.seconds, found.rows_after, found.held_out) == (
+        ("x", "v"),
+        ("m", "m/s"),
+        0.01,
+        1,
+        True,
+    )
     for name in ("begins", "measured", "rows", "spread", "noise"):
         np.testing.assert_array_equal(getattr(found, name), getattr(kept, name))
     for one, other in ((found.before, kept.before), (found.after, kept.after)):
@@ -55,10 +87,12 @@ def test_other_files_are_refused(tmp_path):
 def test_pictures_come_back():
     """From JSON as from memory, to seven digits."""
     kept = Pictures(
-        9.1, ((Bar("a:x", 20.0, 2.0, True, True), Bar("b", None, None, False, False)),),
+        9.1,
+        ((Bar("a:x", 20.0, 2.0, True, True), Bar("b", None, None, False, False)),),
         (AgainstAxis("a:x", "v", "m/s", "x", "m", (1.0, 2.0), (0.1, 0.2), (0.0, 0.0)),),
         (Sizes("a:x", "v", (1.0, 2.0), (1.0, 1.1), (0.1, 0.1), 0.5),),
-        Forces(("x",), ("N",), (1.0,), (0.1,), True, False), Similarity(("a:x", "b"), ((1.0, 0.9), (0.9, 1.0))),
+        Forces(("x",), ("N",), (1.0,), (0.1,), True, False),
+        Similarity(("a:x", "b"), ((1.0, 0.9), (0.9, 1.0))),
         (Sums("a:x", (0.5, 1.0), (0.3, 0.0)),),
-    )  # fmt: skip
+    )
     assert Pictures.from_json(kept.to_json()) == kept

@@ -11,7 +11,9 @@ from dropo.core.services.errors import BadArgument, UnknownName
 
 def test_a_name_in_place_of_a_problem_is_refused_with_the_way_out():
     """`fit("slide")` says how a problem is made of a name."""
-    with pytest.raises(BadArgument, match=r"which dropo.load makes of a name or a file\. Got 'slide'"):
+    with pytest.raises(
+        BadArgument, match=r"which dropo.load makes of a name or a file\. Got 'slide'"
+    ):
         dropo.fit("slide")
 
 
@@ -30,6 +32,8 @@ def test_fewer_than_no_draws_are_refused():
 
 def test_a_mistyped_name_of_the_package_gets_the_nearest():
     """As Python prints it."""
-    done = subprocess.run([sys.executable, "-c", "import dropo; dropo.diagnos"], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", "import dropo; dropo.diagnos"], capture_output=True, text=True
+    )
     assert "Did you mean: 'diagnose'" in done.stderr
     assert "plots" in dir(dropo)

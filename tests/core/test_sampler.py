@@ -17,7 +17,9 @@ SPACE = ParameterSpace((Parameter("a", -1.0, 3.0), Parameter("b", 0.1, 10.0, sca
 
 
 def autoregressive(rho, steps, walkers, rng):
-    """(S, W) x_t = rho x_{t-1} + sqrt(1 - rho^2) e_t, stationary: autocorrelation time (1 + rho) / (1 - rho)."""
+    """(S, W) x_t = rho x_{t-1} + sqrt(1 - rho^2) e_t, stationary: autocorrelation time (1 + rho) /
+    (1 - rho).
+    """
     noise = rng.standard_normal((steps, walkers))
     out = np.empty_like(noise)
     out[0] = noise[0]
@@ -33,8 +35,11 @@ def draws(*columns):
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_autocorrelation_time_of_autoregressive_walkers(rho):
-    """Within 4.5 standard errors, tau sqrt((4 M + 2) / n) with window M = 5 tau (Sokal 1989, eq. 3.19); the control fails."""
-    true, n = (1 + rho) / (1 - rho), 4000 * 20
+    """Within 4.5 standard errors, tau sqrt((4 M + 2) / n) with window M = 5 tau (Sokal 1989, eq.
+    3.19); the control fails.
+    """
+    true = (1 + rho) / (1 - rho)
+    n = 4000 * 20
     found = draws(autoregressive(rho, 4000, 20, np.random.default_rng(1))).autocorrelation_time()[0]
     error = true * np.sqrt((4 * 5 * true + 2) / n)
     assert abs(found - true) < 4.5 * error + 0.02 * true  # the window leaves exp(-5) of the sum out
@@ -42,9 +47,12 @@ def test_autocorrelation_time_of_autoregressive_walkers(rho):
 
 
 def test_effective_sample_size_predicts_the_error_of_the_mean():
-    """The spread of 200 means agrees with sd / sqrt(ESS) within 4.5 standard errors of a spread; with S W instead it does not."""
+    """The spread of 200 means agrees with sd / sqrt(ESS) within 4.5 standard errors of a spread;
+    with S W instead it does not.
+    """
     rng = np.random.default_rng(2)
-    means, sizes = [], []
+    means = []
+    sizes = []
     for _ in range(200):
         one = draws(autoregressive(0.8, 600, 8, rng))
         means.append(one.flat().mean())
@@ -56,7 +64,9 @@ def test_effective_sample_size_predicts_the_error_of_the_mean():
 
 
 def test_r_hat_of_mixed_walkers_is_one_and_of_others_is_not():
-    """Independent draws give R-hat 1 to within 0.01; walkers in two places, a drift, or two widths do not."""
+    """Independent draws give R-hat 1 to within 0.01; walkers in two places, a drift, or two widths
+    do not.
+    """
     rng = np.random.default_rng(3)
     x = rng.standard_normal((1000, 8))
     apart = x + np.where(np.arange(8) < 4, 0.0, 1.0)
@@ -88,7 +98,9 @@ def test_constant_draws_are_no_independent_draws():
 
 def test_too_short_a_chain_raises_with_its_estimate():
     short = draws(autoregressive(0.9, 200, 20, np.random.default_rng(5)))
-    with pytest.raises(ChainTooShort, match=r"200 steps are fewer than 50 autocorrelation times of 'x0'") as caught:
+    with pytest.raises(
+        ChainTooShort, match=r"200 steps are fewer than 50 autocorrelation times of 'x0'"
+    ) as caught:
         short.autocorrelation_time()
     assert caught.value.estimate == pytest.approx(short.autocorrelation_time(least=0))
     assert 8 < caught.value.estimate[0] < 30  # 19 in truth
@@ -104,8 +116,24 @@ def test_flat_discards_and_thins():
 
 def test_summary_is_a_table():
     rng = np.random.default_rng(6)
-    lines = draws(rng.normal(3.0, 0.1, (500, 8)), rng.normal(-1.0, 2.0, (500, 8))).summary().splitlines()
-    assert lines[0].split() == ["parameter", "mean", "sd", "5", "%", "median", "95", "%", "autocorr.", "ESS", "R-hat"]
+    lines = (
+        draws(rng.normal(3.0, 0.1, (500, 8)), rng.normal(-1.0, 2.0, (500, 8)))
+        .summary()
+        .splitlines()
+    )
+    assert lines[0].split() == [
+        "parameter",
+        "mean",
+        "sd",
+        "5",
+        "%",
+        "median",
+        "95",
+        "%",
+        "autocorr.",
+        "ESS",
+        "R-hat",
+    ]
     assert [line.split()[0] for line in lines[2:]] == ["x0", "x1"]
     assert float(lines[2].split()[1]) == pytest.approx(3.0, abs=0.01)
 
@@ -118,8 +146,12 @@ def test_draws_refuse_other_shapes_and_infinite_densities():
 
 
 def test_a_flat_density_is_flat_in_the_logarithm():
-    """ "b" is on a log scale, so its logarithm is uniform: the median is 1 = sqrt(0.1 * 10), not 5.05."""
-    found = Emcee(steps=2000, burn_in=200).sample(lambda x: np.zeros(len(x)), SPACE, rng=np.random.default_rng(1))
+    """ "b" is on a log scale, so its logarithm is uniform: the median is 1 = sqrt(0.1 * 10), not
+    5.05.
+    """
+    found = Emcee(steps=2000, burn_in=200).sample(
+        lambda x: np.zeros(len(x)), SPACE, rng=np.random.default_rng(1)
+    )
     share = (found.flat()[:, 1] < 1.0).mean()
     error = 0.5 / np.sqrt(found.effective_sample_size()[1])
     assert abs(share - 0.5) < 4.5 * error < 0.1
@@ -139,10 +171,14 @@ class Walk(Sampler):
 def test_first_positions_avoid_what_has_no_density():
     """Half of the box fails with NaN; all walkers begin in the other half."""
     half = lambda x: np.where(x[:, 0] < 1.0, 0.0, np.nan)
-    found = Walk().sample(half, SPACE, rng=np.random.default_rng(1), start=[0.4, 1.0], spread=[0.5, 0.3])
+    found = Walk().sample(
+        half, SPACE, rng=np.random.default_rng(1), start=[0.4, 1.0], spread=[0.5, 0.3]
+    )
     assert (found.chain[..., 0] < 1.0).all()
     assert (found.chain[..., 1] <= 10.0).all()
-    with pytest.raises(BadArgument, match="'start' of first_positions must be where the density is positive"):
+    with pytest.raises(
+        BadArgument, match="'start' of first_positions must be where the density is positive"
+    ):
         Walk().sample(lambda x: np.full(len(x), -np.inf), SPACE, rng=np.random.default_rng(1))
 
 
@@ -153,7 +189,9 @@ def test_density_is_never_asked_outside_the_box():
         seen.append(x)
         return np.zeros(len(x))
 
-    Emcee(steps=100, burn_in=0).sample(density, SPACE, rng=np.random.default_rng(1), start=[0.0, 1.0], spread=0.3)
+    Emcee(steps=100, burn_in=0).sample(
+        density, SPACE, rng=np.random.default_rng(1), start=[0.0, 1.0], spread=0.3
+    )
     points = np.concatenate(seen)
     assert (points >= SPACE.low).all()
     assert (points <= SPACE.high).all()
@@ -163,25 +201,36 @@ def test_bad_densities_and_starts_are_refused():
     rng = np.random.default_rng(1)
     with pytest.raises(BadArgument, match=r"'log density' of Walk\.sample must be below infinity"):
         Walk().sample(lambda x: np.full(len(x), np.inf), SPACE, rng=rng)
-    with pytest.raises(BadArgument, match=r"'log density' of Walk\.sample must be of shape \(10,\)"):
+    with pytest.raises(
+        BadArgument, match=r"'log density' of Walk\.sample must be of shape \(10,\)"
+    ):
         Walk().sample(lambda x: np.zeros((len(x), 1)), SPACE, rng=rng)
     with pytest.raises(BadArgument, match=r"'start' of Walk\.sample must be inside \[0, 1\]"):
         Walk().sample(lambda x: np.zeros(len(x)), SPACE, rng=rng, start=[0.5, 2.0])
     space = ParameterSpace(tuple(Parameter(n, 0.0, 1.0) for n in "abc"))
-    with pytest.raises(BadArgument, match=r"'walkers' of Emcee must be at least 6, twice the 3 parameters"):
+    with pytest.raises(
+        BadArgument, match=r"'walkers' of Emcee must be at least 6, twice the 3 parameters"
+    ):
         Emcee(walkers=5).sample(lambda x: np.zeros(len(x)), space, rng=rng)
 
 
 def test_killed_sampling_resumes(tmp_path):
-    """Through a journal: killed at the 700th point and taken up again, the same draws, and no point evaluated twice."""
+    """Through a journal: killed at the 700th point and taken up again, the same draws, and no point
+    evaluated twice.
+    """
 
     def problem():
         simulator = LinearSimulator(np.ones((1, 1, 1)))
-        return Problem("none", simulator, simulate(simulator, np.array([[1.0]]), np.ones((1, 3, 1)), np.zeros(1)))
+        return Problem(
+            "none",
+            simulator,
+            simulate(simulator, np.array([[1.0]]), np.ones((1, 3, 1)), np.zeros(1)),
+        )
 
     class Density:
         def __init__(self, dies_after=np.inf):
-            self.calls, self.dies_after = 0, dies_after
+            self.calls = 0
+            self.dies_after = dies_after
 
         def __call__(self, x):
             if self.calls > self.dies_after:
@@ -191,10 +240,13 @@ def test_killed_sampling_resumes(tmp_path):
 
     def sample(density, journal):
         run = Run(problem(), np.random.default_rng(7), journal)
-        return Emcee(steps=40, burn_in=10).sample(density, SPACE, rng=run.rng, evaluate=run.evaluate)
+        return Emcee(steps=40, burn_in=10).sample(
+            density, SPACE, rng=run.rng, evaluate=run.evaluate
+        )
 
     whole = Density()
-    straight, path = sample(whole, Journal()), tmp_path / "journal"
+    straight = sample(whole, Journal())
+    path = tmp_path / "journal"
     with pytest.raises(RuntimeError, match="killed"):
         sample(Density(dies_after=700), Journal(path))
     recorded = sum(len(entry["points"]) for entry in Journal(path)._known)

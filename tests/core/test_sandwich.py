@@ -1,10 +1,19 @@
-"""Standard errors: exact where they are known, and right over many data sets where rows depend on each other."""
+"""Standard errors: exact where they are known, and right over many data sets where rows depend on
+each other.
+"""
 
 import numpy as np
 import pytest
 
 from dropo.core.numerics.robust_covariance import sandwich
-from dropo.core.records.dependence import MANY, Units, independent, long_run, units_of, variance_of_sum
+from dropo.core.records.dependence import (
+    MANY,
+    Units,
+    independent,
+    long_run,
+    units_of,
+    variance_of_sum,
+)
 from dropo.core.records.trajectories import Trajectories
 
 
@@ -25,7 +34,9 @@ def autoregression(rho, series, steps, rng):
 
 
 def test_units_are_what_nothing_crosses():
-    """Trajectories where there are 20; unions of them where a group holds several; groups within few; else time."""
+    """Trajectories where there are 20; unions of them where a group holds several; groups within
+    few; else time.
+    """
     assert units_of(trajectories([3] * MANY).segments()).kind == "trajectories"
     pairs = units_of(trajectories([3] * 2 * MANY, np.repeat(np.arange(MANY), 6)).segments())
     assert (pairs.kind, pairs.count) == ("trajectories", MANY)
@@ -64,21 +75,33 @@ def test_clusters_are_summed():
 
 @pytest.mark.parametrize(("rho", "series"), [(0.0, 1), (0.5, 2), (0.9, 1), (-0.5, 1)])
 def test_the_long_run_covariance_is_that_of_autoregressions(rho, series):
-    """Averaged over 60 data sets within 10 % (and 4.5 standard errors) of (1 + rho) / (1 - rho) a row; rows as if independent are not."""
+    """Averaged over 60 data sets within 10 % (and 4.5 standard errors) of (1 + rho) / (1 - rho) a
+    row; rows as if independent are not.
+    """
     rng = np.random.default_rng(1)
-    steps, exact = 2000 // series, (1 + rho) / (1 - rho)
+    steps = 2000 // series
+    exact = (1 + rho) / (1 - rho)
     label = np.repeat(np.arange(series), steps)
-    found = np.array([long_run(autoregression(rho, series, steps, rng)[:, None], label)[0][0, 0] / 2000 for _ in range(60)])
+    found = np.array(
+        [
+            long_run(autoregression(rho, series, steps, rng)[:, None], label)[0][0, 0] / 2000
+            for _ in range(60)
+        ]
+    )
     assert abs(found.mean() - exact) < 0.1 * exact + 4.5 * found.std() / np.sqrt(60)
     if rho:
         assert abs(1 - exact) > 0.1 * exact + 4.5 * found.std() / np.sqrt(60)
 
 
 def test_degrees_of_freedom_are_those_of_the_estimate():
-    """2 mean^2 / variance of the estimates over 200 data sets lies within a factor of 1.7 of the degrees told."""
-    rng, label = np.random.default_rng(2), np.zeros(1000, dtype=np.int64)
+    """2 mean^2 / variance of the estimates over 200 data sets lies within a factor of 1.7 of the
+    degrees told.
+    """
+    rng = np.random.default_rng(2)
+    label = np.zeros(1000, dtype=np.int64)
     found = [long_run(autoregression(0.8, 1, 1000, rng)[:, None], label) for _ in range(200)]
-    variances, degrees = np.array([v[0, 0] for v, _ in found]), np.mean([k[0] for _, k in found])
+    variances = np.array([v[0, 0] for v, _ in found])
+    degrees = np.mean([k[0] for _, k in found])
     actual = 2 * variances.mean() ** 2 / variances.var()
     assert actual / 1.7 < degrees < 1.7 * actual
 
@@ -86,9 +109,12 @@ def test_degrees_of_freedom_are_those_of_the_estimate():
 def test_nothing_is_carried_across_trajectories():
     """Series put together in another order have the same long-run covariance."""
     rng = np.random.default_rng(3)
-    values, label = autoregression(0.7, 4, 100, rng)[:, None], np.repeat(np.arange(4), 100)
+    values = autoregression(0.7, 4, 100, rng)[:, None]
+    label = np.repeat(np.arange(4), 100)
     moved = values.reshape(4, 100, 1)[[2, 0, 3, 1]].reshape(-1, 1)
-    assert long_run(values, label)[0][0, 0] == pytest.approx(long_run(moved, label)[0][0, 0], rel=1e-12)
+    assert long_run(values, label)[0][0, 0] == pytest.approx(
+        long_run(moved, label)[0][0, 0], rel=1e-12
+    )
 
 
 def test_single_rows_are_a_series_each():

@@ -26,15 +26,22 @@ def points(problem, count=5):
     return problem.space.from_unit(np.random.default_rng(0).random((count, len(problem.space))))
 
 
-@pytest.mark.parametrize("make", [slide, lambda: hopper(threads=1).using(transitions=20)], ids=["slide", "hopper"])
+@pytest.mark.parametrize(
+    "make", [slide, lambda: hopper(threads=1).using(transitions=20)], ids=["slide", "hopper"]
+)
 def test_processes_give_the_same_predictions(make, processes):
-    """Every bit, also where a start is moved, and the same steps are counted; the control: other parameters differ."""
+    """Every bit, also where a start is moved, and the same steps are counted; the control: other
+    parameters differ.
+    """
     problem = make()
-    values, shape = points(problem), (5, len(problem.segments), problem.simulator.start_size)
+    values = points(problem)
+    shape = (5, len(problem.segments), problem.simulator.start_size)
     offsets = 1e-3 * np.random.default_rng(1).standard_normal(shape)
     spread = problem.using(executor=processes)
     for given in (None, offsets):
-        alone, shared = (p.simulator.predict(values, p.segments, offsets=given) for p in (problem, spread))
+        alone, shared = (
+            p.simulator.predict(values, p.segments, offsets=given) for p in (problem, spread)
+        )
         np.testing.assert_array_equal(alone, shared)
     assert problem.simulator.steps == spread.simulator.steps > 0
     assert (spread.simulator.predict(values[::-1], spread.segments) != alone).any()
@@ -43,19 +50,26 @@ def test_processes_give_the_same_predictions(make, processes):
 def test_fits_are_the_same(processes):
     """A whole fit: the same means, standard errors and steps."""
     problem = slide()
-    alone, shared = (LeastSquares().fit(p, rng=0) for p in (problem, problem.using(executor=processes)))
+    alone, shared = (
+        LeastSquares().fit(p, rng=0) for p in (problem, problem.using(executor=processes))
+    )
     np.testing.assert_array_equal(alone.mean, shared.mean)
     np.testing.assert_array_equal(alone.mean_se, shared.mean_se)
     assert alone.simulator_steps == shared.simulator_steps
 
 
 def test_threads_and_a_pickled_problem():
-    """Threads are an executor too; a problem comes back from pickle with read-only data and the same predictions."""
+    """Threads are an executor too; a problem comes back from pickle with read-only data and the
+    same predictions.
+    """
     problem = hopper(threads=1).using(transitions=10)
     again = pickle.loads(pickle.dumps(problem))
     assert not again.trajectories.observations.flags.writeable
     with ThreadPoolExecutor(2) as pool:
-        ways = [p.simulator.predict(points(problem), p.segments) for p in (problem, again, problem.using(executor=pool))]
+        ways = [
+            p.simulator.predict(points(problem), p.segments)
+            for p in (problem, again, problem.using(executor=pool))
+        ]
     np.testing.assert_array_equal(ways[0], ways[1])
     np.testing.assert_array_equal(ways[0], ways[2])
 

@@ -8,11 +8,18 @@ from dropo.core.services.tables import estimate
 @pytest.mark.parametrize(
     ("value", "error", "text"),
     [
-        (0.30192884, 0.00077, "0.30193"), (0.15, 3.8e-5, "0.150000"), (3.5342917463, 3.3e-10, "3.53429174630"), (1234.5, 21.0, "1234"),
-        (-2.0, 0.1, "-2.00"), (1.23456789, float("nan"), "1.234568"), (1.23456789, 0.0, "1.234568"), (2e-9, 1e-10, "2e-09"),
-        (float("nan"), 0.1, "-"), (1.0, 1e-20, "1.000000000000"),
+        (0.30192884, 0.00077, "0.30193"),
+        (0.15, 3.8e-5, "0.150000"),
+        (3.5342917463, 3.3e-10, "3.53429174630"),
+        (1234.5, 21.0, "1234"),
+        (-2.0, 0.1, "-2.00"),
+        (1.23456789, float("nan"), "1.234568"),
+        (1.23456789, 0.0, "1.234568"),
+        (2e-9, 1e-10, "2e-09"),
+        (float("nan"), 0.1, "-"),
+        (1.0, 1e-20, "1.000000000000"),
     ],
-)  # fmt: skip
+)
 def test_an_estimate_has_the_decimals_of_its_error(value, error, text):
     """Two digits of the standard error decide; without one, seven digits."""
     assert estimate(value, error) == text

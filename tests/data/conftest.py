@@ -36,13 +36,16 @@ qpos: {shoulder: {column: q1, unit: rad}, elbow: {column: q2, unit: rad}}
 qvel: {shoulder: {column: dq1, unit: rad/s}, elbow: {column: dq2, unit: rad/s}}
 ctrl: {m1: {column: tau1, unit: N m}, m2: {column: tau2, unit: N m}}
 """
-STEP, SECONDS = 0.001, 20.0
+STEP = 0.001
+SECONDS = 20.0
 Columns = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Arm:
-    """The true motion at any instant: qpos, qvel (n, 2); and the torques that are held for a physics step."""
+    """The true motion at any instant: qpos, qvel (n, 2); and the torques that are held for a
+    physics step.
+    """
 
     qpos: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     qvel: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -51,8 +54,18 @@ class Arm:
     def log(self, rate: float = 500.0, seconds: float = 8.0, start: float = 1.0) -> Columns:
         """The columns of MAP, without any fault."""
         t = start + np.arange(round(seconds * rate)) / rate
-        q, dq, tau = self.qpos(t), self.qvel(t), self.ctrl(t)
-        return {"t": t, "q1": q[:, 0], "q2": q[:, 1], "dq1": dq[:, 0], "dq2": dq[:, 1], "tau1": tau[:, 0], "tau2": tau[:, 1]}
+        q = self.qpos(t)
+        dq = self.qvel(t)
+        tau = self.ctrl(t)
+        return {
+            "t": t,
+            "q1": q[:, 0],
+            "q2": q[:, 1],
+            "dq1": dq[:, 0],
+            "dq2": dq[:, 1],
+            "tau1": tau[:, 0],
+            "tau2": tau[:, 1],
+        }
 
 
 @pytest.fixture(scope="session")
@@ -63,13 +76,17 @@ def arm() -> Arm:
     n = round(SECONDS / STEP)
     time = np.arange(n + 1) * STEP
     rates = 2 * np.pi * np.array([0.4, 0.9, 1.7, 2.6])
-    torques = np.stack([0.6 * np.sin(np.outer(time, rates) + phase).sum(axis=1) for phase in (0.0, 1.0)], axis=1) * [1.0, 0.4]
-    qpos, qvel = np.zeros((n + 1, 2)), np.zeros((n + 1, 2))
+    torques = np.stack(
+        [0.6 * np.sin(np.outer(time, rates) + phase).sum(axis=1) for phase in (0.0, 1.0)], axis=1
+    ) * [1.0, 0.4]
+    qpos = np.zeros((n + 1, 2))
+    qvel = np.zeros((n + 1, 2))
     for i in range(n):
         data.ctrl[:] = torques[i]
         mujoco.mj_step(model, data)
         qpos[i + 1], qvel[i + 1] = data.qpos, data.qvel
-    # the model's own velocities are those of the middle of the step before; their slope is that of the positions, half a step earlier
+    # the model's own velocities are those of the middle of the step before; their slope is that of
+    # the positions, half a step earlier
     slopes = np.gradient(qvel, STEP, axis=0)
     return Arm(
         CubicHermiteSpline(time, qpos, qvel + slopes * STEP / 2),
@@ -88,7 +105,10 @@ def folder(tmp_path: Path) -> Path:
 
 def write_csv(path: Path, columns: Columns) -> Path:
     """A table of text, with all digits; NaN is an empty cell."""
-    rows = ([("" if value != value else repr(value.item())) for value in row] for row in zip(*columns.values(), strict=True))
+    rows = (
+        [("" if value != value else repr(value.item())) for value in row]
+        for row in zip(*columns.values(), strict=True)
+    )
     path.write_text("\n".join([",".join(columns), *(",".join(row) for row in rows)]) + "\n")
     return path
 

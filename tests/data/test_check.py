@@ -39,15 +39,21 @@ def simulator() -> MujocoSimulator:
 @pytest.fixture(scope="module")
 def clean(simulator: MujocoSimulator) -> Trajectories:
     """Two trajectories of 10 transitions that the simulator made."""
-    rng, n = np.random.default_rng(0), 20
+    rng = np.random.default_rng(0)
+    n = 20
     start = rng.normal(size=(n, len(simulator.layout)))
     start[:, 3:7] = [0.5, 0.5, 0.5, 0.5]
     terminals = np.arange(n) % 10 == 9
     blank = Trajectories(start, rng.uniform(-1, 1, (n, 2)), start, terminals)
     states = start.copy()
-    for t in range(n):  # the simulator answers in the chart at the target; here the full rows are wanted
+    for t in range(
+        n
+    ):  # the simulator answers in the chart at the target; here the full rows are wanted
         one = Trajectories(states[[t]], blank.actions[[t]], states[[t]], np.array([True]))
-        moved = simulator.layout.move(states[[t]], simulator.predict([[1.0]], one.segments())[0] - simulator.targets(one.segments()))
+        moved = simulator.layout.move(
+            states[[t]],
+            simulator.predict([[1.0]], one.segments())[0] - simulator.targets(one.segments()),
+        )
         following = moved[0]
         if not terminals[t]:
             states[t + 1] = following
@@ -57,7 +63,10 @@ def clean(simulator: MujocoSimulator) -> Trajectories:
 
 def spoilt(data: Trajectories, **changes: Callable[[Array], None]) -> Trajectories:
     """A copy of the data with arrays changed in place."""
-    arrays = {key: np.array(getattr(data, key)) for key in ("observations", "actions", "next_observations", "terminals")}
+    arrays = {
+        key: np.array(getattr(data, key))
+        for key in ("observations", "actions", "next_observations", "terminals")
+    }
     for key, change in changes.items():
         change(arrays[key])
     return Trajectories(**arrays)
@@ -81,7 +90,10 @@ def test_silent_on_clean_data(simulator: MujocoSimulator, clean: Trajectories) -
 def test_actions_outside_the_control_range(simulator: MujocoSimulator, clean: Trajectories) -> None:
     """Of the limited actuator alone; without a simulator nothing is known of ranges."""
     data = spoilt(clean, actions=put(([3, 4], 0), [-1.5, 1.25]))
-    sentence = "2 of 20 actions are outside the control range [-1, 1] and are clipped; the farthest is -1.5, row 3 at 0.006 s."
+    sentence = (
+        "2 of 20 actions are outside the control range [-1, 1] and are clipped; the farthest "
+        "is -1.5, row 3 at 0.006 s."
+    )
     assert said(data, simulator) == [("warning", "ctrl.push", sentence)]
     assert (check(data, simulator)[0].row, check(data, simulator)[0].time) == (3, 0.006)
     assert check(data) == []
@@ -90,15 +102,23 @@ def test_actions_outside_the_control_range(simulator: MujocoSimulator, clean: Tr
 
 def test_quaternions(simulator: MujocoSimulator, clean: Trajectories) -> None:
     """Far from length 1 is an error, near is a warning, rounding is nothing."""
-    length = lambda factor: spoilt(clean, observations=lambda a: put((0, slice(3, 7)), a[0, 3:7] * factor)(a))
-    assert said(length(2.0), simulator) == [("error", "qpos.free", "a quaternion must have length 1, and one has 2, row 0.")]
-    assert said(length(1.01), simulator) == [("warning", "qpos.free", "a quaternion must have length 1, and one has 1.01, row 0.")]
+    length = lambda factor: spoilt(
+        clean, observations=lambda a: put((0, slice(3, 7)), a[0, 3:7] * factor)(a)
+    )
+    assert said(length(2.0), simulator) == [
+        ("error", "qpos.free", "a quaternion must have length 1, and one has 2, row 0.")
+    ]
+    assert said(length(1.01), simulator) == [
+        ("warning", "qpos.free", "a quaternion must have length 1, and one has 1.01, row 0.")
+    ]
     assert check(length(1 + 1e-6), simulator) == []
 
 
 def test_a_channel_that_does_not_move(simulator: MujocoSimulator, clean: Trajectories) -> None:
     dead = put((slice(None), 7), 0.25)
-    data = spoilt(clean, observations=dead, next_observations=dead, actions=put((slice(None), 1), 0.0))
+    data = spoilt(
+        clean, observations=dead, next_observations=dead, actions=put((slice(None), 1), 0.0)
+    )
     assert said(data, simulator) == [
         ("warning", "qpos.slide", "it does not move: all 20 rows are 0.25."),
         ("warning", "ctrl[1]", "it does not move: all 20 rows are 0."),
@@ -107,14 +127,23 @@ def test_a_channel_that_does_not_move(simulator: MujocoSimulator, clean: Traject
 
 def test_copies(clean: Trajectories) -> None:
     keys = ("observations", "actions", "next_observations")
-    data = spoilt(clean, **{key: lambda array: put(9, array[19])(array) for key in keys})  # ends of trajectories: no gap
-    assert ("warning", "", "1 of 20 transitions are exact copies of others, the first is row 19.") in said(data)
+    data = spoilt(
+        clean, **{key: lambda array: put(9, array[19])(array) for key in keys}
+    )  # ends of trajectories: no gap
+    assert (
+        "warning",
+        "",
+        "1 of 20 transitions are exact copies of others, the first is row 19.",
+    ) in said(data)
 
 
 def test_gaps_are_information(simulator: MujocoSimulator, clean: Trajectories) -> None:
     """The rms of 18 pairs, one of them off by 3 m."""
     data = spoilt(clean, next_observations=lambda array: put((2, 7), array[2, 7] + 3.0)(array))
-    text = "next_observations differ from the following observations by 0.7071 m (rms), most at row 2: noise, or a gap."
+    text = (
+        "next_observations differ from the following observations by 0.7071 m (rms), most at "
+        "row 2: noise, or a gap."
+    )
     assert said(data, simulator) == [("information", "qpos.slide", text)]
 
 
@@ -127,26 +156,41 @@ def test_short_trajectories(simulator: MujocoSimulator, clean: Trajectories) -> 
 
 def test_time_must_go_on(clean: Trajectories) -> None:
     """Within a trajectory; the next one may begin at 0 again."""
-    timed = lambda time: Trajectories(clean.observations, clean.actions, clean.next_observations, clean.terminals, time=time)
+    timed = lambda time: Trajectories(
+        clean.observations, clean.actions, clean.next_observations, clean.terminals, time=time
+    )
     time = np.tile(np.arange(10.0), 2)
     assert check(timed(time)) == []
     time[[4, 13]] = time[[3, 12]]
-    assert said(timed(time))[0] == ("error", "time", "2 rows are not later than the row before them, the first is row 4.")
+    assert said(timed(time))[0] == (
+        "error",
+        "time",
+        "2 rows are not later than the row before them, the first is row 4.",
+    )
 
 
 def test_errors_come_first(simulator: MujocoSimulator, clean: Trajectories) -> None:
     data = spoilt(clean, actions=put((3, 0), 2.0), observations=put((5, slice(3, 7)), 9.0))
-    assert [finding.level for finding in check(data, simulator)] == ["error", "warning", *["information"] * 4]
-    assert (
-        str(check(data, simulator)[0])
-        == "error: qpos.free: a quaternion must have length 1, and one has 18, row 5. The order is w, x, y, z."
+    assert [finding.level for finding in check(data, simulator)] == [
+        "error",
+        "warning",
+        *["information"] * 4,
+    ]
+    assert str(check(data, simulator)[0]) == (
+        "error: qpos.free: a quaternion must have length 1, and one has 18, row 5. The "
+        "order is w, x, y, z."
     )
 
 
 def test_names(simulator: MujocoSimulator) -> None:
     """Columns are the data's, with four numbers a quaternion; other counts are numbered."""
-    assert [s.name for s in columns(simulator, 15)][3:8] == [*(f"qpos.free[{i}]" for i in range(3, 7)), "qpos.slide"]
-    assert [s.unit for s in columns(simulator, 15)] == ["m"] * 3 + [""] * 4 + ["m"] + ["m/s"] * 3 + ["rad/s"] * 3 + ["m/s"]
+    assert [s.name for s in columns(simulator, 15)][3:8] == [
+        *(f"qpos.free[{i}]" for i in range(3, 7)),
+        "qpos.slide",
+    ]
+    assert [s.unit for s in columns(simulator, 15)] == ["m"] * 3 + [""] * 4 + ["m"] + [
+        "m/s"
+    ] * 3 + ["rad/s"] * 3 + ["m/s"]
     assert [s.name for s in controls(simulator, 2)] == ["ctrl.push", "ctrl[1]"]
     assert columns(None, 2) == [Signal("observation[0]"), Signal("observation[1]")]
     assert controls(simulator, 1) == [Signal("action[0]")]
@@ -154,16 +198,25 @@ def test_names(simulator: MujocoSimulator) -> None:
 
 def test_describe() -> None:
     data = Trajectories(
-        [[0.0], [2.0], [4.0]], [[1.0], [1.0], [4.0]], [[2.0], [4.0], [6.0]], [False, True, True], group=[0, 0, 1], time=[0.0, 0.5, 0.0],
-    )  # fmt: skip
+        [[0.0], [2.0], [4.0]],
+        [[1.0], [1.0], [4.0]],
+        [[2.0], [4.0], [6.0]],
+        [False, True, True],
+        group=[0, 0, 1],
+        time=[0.0, 0.5, 0.0],
+    )
     found = describe(data, [Signal("angle", "rad")])
     assert found.to_json() == {
-        "transitions": 3, "trajectories": 2, "lengths": [2, 1], "groups": 2, "duration_s": 0.5,
+        "transitions": 3,
+        "trajectories": 2,
+        "lengths": [2, 1],
+        "groups": 2,
+        "duration_s": 0.5,
         "signals": {
             "angle": {"min": 0.0, "mean": 2.0, "max": 4.0, "sd": np.sqrt(8 / 3), "unit": "rad"},
             "action[0]": {"min": 1.0, "mean": 2.0, "max": 4.0, "sd": np.sqrt(2), "unit": ""},
         },
-    }  # fmt: skip
+    }
     assert str(found) == (
         "3 transitions in 2 trajectories of 1 to 2, 2 groups, 0.5 s\n"
         "signal     unit  min  mean  max      sd\n"
@@ -171,6 +224,8 @@ def test_describe() -> None:
         "angle       rad    0     2    4   1.633\n"
         "action[0]          1     2    4  1.4142"
     )
-    assert str(describe(data.select(0))).startswith("2 transitions in 1 trajectory of 2, 1 group, 0.5 s\n")
+    assert str(describe(data.select(0))).startswith(
+        "2 transitions in 1 trajectory of 2, 1 group, 0.5 s\n"
+    )
     with pytest.raises(BadArgument, match="must be 1 and 1 columns"):
         describe(data, [Signal("angle"), Signal("speed")])

@@ -15,7 +15,8 @@ reference = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(reference)
 
 NONE = np.empty(0, dtype=np.int64)
-Q, R = 3.0, 0.04
+Q = 3.0
+R = 0.04
 
 
 def motion(order, seed=0):
@@ -31,15 +32,23 @@ def ratio(one, q=Q):
 
 @pytest.mark.parametrize("order", [2, 3])
 def test_smoothed_and_filtered_states_are_the_kalman_smoothers(order):
-    """Positions and all derivatives agree at uneven times, as far as the reference's wide start allows."""
+    """Positions and all derivatives agree at uneven times, as far as the reference's wide start
+    allows.
+    """
     one = motion(order)
     smoothed, past, _ = reference.smooth(one.time, one.measured, order, Q, R)
-    np.testing.assert_allclose(one.smoothed(ratio(one), one.measured[:, None])[:, :, 0], smoothed, rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(filtered([one], np.array([ratio(one)]))[0][5:], past[5:], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(
+        one.smoothed(ratio(one), one.measured[:, None])[:, :, 0], smoothed, rtol=1e-4, atol=1e-5
+    )
+    np.testing.assert_allclose(
+        filtered([one], np.array([ratio(one)]))[0][5:], past[5:], rtol=1e-4, atol=1e-4
+    )
 
 
 def test_the_likelihood_is_the_kalman_filters():
-    """Differences of the log likelihood between two densities agree: a start that may be anything adds the same to both."""
+    """Differences of the log likelihood between two densities agree: a start that may be anything
+    adds the same to both.
+    """
     one = motion(3)
 
     def by_bands(q):
@@ -55,9 +64,16 @@ def test_a_motion_that_begins_anew_is_two_motions():
     """States, squares and determinant of a split motion are those of its pieces."""
     one = motion(3)
     split = replace(one, jumps=np.array([25]))
-    pieces = [replace(one, time=one.time[rows], measured=one.measured[rows]) for rows in (slice(0, 25), slice(25, 60))]
+    pieces = [
+        replace(one, time=one.time[rows], measured=one.measured[rows])
+        for rows in (slice(0, 25), slice(25, 60))
+    ]
     np.testing.assert_allclose(
-        split.smoothed(1e-3, one.measured[:, None]), np.concatenate([p.smoothed(1e-3, p.measured[:, None]) for p in pieces]), rtol=1e-8
+        split.smoothed(1e-3, one.measured[:, None]),
+        np.concatenate([p.smoothed(1e-3, p.measured[:, None]) for p in pieces]),
+        rtol=1e-8,
     )
-    np.testing.assert_allclose(split.fit(1e-3), np.sum([piece.fit(1e-3) for piece in pieces], axis=0), rtol=1e-8)
+    np.testing.assert_allclose(
+        split.fit(1e-3), np.sum([piece.fit(1e-3) for piece in pieces], axis=0), rtol=1e-8
+    )
     assert split.fit(1e-3)[0] < one.fit(1e-3)[0]

@@ -1,4 +1,6 @@
-"""Every defect that the check of raw logs knows is injected and must be named with its place; a clean log gives no finding."""
+"""Every defect that the check of raw logs knows is injected and must be named with its place; a
+clean log gives no finding.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +23,14 @@ def found(folder: Path, columns: Columns) -> list[Finding]:
     """What the check says of a log with these columns."""
     np.savez(folder / "log.npz", **columns)
     machine = load_machine(folder / "robot.xml")
-    return check_runs(read_runs([folder / "log.npz"], read_mapping(folder / "map.yaml", machine), lambda share, text: None), machine)
+    return check_runs(
+        read_runs(
+            [folder / "log.npz"],
+            read_mapping(folder / "map.yaml", machine),
+            lambda share, text: None,
+        ),
+        machine,
+    )
 
 
 @pytest.fixture
@@ -29,14 +38,22 @@ def clean(arm: Any) -> Columns:
     """8 s at 500 Hz with the noise of good sensors."""
     rng = np.random.default_rng(0)
     noise = {"q1": 1e-4, "q2": 1e-4, "dq1": 0.01, "dq2": 0.01}
-    return {name: column + rng.normal(0, noise[name], len(column)) if name in noise else column for name, column in arm.log().items()}
+    return {
+        name: column + rng.normal(0, noise[name], len(column)) if name in noise else column
+        for name, column in arm.log().items()
+    }
 
 
 def test_a_clean_log_gives_nothing(folder: Path, clean: Columns, arm: Any) -> None:
-    """With noise, without it, as a fine encoder writes it, and with the jitter of an ordinary logger."""
+    """With noise, without it, as a fine encoder writes it, and with the jitter of an ordinary
+    logger.
+    """
     assert found(folder, clean) == []
     assert found(folder, arm.log()) == []
-    fine = {name: np.rint(column / 1e-4) * 1e-4 if name[0] in "dq" else column for name, column in clean.items()}
+    fine = {
+        name: np.rint(column / 1e-4) * 1e-4 if name[0] in "dq" else column
+        for name, column in clean.items()
+    }
     assert found(folder, fine) == []
     shaken = clean["t"] + np.random.default_rng(1).uniform(-1e-4, 1e-4, len(clean["t"]))
     assert found(folder, {**clean, "t": shaken}) == []
@@ -66,29 +83,138 @@ def jitter(time: NDArray[Any]) -> NDArray[Any]:
     return time + np.random.default_rng(2).uniform(-8e-4, 8e-4, len(time))
 
 
-# defect -> (what it does, level, signal, row or None where any will do, what the sentence or the advice holds)
+# defect -> (what it does, level, signal, row or None where any will do, what the sentence or the
+# advice holds)
 DEFECTS: dict[str, tuple[Callable[[Columns], Columns], str, str, int | None, str]] = {
-    "doubled stamps": (lambda c: rows(c, np.insert(np.arange(4000), 900, 899)), "warning", "t", 900, "1 row has the time stamp"),
-    "a row too late": (lambda c: rows(c, np.insert(np.arange(4000), 900, 880)), "warning", "t", 900, "backward once, first to row 900"),
-    "a clock that restarts": (put("t", lambda t: np.where(t < 4, t, t - 3)), "error", "t", 1500, "Cut the log there"),
-    "a gap": (lambda c: rows(c, np.delete(np.arange(4000), slice(1000, 1100))), "warning", "t", 1000, "1 gap of more than 5 steps of 2 ms"),
+    "doubled stamps": (
+        lambda c: rows(c, np.insert(np.arange(4000), 900, 899)),
+        "warning",
+        "t",
+        900,
+        "1 row has the time stamp",
+    ),
+    "a row too late": (
+        lambda c: rows(c, np.insert(np.arange(4000), 900, 880)),
+        "warning",
+        "t",
+        900,
+        "backward once, first to row 900",
+    ),
+    "a clock that restarts": (
+        put("t", lambda t: np.where(t < 4, t, t - 3)),
+        "error",
+        "t",
+        1500,
+        "Cut the log there",
+    ),
+    "a gap": (
+        lambda c: rows(c, np.delete(np.arange(4000), slice(1000, 1100))),
+        "warning",
+        "t",
+        1000,
+        "1 gap of more than 5 steps of 2 ms",
+    ),
     "jitter": (put("t", jitter), "information", "t", None, "steps vary by 3"),
-    "stuck": (put("q2", hold), "warning", "qpos.elbow", 1500, "it hangs once, the first time for 60 rows from row 1500"),
-    "wrapped": (put("q1", lambda q: np.mod(q, 2 * np.pi)), "information", "qpos.shoulder", None, "it starts anew after a whole turn"),
+    "stuck": (
+        put("q2", hold),
+        "warning",
+        "qpos.elbow",
+        1500,
+        "it hangs once, the first time for 60 rows from row 1500",
+    ),
+    "wrapped": (
+        put("q1", lambda q: np.mod(q, 2 * np.pi)),
+        "information",
+        "qpos.shoulder",
+        None,
+        "it starts anew after a whole turn",
+    ),
     "dead": (put("dq1", np.zeros_like), "warning", "qvel.shoulder", None, "it does not move"),
-    "clipped": (put("dq1", lambda v: np.clip(v, -4, 4)), "warning", "qvel.shoulder", None, "it is cut off at its largest value, 4 rad/s"),
-    "quantised": (put("q1", lambda q: np.rint(q / 0.05) * 0.05), "warning", "qpos.shoulder", None, "it moves in steps of 0.05 rad"),
-    "outside the range": (put("tau1", exceed), "warning", "ctrl.m1", 300, "10 of 4000 actions are outside the control range [-6, 6]"),
-    "saturated": (put("tau1", lambda u: np.clip(8 * u, -6, 6)), "information", "ctrl.m1", None, "commands stand at a limit of [-6, 6]"),
-    "sign": (put("dq2", np.negative), "error", "qvel.elbow", None, "it has the opposite sign of the change of qpos.elbow"),
-    "sign of the position": (put("q2", np.negative), "error", "qvel.elbow", None, "it has the opposite sign of the change of qpos.elbow"),
-    "degrees in the velocity": (put("dq1", np.degrees), "error", "qvel.shoulder", None, "It looks like deg/s in place of rad/s"),
-    "degrees in the position": (put("q1", np.degrees), "error", "qvel.shoulder", None, "or a position in deg"),
-    "revolutions a minute": (put("dq1", lambda v: v * 30 / np.pi), "error", "qvel.shoulder", None, "It looks like rpm in place of rad/s"),
-    "a gear ratio": (put("dq1", lambda v: v * 6), "error", "qvel.shoulder", None, "it is 6 times the change of qpos.shoulder"),
-    "milliseconds": (put("t", lambda t: 1e3 * t), "error", "qvel.elbow", None, "or ms in place of s"),
-    "another joint": (lambda c: {**c, "dq1": c["dq2"][::-1]}, "warning", "qvel.shoulder", None, "it does not follow"),
-}  # fmt: skip
+    "clipped": (
+        put("dq1", lambda v: np.clip(v, -4, 4)),
+        "warning",
+        "qvel.shoulder",
+        None,
+        "it is cut off at its largest value, 4 rad/s",
+    ),
+    "quantised": (
+        put("q1", lambda q: np.rint(q / 0.05) * 0.05),
+        "warning",
+        "qpos.shoulder",
+        None,
+        "it moves in steps of 0.05 rad",
+    ),
+    "outside the range": (
+        put("tau1", exceed),
+        "warning",
+        "ctrl.m1",
+        300,
+        "10 of 4000 actions are outside the control range [-6, 6]",
+    ),
+    "saturated": (
+        put("tau1", lambda u: np.clip(8 * u, -6, 6)),
+        "information",
+        "ctrl.m1",
+        None,
+        "commands stand at a limit of [-6, 6]",
+    ),
+    "sign": (
+        put("dq2", np.negative),
+        "error",
+        "qvel.elbow",
+        None,
+        "it has the opposite sign of the change of qpos.elbow",
+    ),
+    "sign of the position": (
+        put("q2", np.negative),
+        "error",
+        "qvel.elbow",
+        None,
+        "it has the opposite sign of the change of qpos.elbow",
+    ),
+    "degrees in the velocity": (
+        put("dq1", np.degrees),
+        "error",
+        "qvel.shoulder",
+        None,
+        "It looks like deg/s in place of rad/s",
+    ),
+    "degrees in the position": (
+        put("q1", np.degrees),
+        "error",
+        "qvel.shoulder",
+        None,
+        "or a position in deg",
+    ),
+    "revolutions a minute": (
+        put("dq1", lambda v: v * 30 / np.pi),
+        "error",
+        "qvel.shoulder",
+        None,
+        "It looks like rpm in place of rad/s",
+    ),
+    "a gear ratio": (
+        put("dq1", lambda v: v * 6),
+        "error",
+        "qvel.shoulder",
+        None,
+        "it is 6 times the change of qpos.shoulder",
+    ),
+    "milliseconds": (
+        put("t", lambda t: 1e3 * t),
+        "error",
+        "qvel.elbow",
+        None,
+        "or ms in place of s",
+    ),
+    "another joint": (
+        lambda c: {**c, "dq1": c["dq2"][::-1]},
+        "warning",
+        "qvel.shoulder",
+        None,
+        "it does not follow",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", DEFECTS)
@@ -113,7 +239,11 @@ def test_several_runs_are_named(folder: Path, clean: Columns) -> None:
     text = (folder / "map.yaml").read_text() + "run: {column: run_id}\n"
     (folder / "map.yaml").write_text(text)
     for factor in (-1, 3.0):
-        columns = {**clean, "dq1": np.where(half, factor * clean["dq1"], clean["dq1"]), "run_id": np.where(half, "bad", "good")}
+        columns = {
+            **clean,
+            "dq1": np.where(half, factor * clean["dq1"], clean["dq1"]),
+            "run_id": np.where(half, "bad", "good"),
+        }
         (finding,) = found(folder, columns)
         assert (finding.level, finding.signal, finding.run) == ("error", "qvel.shoulder", "bad")
     assert found(folder, {**clean, "run_id": np.where(half, "b", "a")}) == []
@@ -121,7 +251,9 @@ def test_several_runs_are_named(folder: Path, clean: Columns) -> None:
 
 # A body in free fall
 
-BALL = "<mujoco><worldbody><body name='ball'><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+BALL = (
+    "<mujoco><worldbody><body name='ball'><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+)
 BALL_MAP = "time: {column: t}\nqpos: {ball: {columns: ['p[0:3]', 'q[0:4]']}}\nqvel: {ball: {columns: ['v[0:3]', 'w[0:3]']}}"
 T = np.arange(300) / 300
 
@@ -157,9 +289,14 @@ def test_free_fall(folder: Path) -> None:
     (folder / "robot.xml").write_text(BALL)
     (folder / "map.yaml").write_text(BALL_MAP)
     assert found(folder, tossed()) == []
-    said = {lie: [str(finding) for finding in found(folder, tossed(lie)) if finding.level == "error"] for lie in
-            ("upside down", "millimetres", "slow motion", "other axes")}  # fmt: skip
-    falls = {lie: next(sentence for sentence in sentences if "fall" in sentence) for lie, sentences in said.items()}
+    said = {
+        lie: [str(finding) for finding in found(folder, tossed(lie)) if finding.level == "error"]
+        for lie in ("upside down", "millimetres", "slow motion", "other axes")
+    }
+    falls = {
+        lie: next(sentence for sentence in sentences if "fall" in sentence)
+        for lie, sentences in said.items()
+    }
     assert float(falls["upside down"].split(" at ")[1].split()[0]) == pytest.approx(-1, rel=0.05)
     assert "Check the sign of the axis" in falls["upside down"]
     assert float(falls["millimetres"].split(" at ")[1].split()[0]) == pytest.approx(1000, rel=0.05)

@@ -37,7 +37,9 @@ def refusal(folder: Path, text: str, model: str = "robot.xml") -> str:
 def test_units_signs_and_offsets(folder: Path) -> None:
     """value = unit (sign column + offset): the offset is in the column's own unit."""
     text = "time: {column: t, unit: ms}\nqpos: {elbow: {column: q2, unit: deg, sign: -1, offset: 90}}\nctrl: {m1: {column: u, unit: mN m}}"
-    np.savez(folder / "log.npz", t=[0.0, 500.0, 1500.0], q2=[0.0, 90.0, 180.0], u=[0.0, 1000.0, 2000.0])
+    np.savez(
+        folder / "log.npz", t=[0.0, 500.0, 1500.0], q2=[0.0, 90.0, 180.0], u=[0.0, 1000.0, 2000.0]
+    )
     (run,) = read_runs([folder / "log.npz"], mapping(folder, text), lambda share, what: None)
     elbow, torque = run.series
     np.testing.assert_allclose(elbow.time, [0, 0.5, 1.5])
@@ -46,7 +48,9 @@ def test_units_signs_and_offsets(folder: Path) -> None:
 
 
 def test_joints_of_several_numbers(folder: Path) -> None:
-    """Free and ball joints take `columns`, a list or a slice; a joint without a name goes by its body's."""
+    """Free and ball joints take `columns`, a list or a slice; a joint without a name goes by its
+    body's.
+    """
     (folder / "bodies.xml").write_text(BODIES)
     text = """
 qpos:
@@ -63,7 +67,10 @@ qvel:
     assert neck.units == ("",) * 4
     assert rail.factors == (1e-2,)
     assert speed.factors == pytest.approx((1e-3,) * 3 + (np.pi / 180,) * 3)
-    assert refusal(folder, "qpos: {cube: {columns: 'p[0:6]'}}", "bodies.xml") == "qpos.cube.columns: expected 7 columns, got 6."
+    assert (
+        refusal(folder, "qpos: {cube: {columns: 'p[0:6]'}}", "bodies.xml")
+        == "qpos.cube.columns: expected 7 columns, got 6."
+    )
     assert refusal(folder, "qpos: {rail: {column: s, unit: deg}}", "bodies.xml") == (
         "qpos.rail.unit: expected a unit (there is cm, m, mm), got 'deg'."
     )
@@ -72,19 +79,29 @@ qvel:
 def test_candidates(folder: Path) -> None:
     """Several inputs have names; each holds the same actuators."""
     head = "qpos: {elbow: {column: q2}}\n"
-    found = mapping(folder, head + "inputs: {commanded: {m1: {column: a}}, current: {m1: {column: b}}}")
+    found = mapping(
+        folder, head + "inputs: {commanded: {m1: {column: a}}, current: {m1: {column: b}}}"
+    )
     assert found.candidates == ("commanded", "current")
     assert [channel.label for channel in found.of("ctrl", "current")] == ["inputs.current.m1"]
     assert mapping(folder, head + "ctrl: {m1: {column: a}}").candidates == ("command",)
     assert mapping(folder, head).candidates == ()
     uneven = head + "inputs: {commanded: {m1: {column: a}}, current: {m2: {column: b}}}"
-    assert refusal(folder, uneven) == "inputs: expected the same actuators in every candidate, got commanded: m1; current: m2."
+    assert (
+        refusal(folder, uneven)
+        == "inputs: expected the same actuators in every candidate, got commanded: m1; current: m2."
+    )
     both = head + "ctrl: {m1: {column: a}}\ninputs: {current: {m1: {column: b}}}"
-    assert refusal(folder, both) == "inputs: expected either `ctrl` or, for several candidates, `inputs`, got both."
+    assert (
+        refusal(folder, both)
+        == "inputs: expected either `ctrl` or, for several candidates, `inputs`, got both."
+    )
 
 
 REFUSED = {
-    "qpos: {elbo: {column: q}}": "qpos.elbo: expected the name of a joint of the model (the nearest is 'elbow'), got 'elbo'.",
+    "qpos: {elbo: {column: q}}": (
+        "qpos.elbo: expected the name of a joint of the model (the nearest is 'elbow'), got 'elbo'."
+    ),
     "qpos: {elbow: {column: q}}\nctrl: {m3: {column: u}}": (
         "ctrl.m3: expected the name of an actuator of the model (the nearest is 'm1'), got 'm3'."
     ),
@@ -93,7 +110,9 @@ REFUSED = {
     "qpos: {elbow: {column: q, sign: 2}}": "qpos.elbow.sign: expected 1 or -1, got 2.",
     "qpos: {elbow: {column: q, offset: x}}": "qpos.elbow.offset: expected a number, got 'x'.",
     "qpos: {elbow: {}}": "qpos.elbow.column: expected the name of a column, got nothing.",
-    "time: {column: t, unit: min}\nqpos: {elbow: {column: q}}": ("time.unit: expected a unit of time (there is ms, ns, s, us), got 'min'."),
+    "time: {column: t, unit: min}\nqpos: {elbow: {column: q}}": (
+        "time.unit: expected a unit of time (there is ms, ns, s, us), got 'min'."
+    ),
     "qpos: {elbow: {column: q}}\nqvel: {shoulder: {column: v}}": (
         "qvel: expected velocities of joints whose positions are mapped, got shoulder without one."
     ),
@@ -118,19 +137,24 @@ def test_a_missing_column_gives_the_nearest(folder: Path) -> None:
         return str(caught.value).replace(f"{folder}/", "")
 
     assert reading("time: {column: stamp}\nqpos: {elbow: {column: q_elbo}}") == (
-        "map.yaml: qpos.elbow.column: expected a column of log.npz (the nearest is 'q_elbow'), got 'q_elbo'."
+        "map.yaml: qpos.elbow.column: expected a column of log.npz (the nearest is "
+        "'q_elbow'), got 'q_elbo'."
     )
     assert reading("time: {column: stam}\nqpos: {elbow: {column: q_elbow}}") == (
         "map.yaml: time.column: expected a column of log.npz (the nearest is 'stamp'), got 'stam'."
     )
-    assert reading("time: {column: stamp}\nqpos: {elbow: {column: q_elbow}}\nrun: {column: xyz}") == (
+    assert reading(
+        "time: {column: stamp}\nqpos: {elbow: {column: q_elbow}}\nrun: {column: xyz}"
+    ) == (
         "map.yaml: run.column: expected a column of log.npz (there is q_elbow, stamp), got 'xyz'."
     )
 
 
 def test_a_model_that_is_none(folder: Path) -> None:
     (folder / "bad.xml").write_text("<mujoco><worldbdy/></mujoco>")
-    with pytest.raises(BadFile, match=r"bad.xml: expected an MJCF file, got one that MuJoCo refuses"):
+    with pytest.raises(
+        BadFile, match=r"bad.xml: expected an MJCF file, got one that MuJoCo refuses"
+    ):
         load_machine(folder / "bad.xml")
     with pytest.raises(BadFile, match=r"none.xml: expected an MJCF file, got no such file"):
         load_machine(folder / "none.xml")

@@ -1,4 +1,6 @@
-"""States estimated with the model are nearer to the truth than without, and as near as their covariance says."""
+"""States estimated with the model are nearer to the truth than without, and as near as their
+covariance says.
+"""
 
 import mujoco
 import numpy as np
@@ -16,7 +18,8 @@ XML = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="shoulde
 <joint name="elbow" axis="0 1 0" damping="0.05"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.4"/>
 </body></body></worldbody>
 <actuator><motor joint="shoulder"/></actuator></mujoco>"""
-STEP, SD = 0.01, 5e-3
+STEP = 0.01
+SD = 5e-3
 KICKS = np.array([0.05, 0.02])  # N m in each step that the model knows nothing of
 
 
@@ -28,13 +31,18 @@ def simulator():
 
 @pytest.fixture(scope="module")
 def log(simulator):
-    """True states (302, 4) of two runs of 1.5 s, and trajectories of noisy positions with guessed velocities."""
-    rng, model = np.random.default_rng(0), simulator.model
-    truth, parts = [], []
+    """True states (302, 4) of two runs of 1.5 s, and trajectories of noisy positions with guessed
+    velocities.
+    """
+    rng = np.random.default_rng(0)
+    model = simulator.model
+    truth = []
+    parts = []
     for _ in range(2):
         data = mujoco.MjData(model)
         data.qpos = rng.uniform(-1, 1, 2)
-        states, commands = [np.concatenate([data.qpos, data.qvel])], np.cumsum(rng.normal(0, 0.1, 150))
+        states = [np.concatenate([data.qpos, data.qvel])]
+        commands = np.cumsum(rng.normal(0, 0.1, 150))
         for torque in commands:
             data.ctrl[0] = torque
             data.qfrc_applied = KICKS * rng.normal(size=2)
@@ -42,11 +50,15 @@ def log(simulator):
             states.append(np.concatenate([data.qpos, data.qvel]))
         states = np.array(states)
         seen = states[:, :2] + SD * rng.normal(size=(151, 2))
-        guess = np.concatenate([seen, estimate_velocities(STEP * np.arange(151), seen).velocities], axis=1)
+        guess = np.concatenate(
+            [seen, estimate_velocities(STEP * np.arange(151), seen).velocities], axis=1
+        )
         truth.append(states)
         parts.append((guess[:-1], commands[:, None], guess[1:]))
     ends = np.arange(300) % 150 == 149
-    return np.concatenate(truth), Trajectories(*(np.concatenate(part) for part in zip(*parts, strict=True)), terminals=ends)
+    return np.concatenate(truth), Trajectories(
+        *(np.concatenate(part) for part in zip(*parts, strict=True)), terminals=ends
+    )
 
 
 MEASURED = [True, True, False, False]
@@ -63,7 +75,10 @@ def rms(errors):
 @pytest.fixture(scope="module")
 def estimates(simulator, log):
     """The smoother and the filter."""
-    return [estimate_states(simulator, log[1], simulator.nominal, measured=MEASURED, causal=causal) for causal in (False, True)]
+    return [
+        estimate_states(simulator, log[1], simulator.nominal, measured=MEASURED, causal=causal)
+        for causal in (False, True)
+    ]
 
 
 def size(found, truth):
@@ -73,11 +88,13 @@ def size(found, truth):
 
 
 def test_the_model_makes_velocities_better(log, estimates):
-    """From positions alone: positions and velocities nearer than measured and guessed; the filter, which knows
-    the past alone, is worse; the sensors' noise is learned within 20 %."""
+    """From positions alone: positions and velocities nearer than measured and guessed; the filter,
+    which knows the past alone, is worse; the sensors' noise is learned within 20 %.
+    """
     truth, data = log
     smooth, causal = estimates
-    errors, guess = [rms(x.trajectories.observations - before(truth)) for x in estimates], rms(data.observations - before(truth))
+    errors = [rms(x.trajectories.observations - before(truth)) for x in estimates]
+    guess = rms(data.observations - before(truth))
     assert (errors[0] < guess * [0.5, 0.5, 0.6, 0.85]).all()
     assert (errors[1] > errors[0]).all()
     assert (causal.causal, smooth.causal) == (True, False)
@@ -86,19 +103,38 @@ def test_the_model_makes_velocities_better(log, estimates):
 
 
 def test_covariances_hold(simulator, log, estimates):
-    """Squared errors in the stated covariances have mean 4 within a factor of 2, for filter and smoother, and the stated variances
-    are those of the errors; with noise stated three times too small they have not."""
+    """Squared errors in the stated covariances have mean 4 within a factor of 2, for filter and
+    smoother, and the stated variances are those of the errors; with noise stated three times too
+    small they have not.
+    """
     truth, data = log
     for found in estimates:
         assert 2 < size(found, truth) < 8
-    np.testing.assert_allclose(np.sqrt(estimates[0].start_variance), rms(estimates[0].trajectories.observations - before(truth)), rtol=0.3)
-    assert size(estimate_states(simulator, data, simulator.nominal, measured=MEASURED, noise=[SD / 3, SD / 3, 1, 1]), truth) > 8
+    np.testing.assert_allclose(
+        np.sqrt(estimates[0].start_variance),
+        rms(estimates[0].trajectories.observations - before(truth)),
+        rtol=0.3,
+    )
+    assert (
+        size(
+            estimate_states(
+                simulator, data, simulator.nominal, measured=MEASURED, noise=[SD / 3, SD / 3, 1, 1]
+            ),
+            truth,
+        )
+        > 8
+    )
 
 
 def test_a_wrong_model_is_trusted_less(simulator, log):
-    """With twice the mass, what the model misses is learned to be larger, and positions stay with what was measured."""
+    """With twice the mass, what the model misses is learned to be larger, and positions stay with
+    what was measured.
+    """
     truth, data = log
-    right, wrong = (estimate_states(simulator, data, [mass], measured=MEASURED, noise=[SD, SD, 1, 1]) for mass in (0.4, 0.8))
+    right, wrong = (
+        estimate_states(simulator, data, [mass], measured=MEASURED, noise=[SD, SD, 1, 1])
+        for mass in (0.4, 0.8)
+    )
     assert np.trace(wrong.process) > 10 * np.trace(right.process)
     assert wrong.start_variance[2:].sum() > 2 * right.start_variance[2:].sum()
     assert (rms(wrong.trajectories.observations - before(truth))[:2] < 1.1 * SD).all()
@@ -109,7 +145,14 @@ def test_rows_without_a_simulator_for_them_are_refused(simulator, log):
     _, data = log
     with pytest.raises(Incompatible, match="3 columns"):
         estimate_states(
-            simulator, Trajectories(data.observations[:, :3], data.actions, data.next_observations[:, :3], data.terminals), [0.4]
+            simulator,
+            Trajectories(
+                data.observations[:, :3],
+                data.actions,
+                data.next_observations[:, :3],
+                data.terminals,
+            ),
+            [0.4],
         )
     with pytest.raises(BadArgument, match="at least one True"):
         estimate_states(simulator, data, [0.4], measured=[False] * 4)

@@ -14,17 +14,46 @@ UPPER = FieldParameter("upper_mass", 0.5, 2.0, "kg", field="body_mass", element=
 def instance(simulator, label):
     """The effect of that label."""
     kind = label.split(":")[0].split(".")[0]
-    return next(one for one in find("effects", kind)(simulator.effect_context) if one.label == label)
+    return next(
+        one for one in find("effects", kind)(simulator.effect_context) if one.label == label
+    )
 
 
-def problem(hidden, *, sigma=1e-3, seed=0, parameters=(), truth=None, name="torque-arm", episodes=None, steps=None):
-    """Data of an arm with effects hidden (label -> sizes, or atoms with sizes), under true parameters, with noise on every sensor."""
+def problem(
+    hidden,
+    *,
+    sigma=1e-3,
+    seed=0,
+    parameters=(),
+    truth=None,
+    name="torque-arm",
+    episodes=None,
+    steps=None,
+):
+    """Data of an arm with effects hidden (label -> sizes, or atoms with sizes), under true
+    parameters, with noise on every sensor.
+    """
     arm = machine(name, parameters)
     rng = np.random.default_rng(seed)
-    there = [(instance(arm.simulator, one) if isinstance(one, str) else one, np.array(sizes, dtype=float)) for one, sizes in hidden]
+    there = [
+        (
+            instance(arm.simulator, one) if isinstance(one, str) else one,
+            np.array(sizes, dtype=float),
+        )
+        for one, sizes in hidden
+    ]
     values = np.asarray(arm.simulator.nominal if truth is None else truth, dtype=float)
     data = record(
-        arm.simulator, there, values, arm.starts(rng, episodes or arm.episodes), arm.controller, steps or arm.steps,
-        actions=arm.actions, noise=sigma, alive=arm.alive, rng=rng, memory=arm.memory,
-    )  # fmt: skip
+        arm.simulator,
+        there,
+        values,
+        arm.starts(rng, episodes or arm.episodes),
+        arm.controller,
+        steps or arm.steps,
+        actions=arm.actions,
+        noise=sigma,
+        alive=arm.alive,
+        rng=rng,
+        memory=arm.memory,
+    )
     return Problem(name, arm.simulator, data, start_noise=True)

@@ -15,15 +15,45 @@ from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.diagnosis.arms import UPPER, problem
 
-SOME = ("joint_damping", "joint_friction", "joint_stiffness", "actuator_gain", "actuator_delay", "actuator_lag", "sensor_bias", "body_mass")
+SOME = (
+    "joint_damping",
+    "joint_friction",
+    "joint_stiffness",
+    "actuator_gain",
+    "actuator_delay",
+    "actuator_lag",
+    "sensor_bias",
+    "body_mass",
+)
 FAST = Diagnose(SOME, windows=48)
 CONTRACT = {
-    "": {"verdict", "causes", "suspects", "baseline", "extended", "remaining", "extended_problem", "seed", "version", "wall_time_s"},
-    "cause": {"effect", "target", "rank", "estimate", "p_value", "held_out_gain", "held_out_gain_se", "rmse_before", "rmse_after",
-              "confused_with"},
+    "": {
+        "verdict",
+        "causes",
+        "suspects",
+        "baseline",
+        "extended",
+        "remaining",
+        "extended_problem",
+        "seed",
+        "version",
+        "wall_time_s",
+    },
+    "cause": {
+        "effect",
+        "target",
+        "rank",
+        "estimate",
+        "p_value",
+        "held_out_gain",
+        "held_out_gain_se",
+        "rmse_before",
+        "rmse_after",
+        "confused_with",
+    },
     "side": {"held_out_log_likelihood", "rmse"},
     "remaining": {"calibrated", "p_value", "where"},
-}  # fmt: skip
+}
 BESIDE = {
     "headline",
     "problem",
@@ -47,14 +77,18 @@ def damped():
 
 
 def test_hidden_damping_is_named_with_its_size(damped):
-    """Kind, place, size within four standard errors and 2 %, and nothing else; the errors fall to what noise gives."""
+    """Kind, place, size within four standard errors and 2 %, and nothing else; the errors fall to
+    what noise gives.
+    """
     assert damped.verdict == "explained"
     (cause,) = damped.causes
     assert (cause.effect, cause.target, cause.acts_like) == ("joint_damping", "elbow", None)
     told = cause.estimate["damping"]
     assert abs(told["value"] - 0.05) < 4 * told["se"] < 0.02 * 0.05 * 4
     assert told["model"] == 0.05
-    assert damped.extended_log_likelihood - damped.baseline_log_likelihood == pytest.approx(cause.held_out_gain, rel=1e-6)
+    assert damped.extended_log_likelihood - damped.baseline_log_likelihood == pytest.approx(
+        cause.held_out_gain, rel=1e-6
+    )
     assert cause.rmse_after < 0.5 * cause.rmse_before
     assert damped.after[1].rmse < 1.5 * damped.after[1].noise < damped.before[1].rmse
     np.testing.assert_allclose(list(damped.noise.values()), 1e-3, rtol=0.25)
@@ -71,7 +105,9 @@ def test_headline_says_it_in_words(damped):
 
 
 def test_json_is_the_contracts(damped, tmp_path):
-    """Every key of the contract, and besides them only those listed here; numbers are finite; p-values are never 0."""
+    """Every key of the contract, and besides them only those listed here; numbers are finite;
+    p-values are never 0.
+    """
     damped.save(tmp_path)
     found = json.loads((tmp_path / "diagnosis.json").read_text())
     assert set(found) == CONTRACT[""] | BESIDE
@@ -94,10 +130,14 @@ def test_extended_problem_has_nothing_left(damped):
 
 def test_same_answer_on_any_number_of_threads():
     """One thread and two give the same numbers, bit for bit."""
-    one, two = problem([("joint_damping:elbow", [0.02])]), problem([("joint_damping:elbow", [0.02])])
+    one = problem([("joint_damping:elbow", [0.02])])
+    two = problem([("joint_damping:elbow", [0.02])])
     two.simulator.threads = 2
     two.simulator._hire()
-    found = [Diagnose(("joint_damping", "joint_friction"), windows=40).run(p).to_json() for p in (one, two)]
+    found = [
+        Diagnose(("joint_damping", "joint_friction"), windows=40).run(p).to_json()
+        for p in (one, two)
+    ]
     for part in found:
         del part["wall_time_s"]
     assert found[0] == found[1]
@@ -112,7 +152,9 @@ def test_nothing_hidden():
 
 
 def test_data_without_noise():
-    """Exact data: consistent where nothing is hidden, and an effect of a thousandth of a bias is named; numbers stay finite."""
+    """Exact data: consistent where nothing is hidden, and an effect of a thousandth of a bias is
+    named; numbers stay finite.
+    """
     assert FAST.run(problem([], sigma=0.0)).verdict == "consistent"
     found = FAST.run(problem([("joint_damping:elbow", [1e-4])], sigma=0.0))
     assert [(c.effect, c.target) for c in found.causes] == [("joint_damping", "elbow")]
@@ -140,22 +182,32 @@ def test_one_trajectory_is_split_in_time():
 
 
 def test_white_torque_noise_is_said_to_be_forces():
-    """Random torques behind the clamp: no effect is named, forces at both joints are unexplained, about as large as they are."""
+    """Random torques behind the clamp: no effect is named, forces at both joints are unexplained,
+    about as large as they are.
+    """
     drawn = np.random.default_rng(0).standard_normal((200, 2))
     drawn -= drawn.mean(axis=0)  # else it has a constant load in it, which is named
-    push = lambda commands, step, sizes: commands + sizes[0] * np.resize(np.roll(drawn, int(1e6 * commands[0, 0]), axis=0), commands.shape)
+    push = lambda commands, step, sizes: (
+        commands
+        + sizes[0] * np.resize(np.roll(drawn, int(1e6 * commands[0, 0]), axis=0), commands.shape)
+    )
     noise = EffectInstance("white", None, (Quantity("sd", "1", 0, 1, (0.1,)),), actuation=push)
     found = FAST.run(problem([(noise, [0.1])]))
     assert (found.verdict, found.causes) == ("unexplained", ())
     assert "forces of" in " ".join(found.remaining["where"])
-    expected = {"shoulder [N m]": 0.8 / 2, "elbow [N m]": 0.4 / 2}  # gear times sd, the mean of four physics steps
+    expected = {
+        "shoulder [N m]": 0.8 / 2,
+        "elbow [N m]": 0.4 / 2,
+    }  # gear times sd, the mean of four physics steps
     for name, sd in expected.items():
         assert found.remaining["forces"][name] == pytest.approx(sd, rel=0.3)
 
 
 def test_true_cause_left_out_of_the_search():
     """What is named instead is not all: the verdict says so, or that it only acts like the cause."""
-    found = Diagnose([e for e in SOME if e != "joint_friction"], windows=48).run(problem([("joint_friction:elbow", [0.15])]))
+    found = Diagnose([e for e in SOME if e != "joint_friction"], windows=48).run(
+        problem([("joint_friction:elbow", [0.15])])
+    )
     assert found.verdict in ("partly", "unexplained")
 
 
@@ -171,7 +223,9 @@ def test_delay_stands_for_sensors_too():
 
 
 def test_unknown_effects_and_places_are_refused_with_the_nearest():
-    """A misspelt effect, a place that is not there, one that is declared, and a simulator without effects."""
+    """A misspelt effect, a place that is not there, one that is declared, and a simulator without
+    effects.
+    """
     arm = problem([], episodes=4, steps=60)
     with pytest.raises(UnknownName, match="Did you mean 'joint_damping'"):
         diagnose(arm, ["joint_dampin"])
@@ -179,7 +233,9 @@ def test_unknown_effects_and_places_are_refused_with_the_nearest():
         diagnose(arm, ["joint_damping:elbo"])
     with pytest.raises(Incompatible, match="needs a MuJoCo model"):
         diagnose(slide())
-    with pytest.raises(BadArgument, match=r"'problem' of diagnose must be a Problem, which dropo.load makes"):
+    with pytest.raises(
+        BadArgument, match=r"'problem' of diagnose must be a Problem, which dropo.load makes"
+    ):
         diagnose("hopper")
     declared = problem([], parameters=[UPPER], episodes=4, steps=60)
     with pytest.raises(BadArgument, match="declared as parameters"):
@@ -190,10 +246,16 @@ def test_unfit_data_are_refused():
     """A constant signal by its name, and too few windows with the number needed."""
     arm = problem([], episodes=6, steps=60)
     data = arm.trajectories
-    still, after = np.array(data.observations), np.array(data.next_observations)
+    still = np.array(data.observations)
+    after = np.array(data.next_observations)
     still[:, 1] = after[:, 1] = 0.3
     with pytest.raises(BadArgument, match=r"qpos.elbow.*stuck"):
-        diagnose(Problem("stuck", arm.simulator, Trajectories(still, data.actions, after, data.terminals)), ["joint_damping"])
+        diagnose(
+            Problem(
+                "stuck", arm.simulator, Trajectories(still, data.actions, after, data.terminals)
+            ),
+            ["joint_damping"],
+        )
     with pytest.raises(BadArgument, match="at least 8 windows"):
         diagnose(problem([], episodes=1, steps=12))
     with pytest.raises(BadArgument, match="length"):
@@ -206,7 +268,13 @@ def test_diverging_model_is_refused():
       <joint name="j" type="slide" axis="1 0 0" stiffness="1e9"/><geom size="0.1" mass="1"/></body></worldbody>
       <actuator><motor joint="j"/></actuator></mujoco>"""
     simulator = MujocoSimulator(mujoco.MjSpec.from_string(xml), [], frame_skip=20, threads=1)
-    rng, n = np.random.default_rng(0), 400
-    data = Trajectories(rng.normal(size=(n, 2)), rng.normal(size=(n, 1)), rng.normal(size=(n, 2)), np.arange(n) % 40 == 39)
+    rng = np.random.default_rng(0)
+    n = 400
+    data = Trajectories(
+        rng.normal(size=(n, 2)),
+        rng.normal(size=(n, 1)),
+        rng.normal(size=(n, 2)),
+        np.arange(n) % 40 == 39,
+    )
     with pytest.raises(SimulationFailed, match=r"diverges in .* of the windows"):
         diagnose(Problem("stiff", simulator, data), ["joint_damping"])

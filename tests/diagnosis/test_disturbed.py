@@ -1,4 +1,6 @@
-"""Pushes are listed and left out of a diagnosis, and runs that disagree are named; where there are none, nothing is said."""
+"""Pushes are listed and left out of a diagnosis, and runs that disagree are named; where there are
+none, nothing is said.
+"""
 
 import json
 
@@ -21,15 +23,22 @@ def smooth():
     """The pendulum without its friction, and what recorded the data."""
     mass = FieldParameter("mass", 0.3, 1.2, "kg", field="body_mass", element="link")
     model = XML.replace('frictionloss="0.15" damping="0.02"', "")
-    return tuple(MujocoSimulator(mujoco.MjSpec.from_string(xml), [mass], frame_skip=2, threads=1) for xml in (model, XML))
+    return tuple(
+        MujocoSimulator(mujoco.MjSpec.from_string(xml), [mass], frame_skip=2, threads=1)
+        for xml in (model, XML)
+    )
 
 
 def diagnosed(smooth, data, **settings):
-    return Diagnose(EFFECTS, length=10, windows=48, **settings).run(Problem("pendulum", smooth[0], data))
+    return Diagnose(EFFECTS, length=10, windows=48, **settings).run(
+        Problem("pendulum", smooth[0], data)
+    )
 
 
 def test_pushes_are_listed_and_left_out(smooth, tmp_path):
-    """Both pushes by run and time, in words, in the JSON and on the terminal; friction as without them; the errors with and without."""
+    """Both pushes by run and time, in words, in the JSON and on the terminal; friction as without
+    them; the errors with and without.
+    """
     data = recorded(smooth[1], STRONG)
     found = diagnosed(smooth, data)
     spans = found.disturbances.spans
@@ -37,9 +46,13 @@ def test_pushes_are_listed_and_left_out(smooth, tmp_path):
     for span, (_, first, last) in zip(spans, STRONG, strict=True):
         assert span.start - 0.3 < first * STEP < span.start + 0.2
         assert span.end - 0.2 < last * STEP < span.end + 0.3
-    friction = next(cause for cause in found.causes if cause.effect == "joint_friction").estimate["frictionloss"]["value"]
+    friction = next(cause for cause in found.causes if cause.effect == "joint_friction").estimate[
+        "frictionloss"
+    ]["value"]
     assert abs(friction - 0.15) < 0.02
-    assert len(found.problem.trajectories) == len(data) - sum(span.last - span.first for span in spans)
+    assert len(found.problem.trajectories) == len(data) - sum(
+        span.last - span.first for span in spans
+    )
     assert "Left out: 2 spans of time" in found.headline()
     assert str(found).count("left out: trajectory") == 2
     found.save(tmp_path)

@@ -18,7 +18,9 @@ PAIR = ("actuator_lag:shoulder_motor", "actuator_delay:shoulder_motor")
 
 @pytest.fixture(scope="module")
 def lagging():
-    """An arm with a lag of 2 ms at the shoulder, found, beside the delay that does nearly the same in these data."""
+    """An arm with a lag of 2 ms at the shoulder, found, beside the delay that does nearly the same
+    in these data.
+    """
     data = problem([(PAIR[0], [0.002])], sigma=SIGMA)
     instances = [instance(data.simulator, label) for label in PAIR]
     library = Library(data.simulator.with_effects(instances), instances, 0)
@@ -33,7 +35,9 @@ def test_it_tells_more_than_the_data_do(lagging):
     library, state = lagging
     found = experiment(library, state, *library.instances, np.array([0.002]))
     assert found.nats > 5 * found.now
-    assert found.seconds == pytest.approx(np.ceil(10 / found.nats * LENGTH) * library.simulator.control_step)
+    assert found.seconds == pytest.approx(
+        np.ceil(10 / found.nats * LENGTH) * library.simulator.control_step
+    )
     assert "shoulder" in str(found) or "all actuators" in str(found)
 
 
@@ -45,7 +49,9 @@ def test_an_effect_cannot_be_told_from_itself(lagging):
 
 
 def test_commands_that_make_the_simulation_diverge_tell_nothing(lagging, monkeypatch):
-    """The largest commands throw the model out of its numbers: the experiment is chosen among the others."""
+    """The largest commands throw the model out of its numbers: the experiment is chosen among the
+    others.
+    """
     library, state = lagging
     whole = experiment(library, state, *library.instances, np.array([0.002]))
 
@@ -61,7 +67,9 @@ def test_commands_that_make_the_simulation_diverge_tell_nothing(lagging, monkeyp
 
 
 def test_windows_longer_than_the_experiment(lagging):
-    """Where the data are cut into windows of 80 steps, those of the experiment are as long as it is."""
+    """Where the data are cut into windows of 80 steps, those of the experiment are as long as it
+    is.
+    """
     library, state = lagging
     train, test = split(problem([(PAIR[0], [0.002])], sigma=SIGMA, steps=400), 80, 24)
     search = Selection(library, np.full(4, 1e-9))

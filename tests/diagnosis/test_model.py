@@ -20,59 +20,83 @@ NOISE = 1e-4
 
 
 def late_arm():
-    """Windows of an arm whose fast joint's velocity comes 2 ms late, with that delay at hand: the library and the windows."""
+    """Windows of an arm whose fast joint's velocity comes 2 ms late, with that delay at hand: the
+    library and the windows.
+    """
     robot = machine("torque-arm")
-    instance = next(a for a in find("effects", "sensor_delay")(robot.simulator.effect_context) if a.target == "qvel.elbow")
+    instance = next(
+        a
+        for a in find("effects", "sensor_delay")(robot.simulator.effect_context)
+        if a.target == "qvel.elbow"
+    )
     data = robot.record([(instance, np.array([0.002]))], noise=NOISE, rng=np.random.default_rng(0))
     arm = Problem("arm", robot.simulator, data, start_noise=True)
     return Library(robot.simulator.with_effects([instance]), [instance], 0), split(arm, 5, 96)[0]
 
 
 def test_starts_of_a_late_velocity_are_in_doubt():
-    """Under the true delay and noise most windows are off by what is expected, (chi-squared) squared length by entry about 1; without the
-    doubt in starts by a hundred times that."""
+    """Under the true delay and noise most windows are off by what is expected, (chi-squared)
+    squared length by entry about 1; without the doubt in starts by a hundred times that.
+    """
     library, windows = late_arm()
-    theta, sigma = np.array([0.002]), np.full(4, NOISE)
+    theta = np.array([0.002])
+    sigma = np.full(4, NOISE)
     seen = linearize(library, windows, theta, sigma)
     length = np.median(seen.whiten.distances(seen.residuals)) / seen.residuals.shape[1]
-    certain = whitener(Library(machine("torque-arm").simulator, (), 0), windows, np.zeros(0), sigma, seen.loadings)
+    certain = whitener(
+        Library(machine("torque-arm").simulator, (), 0), windows, np.zeros(0), sigma, seen.loadings
+    )
     assert 0.5 < length < 2
     assert np.median(certain.distances(seen.residuals)) / seen.residuals.shape[1] > 100
 
 
 def test_doubt_follows_theta():
-    """A look that moves to another delay takes that delay's doubt, as a look that is taken there does; without one there is none."""
+    """A look that moves to another delay takes that delay's doubt, as a look that is taken there
+    does; without one there is none.
+    """
     library, windows = late_arm()
     sigma = np.full(4, NOISE)
     prompt = linearize(library, windows, np.zeros(1), sigma)
     there = moved(library, prompt, np.array([0.002]), sigma)
     doubt = library.simulator.extra_start_sd(np.array([0.002]), windows.segments)
     assert prompt.doubts.shape[2] == 0
-    np.testing.assert_allclose(there.doubts[..., 0], there.loadings[..., 3] * doubt[:, 3:], rtol=1e-12)
-    assert np.array_equal(moved(library, there, np.zeros(1), sigma).log_likelihood, prompt.log_likelihood)
+    np.testing.assert_allclose(
+        there.doubts[..., 0], there.loadings[..., 3] * doubt[:, 3:], rtol=1e-12
+    )
+    assert np.array_equal(
+        moved(library, there, np.zeros(1), sigma).log_likelihood, prompt.log_likelihood
+    )
 
 
 def test_noise_is_learned_beside_doubt():
-    """At the true delay the noise of prompt signals within a tenth, of the late one within a third, from three times too high; without the
-    doubt the late one is off by more than its double."""
+    """At the true delay the noise of prompt signals within a tenth, of the late one within a third,
+    from three times too high; without the doubt the late one is off by more than its double.
+    """
     library, windows = late_arm()
     wrong = np.full(4, 3 * NOISE)
     seen = linearize(library, windows, np.array([0.002]), wrong)
     found = noise_of(seen, wrong, np.full(4, 1e-9))
     assert np.all(np.abs(found / NOISE - 1) < [0.1, 0.1, 0.1, 1 / 3])
-    certain = noise_of(replace(seen, whiten=Whitener(seen.loadings, np.tile(wrong, 2), wrong)), wrong, np.full(4, 1e-9))
+    certain = noise_of(
+        replace(seen, whiten=Whitener(seen.loadings, np.tile(wrong, 2), wrong)),
+        wrong,
+        np.full(4, 1e-9),
+    )
     assert certain[3] > 2 * NOISE
 
 
 @pytest.mark.parametrize("delay", [0.002, 0.006])
 def test_delay_of_a_fast_joints_velocity_is_named(monkeypatch, delay):
-    """Its size within four standard errors, which are below a thousandth of it, and nothing is left; with starts taken to be off by noise
-    alone they are five times as large."""
+    """Its size within four standard errors, which are below a thousandth of it, and nothing is
+    left; with starts taken to be off by noise alone they are five times as large.
+    """
     late = problem([("sensor_delay:qvel.elbow", [delay])])
     effects = ["sensor_delay", "sensor_gain", "joint_damping", "joint_friction"]
     found = diagnose(late, effects)
     size = found.causes[0].estimate["delay"]
-    assert [(cause.effect, cause.target) for cause in found.causes] == [("sensor_delay", "qvel.elbow")]
+    assert [(cause.effect, cause.target) for cause in found.causes] == [
+        ("sensor_delay", "qvel.elbow")
+    ]
     assert abs(size["value"] - delay) < 4 * size["se"] < 4e-3 * delay
     assert found.verdict == "explained"
     monkeypatch.setattr(MujocoSimulator, "extra_start_sd", Simulator.extra_start_sd)

@@ -8,22 +8,31 @@ from dropo.diagnosis.search import selection as search
 from dropo.diagnosis.search.single_steps import size_in_single_steps
 from tests.diagnosis.toy import DT, GAIN, instances, selection
 
-RUNS, FORCE = 12, 1.0  # sd of the random forces [m/s^2]
+# sd of the random forces [m/s^2]
+RUNS = 12
+FORCE = 1.0
 
 
 def closed_loop(seed, *, gain=GAIN, force=FORCE):
-    """A mass held by feedback that random forces push, in every step another; sensors see it to 1e-4."""
+    """A mass held by feedback that random forces push, in every step another; sensors see it to
+    1e-4.
+    """
     rng = np.random.default_rng(seed)
-    count, steps = 24, 60
+    count = 24
+    steps = 60
     x, v = rng.uniform(-1, 1, (2, count))
-    path, commands = [np.stack([x, v], axis=1)], []
+    path = [np.stack([x, v], axis=1)]
+    commands = []
     for _ in range(steps):
         u = -3 * x - 2 * v + 0.1 * rng.standard_normal(count)
-        x, v = x + DT * v, v + DT * (gain * u + force * rng.standard_normal(count))
+        x = x + DT * v
+        v = v + DT * (gain * u + force * rng.standard_normal(count))
         path.append(np.stack([x, v], axis=1))
         commands.append(u[:, None])
     seen = np.stack(path, axis=1) + 1e-4 * rng.standard_normal((count, steps + 1, 2))
-    rows = [np.concatenate(part) for part in (seen[:, :-1], np.stack(commands, axis=1), seen[:, 1:])]
+    rows = [
+        np.concatenate(part) for part in (seen[:, :-1], np.stack(commands, axis=1), seen[:, 1:])
+    ]
     return Trajectories(*rows, np.arange(count * steps) % steps == steps - 1)
 
 
@@ -33,7 +42,9 @@ def named(data):
 
 
 def test_answers_to_chance_are_not_named(monkeypatch):
-    """Twelve data sets with random forces alone: no effect is named; without the look at single steps, one is in some of them."""
+    """Twelve data sets with random forces alone: no effect is named; without the look at single
+    steps, one is in some of them.
+    """
     assert sum(bool(named(closed_loop(seed))) for seed in range(RUNS)) == 0
     monkeypatch.setattr(search, "only_over_windows", lambda *_: False)
     assert sum(bool(named(closed_loop(seed))) for seed in range(RUNS)) >= 3
@@ -45,6 +56,8 @@ def test_a_true_gain_is_named_beside_random_forces(seed):
     finder, first = selection(closed_loop(seed, gain=1.3 * GAIN, force=0.05 * FORCE), length=10)
     found = finder.run(first, first, instances())
     assert [instance.effect for instance in found.accepted] == ["gain"]
-    share, error = size_in_single_steps(finder.library, (found.train, found.test), found.accepted[0], finder.floor)
+    share, error = size_in_single_steps(
+        finder.library, (found.train, found.test), found.accepted[0], finder.floor
+    )
     assert share == pytest.approx(1.0, abs=0.1)
     assert error < 0.03

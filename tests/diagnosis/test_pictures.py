@@ -7,7 +7,14 @@ from scipy import stats
 from dropo import Diagnose
 from tests.diagnosis.arms import problem
 
-SOME = ("joint_damping", "joint_friction", "joint_stiffness", "actuator_gain", "actuator_delay", "actuator_lag")
+SOME = (
+    "joint_damping",
+    "joint_friction",
+    "joint_stiffness",
+    "actuator_gain",
+    "actuator_delay",
+    "actuator_lag",
+)
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +26,9 @@ def damped():
 @pytest.fixture(scope="module")
 def proxy():
     """The same data, where only friction may be named."""
-    return Diagnose(("joint_friction",), length=5, windows=96).run(problem([("joint_damping:elbow", [0.05])]))
+    return Diagnose(("joint_friction",), length=5, windows=96).run(
+        problem([("joint_damping:elbow", [0.05])])
+    )
 
 
 def test_candidates_are_the_searchs(damped):
@@ -28,14 +37,22 @@ def test_candidates_are_the_searchs(damped):
     accepted = [bar for bar in first if bar.accepted]
     assert [bar.label for bar in accepted] == ["joint_damping:elbow"]
     gain = damped.extended_log_likelihood - damped.baseline_log_likelihood
-    assert 0.6 < accepted[0].gain / (gain * 48 * 5) < 1.05  # as all candidates are compared, before everything is fitted to the end
-    assert all(bar.gain < accepted[0].gain for bar in first if bar.gain is not None and not bar.accepted)
+    assert (
+        0.6 < accepted[0].gain / (gain * 48 * 5) < 1.05
+    )  # as all candidates are compared, before everything is fitted to the end
+    assert all(
+        bar.gain < accepted[0].gain for bar in first if bar.gain is not None and not bar.accepted
+    )
     assert damped.pictures.needed < accepted[0].gain
-    assert {bar.label.split(":")[0] for bar in first if not bar.told} == {other["effect"] for other in cause.confused_with}
+    assert {bar.label.split(":")[0] for bar in first if not bar.told} == {
+        other["effect"] for other in cause.confused_with
+    }
 
 
 def test_errors_follow_the_effects_own_axis(damped):
-    """Over the joint's speed errors have a slope before, by more than three standard errors, and none after."""
+    """Over the joint's speed errors have a slope before, by more than three standard errors, and
+    none after.
+    """
     (shown,) = damped.pictures.axes
     assert (shown.axis, shown.axis_unit, shown.signal) == ("qvel.elbow", "rad/s", "qvel.elbow")
     before, after = (stats.linregress(shown.x, values) for values in (shown.before, shown.after))
@@ -44,12 +61,17 @@ def test_errors_follow_the_effects_own_axis(damped):
 
 
 def test_a_true_cause_has_one_size_and_a_proxy_has_not(damped, proxy):
-    """Damping: within 4.5 standard errors of one size in every part. Friction in its place: its size differs with the joint's speed."""
+    """Damping: within 4.5 standard errors of one size in every part.
+
+    Friction in its place: its size differs with the joint's speed.
+    """
     assert {"qvel.elbow", "time"} <= {one.variable for one in damped.pictures.sizes}
     for one in damped.pictures.sizes:
         np.testing.assert_array_less(np.abs(np.array(one.size) - 1), 4.5 * np.array(one.error))
     assert proxy.causes[0].effect == "joint_friction"
-    assert next(one.p_value for one in proxy.pictures.sizes if one.variable == "|qvel.elbow|") < 0.01
+    assert (
+        next(one.p_value for one in proxy.pictures.sizes if one.variable == "|qvel.elbow|") < 0.01
+    )
 
 
 def test_forces_fall_where_the_cause_is(damped):
@@ -72,7 +94,9 @@ def test_similarities_and_sums(damped):
 
 
 def test_motion_is_calibrated_after_and_not_before(damped):
-    """Errors fall at every horizon; probabilities are nearly uniform after, which they are not before."""
+    """Errors fall at every horizon; probabilities are nearly uniform after, which they are not
+    before.
+    """
     motion = damped.motion
     assert motion.held_out
     assert (motion.after.by_horizon <= 1.05 * motion.before.by_horizon).all()

@@ -17,8 +17,12 @@ def rows(windows):
 
 @pytest.mark.parametrize("episodes", [1, 3, 20])
 def test_no_measurement_is_used_twice(episodes):
-    """Windows of one trajectory, of few and of many share no measurement, and the two sides share no block."""
-    train, test = split(Problem("mass", Mass(), measured({}, episodes=episodes, steps=400 // episodes)), 5, 1000)
+    """Windows of one trajectory, of few and of many share no measurement, and the two sides share
+    no block.
+    """
+    train, test = split(
+        Problem("mass", Mass(), measured({}, episodes=episodes, steps=400 // episodes)), 5, 1000
+    )
     for windows in (train, test):
         assert len(rows(windows)) == len(windows) * 6
         assert np.all(np.diff(windows.segments.steps, axis=1) == 1)
@@ -39,5 +43,7 @@ def test_held_out_trajectories_of_the_problem_are_taken():
 
 def test_too_few_windows_are_refused_with_the_number_needed():
     """Twelve steps hold two windows."""
-    with pytest.raises(BadArgument, match=r"at least 8 windows of 5 steps to fit. Got 1.* about 192 transitions"):
+    with pytest.raises(
+        BadArgument, match=r"at least 8 windows of 5 steps to fit. Got 1.* about 192 transitions"
+    ):
         split(Problem("mass", Mass(), measured({}, episodes=1, steps=12)), 5, 96)

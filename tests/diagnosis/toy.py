@@ -1,4 +1,6 @@
-"""A line of masses on which everything is linear, and what may be hidden in it: fast enough for many data sets."""
+"""A line of masses on which everything is linear, and what may be hidden in it: fast enough for
+many data sets.
+"""
 
 import numpy as np
 
@@ -11,7 +13,8 @@ from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.windows import split
 
-DT, GAIN = 0.1, 2.0
+DT = 0.1
+GAIN = 2.0
 SIGNALS = (Signal("x", "m"), Signal("v", "m/s"))
 EFFECTS = {
     "damping": lambda x, v, u: -v,
@@ -29,42 +32,64 @@ class Mass(Simulator):
 
     def __init__(self, declared=False, effects=tuple(EFFECTS)):
         own = [Parameter("gain of the motor", 1.0, 4.0)] if declared else []
-        self.declared, self.effects, self.signals = declared, effects, SIGNALS
-        self.space = ParameterSpace((*own, *(Parameter(f"{name}/size", -20.0, 20.0) for name in effects)))
+        self.declared = declared
+        self.effects = effects
+        self.signals = SIGNALS
+        self.space = ParameterSpace(
+            (*own, *(Parameter(f"{name}/size", -20.0, 20.0) for name in effects))
+        )
         self.nominal = np.array([GAIN] * declared)
 
     def _predict(self, values, segments, offsets):
         starts = segments.starts[None] + (0 if offsets is None else offsets)
-        x, v = (np.broadcast_to(part, (len(values), len(segments))).copy() for part in np.moveaxis(starts, 2, 0))
+        x, v = (
+            np.broadcast_to(part, (len(values), len(segments))).copy()
+            for part in np.moveaxis(starts, 2, 0)
+        )
         gain, sizes = (values[:, :1], values[:, 1:]) if self.declared else (GAIN, values)
         out = np.empty((*x.shape, segments.actions.shape[1], 2))
         for t in range(out.shape[2]):
             u = segments.actions[:, t, 0]
-            force = gain * u + sum(sizes[:, [j]] * EFFECTS[name](x, v, u) for j, name in enumerate(self.effects))
-            x, v = x + DT * v, v + DT * force
+            force = gain * u + sum(
+                sizes[:, [j]] * EFFECTS[name](x, v, u) for j, name in enumerate(self.effects)
+            )
+            x = x + DT * v
+            v = v + DT * force
             out[:, :, t] = np.stack([x, v], axis=2)
         return out.reshape(len(values), -1, 2) if segments.every_step else out[:, :, -1]
 
 
 def instances(effects=tuple(EFFECTS)):
     """One atom an effect, found between -20 and 20."""
-    return [EffectInstance(name, "mass", (Quantity("size", "1", -20.0, 20.0, (-0.1, 0.1)),)) for name in effects]
+    return [
+        EffectInstance(name, "mass", (Quantity("size", "1", -20.0, 20.0, (-0.1, 0.1)),))
+        for name in effects
+    ]
 
 
 def measured(hidden, sigma=1e-3, seed=0, episodes=20, steps=40, shake=0.0):
-    """Data of the mass with sizes hidden, by name; shake: the sd of a random acceleration in each step."""
+    """Data of the mass with sizes hidden, by name; shake: the sd of a random acceleration in each
+    step.
+    """
     rng = np.random.default_rng(seed)
     force = np.repeat(rng.normal(size=(episodes, -(-steps // 4))), 4, axis=1)[:, :steps]
     x, v = rng.normal(size=(2, episodes)) * 0.5
     states = [np.stack([x, v], axis=1)]
     for t in range(steps):
         u = force[:, t]
-        push = GAIN * u + sum(size * EFFECTS[name](x, v, u) for name, size in hidden.items()) + shake * rng.normal(size=episodes)
-        x, v = x + DT * v, v + DT * push
+        push = (
+            GAIN * u
+            + sum(size * EFFECTS[name](x, v, u) for name, size in hidden.items())
+            + shake * rng.normal(size=episodes)
+        )
+        x = x + DT * v
+        v = v + DT * push
         states.append(np.stack([x, v], axis=1))
     seen = np.stack(states, axis=1) + sigma * rng.normal(size=(episodes, steps + 1, 2))
     ends = np.tile(np.arange(steps) == steps - 1, episodes)
-    return Trajectories(seen[:, :-1].reshape(-1, 2), force.reshape(-1, 1), seen[:, 1:].reshape(-1, 2), ends)
+    return Trajectories(
+        seen[:, :-1].reshape(-1, 2), force.reshape(-1, 1), seen[:, 1:].reshape(-1, 2), ends
+    )
 
 
 def selection(data, declared=False, effects=tuple(EFFECTS), length=5, windows=60):

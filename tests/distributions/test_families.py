@@ -14,7 +14,13 @@ from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.families.uniform import Uniform
 from dropo.testing import check_family
 
-SPACE = ParameterSpace((Parameter("mass", 1.0, 3.0, "kg"), Parameter("friction", 0.2, 0.8), Parameter("length", 0.5, 5.0, "m")))
+SPACE = ParameterSpace(
+    (
+        Parameter("mass", 1.0, 3.0, "kg"),
+        Parameter("friction", 0.2, 0.8),
+        Parameter("length", 0.5, 5.0, "m"),
+    )
+)
 
 
 @pytest.mark.parametrize("name", ["truncated_gaussian", "full", "uniform", "log_normal"])
@@ -23,14 +29,19 @@ def test_every_family_keeps_to_the_contract(name):
     check_family(find("families", name))
 
 
-@pytest.mark.parametrize(("family", "distribution"), [
-    (TruncatedGaussian, lambda m, s: stats.truncnorm(-2, 2, loc=m, scale=s)),
-    (Uniform, lambda m, s: stats.uniform(m - s, 2 * s)),
-    (LogNormal, lambda m, s: stats.lognorm(s, scale=m * np.exp(-(s**2) / 2))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("family", "distribution"),
+    [
+        (TruncatedGaussian, lambda m, s: stats.truncnorm(-2, 2, loc=m, scale=s)),
+        (Uniform, lambda m, s: stats.uniform(m - s, 2 * s)),
+        (LogNormal, lambda m, s: stats.lognorm(s, scale=m * np.exp(-(s**2) / 2))),
+    ],
+)
 def test_moments_and_quantiles_are_those_of_the_law(family, distribution):
     """Mean, sd and the map of base points agree with scipy's distribution."""
-    member = family(ParameterSpace(tuple(Parameter(p.name, p.low, p.high, lower=-np.inf) for p in SPACE)))
+    member = family(
+        ParameterSpace(tuple(Parameter(p.name, p.low, p.high, lower=-np.inf) for p in SPACE))
+    )
     phi = member.phi([1.5, 0.5, 2.0], [0.3, 0.1, 0.7])
     base = np.random.default_rng(0).random((1 + member.redraws, 100, 3))
     same = distribution(np.array([1.5, 0.5, 2.0]), np.array([0.3, 0.1, 0.7]))
@@ -44,13 +55,17 @@ def test_truncated_gaussian_has_sd_below_its_scale():
     family = TruncatedGaussian(SPACE)
     phi = family.phi([2.0, 0.5, 3.0], [0.2, 0.05, 0.4])
     np.testing.assert_allclose(family.sd(phi) / family.scale(phi), 0.8796, atol=5e-5)
-    away = np.abs(family.sample(phi, 5000, np.random.default_rng(0)) - family.mean(phi)) / family.scale(phi)
+    away = np.abs(
+        family.sample(phi, 5000, np.random.default_rng(0)) - family.mean(phi)
+    ) / family.scale(phi)
     assert away.max() <= 2.0
     assert away.max() > 1.99
 
 
 def test_thesis_box():
-    """Means linear in the search interval, scales logarithmic from 1e-5 to half of it; narrow intervals shrink the lower end."""
+    """Means linear in the search interval, scales logarithmic from 1e-5 to half of it; narrow
+    intervals shrink the lower end.
+    """
     box = TruncatedGaussian(SPACE).unknowns
     assert box["mean.mass"] == Parameter("mean.mass", 1.0, 3.0, "kg")
     assert box["scale.mass"] == Parameter("scale.mass", 1e-5, 1.0, "kg", scale="log")
@@ -59,12 +74,16 @@ def test_thesis_box():
 
 def test_a_parameter_on_a_log_scale_has_its_mean_there():
     """A mean is searched the way its parameter is."""
-    box = means_and_scales(ParameterSpace((Parameter("time_constant", 1e-3, 1.0, "s", scale="log"),)))
+    box = means_and_scales(
+        ParameterSpace((Parameter("time_constant", 1e-3, 1.0, "s", scale="log"),))
+    )
     assert box.from_unit([0.5, 0.5])[0] == pytest.approx(np.sqrt(1e-3))
 
 
 def test_infeasible_draws_are_made_again_twenty_times_then_held():
-    """A draw stays on the bound only if all 21 attempts are infeasible; where one attempt is feasible, the first such counts."""
+    """A draw stays on the bound only if all 21 attempts are infeasible; where one attempt is
+    feasible, the first such counts.
+    """
     family = TruncatedGaussian(ParameterSpace((Parameter("mass", 1.0, 3.0, lower=1.0),)))
     phi = family.phi([1.0], [0.5])
     base = np.full((21, 3, 1), 0.1)  # below the mean, so below the bound
@@ -77,7 +96,9 @@ def test_infeasible_draws_are_made_again_twenty_times_then_held():
 
 def test_full_gaussian_draws_whole_rows_again():
     """One infeasible entry makes the whole vector again, so that its correlation survives."""
-    family = FullGaussian(ParameterSpace((Parameter("a", 1.0, 3.0, lower=1.0), Parameter("b", 1.0, 3.0))))
+    family = FullGaussian(
+        ParameterSpace((Parameter("a", 1.0, 3.0, lower=1.0), Parameter("b", 1.0, 3.0)))
+    )
     phi = family.phi_of([1.2, 2.0], [[0.25, 0.1], [0.1, 0.2]])
     base = np.full((21, 2, 2), 0.6)
     base[0, 0, 0] = 0.01
@@ -92,24 +113,41 @@ def test_full_gaussian_from_moments_and_back():
     rng = np.random.default_rng(1)
     for _ in range(20):
         root = rng.normal(size=(4, 6))
-        covariance, mean = root @ root.T / 6, rng.uniform(-5, 5, 4)
+        covariance = root @ root.T / 6
+        mean = rng.uniform(-5, 5, 4)
         phi = family.phi_of(mean, covariance)
         np.testing.assert_allclose(family.mean(phi), mean)
-        np.testing.assert_allclose(family.sd(phi)[:, None] * family.correlation(phi) * family.sd(phi), covariance, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            family.sd(phi)[:, None] * family.correlation(phi) * family.sd(phi),
+            covariance,
+            rtol=1e-9,
+            atol=1e-12,
+        )
 
 
 def test_canonical_partial_correlations():
     """In three dimensions, partial.b.c is the textbook partial correlation of b and c given a."""
     family = FullGaussian(ParameterSpace(tuple(Parameter(n, -1.0, 1.0) for n in "abc")))
-    phi = family.unknowns.vector({**dict.fromkeys(family.unknowns.names[:3], 0.0), **dict.fromkeys(family.unknowns.names[3:6], 0.1),
-                                  "partial.a.b": 0.6, "partial.a.c": -0.3, "partial.b.c": 0.5})  # fmt: skip
+    phi = family.unknowns.vector(
+        {
+            **dict.fromkeys(family.unknowns.names[:3], 0.0),
+            **dict.fromkeys(family.unknowns.names[3:6], 0.1),
+            "partial.a.b": 0.6,
+            "partial.a.c": -0.3,
+            "partial.b.c": 0.5,
+        }
+    )
     r = family.correlation(phi)
     np.testing.assert_allclose([r[0, 1], r[0, 2]], [0.6, -0.3])
-    assert (r[1, 2] - r[0, 1] * r[0, 2]) / np.sqrt((1 - r[0, 1] ** 2) * (1 - r[0, 2] ** 2)) == pytest.approx(0.5)
+    assert (r[1, 2] - r[0, 1] * r[0, 2]) / np.sqrt(
+        (1 - r[0, 1] ** 2) * (1 - r[0, 2] ** 2)
+    ) == pytest.approx(0.5)
 
 
 def test_every_point_of_the_box_is_a_correlation_matrix():
-    """Random partial correlations, the extreme ones included, give positive definite matrices with ones on the diagonal."""
+    """Random partial correlations, the extreme ones included, give positive definite matrices with
+    ones on the diagonal.
+    """
     family = FullGaussian(ParameterSpace(tuple(Parameter(f"p{i}", 0.0, 1.0) for i in range(6))))
     rng = np.random.default_rng(2)
     for unit in (*rng.random((50, len(family.unknowns))), np.ones(len(family.unknowns))):
@@ -123,12 +161,19 @@ def test_full_gaussian_without_correlation_is_the_diagonal_one():
     family = FullGaussian(SPACE)
     phi = family.phi([2.0, 0.5, 3.0], [0.1, 0.02, 0.2])
     base = family.base(16, np.random.default_rng(0))
-    np.testing.assert_allclose(family.draw(phi, base), stats.norm.ppf(base[0], [2.0, 0.5, 3.0], [0.1, 0.02, 0.2]))
+    np.testing.assert_allclose(
+        family.draw(phi, base), stats.norm.ppf(base[0], [2.0, 0.5, 3.0], [0.1, 0.02, 0.2])
+    )
 
 
 def test_refusals():
-    """Parameters that can be 0 have no log-normal; a covariance must be positive definite; K must be 2 or more."""
-    with pytest.raises(BadArgument, match=r"'low' of Parameter 'damping' must be positive for LogNormal. Got 0.0 .* another family"):
+    """Parameters that can be 0 have no log-normal; a covariance must be positive definite; K must
+    be 2 or more.
+    """
+    with pytest.raises(
+        BadArgument,
+        match=r"'low' of Parameter 'damping' must be positive for LogNormal. Got 0.0 .* another family",
+    ):
         LogNormal(ParameterSpace((Parameter("damping", 0.0, 1.0),)))
     with pytest.raises(BadArgument, match=r"covariance.*positive definite"):
         FullGaussian(SPACE).phi_of([2.0, 0.5, 1.0], np.ones((3, 3)))

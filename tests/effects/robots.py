@@ -1,4 +1,6 @@
-"""Robots on which effects are tried, each with data in its own coordinates: three trajectories, cut in their middle."""
+"""Robots on which effects are tried, each with data in its own coordinates: three trajectories, cut
+in their middle.
+"""
 
 from dataclasses import dataclass
 
@@ -51,14 +53,18 @@ class Robot:
 
     @property
     def segments(self):
-        """Windows of three steps, the first behind two steps of its trajectory, every step compared."""
+        """Windows of three steps, the first behind two steps of its trajectory, every step
+        compared.
+        """
         return self.data.segments(length=3, every_step=True).take([1, 3, 5])
 
 
 def simulator(xml, frame_skip=4, threads=1, parameters=(), observation=("qpos", "qvel")):
     """A simulator of an MJCF text."""
     spec = mujoco.MjSpec.from_string(xml)
-    return MujocoSimulator(spec, parameters, observation=observation, frame_skip=frame_skip, threads=threads)
+    return MujocoSimulator(
+        spec, parameters, observation=observation, frame_skip=frame_skip, threads=threads
+    )
 
 
 def trajectories(own, row, reach, length=6, count=3, seed=0):
@@ -88,7 +94,9 @@ def hopper(threads=1):
     own = hopper_simulator(threads)
 
     def row(rng):
-        return np.concatenate([[rng.uniform(1.26, 1.34)], 0.03 * rng.normal(size=4), 0.5 * rng.normal(size=6)])
+        return np.concatenate(
+            [[rng.uniform(1.26, 1.34)], 0.03 * rng.normal(size=4), 0.5 * rng.normal(size=6)]
+        )
 
     return Robot(own, trajectories(own, row, 1.2))
 
@@ -96,7 +104,9 @@ def hopper(threads=1):
 def plain(xml, threads, spread, speed, parameters=(), observation=("qpos", "qvel"), extra=0):
     """A robot near its qpos0."""
     own = simulator(xml, threads=threads, parameters=parameters, observation=observation)
-    data = trajectories(own, lambda rng: around(own.model, [0.1 * rng.normal(size=extra)], rng, spread, speed), 1.2)
+    data = trajectories(
+        own, lambda rng: around(own.model, [0.1 * rng.normal(size=extra)], rng, spread, speed), 1.2
+    )
     return Robot(own, data)
 
 
@@ -105,5 +115,7 @@ ROBOTS = {
     "arm": lambda threads=1: plain(ARM, threads, 0.15, 1.0, (mass("lower", 0.2, 1.0),)),
     "cube": lambda threads=1: plain(CUBE, threads, 0.01, 0.3),
     "cart": lambda threads=1: plain(CART, threads, 0.3, 1.0),
-    "strange": lambda threads=1: plain(STRANGE, threads, 0.1, 0.5, (), ("qpos", "qvel", "act", "sensordata"), extra=5),
+    "strange": lambda threads=1: plain(
+        STRANGE, threads, 0.1, 0.5, (), ("qpos", "qvel", "act", "sensordata"), extra=5
+    ),
 }

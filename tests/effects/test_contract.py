@@ -10,7 +10,9 @@ from dropo.core.services.registry import find, names
 from dropo.testing import check_effect
 from tests.effects.robots import ROBOTS
 
-NOWHERE = {  # what cannot be seen: a plane's third direction, contacts that do not come about, forces that a joint holds
+# what cannot be seen: a plane's third direction, contacts that do not come about, forces that a
+# joint holds
+NOWHERE = {
     "hopper": r"(body_com|external_force).*\.y|joint_limit.*|.*contact_.*",
     "arm": r"(body_com|external_force).*\.y|.*contact_.*",
     "cube": r"nothing",
@@ -34,18 +36,25 @@ def robot(name):
 @pytest.fixture(scope="module")
 def instances(robot):
     """All its atoms."""
-    return [instance for effect in names("effects") for instance in find("effects", effect)(robot.simulator.effect_context)]
+    return [
+        instance
+        for effect in names("effects")
+        for instance in find("effects", effect)(robot.simulator.effect_context)
+    ]
 
 
 @pytest.mark.parametrize("effect", names("effects"))
 def test_contract(robot, effect):
-    """Size 0 is the base model bit for bit; bounds, probes, continuity, proportion, inputs left alone, no NaN."""
+    """Size 0 is the base model bit for bit; bounds, probes, continuity, proportion, inputs left
+    alone, no NaN.
+    """
     check_effect(find("effects", effect), robot.simulator, robot.segments)
 
 
 def largest(simulator, instances):
     """(K, d) for each atom its first and last trial, all else 0."""
-    rows, place = [], len(simulator.space) - sum(len(instance.quantities) for instance in instances)
+    rows = []
+    place = len(simulator.space) - sum(len(instance.quantities) for instance in instances)
     for instance in instances:
         for trial in (instance.trials[0][0], instance.trials[-1][-1]):
             rows.append(simulator.nominal.copy())
@@ -55,18 +64,28 @@ def largest(simulator, instances):
 
 
 def test_seen_where_they_can_be(name, robot, instances):
-    """Of each atom a trial changes the predictions, but for those that nothing can show on this robot."""
+    """Of each atom a trial changes the predictions, but for those that nothing can show on this
+    robot.
+    """
     labels = [instance.label for instance in instances]
     assert len(set(labels)) == len(labels)
     extended = robot.simulator.with_effects(instances)
     values = largest(extended, instances)
-    changes = extended.predict(values, robot.segments) != robot.simulator.predict(robot.simulator.nominal[None], robot.segments)
-    unseen = [label for label, pair in zip(labels, changes.reshape(len(instances), -1), strict=True) if not pair.any()]
+    changes = extended.predict(values, robot.segments) != robot.simulator.predict(
+        robot.simulator.nominal[None], robot.segments
+    )
+    unseen = [
+        label
+        for label, pair in zip(labels, changes.reshape(len(instances), -1), strict=True)
+        if not pair.any()
+    ]
     assert [label for label in unseen if not re.fullmatch(NOWHERE[name], label)] == []
 
 
 def test_any_number_of_threads_and_any_process(name, robot, instances):
-    """Two threads, and a copy that went through pickle, give what one thread gives, bit for bit; the control: effects did act."""
+    """Two threads, and a copy that went through pickle, give what one thread gives, bit for bit;
+    the control: effects did act.
+    """
     some = instances[::3]
     one = robot.simulator.with_effects(some)
     values = largest(one, some)
@@ -76,17 +95,40 @@ def test_any_number_of_threads_and_any_process(name, robot, instances):
     sent = pickle.loads(pickle.dumps(two))
     assert np.array_equal(two.predict(values, robot.segments), wanted)
     assert np.array_equal(sent.predict(values, robot.segments), wanted)
-    again = pickle.loads(pickle.dumps(ROBOTS[name](threads=2).simulator)).with_effects(pickle.loads(pickle.dumps(some)))
+    again = pickle.loads(pickle.dumps(ROBOTS[name](threads=2).simulator)).with_effects(
+        pickle.loads(pickle.dumps(some))
+    )
     assert np.array_equal(again.predict(values, robot.segments), wanted)
 
 
 def test_none_where_there_is_nothing():
-    """Effects of actuators are not offered for a cube, nor rotations' gains and delays; bodies at rest have no mass to be found."""
-    offered = {name: [a.label for a in find("effects", name)(ROBOTS["cube"]().simulator.effect_context)] for name in names("effects")}
-    assert [name for name in offered if name.startswith(("actuator", "joint", "gear")) and offered[name]] == []
+    """Effects of actuators are not offered for a cube, nor rotations' gains and delays; bodies at
+    rest have no mass to be found.
+    """
+    offered = {
+        name: [a.label for a in find("effects", name)(ROBOTS["cube"]().simulator.effect_context)]
+        for name in names("effects")
+    }
+    assert [
+        name for name in offered if name.startswith(("actuator", "joint", "gear")) and offered[name]
+    ] == []
     assert "sensor_bias:qpos.cube.rx" in offered["sensor_bias"]
-    assert not [label for kind in ("sensor_gain", "sensor_delay") for label in offered[kind] if label.endswith("rx")]
+    assert not [
+        label
+        for kind in ("sensor_gain", "sensor_delay")
+        for label in offered[kind]
+        if label.endswith("rx")
+    ]
     strange = ROBOTS["strange"]().simulator.effect_context
-    assert not [instance for instance in find("effects", "body_mass")(strange) if instance.target == "0"]
-    assert [a.target for a in find("effects", "actuator_gain")(strange)] == ["0", "1", "socket", "3", "speed", None]
+    assert not [
+        instance for instance in find("effects", "body_mass")(strange) if instance.target == "0"
+    ]
+    assert [a.target for a in find("effects", "actuator_gain")(strange)] == [
+        "0",
+        "1",
+        "socket",
+        "3",
+        "speed",
+        None,
+    ]
     assert [a.label for a in find("effects", "gear_lash")(strange)] == []

@@ -31,7 +31,9 @@ def test_place_in_data():
     data = arm().data
     np.testing.assert_allclose(place_in_data(data.segments()), np.arange(18) / 18)
     short = data.rows(np.r_[0:2, 6:12])
-    np.testing.assert_allclose(place_in_data(short.segments()), [0, 0.25, *(0.5 + np.arange(6) / 12)])
+    np.testing.assert_allclose(
+        place_in_data(short.segments()), [0, 0.25, *(0.5 + np.arange(6) / 12)]
+    )
     np.testing.assert_allclose(place_in_data(data.segments(length=3)), np.arange(6) / 6)
 
 
@@ -39,7 +41,9 @@ def test_place_in_data():
 def test_setting_in(shift, first):
     """Before the moment the base model, from there on the whole effect, bit for bit."""
     robot = arm()
-    found, without, whole = under(robot, f"{PAYLOAD}.from", 0.4, shift), base(robot), under(robot, "body_mass:upper", 0.4)
+    found = under(robot, f"{PAYLOAD}.from", 0.4, shift)
+    without = base(robot)
+    whole = under(robot, "body_mass:upper", 0.4)
     assert np.array_equal(found[:first], without[:first])
     assert np.array_equal(found[first:], whole[first:])
     assert not np.array_equal(without[first:], whole[first:])
@@ -61,7 +65,9 @@ def test_ramp():
 
 
 def test_declared_parameter():
-    """A declared parameter that changes is that parameter with another value, and never leaves what is possible."""
+    """A declared parameter that changes is that parameter with another value, and never leaves what
+    is possible.
+    """
     robot = arm()
     found = under(robot, "parameter_drift:lower_mass.from", 0.3, 0.0)
     values = np.stack([robot.simulator.nominal, robot.simulator.nominal + 0.3])
@@ -69,14 +75,18 @@ def test_declared_parameter():
     np.testing.assert_array_equal(found, np.vstack([before[:9], after[9:]]))
     least = robot.simulator.space[0].lower
     lightest = robot.simulator.predict(np.array([[least]]), robot.data.segments())[0]
-    assert np.array_equal(under(robot, "parameter_drift:lower_mass.from", -0.8, -0.45)[9:], lightest[9:])
+    assert np.array_equal(
+        under(robot, "parameter_drift:lower_mass.from", -0.8, -0.45)[9:], lightest[9:]
+    )
 
 
 def test_moment_is_a_parameter():
     """Size and moment are found as numbers of the simulator, a draw each."""
     robot = arm()
     free = robot.simulator.with_effects([instance(robot, f"{PAYLOAD}.from")])
-    values = np.column_stack([np.full(3, robot.simulator.nominal), [0.4, 0.4, 0.0], [-0.25, 0.3, 0.3]])
+    values = np.column_stack(
+        [np.full(3, robot.simulator.nominal), [0.4, 0.4, 0.0], [-0.25, 0.3, 0.3]]
+    )
     early, late, absent = free.predict(values, robot.data.segments())
     assert np.array_equal(early, under(robot, f"{PAYLOAD}.from", 0.4, -0.25))
     assert np.array_equal(late, under(robot, f"{PAYLOAD}.from", 0.4, 0.3))
@@ -86,8 +96,11 @@ def test_moment_is_a_parameter():
 def test_parts_and_order_do_not_matter():
     """Segments keep their place in the data whichever come together."""
     robot = arm()
-    simulator = robot.simulator.with_effects((), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))])
-    segments, nominal = robot.data.segments(length=3, every_step=True), robot.simulator.nominal[None]
+    simulator = robot.simulator.with_effects(
+        (), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))]
+    )
+    segments = robot.data.segments(length=3, every_step=True)
+    nominal = robot.simulator.nominal[None]
     whole = simulator.predict(nominal, segments)[0].reshape(6, 3, -1)
     some = simulator.predict(nominal, segments.take([1, 4, 5]))[0].reshape(3, 3, -1)
     assert np.array_equal(some, whole[[1, 4, 5]])
@@ -96,7 +109,9 @@ def test_parts_and_order_do_not_matter():
 def test_chained_segments_are_refused():
     """What goes on where another segment ended cannot have another model; said with the way out."""
     robot = arm()
-    simulator = robot.simulator.with_effects((), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))])
+    simulator = robot.simulator.with_effects(
+        (), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))]
+    )
     chained = robot.data.segments(length=2, reset="partial", set_columns=[True, True, False, False])
     with pytest.raises(Incompatible, match="reset='partial'"):
         simulator.predict(robot.simulator.nominal[None], chained)
@@ -105,7 +120,11 @@ def test_chained_segments_are_refused():
 def test_what_can_change():
     """Every declared parameter, and what changes on machines, in both ways."""
     labels = [a.label for a in find("effects", "parameter_drift")(arm().simulator.effect_context)]
-    assert {"parameter_drift:lower_mass.from", "parameter_drift:lower_mass.ramp", "parameter_drift:actuator_gain:push.ramp"} <= set(labels)
+    assert {
+        "parameter_drift:lower_mass.from",
+        "parameter_drift:lower_mass.ramp",
+        "parameter_drift:actuator_gain:push.ramp",
+    } <= set(labels)
     assert len(labels) == len(set(labels))
     trials = instance(arm(), f"{PAYLOAD}.from").trials
     assert {trial[0][1] for trial in trials} == {-0.25, 0.0, 0.25}
@@ -113,12 +132,22 @@ def test_what_can_change():
 
 
 def test_written_and_read(tmp_path):
-    """A problem file keeps what changes and when, beside the model, which stays as it is; predictions agree."""
+    """A problem file keeps what changes and when, beside the model, which stays as it is;
+    predictions agree.
+    """
     robot = arm()
-    drifts = [(instance(robot, f"{PAYLOAD}.from"), np.array([0.4, -0.25])), (instance(robot, "parameter_drift:lower_mass.ramp"), np.array([0.2]))]
+    drifts = [
+        (instance(robot, f"{PAYLOAD}.from"), np.array([0.4, -0.25])),
+        (instance(robot, "parameter_drift:lower_mass.ramp"), np.array([0.2])),
+    ]
     changing = robot.simulator.with_effects((), drifts)
     read = load(write_problem(Problem("arm", changing, robot.data, epsilon=1e-4), tmp_path))
     wanted = changing.predict(changing.nominal[None], robot.data.segments())
     found = read.simulator.predict(changing.nominal[None], read.trajectories.segments())
     np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5)  # MJCF keeps about six digits
-    assert np.abs(wanted - robot.simulator.predict(changing.nominal[None], robot.data.segments())).max() > 1e-2
+    assert (
+        np.abs(
+            wanted - robot.simulator.predict(changing.nominal[None], robot.data.segments())
+        ).max()
+        > 1e-2
+    )

@@ -1,4 +1,6 @@
-"""Effects on the model and on forces against slow twins: an MJCF with other numbers, and forces applied step by step."""
+"""Effects on the model and on forces against slow twins: an MJCF with other numbers, and forces
+applied step by step.
+"""
 
 import mujoco
 import numpy as np
@@ -15,27 +17,41 @@ XML = {"arm": ARM, "cube": CUBE, "cart": CART, "strange": STRANGE}
 
 def instance(robot, label):
     """The atom of that label."""
-    found = {a.label: a for a in find("effects", label.split(":")[0].split(".")[0])(robot.simulator.effect_context)}
+    found = {
+        a.label: a
+        for a in find("effects", label.split(":")[0].split(".")[0])(robot.simulator.effect_context)
+    }
     return found[label]
 
 
 def predicted(robot, label, *magnitudes):
-    """(R, nq + nv) what the simulator with the effect predicts; of a free body, its orientation's three numbers in place of four."""
+    """(R, nq + nv) what the simulator with the effect predicts; of a free body, its orientation's
+    three numbers in place of four.
+    """
     simulator = robot.simulator.with_effects((), [(instance(robot, label), np.array(magnitudes))])
     found = simulator.predict(simulator.nominal[None], robot.segments)[0]
-    assert not np.allclose(found, robot.simulator.predict(simulator.nominal[None], robot.segments)[0], rtol=1e-7, atol=1e-9)
+    assert not np.allclose(
+        found,
+        robot.simulator.predict(simulator.nominal[None], robot.segments)[0],
+        rtol=1e-7,
+        atol=1e-9,
+    )
     return found
 
 
 def seen(robot, states):
     """States (R, nq + nv) as the signals of the simulator."""
     extra = np.zeros((len(states), len(robot.simulator.layout) - states.shape[1]))
-    return robot.simulator.layout.coordinates(np.hstack([states, extra]), robot.segments.targets)[:, : robot.simulator.model.nv * 2]
+    return robot.simulator.layout.coordinates(np.hstack([states, extra]), robot.segments.targets)[
+        :, : robot.simulator.model.nv * 2
+    ]
 
 
 def same(robot, found, states):
     """Whether predictions are those of a twin, to rounding."""
-    np.testing.assert_allclose(found[:, : robot.simulator.model.nv * 2], seen(robot, states), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        found[:, : robot.simulator.model.nv * 2], seen(robot, states), rtol=1e-7, atol=1e-9
+    )
 
 
 G = 9.81
@@ -43,7 +59,13 @@ INERTIA = "0.0066666666666666667"
 LOWER = 'fromto="0 0 0 0.1 0.05 -0.3" mass="0.5"/>'
 MODELS = [
     ("arm", "joint_damping:shoulder", (0.7,), ('damping="0.3"', 'damping="1.0"')),
-    ("arm", "joint_damping.hinges", (0.7,), ('name="elbow"', 'name="elbow" damping="0.7"'), ('damping="0.3"', 'damping="1.0"')),
+    (
+        "arm",
+        "joint_damping.hinges",
+        (0.7,),
+        ('name="elbow"', 'name="elbow" damping="0.7"'),
+        ('damping="0.3"', 'damping="1.0"'),
+    ),
     ("arm", "joint_friction:shoulder", (0.4,), ('frictionloss="0.1"', 'frictionloss="0.5"')),
     ("arm", "joint_friction:elbow", (0.4,), ('name="elbow"', 'name="elbow" frictionloss="0.4"')),
     ("arm", "joint_armature:shoulder", (0.03,), ('armature="0.02"', 'armature="0.05"')),
@@ -55,35 +77,106 @@ MODELS = [
     ("arm", "air_drag.density", (90.0,), ("<option", '<option density="90"')),
     ("arm", "air_drag.viscosity", (3.0,), ("<option", '<option viscosity="3"')),
     ("arm", "wind.x", (40.0, -6.0), ("<option", '<option density="40" wind="-6 0 0"')),
-    ("arm", "gravity_tilt.y", (0.2,), ("<option", f'<option gravity="{-G * np.sin(0.2)} 0 {-G * np.cos(0.2)}"')),
-    ("cube", "gravity_tilt.x", (0.2,), ("<option", f'<option gravity="0 {G * np.sin(0.2)} {-G * np.cos(0.2)}"')),
+    (
+        "arm",
+        "gravity_tilt.y",
+        (0.2,),
+        ("<option", f'<option gravity="{-G * np.sin(0.2)} 0 {-G * np.cos(0.2)}"'),
+    ),
+    (
+        "cube",
+        "gravity_tilt.x",
+        (0.2,),
+        ("<option", f'<option gravity="0 {G * np.sin(0.2)} {-G * np.cos(0.2)}"'),
+    ),
     ("cube", "contact_friction", (-0.5,), ('friction="0.6"', 'friction="0.3"')),
     ("cube", "contact_friction", (0.5,), ('friction="0.6"', 'friction="0.9"')),
-    ("cube", "contact_stiffness.time-constant", (0.5,), ("<worldbody>", '<default><geom solref="0.03 1"/></default><worldbody>')),
-    ("cube", "contact_stiffness.damping-ratio", (0.5,), ("<worldbody>", '<default><geom solref="0.02 1.5"/></default><worldbody>')),
-    ("cube", "contact_stiffness.margin", (0.02,), ("<worldbody>", '<default><geom margin="0.01"/></default><worldbody>')),
-    ("cube", "body_mass:cube", (0.5,), ('size="0.1 0.1 0.1" mass="1"', 'size="0.1 0.1 0.1"'),
-     ("<freejoint/>", f'<freejoint/><inertial pos="0 0 0" mass="1.5" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>')),
-    ("cube", "body_inertia:cube", (0.5,), ("<freejoint/>", '<freejoint/><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>')),
-    ("cube", "body_com:cube.x", (0.03,),
-     ("<freejoint/>", f'<freejoint/><inertial pos="0.03 0 0" mass="1" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>')),
-]  # fmt: skip
+    (
+        "cube",
+        "contact_stiffness.time-constant",
+        (0.5,),
+        ("<worldbody>", '<default><geom solref="0.03 1"/></default><worldbody>'),
+    ),
+    (
+        "cube",
+        "contact_stiffness.damping-ratio",
+        (0.5,),
+        ("<worldbody>", '<default><geom solref="0.02 1.5"/></default><worldbody>'),
+    ),
+    (
+        "cube",
+        "contact_stiffness.margin",
+        (0.02,),
+        ("<worldbody>", '<default><geom margin="0.01"/></default><worldbody>'),
+    ),
+    (
+        "cube",
+        "body_mass:cube",
+        (0.5,),
+        ('size="0.1 0.1 0.1" mass="1"', 'size="0.1 0.1 0.1"'),
+        (
+            "<freejoint/>",
+            (
+                f'<freejoint/><inertial pos="0 0 0" mass="1.5" diaginertia="{INERTIA} '
+                f'{INERTIA} {INERTIA}"/>'
+            ),
+        ),
+    ),
+    (
+        "cube",
+        "body_inertia:cube",
+        (0.5,),
+        (
+            "<freejoint/>",
+            '<freejoint/><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>',
+        ),
+    ),
+    (
+        "cube",
+        "body_com:cube.x",
+        (0.03,),
+        (
+            "<freejoint/>",
+            (
+                f'<freejoint/><inertial pos="0.03 0 0" mass="1" diaginertia="{INERTIA} '
+                f'{INERTIA} {INERTIA}"/>'
+            ),
+        ),
+    ),
+]
 
 
-@pytest.mark.parametrize(("name", "label", "magnitudes", "changes"), [(n, e, s, c) for n, e, s, *c in MODELS])
+@pytest.mark.parametrize(
+    ("name", "label", "magnitudes", "changes"), [(n, e, s, c) for n, e, s, *c in MODELS]
+)
 def test_model_of_another_text(name, label, magnitudes, changes):
     """Predictions are those of a model whose MJCF says so, derived constants included."""
-    robot, text = ROBOTS[name](), XML[name]
+    robot = ROBOTS[name]()
+    text = XML[name]
     for old, new in changes:
         assert text.count(old) == 1
         text = text.replace(old, new)
-    same(robot, predicted(robot, label, *magnitudes), replay(mujoco.MjModel.from_xml_string(text), robot))
+    same(
+        robot,
+        predicted(robot, label, *magnitudes),
+        replay(mujoco.MjModel.from_xml_string(text), robot),
+    )
 
 
-TWO = CUBE.replace("</worldbody>", '<body name="other" pos="1 0 0.1"><freejoint/><geom type="sphere" size="0.1"/></body></worldbody>')
+TWO = CUBE.replace(
+    "</worldbody>",
+    (
+        '<body name="other" pos="1 0 0.1"><freejoint/><geom type="sphere" '
+        'size="0.1"/></body></worldbody>'
+    ),
+)
 
 
-SOFTER = [("time-constant", 0.5, 'solref="0.03 1"'), ("damping-ratio", -0.5, 'solref="0.02 0.5"'), ("margin", 0.01, 'margin="0.01"')]
+SOFTER = [
+    ("time-constant", 0.5, 'solref="0.03 1"'),
+    ("damping-ratio", -0.5, 'solref="0.02 0.5"'),
+    ("margin", 0.01, 'margin="0.01"'),
+]
 
 
 @pytest.mark.parametrize(("variant", "size", "text"), SOFTER)
@@ -91,27 +184,37 @@ def test_contact_stiffness_of_one_geom(variant, size, text):
     """One geom's numbers alone change, of several that can touch."""
     spec = mujoco.MjSpec.from_string(TWO)
     robot = MujocoSimulator(spec, ()).effect_context
-    found = {a.label: a for a in find("effects", "contact_stiffness")(robot)}[f"contact_stiffness:shell.{variant}"]
-    own, other = mujoco.MjModel.from_xml_string(TWO), mujoco.MjModel.from_xml_string(TWO.replace('name="shell"', f'name="shell" {text}'))
+    found = {a.label: a for a in find("effects", "contact_stiffness")(robot)}[
+        f"contact_stiffness:shell.{variant}"
+    ]
+    own = mujoco.MjModel.from_xml_string(TWO)
+    other = mujoco.MjModel.from_xml_string(TWO.replace('name="shell"', f'name="shell" {text}'))
     found.model(own, np.array([size]))
     np.testing.assert_allclose(own.geom_solref, other.geom_solref, rtol=1e-12)
     np.testing.assert_allclose(own.geom_margin, other.geom_margin, rtol=1e-12)
 
 
 def test_contacts_that_give_stiffness_themselves_are_left():
-    """A negative solref is stiffness and damping, which a factor on the time constant does not mean."""
-    robot = MujocoSimulator(mujoco.MjSpec.from_string(TWO.replace('name="shell"', 'name="shell" solref="-900 -40"')), ()).effect_context
+    """A negative solref is stiffness and damping, which a factor on the time constant does not
+    mean.
+    """
+    robot = MujocoSimulator(
+        mujoco.MjSpec.from_string(TWO.replace('name="shell"', 'name="shell" solref="-900 -40"')), ()
+    ).effect_context
     found = {a.label: a for a in find("effects", "contact_stiffness")(robot)}
     assert "contact_stiffness:shell.margin" in found
     assert "contact_stiffness:shell.time-constant" not in found
-    before, after = robot.model.geom_solref.copy(), robot.model.__copy__()
+    before = robot.model.geom_solref.copy()
+    after = robot.model.__copy__()
     found["contact_stiffness.time-constant"].model(after, np.array([0.5]))
     assert np.array_equal(after.geom_solref[1], before[1])
     assert after.geom_solref[0, 0] == 1.5 * before[0, 0]
 
 
 def test_centre_of_mass_needs_a_source():
-    """Where a free body cannot be compiled anew its centre of mass is not offered, and refused with the way out."""
+    """Where a free body cannot be compiled anew its centre of mass is not offered, and refused with
+    the way out.
+    """
     free = ROBOTS["cube"]()
     com = instance(free, "body_com:cube.x")
     compiled = MujocoSimulator(mujoco.MjModel.from_xml_string(CUBE), (), frame_skip=4, threads=1)
@@ -131,21 +234,84 @@ def friction(data, dof, load):
 
 
 FORCES = [
-    ("arm", "joint_stiffness:shoulder.rest", (2.0, 0.7), "shoulder", lambda d, v, q: 0.7 - 2.0 * d.qpos[q]),
-    ("arm", "joint_stiffness:elbow.rest", (2.0, 0.7), "elbow", lambda d, v, q: 0.7 - 2.0 * (d.qpos[q] - 0.1)),
-    ("arm", "joint_stribeck:shoulder", (0.5, 0.4), "shoulder",
-     lambda d, v, q: friction(d, v, 0.5 * np.exp(-((d.qvel[v] / (0.5 * np.exp(0.4))) ** 2)))),
-    ("arm", "joint_load_friction:shoulder", (0.1,), "shoulder", lambda d, v, q: friction(d, v, 0.1 * abs(d.qfrc_actuator[v]))),
-    ("arm", "joint_load_friction:elbow", (0.1,), "elbow", lambda d, v, q: friction(d, v, 0.1 * abs(d.qfrc_actuator[v]))),
-    ("arm", "joint_cogging:shoulder.12-a-turn", (0.6, -0.3), "shoulder",
-     lambda d, v, q: 0.6 * np.sin(12 * d.qpos[q]) - 0.3 * np.cos(12 * d.qpos[q])),
-    ("arm", "actuator_torque_speed:push", (0.3,), "shoulder", lambda d, v, q: weaker(d.qfrc_actuator[v], d.qvel[v], 0.3)),
-    ("arm", "actuator_torque_speed:servo", (0.9,), "elbow", lambda d, v, q: weaker(d.qfrc_actuator[v], d.qvel[v], 0.9)),
-    ("strange", "actuator_torque_speed:3", (0.9,), "track", lambda d, v, q: weaker(d.actuator_force[3], d.qvel[v], 0.9)),
-    ("strange", "actuator_torque_speed:speed", (0.9,), "track", lambda d, v, q: weaker(d.actuator_force[4], d.qvel[v], 0.9)),
-    ("strange", "joint_load_friction:track", (0.2,), "track",
-     lambda d, v, q: friction(d, v, 0.2 * abs(d.actuator_force[3] + d.actuator_force[4]))),
-]  # fmt: skip
+    (
+        "arm",
+        "joint_stiffness:shoulder.rest",
+        (2.0, 0.7),
+        "shoulder",
+        lambda d, v, q: 0.7 - 2.0 * d.qpos[q],
+    ),
+    (
+        "arm",
+        "joint_stiffness:elbow.rest",
+        (2.0, 0.7),
+        "elbow",
+        lambda d, v, q: 0.7 - 2.0 * (d.qpos[q] - 0.1),
+    ),
+    (
+        "arm",
+        "joint_stribeck:shoulder",
+        (0.5, 0.4),
+        "shoulder",
+        lambda d, v, q: friction(d, v, 0.5 * np.exp(-((d.qvel[v] / (0.5 * np.exp(0.4))) ** 2))),
+    ),
+    (
+        "arm",
+        "joint_load_friction:shoulder",
+        (0.1,),
+        "shoulder",
+        lambda d, v, q: friction(d, v, 0.1 * abs(d.qfrc_actuator[v])),
+    ),
+    (
+        "arm",
+        "joint_load_friction:elbow",
+        (0.1,),
+        "elbow",
+        lambda d, v, q: friction(d, v, 0.1 * abs(d.qfrc_actuator[v])),
+    ),
+    (
+        "arm",
+        "joint_cogging:shoulder.12-a-turn",
+        (0.6, -0.3),
+        "shoulder",
+        lambda d, v, q: 0.6 * np.sin(12 * d.qpos[q]) - 0.3 * np.cos(12 * d.qpos[q]),
+    ),
+    (
+        "arm",
+        "actuator_torque_speed:push",
+        (0.3,),
+        "shoulder",
+        lambda d, v, q: weaker(d.qfrc_actuator[v], d.qvel[v], 0.3),
+    ),
+    (
+        "arm",
+        "actuator_torque_speed:servo",
+        (0.9,),
+        "elbow",
+        lambda d, v, q: weaker(d.qfrc_actuator[v], d.qvel[v], 0.9),
+    ),
+    (
+        "strange",
+        "actuator_torque_speed:3",
+        (0.9,),
+        "track",
+        lambda d, v, q: weaker(d.actuator_force[3], d.qvel[v], 0.9),
+    ),
+    (
+        "strange",
+        "actuator_torque_speed:speed",
+        (0.9,),
+        "track",
+        lambda d, v, q: weaker(d.actuator_force[4], d.qvel[v], 0.9),
+    ),
+    (
+        "strange",
+        "joint_load_friction:track",
+        (0.2,),
+        "track",
+        lambda d, v, q: friction(d, v, 0.2 * abs(d.actuator_force[3] + d.actuator_force[4])),
+    ),
+]
 
 
 def weaker(force, speed, slope):
@@ -153,19 +319,32 @@ def weaker(force, speed, slope):
     return -min(slope * abs(speed), 1) * force if force * speed > 0 else 0.0
 
 
-@pytest.mark.parametrize(("name", "label", "magnitudes", "joint", "distribution"), FORCES, ids=[case[1] for case in FORCES])
+@pytest.mark.parametrize(
+    ("name", "label", "magnitudes", "joint", "distribution"),
+    FORCES,
+    ids=[case[1] for case in FORCES],
+)
 def test_force_step_by_step(name, label, magnitudes, joint, distribution):
-    """Predictions are those of a loop that applies the effect's law as a generalised force, with MuJoCo's own motor forces."""
+    """Predictions are those of a loop that applies the effect's law as a generalised force, with
+    MuJoCo's own motor forces.
+    """
     robot = ROBOTS[name]()
     dof, place = on(robot, joint)
 
     def push(model, data):
         return np.where(np.arange(model.nv) == dof, distribution(data, dof, place), 0.0)
 
-    same(robot, predicted(robot, label, *magnitudes), replay(mujoco.MjModel.from_xml_string(XML[name]), robot, applied_force=push))
+    same(
+        robot,
+        predicted(robot, label, *magnitudes),
+        replay(mujoco.MjModel.from_xml_string(XML[name]), robot, applied_force=push),
+    )
 
 
-@pytest.mark.parametrize(("name", "label", "axis"), [("arm", "external_force:lower.x", 0), ("cube", "external_force:cube.y", 1)])
+@pytest.mark.parametrize(
+    ("name", "label", "axis"),
+    [("arm", "external_force:lower.x", 0), ("cube", "external_force:cube.y", 1)],
+)
 def test_external_force(name, label, axis):
     """A force at the body's centre of mass, in the world's axes."""
     robot = ROBOTS[name]()
@@ -177,9 +356,25 @@ def test_external_force(name, label, axis):
 def test_two_at_once():
     """Effects of several layers add up, in the twin as in the simulator."""
     robot = ROBOTS["arm"]()
-    fixed = [(instance(robot, "joint_damping:shoulder"), np.array([0.7])), (instance(robot, "external_force:lower.x"), np.array([3.0]))]
-    simulator = robot.simulator.with_effects([instance(robot, "joint_stiffness:shoulder.rest")], fixed)
-    found = simulator.predict(np.append(robot.simulator.nominal, [2.0, 0.7])[None], robot.segments)[0]
+    fixed = [
+        (instance(robot, "joint_damping:shoulder"), np.array([0.7])),
+        (instance(robot, "external_force:lower.x"), np.array([3.0])),
+    ]
+    simulator = robot.simulator.with_effects(
+        [instance(robot, "joint_stiffness:shoulder.rest")], fixed
+    )
+    found = simulator.predict(np.append(robot.simulator.nominal, [2.0, 0.7])[None], robot.segments)[
+        0
+    ]
     model = mujoco.MjModel.from_xml_string(ARM.replace('damping="0.3"', 'damping="1.0"'))
     wrench = (model.body("lower").id, 3.0 * np.eye(6)[0])
-    same(robot, found, replay(model, robot, applied_force=lambda m, d: np.array([0.7 - 2.0 * d.qpos[0], 0.0]), wrench=wrench))
+    same(
+        robot,
+        found,
+        replay(
+            model,
+            robot,
+            applied_force=lambda m, d: np.array([0.7 - 2.0 * d.qpos[0], 0.0]),
+            wrench=wrench,
+        ),
+    )

@@ -8,7 +8,9 @@ from dropo.core.services.errors import BadArgument
 from dropo.estimators.adr import ADR
 from dropo.problems.simulated.slide import slide
 
-LOW, HIGH = np.array([1.0, 0.9]), np.array([3.0, 2.2])  # where the policy succeeds, inside mass 0.5..4 and damping 0.1..3
+# where the policy succeeds, inside mass 0.5..4 and damping 0.1..3
+LOW = np.array([1.0, 0.9])
+HIGH = np.array([3.0, 2.2])
 
 
 def succeeds(values, rng):
@@ -16,7 +18,9 @@ def succeeds(values, rng):
 
 
 def test_bounds_end_where_the_policy_fails():
-    """Each within one step of the known bound; the control: another region, whose bounds are more than a step away."""
+    """Each within one step of the known bound; the control: another region, whose bounds are more
+    than a step away.
+    """
     step = 0.02 * (slide().space.high - slide().space.low)
     fit = ADR(performance=succeeds, budget=1200, buffer=3).fit(slide(), rng=0)
     ends = fit.arrays["bounds"][-1]
@@ -29,13 +33,18 @@ def test_bounds_end_where_the_policy_fails():
 
 def test_a_policy_that_never_succeeds_leaves_a_point():
     """And one that always does, the whole box."""
-    never, always = (ADR(performance=lambda v, rng, p=p: p, budget=1000, buffer=2, step=0.1).fit(slide()) for p in (0.0, 1.0))
+    never, always = (
+        ADR(performance=lambda v, rng, p=p: p, budget=1000, buffer=2, step=0.1).fit(slide())
+        for p in (0.0, 1.0)
+    )
     np.testing.assert_array_equal(*never.arrays["bounds"][-1])
     np.testing.assert_allclose(always.arrays["bounds"][-1], [slide().space.low, slide().space.high])
 
 
 def test_bounds_come_back():
-    """Where the policy gets worse than the lower threshold, inwards; between the two thresholds they stay."""
+    """Where the policy gets worse than the lower threshold, inwards; between the two thresholds
+    they stay.
+    """
     space = slide().space
     found = {}
     for late in (0.0, 0.5):
@@ -53,7 +62,9 @@ def test_bounds_come_back():
 
 
 def test_values_lie_on_a_bound():
-    """Each call puts one parameter on one of the two bounds, every one of the four in turn, the others between theirs."""
+    """Each call puts one parameter on one of the two bounds, every one of the four in turn, the
+    others between theirs.
+    """
     asked = []
 
     def performance(values, rng):
@@ -71,7 +82,9 @@ def test_values_lie_on_a_bound():
 
 def test_same_seed_same_bounds():
     noisy = lambda values, rng: rng.random()
-    one, same, other = (ADR(performance=noisy, budget=100, buffer=1).fit(slide(), rng=seed) for seed in (1, 1, 2))
+    one, same, other = (
+        ADR(performance=noisy, budget=100, buffer=1).fit(slide(), rng=seed) for seed in (1, 1, 2)
+    )
     np.testing.assert_array_equal(one.arrays["bounds"], same.arrays["bounds"])
     assert (one.arrays["bounds"] != other.arrays["bounds"]).any()
 

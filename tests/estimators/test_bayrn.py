@@ -24,20 +24,30 @@ def gain(fit):
 
 @pytest.fixture(scope="module")
 def fit():
-    return BayRn(evaluate=lambda fit, rng: Answer(gain(fit) + rng.standard_normal(), 500, 1000), first=5, budget=16).fit(slide(), rng=0)
+    return BayRn(
+        evaluate=lambda fit, rng: Answer(gain(fit) + rng.standard_normal(), 500, 1000),
+        first=5,
+        budget=16,
+    ).fit(slide(), rng=0)
 
 
 def test_it_finds_the_best_law(fit):
-    """Within 4 of the highest return, of which each is known to 1; the best of 16 random laws is farther away, in 18 of 20 sets."""
+    """Within 4 of the highest return, of which each is known to 1; the best of 16 random laws is
+    farther away, in 18 of 20 sets.
+    """
     assert 100 - gain(fit) < 4
-    random = 100 * ((np.random.default_rng(0).random((20, 16, 4)) - BEST) ** 2).sum(axis=2).min(axis=1)
+    random = 100 * ((np.random.default_rng(0).random((20, 16, 4)) - BEST) ** 2).sum(axis=2).min(
+        axis=1
+    )
     assert (random > 4).sum() >= 18
     assert fit.family == "truncated_gaussian"
     assert fit.status is Status.OUT_OF_BUDGET
 
 
 def test_the_target_s_cost_is_counted(fit):
-    """16 policies were tried: their target transitions, and their training beside the simulations that judge the law at the end."""
+    """16 policies were tried: their target transitions, and their training beside the simulations
+    that judge the law at the end.
+    """
     assert fit.details["target_transitions"] == 16 * 500
     assert fit.simulator_steps == 16 * 1000 + 100 * 1000
     assert fit.arrays["returns"].shape == (16,)
@@ -45,9 +55,13 @@ def test_the_target_s_cost_is_counted(fit):
 
 
 def test_a_lucky_return_does_not_win():
-    """Where one of many returns of the same law is far off by chance, the posterior mean is not: it is the average of its neighbours."""
+    """Where one of many returns of the same law is far off by chance, the posterior mean is not: it
+    is the average of its neighbours.
+    """
     rng = np.random.default_rng(0)
-    points = np.concatenate([np.full((10, 1), 0.2), np.full((10, 1), 0.8)]) + 0.001 * rng.standard_normal((20, 1))
+    points = np.concatenate(
+        [np.full((10, 1), 0.2), np.full((10, 1), 0.8)]
+    ) + 0.001 * rng.standard_normal((20, 1))
     returns = np.repeat([0.0, 1.0], 10) + 0.3 * rng.standard_normal(20)
     returns[0] = 2.0
     expected = posterior_mean(points, returns, rng)
@@ -56,10 +70,13 @@ def test_a_lucky_return_does_not_win():
 
 
 def test_proposals_are_reproducible_and_leave_torch_alone():
-    """The same generator gives the same point whatever torch's stream holds; one far from bad returns, inside the box."""
+    """The same generator gives the same point whatever torch's stream holds; one far from bad
+    returns, inside the box.
+    """
     import torch
 
-    points, returns = np.array([[0.1], [0.2], [0.9]]), np.array([0.0, 0.1, 0.5])
+    points = np.array([[0.1], [0.2], [0.9]])
+    returns = np.array([0.0, 0.1, 0.5])
     torch.manual_seed(3)
     before = torch.random.get_rng_state()
     one = propose(points, returns, np.random.default_rng(1))
@@ -77,7 +94,9 @@ def test_a_journal_resumes(tmp_path):
 
     settings = {"first": 2, "budget": 3, "draws": 10}
     first, resumed = (
-        BayRn(evaluate=evaluate, **settings).fit(slide(), rng=0, journal=Journal(tmp_path / "j.jsonl"))
+        BayRn(evaluate=evaluate, **settings).fit(
+            slide(), rng=0, journal=Journal(tmp_path / "j.jsonl")
+        )
         for evaluate in (lambda fit, rng: gain(fit), not_again)
     )
     assert first.phi.tolist() == resumed.phi.tolist()
@@ -86,7 +105,13 @@ def test_a_journal_resumes(tmp_path):
 def test_refusals(monkeypatch):
     with pytest.raises(BadArgument, match="'budget' of BayRn must be at least first = 5"):
         BayRn(evaluate=lambda fit, rng: 0.0, budget=4)
-    monkeypatch.setattr("dropo.core.services.optional_dependencies.find_spec", lambda name: None if name == "botorch" else object())
+    monkeypatch.setattr(
+        "dropo.core.services.optional_dependencies.find_spec",
+        lambda name: None if name == "botorch" else object(),
+    )
     with pytest.raises(MissingPackage) as refusal:
         BayRn(evaluate=lambda fit, rng: 0.0)
-    assert str(refusal.value) == "Method 'bayrn' needs botorch, which is not installed: pip install 'dropo[bo]'."
+    assert (
+        str(refusal.value)
+        == "Method 'bayrn' needs botorch, which is not installed: pip install 'dropo[bo]'."
+    )

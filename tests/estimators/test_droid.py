@@ -11,7 +11,9 @@ from dropo.problems.simulated.slide import slide
 
 
 def test_mean_is_that_of_least_squares():
-    """With equal weights, to 1e-4; the mean weighted by noise, which is another estimate, is farther away."""
+    """With equal weights, to 1e-4; the mean weighted by noise, which is another estimate, is
+    farther away.
+    """
     fit = DROID(budget=400).fit(slide())
     np.testing.assert_allclose(fit.mean, LeastSquares(weights="equal").fit(slide()).mean, rtol=1e-4)
     assert np.abs(fit.mean - LeastSquares().fit(slide()).mean).max() > 1e-4
@@ -20,7 +22,9 @@ def test_mean_is_that_of_least_squares():
 
 
 def test_its_covariance_is_how_far_the_search_had_converged():
-    """Each sd shrinks with the budget by more than three times, from a spread that the data do not have to none."""
+    """Each sd shrinks with the budget by more than three times, from a spread that the data do not
+    have to none.
+    """
     sd = np.array([DROID(budget=budget).fit(slide()).sd for budget in (60, 120, 240, 480)])
     assert (sd[1:] < sd[:-1] / 3).all(), sd
     assert sd[0].min() > 0.02
@@ -36,7 +40,10 @@ def test_same_seed_same_fit():
 def test_a_budget_that_runs_out_is_told():
     fit = DROID(budget=100).fit(slide())
     assert fit.status is Status.OUT_OF_BUDGET
-    assert fit.message == "The budget of 100 evaluations ran out first: raise it, or go on from this fit."
+    assert (
+        fit.message
+        == "The budget of 100 evaluations ran out first: raise it, or go on from this fit."
+    )
 
 
 def test_refusals():
@@ -45,5 +52,8 @@ def test_refusals():
     assert str(refusal.value) == "The 'budget' of DROID must be at least 1. Got 0 instead."
     with pytest.raises(Incompatible) as refusal:
         DROID(optimizer="nlopt-sbplx").fit(slide())
-    expected = "DROID reads its distribution from the optimizer's covariance, and 'nlopt-sbplx' has none. Use 'cma-es'."
+    expected = (
+        "DROID reads its distribution from the optimizer's covariance, and 'nlopt-sbplx' has "
+        "none. Use 'cma-es'."
+    )
     assert str(refusal.value) == expected

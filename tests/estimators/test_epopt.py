@@ -10,14 +10,22 @@ from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.estimators.epopt import EPOpt
 from dropo.simulators.toy import LinearSimulator, simulate
 
-TRUTH, NOISE = np.array([1.5, -0.7]), 0.04
+TRUTH = np.array([1.5, -0.7])
+NOISE = 0.04
 MATRICES = np.array([[[1.0, 0.5], [0.0, 1.0]]])
 
 
 def problem(**settings):
     rng = np.random.default_rng(5)
     simulator = LinearSimulator(MATRICES)
-    data = simulate(simulator, np.tile(TRUTH, (30, 1)), rng.uniform(0.5, 1.5, (30, 1, 1)), np.zeros(2), noise_variance=NOISE, rng=rng)
+    data = simulate(
+        simulator,
+        np.tile(TRUTH, (30, 1)),
+        rng.uniform(0.5, 1.5, (30, 1, 1)),
+        np.zeros(2),
+        noise_variance=NOISE,
+        rng=rng,
+    )
     return Problem("line", simulator, data, **settings)
 
 
@@ -33,11 +41,15 @@ def conjugate(problem, prior_mean=0.0, prior_precision=0.0):
 def away(fit, mean, covariance):
     """How far off the weighted mean is, in standard errors of the effective particles."""
     found = fit.arrays["weights"] @ fit.arrays["particles"]
-    return np.abs(found - mean) / np.sqrt(np.diagonal(covariance) / fit.details["effective_sample_size"])
+    return np.abs(found - mean) / np.sqrt(
+        np.diagonal(covariance) / fit.details["effective_sample_size"]
+    )
 
 
 def test_the_posterior_is_the_conjugate_one():
-    """Mean within 4.5 standard errors and standard deviations within 4.5 of theirs, sd / sqrt(2 ESS); half a sd away must fail."""
+    """Mean within 4.5 standard errors and standard deviations within 4.5 of theirs, sd / sqrt(2
+    ESS); half a sd away must fail.
+    """
     one = problem(epsilon=NOISE)
     mean, covariance = conjugate(one)
     fit = EPOpt(particles=2000).fit(one, rng=1)
@@ -46,14 +58,18 @@ def test_the_posterior_is_the_conjugate_one():
     assert (away(fit, mean + 0.5 * sd, covariance) > 4.5).all()
     size = fit.details["effective_sample_size"]
     assert fit.sd == pytest.approx(sd, rel=4.5 / np.sqrt(2 * size))
-    assert fit.correlation[0, 1] == pytest.approx(covariance[0, 1] / sd.prod(), abs=4.5 / np.sqrt(size))
+    assert fit.correlation[0, 1] == pytest.approx(
+        covariance[0, 1] / sd.prod(), abs=4.5 / np.sqrt(size)
+    )
     assert fit.status is Status.CONVERGED
     assert size > 1000
     np.testing.assert_array_equal(fit.mean_se, fit.sd)
 
 
 def test_priors_count():
-    """A prior as narrow as the likelihood moves the mean to the conjugate one; that without the prior is 4.5 errors away."""
+    """A prior as narrow as the likelihood moves the mean to the conjugate one; that without the
+    prior is 4.5 errors away.
+    """
     plain = problem(epsilon=NOISE)
     one = problem(epsilon=NOISE, priors={"x0": "normal(1.3, 0.04)"})
     mean, covariance = conjugate(one, 1.3, 1 / 0.04**2)
@@ -63,8 +79,12 @@ def test_priors_count():
 
 
 def test_without_tempering_one_particle_is_left():
-    """As published, where the data say much more than the prior: the fit warns; with tempering it does not."""
-    bare, tempered = (EPOpt(tempered=tempered).fit(problem(epsilon=NOISE)) for tempered in (False, True))
+    """As published, where the data say much more than the prior: the fit warns; with tempering it
+    does not.
+    """
+    bare, tempered = (
+        EPOpt(tempered=tempered).fit(problem(epsilon=NOISE)) for tempered in (False, True)
+    )
     assert bare.details["effective_sample_size"] < 3
     assert any("particles are effective" in text for text in bare.warnings)
     assert tempered.details["effective_sample_size"] > 80
@@ -87,7 +107,9 @@ def test_the_noise_is_what_least_squares_leaves():
 
 def test_same_seed_same_fit_and_saved_whole(tmp_path):
     """A saved fit has the draws; the same seed gives the same ones."""
-    one, same, other = (EPOpt(particles=50).fit(problem(epsilon=NOISE), rng=seed) for seed in (1, 1, 2))
+    one, same, other = (
+        EPOpt(particles=50).fit(problem(epsilon=NOISE), rng=seed) for seed in (1, 1, 2)
+    )
     assert one.mean.tolist() == same.mean.tolist() != other.mean.tolist()
     one.save(tmp_path)
     np.testing.assert_array_equal(Fit.load(tmp_path).arrays["draws"], one.arrays["draws"])
@@ -95,7 +117,19 @@ def test_same_seed_same_fit_and_saved_whole(tmp_path):
 
 def test_on_the_command_line(tmp_path, capsys):
     """`dropo fit` runs it and resumes it from its folder."""
-    arguments = ["fit", "slide", "--method", "epopt", "--transitions", "60", "--epsilon", "1e-5", "--out", str(tmp_path / "run"), "--json"]
+    arguments = [
+        "fit",
+        "slide",
+        "--method",
+        "epopt",
+        "--transitions",
+        "60",
+        "--epsilon",
+        "1e-5",
+        "--out",
+        str(tmp_path / "run"),
+        "--json",
+    ]
     assert main(arguments) == 0
     first = capsys.readouterr().out
     assert main(arguments) == 0
@@ -104,9 +138,13 @@ def test_on_the_command_line(tmp_path, capsys):
 
 
 def test_refusals():
-    with pytest.raises(BadArgument, match="'particles' of EPOpt must be at least 20, ten a parameter"):
+    with pytest.raises(
+        BadArgument, match="'particles' of EPOpt must be at least 20, ten a parameter"
+    ):
         EPOpt(particles=19).fit(problem(epsilon=NOISE))
     with pytest.raises(BadArgument, match="'least' of EPOpt must be a share"):
         EPOpt(least=1.0)
-    with pytest.raises(Incompatible, match="'epopt' knows Gaussian noise on the compared rows alone"):
+    with pytest.raises(
+        Incompatible, match="'epopt' knows Gaussian noise on the compared rows alone"
+    ):
         EPOpt().fit(problem(epsilon=NOISE, start_noise=True))

@@ -18,10 +18,15 @@ NOISY = 4e-4  # variance on every measurement
 
 
 def measured_pushes(seed=0, noise=NOISY):
-    """12 pushes of one block, where the same noisy measurement ends a transition and starts the next, as in any log."""
+    """12 pushes of one block, where the same noisy measurement ends a transition and starts the
+    next, as in any log.
+    """
     clean = pushes(seed, sd=0.0, noise=0.0, count=12)
-    data, rng = clean.trajectories, np.random.default_rng(seed + 100)
-    after = data.next_observations + np.sqrt(noise) * rng.standard_normal(data.next_observations.shape)
+    data = clean.trajectories
+    rng = np.random.default_rng(seed + 100)
+    after = data.next_observations + np.sqrt(noise) * rng.standard_normal(
+        data.next_observations.shape
+    )
     before = np.vstack([data.observations[:1], after[:-1]])
     before[::20] = np.sqrt(noise) * rng.standard_normal((12, 2))
     return replace(clean, trajectories=replace(data, observations=before, next_observations=after))
@@ -33,8 +38,11 @@ def chosen():
 
 
 def test_longer_segments_win_where_starts_are_noisy():
-    """With noise on every measurement it takes more than one step, and then means are right that one step gets wrong by 5 errors."""
-    fit, one = chosen(), DROPO().fit(measured_pushes())
+    """With noise on every measurement it takes more than one step, and then means are right that
+    one step gets wrong by 5 errors.
+    """
+    fit = chosen()
+    one = DROPO().fit(measured_pushes())
     table = fit.details["lambda_choice"]
     assert [row["lambda"] for row in table] == [1, 2, 5, 10, 20][: len(table)]
     taken = next(row for row in table if row["chosen"])
@@ -55,7 +63,9 @@ def test_the_fit_is_that_of_the_lambda_on_all_data():
 
 def test_clean_data_lose_nothing():
     """Without noise the means are still right to a millionth."""
-    fit = ChooseHorizon(DROPO(family="point")).fit(pushes(1, sd=0.0, noise=0.0, count=9, epsilon=1e-8))
+    fit = ChooseHorizon(DROPO(family="point")).fit(
+        pushes(1, sd=0.0, noise=0.0, count=9, epsilon=1e-8)
+    )
     np.testing.assert_allclose(fit.mean, MEAN, rtol=1e-6)
 
 
@@ -63,9 +73,15 @@ def test_close_scores_are_settled_by_standard_errors():
     """Within one paired standard error the smaller errors are taken; beyond it the better score is."""
     base = DROPO().fit(slide())
     scores = np.random.default_rng(0).normal(0, 10, 8)
-    made = lambda n, gain, se: type("C", (), {"length": n, "scores": scores + gain, "fit": replace(base, mean_se=np.full(2, se))})()
+    made = lambda n, gain, se: type(
+        "C",
+        (),
+        {"length": n, "scores": scores + gain, "fit": replace(base, mean_se=np.full(2, se))},
+    )()
     wobble = np.array([1.0, -1.0] * 4)
-    sure, near, far = made(1, 0.0, 0.02), made(2, -0.1 + wobble, 0.01), made(5, -2.0 + 0.1 * wobble, 0.001)
+    sure = made(1, 0.0, 0.02)
+    near = made(2, -0.1 + wobble, 0.01)
+    far = made(5, -2.0 + 0.1 * wobble, 0.001)
     assert choose([sure, near, far])[0] is near
     assert choose([sure, far])[0] is sure
     rows = choose([sure, near, far])[1]
@@ -93,17 +109,27 @@ def test_an_interrupted_choice_goes_on_from_its_journal(tmp_path):
         if text.startswith("lambda 2: round 2"):
             raise KeyboardInterrupt
 
-    stopped = ChooseHorizon(DROPO()).fit(measured_pushes(), journal=Journal(tmp_path / "j", {}), progress=interrupt)
+    stopped = ChooseHorizon(DROPO()).fit(
+        measured_pushes(), journal=Journal(tmp_path / "j", {}), progress=interrupt
+    )
     assert stopped.status is Status.INTERRUPTED
-    assert stopped.warnings[-1] == "interrupted while lambda was chosen: this is lambda = 2 on a part of the data"
+    assert (
+        stopped.warnings[-1]
+        == "interrupted while lambda was chosen: this is lambda = 2 on a part of the data"
+    )
     again = ChooseHorizon(DROPO()).fit(measured_pushes(), journal=Journal(tmp_path / "j", {}))
     assert {**again.to_json(), "wall_time_s": 0} == {**chosen().to_json(), "wall_time_s": 0}
 
 
 def test_refusals():
-    with pytest.raises(BadArgument, match=r"No lambda of \(1, 2\) leaves 10 segments to fit and 10 to hold out\. Give lambda\."):
+    with pytest.raises(
+        BadArgument,
+        match=r"No lambda of \(1, 2\) leaves 10 segments to fit and 10 to hold out\. Give lambda\.",
+    ):
         ChooseHorizon(DROPO(), (1, 2)).fit(pushes(0, count=1, epsilon=1e-6).using(transitions=12))
     with pytest.raises(Incompatible, match="There is no lambda to choose with `reset: start`"):
         ChooseHorizon(DROPO()).fit(replace(slide(), reset="start"))
-    with pytest.raises(BadArgument, match="The 'lengths' of ChooseHorizon must be whole numbers of at least 1"):
+    with pytest.raises(
+        BadArgument, match="The 'lengths' of ChooseHorizon must be whole numbers of at least 1"
+    ):
         ChooseHorizon(DROPO(), (0, 1))

@@ -12,14 +12,22 @@ from dropo.estimators import npe
 from dropo.estimators.npe import NPE
 from dropo.simulators.toy import LinearSimulator, simulate
 
-TRUTH, NOISE = np.array([1.5, -0.7]), 0.04
+TRUTH = np.array([1.5, -0.7])
+NOISE = 0.04
 MATRICES = np.array([[[1.0, 0.5], [0.0, 1.0]]])
 
 
 def problem(**settings):
     rng = np.random.default_rng(5)
     simulator = LinearSimulator(MATRICES)
-    data = simulate(simulator, np.tile(TRUTH, (30, 1)), rng.uniform(0.5, 1.5, (30, 1, 1)), np.zeros(2), noise_variance=NOISE, rng=rng)
+    data = simulate(
+        simulator,
+        np.tile(TRUTH, (30, 1)),
+        rng.uniform(0.5, 1.5, (30, 1, 1)),
+        np.zeros(2),
+        noise_variance=NOISE,
+        rng=rng,
+    )
     return Problem("line", simulator, data, **settings)
 
 
@@ -36,11 +44,16 @@ def fit():
 
 
 def test_the_posterior_is_near_the_conjugate_one(fit):
-    """A network of 200 simulations a round is worth: the mean within half a standard deviation, the spread within a third, the sign of
-    the correlation. A mean two deviations away fails, and so does a spread three times as large."""
+    """A network of 200 simulations a round is worth: the mean within half a standard deviation, the
+    spread within a third, the sign of the correlation. A mean two deviations away fails, and so
+    does a spread three times as large.
+    """
     mean, covariance = conjugate(problem())
     sd = np.sqrt(np.diagonal(covariance))
-    near = lambda found, spread: (np.abs(found - mean) < 0.5 * sd).all() and (np.abs(np.log(spread / sd)) < np.log(1.5)).all()
+    near = lambda found, spread: (
+        (np.abs(found - mean) < 0.5 * sd).all()
+        and (np.abs(np.log(spread / sd)) < np.log(1.5)).all()
+    )
     assert near(fit.mean, fit.sd)
     assert not near(fit.mean + 2 * sd, fit.sd)
     assert not near(fit.mean, 3 * fit.sd)
@@ -50,7 +63,9 @@ def test_the_posterior_is_near_the_conjugate_one(fit):
 
 
 def test_boxes_close_in(fit):
-    """Each round's box lies in the one before and holds the truth; the last is a hundredth of the first."""
+    """Each round's box lies in the one before and holds the truth; the last is a hundredth of the
+    first.
+    """
     boxes = fit.arrays["boxes"]
     assert (boxes[1:, 0] >= boxes[:-1, 0]).all()
     assert (boxes[1:, 1] <= boxes[:-1, 1]).all()
@@ -59,21 +74,27 @@ def test_boxes_close_in(fit):
 
 
 def test_one_round_is_not_enough(fit):
-    """The control of the rounds: from the whole box the same simulations tell three times less, and the fit says that it is not done.
-    Also with the summary of BayesSim, and a flow; the problem's prior weighs the draws."""
+    """The control of the rounds: from the whole box the same simulations tell three times less, and
+    the fit says that it is not done. Also with the summary of BayesSim, and a flow; the
+    problem's prior weighs the draws.
+    """
     one = NPE(simulations=100, rounds=1, summary="moments", density="maf", draws=500).fit(
         problem(epsilon=NOISE, priors={"x0": "normal(1, 0.3)"}), rng=0
     )
     assert one.status is Status.OUT_OF_BUDGET
-    assert one.message == "1 rounds of 100 simulations; each cut the box: take more of them, or more simulations."
+    assert (
+        one.message
+        == "1 rounds of 100 simulations; each cut the box: take more of them, or more simulations."
+    )
     assert one.sd[1] > 3 * fit.sd[1]
     assert one.simulator_steps < fit.simulator_steps / 3
     assert one.sd[0] < 0.5
 
 
 def test_learning_leaves_nothing_behind(tmp_path, monkeypatch, capsys):
-    """The same seed gives the same draws whatever torch's stream holds, which goes on as if nothing had been; another seed others.
-    Nothing is printed, and no file is written."""
+    """The same seed gives the same draws whatever torch's stream holds, which goes on as if nothing
+    had been; another seed others. Nothing is printed, and no file is written.
+    """
     import torch
 
     monkeypatch.chdir(tmp_path)
@@ -85,7 +106,9 @@ def test_learning_leaves_nothing_behind(tmp_path, monkeypatch, capsys):
     one = npe.learn(points, summaries, np.array([0.5]), "mdn", 100, seed=7)
     assert torch.equal(torch.random.get_rng_state(), before)
     torch.manual_seed(4)
-    same, other = (npe.learn(points, summaries, np.array([0.5]), "mdn", 100, seed=seed) for seed in (7, 8))
+    same, other = (
+        npe.learn(points, summaries, np.array([0.5]), "mdn", 100, seed=seed) for seed in (7, 8)
+    )
     np.testing.assert_array_equal(one, same)
     assert (one != other).any()
     assert capsys.readouterr().out == ""
@@ -93,14 +116,20 @@ def test_learning_leaves_nothing_behind(tmp_path, monkeypatch, capsys):
 
 
 def test_slopes_are_the_estimate_of_least_squares():
-    """Where the simulator is linear, the summary of the measurements is the least-squares estimate, in shares of the box."""
+    """Where the simulator is linear, the summary of the measurements is the least-squares estimate,
+    in shares of the box.
+    """
     from dropo.core.contracts.estimator import Run
     from dropo.estimators.support.posterior_targets import PointLikelihood
 
     one = problem(epsilon=NOISE)
     target = PointLikelihood(one, NOISE)
-    summarize = npe._slopes(one, Run(one, np.random.default_rng(0)), target, np.array([[0.0, 0.0], [1.0, 1.0]]))
-    np.testing.assert_allclose(20 * summarize(target.targets[None])[0], conjugate(one)[0], rtol=1e-9)
+    summarize = npe._slopes(
+        one, Run(one, np.random.default_rng(0)), target, np.array([[0.0, 0.0], [1.0, 1.0]])
+    )
+    np.testing.assert_allclose(
+        20 * summarize(target.targets[None])[0], conjugate(one)[0], rtol=1e-9
+    )
     moved = target.targets + 0.1
     assert np.abs(20 * summarize(moved[None])[0] - conjugate(one)[0]).max() > 0.01
 
@@ -110,7 +139,13 @@ def test_refusals(monkeypatch):
         NPE(density="made")
     with pytest.raises(BadArgument, match="'simulations' of NPE must be at least 50"):
         NPE(simulations=49)
-    monkeypatch.setattr("dropo.core.services.optional_dependencies.find_spec", lambda name: None if name == "sbi" else object())
+    monkeypatch.setattr(
+        "dropo.core.services.optional_dependencies.find_spec",
+        lambda name: None if name == "sbi" else object(),
+    )
     with pytest.raises(MissingPackage) as refusal:
         NPE()
-    assert str(refusal.value) == "Method 'npe' needs sbi, which is not installed: pip install 'dropo[sbi]'."
+    assert (
+        str(refusal.value)
+        == "Method 'npe' needs sbi, which is not installed: pip install 'dropo[sbi]'."
+    )

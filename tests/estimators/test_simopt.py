@@ -13,13 +13,16 @@ from dropo.core.services.evaluation_log import Journal
 from dropo.estimators.simopt import SimOpt, divergence, step
 from dropo.simulators.toy import LinearSimulator, simulate
 
-TRUTH, NOISE = np.array([1.5, -0.7]), 0.04
+TRUTH = np.array([1.5, -0.7])
+NOISE = 0.04
 SIMULATOR = LinearSimulator(np.array([[[1.0, 0.5], [0.0, 1.0]]]))
 
 
 def data(rng, truth=TRUTH, rows=30):
     actions = rng.uniform(0.5, 1.5, (rows, 1, 1))
-    return simulate(SIMULATOR, np.tile(truth, (rows, 1)), actions, np.zeros(2), noise_variance=NOISE, rng=rng)
+    return simulate(
+        SIMULATOR, np.tile(truth, (rows, 1)), actions, np.zeros(2), noise_variance=NOISE, rng=rng
+    )
 
 
 def problem():
@@ -27,10 +30,15 @@ def problem():
 
 
 def test_a_step_is_that_of_the_closed_form():
-    """Of a quadratic cost the weighted law is N(m, C): C^-1 = P + 2 A / eta, m = C (P mu + 2 A best / eta). At the eta where its
-    divergence is the bound, the mean of 40,000 samples is within 4.5 standard errors; with half the bound it is not."""
+    """Of a quadratic cost the weighted law is N(m, C): C^-1 = P + 2 A / eta, m = C (P mu + 2 A best
+    / eta). At the eta where its divergence is the bound, the mean of 40,000 samples is within
+    4.5 standard errors; with half the bound it is not.
+    """
     rng = np.random.default_rng(0)
-    mu, precision, best, curvature = np.array([1.0, 0.0]), np.diag([1.0, 4.0]), np.array([0.0, 0.4]), np.array([[2.0, 0.5], [0.5, 1.0]])
+    mu = np.array([1.0, 0.0])
+    precision = np.diag([1.0, 4.0])
+    best = np.array([0.0, 0.4])
+    curvature = np.array([[2.0, 0.5], [0.5, 1.0]])
     before = mu, np.linalg.inv(precision)
     values = rng.multivariate_normal(*before, 40_000)
     costs = np.einsum("ki,ij,kj->k", values - best, curvature, values - best)
@@ -41,17 +49,28 @@ def test_a_step_is_that_of_the_closed_form():
         return wide @ (precision @ mu + 2 * curvature @ best / eta), wide
 
     grid = [exact(eta) for eta in np.geomspace(0.1, 100, 4001)]
-    near = lambda bound: min(grid, key=lambda distribution: abs(divergence(distribution, before) - bound))
-    found = min(grid, key=lambda distribution: abs(divergence(distribution, before) - divergence((mean, covariance), before)))
+    near = lambda bound: min(
+        grid, key=lambda distribution: abs(divergence(distribution, before) - bound)
+    )
+    found = min(
+        grid,
+        key=lambda distribution: abs(
+            divergence(distribution, before) - divergence((mean, covariance), before)
+        ),
+    )
     error = np.sqrt(np.diagonal(covariance) / 4_000)  # at least a tenth of the samples count
     assert (np.abs(mean - found[0]) < 4.5 * error).all()
     assert (np.abs(mean - near(0.25)[0]) > 4.5 * error).any()
-    assert divergence((mean, covariance), before) == pytest.approx(0.5, rel=0.15)  # the temperatures are a grid
+    assert divergence((mean, covariance), before) == pytest.approx(
+        0.5, rel=0.15
+    )  # the temperatures are a grid
     assert divergence((mean, covariance), before) <= 0.5
 
 
 def test_divergence_of_gaussians():
-    """Known in one dimension: log(s / t) + (t^2 + m^2) / (2 s^2) - 1/2; 0 of itself, infinite of a degenerate one."""
+    """Known in one dimension: log(s / t) + (t^2 + m^2) / (2 s^2) - 1/2; 0 of itself, infinite of a
+    degenerate one.
+    """
     one = (np.array([0.5]), np.array([[0.25]])), (np.array([0.0]), np.array([[1.0]]))
     assert divergence(*one) == pytest.approx(np.log(2) + (0.25 + 0.25) / 2 - 0.5)
     assert divergence(one[1], one[1]) == pytest.approx(0, abs=1e-12)
@@ -59,29 +78,43 @@ def test_divergence_of_gaussians():
 
 
 def test_every_update_keeps_the_bound():
-    """The divergence of each law from the one before it is at most `bound`; of one that is four times as large, it is not."""
+    """The divergence of each law from the one before it is at most `bound`; of one that is four
+    times as large, it is not.
+    """
     for bound, kept in ((0.3, True), (1.2, False)):
-        fit = SimOpt(collect=lambda fit, rng: data(rng), iterations=1, updates=3, bound=bound).fit(problem())
+        fit = SimOpt(collect=lambda fit, rng: data(rng), iterations=1, updates=3, bound=bound).fit(
+            problem()
+        )
         distributions = list(zip(fit.arrays["means"], fit.arrays["covariances"], strict=True))
         assert len(distributions) == 4
-        assert (max(divergence(distributions[i + 1], distributions[i]) for i in range(3)) <= 0.3) is kept
+        assert (
+            max(divergence(distributions[i + 1], distributions[i]) for i in range(3)) <= 0.3
+        ) is kept
 
 
 def test_it_goes_where_the_target_is():
-    """Within 0.1 (2.5 standard deviations of what 120 rows tell) of the target's parameters, whichever those are, not of others;
-    with a bound that lets it move less, it is still on its way."""
+    """Within 0.1 (2.5 standard deviations of what 120 rows tell) of the target's parameters,
+    whichever those are, not of others; with a bound that lets it move less, it is still on its
+    way.
+    """
     for truth in (TRUTH, -TRUTH):
-        fit = SimOpt(collect=lambda fit, rng, truth=truth: data(rng, truth), iterations=4).fit(problem(), rng=1)
+        fit = SimOpt(collect=lambda fit, rng, truth=truth: data(rng, truth), iterations=4).fit(
+            problem(), rng=1
+        )
         assert np.abs(fit.mean - truth).max() < 0.1
         assert np.abs(fit.mean + truth).max() > 0.1
         assert (fit.transitions, fit.details["target_transitions"]) == (120, 120)
         assert fit.objective_evaluations == 4 + 1 + 4 * 5 * 100 + 1
-    slow = SimOpt(collect=lambda fit, rng: data(rng), iterations=2, updates=2, bound=0.05).fit(problem(), rng=1)
+    slow = SimOpt(collect=lambda fit, rng: data(rng), iterations=2, updates=2, bound=0.05).fit(
+        problem(), rng=1
+    )
     assert np.abs(slow.mean - TRUTH).max() > 0.1
 
 
 def test_the_callback_gets_the_present_law():
-    """The first one is in the middle of the box, the next ones narrower and nearer; policies can be trained under them."""
+    """The first one is in the middle of the box, the next ones narrower and nearer; policies can be
+    trained under them.
+    """
     seen = []
 
     def collect(fit, rng):
@@ -96,16 +129,25 @@ def test_the_callback_gets_the_present_law():
 
 
 def test_same_seed_same_fit_and_a_journal_that_resumes(tmp_path):
-    """Taken up from its journal, a run gives the same without asking the target; another seed gives another law."""
+    """Taken up from its journal, a run gives the same without asking the target; another seed gives
+    another law.
+    """
 
     def not_again(fit, rng):
         raise AssertionError("asked again")
 
     settings = {"iterations": 2, "updates": 2, "samples": 20}
-    fits = [SimOpt(collect=lambda fit, rng: data(rng), **settings).fit(problem(), rng=seed) for seed in (1, 1, 2)]
+    fits = [
+        SimOpt(collect=lambda fit, rng: data(rng), **settings).fit(problem(), rng=seed)
+        for seed in (1, 1, 2)
+    ]
     assert fits[0].mean.tolist() == fits[1].mean.tolist() != fits[2].mean.tolist()
-    whole = SimOpt(collect=lambda fit, rng: data(rng), **settings).fit(problem(), rng=1, journal=Journal(tmp_path / "j.jsonl"))
-    resumed = SimOpt(collect=not_again, **settings).fit(problem(), rng=1, journal=Journal(tmp_path / "j.jsonl"))
+    whole = SimOpt(collect=lambda fit, rng: data(rng), **settings).fit(
+        problem(), rng=1, journal=Journal(tmp_path / "j.jsonl")
+    )
+    resumed = SimOpt(collect=not_again, **settings).fit(
+        problem(), rng=1, journal=Journal(tmp_path / "j.jsonl")
+    )
     assert whole.mean.tolist() == resumed.mean.tolist() == fits[0].mean.tolist()
     assert resumed.details["target_transitions"] == 60
 
@@ -127,7 +169,9 @@ def test_interrupted_it_keeps_its_law():
 def test_refusals():
     collect = lambda fit, rng: data(rng)
     assert issubclass(SimOpt, Estimator)
-    with pytest.raises(BadArgument, match="'samples' of SimOpt must be at least 8, four a parameter"):
+    with pytest.raises(
+        BadArgument, match="'samples' of SimOpt must be at least 8, four a parameter"
+    ):
         SimOpt(collect=collect, samples=7).fit(problem())
     with pytest.raises(BadArgument, match="'bound' of SimOpt must be above 0 nats"):
         SimOpt(collect=collect, bound=0.0)

@@ -23,9 +23,13 @@ def test_ten_bounds_inside_the_box():
 
 
 def test_bounds_are_ordered_pairs_of_uniform_points():
-    """Over 10,000 pairs the lower is at 1/3 and the upper at 2/3 of the interval, within 4.5 standard errors; not at 0.31 and 0.69."""
+    """Over 10,000 pairs the lower is at 1/3 and the upper at 2/3 of the interval, within 4.5
+    standard errors; not at 0.31 and 0.69.
+    """
     problem = slide()
-    unit = (random_bounds(problem, 10_000, np.random.default_rng(0)) - problem.space.low) / (problem.space.high - problem.space.low)
+    unit = (random_bounds(problem, 10_000, np.random.default_rng(0)) - problem.space.low) / (
+        problem.space.high - problem.space.low
+    )
     error = np.sqrt(1 / 18 / 10_000)
     away = lambda low: np.abs(unit.mean(axis=0) - np.array([[low], [1 - low]])) / error
     assert (away(1 / 3) < 4.5).all()
@@ -49,7 +53,9 @@ def test_the_fit_is_one_of_them(which):
 
 def test_same_seed_same_bounds():
     """Whichever of them is chosen; another seed draws others."""
-    one, same, other = (UniformRandomization(which=w).fit(slide(), rng=seed) for w, seed in ((0, 1), (4, 1), (0, 2)))
+    one, same, other = (
+        UniformRandomization(which=w).fit(slide(), rng=seed) for w, seed in ((0, 1), (4, 1), (0, 2))
+    )
     np.testing.assert_array_equal(one.arrays["bounds"], same.arrays["bounds"])
     assert (one.arrays["bounds"] != other.arrays["bounds"]).all()
 
@@ -57,7 +63,12 @@ def test_same_seed_same_bounds():
 def test_refusals():
     with pytest.raises(BadArgument) as refusal:
         UniformRandomization(count=0)
-    assert str(refusal.value) == "The 'count' of UniformRandomization must be at least 1. Got 0 instead."
+    assert (
+        str(refusal.value)
+        == "The 'count' of UniformRandomization must be at least 1. Got 0 instead."
+    )
     with pytest.raises(BadArgument) as refusal:
         UniformRandomization(which=10)
-    assert str(refusal.value) == "The 'which' of UniformRandomization must be 0 to 9. Got 10 instead."
+    assert (
+        str(refusal.value) == "The 'which' of UniformRandomization must be 0 to 9. Got 10 instead."
+    )

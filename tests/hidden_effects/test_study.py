@@ -32,18 +32,36 @@ def test_hopper():
 def test_matrix(name, case):
     """Two runs of each case on each machine; a cause outside the library may be missed."""
     found = [run([name, case, seed]) for seed in range(2)]
-    assert all(r["right"] for r in found) or case in ("outside", "removed"), [(r["hidden"], r["said"]) for r in found]
+    assert all(r["right"] for r in found) or case in ("outside", "removed"), [
+        (r["hidden"], r["said"]) for r in found
+    ]
 
 
 def test_tables_count_what_was_said(monkeypatch):
-    """Shares, intervals and confusion from runs that are made up: two of three right, the wrong one listed with what it was taken for;
-    one of the right ones has another effect beside it."""
+    """Shares, intervals and confusion from runs that are made up: two of three right, the wrong one
+    listed with what it was taken for; one of the right ones has another effect beside it.
+    """
     answers = [
-        {"machine": "torque-arm", "case": "one", "seed": i, "noise": 1e-3, "nats": nats, "hidden": "joint_damping:elbow=0.1",
-         "right": right, "among": True, "extra": not right or i == 1, "error": 0.01, "first": "joint_damping" if right else "air_drag",
-         "said": "x", "share": 0.99, "steps": 2.6e6}
-        for i, (right, nats) in enumerate([(True, 500.0), (True, 200.0), (False, 150.0), (False, 20.0)])
-    ]  # fmt: skip
+        {
+            "machine": "torque-arm",
+            "case": "one",
+            "seed": i,
+            "noise": 1e-3,
+            "nats": nats,
+            "hidden": "joint_damping:elbow=0.1",
+            "right": right,
+            "among": True,
+            "extra": not right or i == 1,
+            "error": 0.01,
+            "first": "joint_damping" if right else "air_drag",
+            "said": "x",
+            "share": 0.99,
+            "steps": 2.6e6,
+        }
+        for i, (right, nats) in enumerate(
+            [(True, 500.0), (True, 200.0), (False, 150.0), (False, 20.0)]
+        )
+    ]
     monkeypatch.setattr(Work, "map", lambda self, task, items: answers)
     study = hidden_effects(Work(threads=1), 4, machines=["torque-arm"], cases=["one"])
     (row,) = study.tables[0].rows
@@ -54,19 +72,46 @@ def test_tables_count_what_was_said(monkeypatch):
     answers.append(answers[0] | {"machine": "hopper", "hidden": "air_drag=-0.5", "first": "wind"})
     pooled = hidden_effects(Work(threads=1), 4, machines=["torque-arm", "hopper"], cases=["one"])
     assert ("air_drag", "wind", "1") in pooled.tables[2].rows
-    assert [(row[0], row[3]) for row in pooled.tables[0].rows] == [("torque-arm", "2/3"), ("hopper", "1/1"), ("all", "3/4")]
+    assert [(row[0], row[3]) for row in pooled.tables[0].rows] == [
+        ("torque-arm", "2/3"),
+        ("hopper", "1/1"),
+        ("all", "3/4"),
+    ]
 
 
 def test_what_stands_in_for_a_removed_cause_is_counted_apart(monkeypatch):
-    """Of three runs one is explained by what was left, as well as by the truth; a fourth is explained too, but worse than by the truth."""
+    """Of three runs one is explained by what was left, as well as by the truth; a fourth is
+    explained too, but worse than by the truth.
+    """
     answers = [
-        {"machine": "torque-arm", "case": "removed", "seed": i, "nats": 500.0, "hidden": "joint_damping:elbow=0.1", "right": right,
-         "among": False, "extra": True, "error": None, "first": "x", "said": "x", "share": None, "short": short, "steps": 2.6e6}
+        {
+            "machine": "torque-arm",
+            "case": "removed",
+            "seed": i,
+            "nats": 500.0,
+            "hidden": "joint_damping:elbow=0.1",
+            "right": right,
+            "among": False,
+            "extra": True,
+            "error": None,
+            "first": "x",
+            "said": "x",
+            "share": None,
+            "short": short,
+            "steps": 2.6e6,
+        }
         for i, (right, short) in enumerate([(True, 5.0), (False, 0.002), (True, 2.0), (False, 0.1)])
-    ]  # fmt: skip
+    ]
     monkeypatch.setattr(Work, "map", lambda self, task, items: answers)
-    rows = hidden_effects(Work(threads=1), 4, machines=["torque-arm"], cases=["removed"]).tables[0].rows
-    assert [row[1:4] for row in rows] == [("removed", "4", "2/4"), ("removed, no stand-in", "3", "2/3")]
+    rows = (
+        hidden_effects(Work(threads=1), 4, machines=["torque-arm"], cases=["removed"])
+        .tables[0]
+        .rows
+    )
+    assert [row[1:4] for row in rows] == [
+        ("removed", "4", "2/4"),
+        ("removed, no stand-in", "3", "2/3"),
+    ]
 
 
 def test_intervals():
@@ -77,12 +122,23 @@ def test_intervals():
 
 def test_draws_are_within_bounds():
     """Every kind of effect that an arm can have is drawn within its bounds, and not 0."""
-    arm, rng = machine("torque-arm"), np.random.default_rng(0)
-    for kind in ("joint_damping", "joint_cogging", "actuator_delay", "wind", "sensor_gain", "joint_limit", "parameter_drift"):
+    arm = machine("torque-arm")
+    rng = np.random.default_rng(0)
+    for kind in (
+        "joint_damping",
+        "joint_cogging",
+        "actuator_delay",
+        "wind",
+        "sensor_gain",
+        "joint_limit",
+        "parameter_drift",
+    ):
         instance, sizes = draw(arm, kind, rng)
         assert instance.effect == kind
         assert sizes[0] != 0
-        assert all(q.low <= size <= q.high for q, size in zip(instance.quantities, sizes, strict=True))
+        assert all(
+            q.low <= size <= q.high for q, size in zip(instance.quantities, sizes, strict=True)
+        )
 
 
 def test_judging():
@@ -90,7 +146,11 @@ def test_judging():
 
     class Found:
         def __init__(self, effect, confused=()):
-            self.effect, self.target, self.variant, self.acts_like, self.confused_with = effect, "elbow", "", None, confused
+            self.effect = effect
+            self.target = "elbow"
+            self.variant = ""
+            self.acts_like = None
+            self.confused_with = confused
             self.estimate = {"damping": {"value": 0.11}}
 
     class Diagnosis:
@@ -100,11 +160,23 @@ def test_judging():
             self.causes = causes
 
     arm = machine("torque-arm")
-    hidden = [(next(a for a in find("effects", "joint_damping")(arm.simulator.effect_context)
-                    if a.target == "elbow"), np.array([0.1]))]  # fmt: skip
+    hidden = [
+        (
+            next(
+                a
+                for a in find("effects", "joint_damping")(arm.simulator.effect_context)
+                if a.target == "elbow"
+            ),
+            np.array([0.1]),
+        )
+    ]
     right = judge("one", hidden, Diagnosis(Found("joint_damping")))
     assert (right["right"], right["among"], right["extra"]) == (True, True, False)
     assert right["error"] == pytest.approx(0.1)
-    other = judge("one", hidden, Diagnosis(Found("joint_friction", ({"effect": "joint_damping", "target": "elbow"},))))
+    other = judge(
+        "one",
+        hidden,
+        Diagnosis(Found("joint_friction", ({"effect": "joint_damping", "target": "elbow"},))),
+    )
     assert (other["right"], other["among"], other["extra"]) == (False, True, True)
     assert not judge("nothing", [], Diagnosis(Found("joint_damping")))["right"]

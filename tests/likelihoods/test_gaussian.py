@@ -24,25 +24,34 @@ def test_agrees_with_the_slow_twin(p, monkeypatch):
     """Rows in blocks of seven give scipy's densities of numpy's moments."""
     rng = np.random.default_rng(0)
     predictions = 100.0 + rng.normal(size=(40, 30, p)) @ rng.normal(size=(p, p))
-    targets, epsilon = predictions[0] + 0.1, rng.uniform(0.01, 0.1, p)
+    targets = predictions[0] + 0.1
+    epsilon = rng.uniform(0.01, 0.1, p)
     monkeypatch.setattr(gaussian, "BLOCK", 7 * 40 * p)
     found = Gaussian().log_density(predictions, targets, epsilon)
     np.testing.assert_allclose(found, gaussian_one_by_one(predictions, targets, epsilon), rtol=1e-9)
 
 
 def linear_problem():
-    """Known moments: y = o + M(a) xi. Data of 25 transitions, each with its own draw from sd 0.4 and 0.8, noise variance 0.01."""
+    """Known moments: y = o + M(a) xi.
+
+    Data of 25 transitions, each with its own draw from sd 0.4 and 0.8, noise variance 0.01.
+    """
     rng = np.random.default_rng(5)
     simulator = LinearSimulator(rng.normal(size=(2, 3, 2)))
-    values, actions = [1.0, -2.0] + rng.normal(size=(25, 2)) * [0.4, 0.8], rng.normal(size=(25, 1, 2))
-    segments = simulate(simulator, values, actions, np.zeros(3), noise_variance=0.01, rng=rng).segments()
+    values = [1.0, -2.0] + rng.normal(size=(25, 2)) * [0.4, 0.8]
+    actions = rng.normal(size=(25, 1, 2))
+    segments = simulate(
+        simulator, values, actions, np.zeros(3), noise_variance=0.01, rng=rng
+    ).segments()
     return simulator, segments, TruncatedGaussian(simulator.space)
 
 
 def exact_log_likelihood(simulator, segments, mean, sd, epsilon):
     """The limit for K to infinity: N(o + M mean, M diag(sd^2) M' + epsilon I) at every row."""
     total = 0.0
-    for start, action, target in zip(segments.starts, segments.actions[:, 0], segments.targets, strict=True):
+    for start, action, target in zip(
+        segments.starts, segments.actions[:, 0], segments.targets, strict=True
+    ):
         matrix = np.einsum("q,qpd->pd", action, simulator.matrices)
         covariance = matrix @ np.diag(np.square(sd)) @ matrix.T + epsilon * np.eye(len(target))
         total += multivariate_normal(start + matrix @ mean, covariance).logpdf(target)
@@ -50,34 +59,55 @@ def exact_log_likelihood(simulator, segments, mean, sd, epsilon):
 
 
 def test_linear_simulator_has_the_exact_likelihood():
-    """Over 16 base sets of K = 2048, the mean log-likelihood is the exact one within 4.5 standard errors, themselves under 0.05 nat.
+    """Over 16 base sets of K = 2048, the mean log-likelihood is the exact one within 4.5 standard
+    errors, themselves under 0.05 nat.
 
-    The control: taking sigma for the standard deviation, without the factor 0.88 of the cut, is rejected.
+    The control: taking sigma for the standard deviation, without the factor 0.88 of the cut, is
+    rejected.
     """
     simulator, segments, family = linear_problem()
-    mean, scale = np.array([1.0, -2.0]), np.array([0.5, 0.9])
+    mean = np.array([1.0, -2.0])
+    scale = np.array([0.5, 0.9])
     phi = family.phi(mean, scale)
-    found = np.array([Gaussian(2048).bind(simulator, segments, family, 0.01, rng)(phi) for rng in np.random.default_rng(0).spawn(16)])
+    found = np.array(
+        [
+            Gaussian(2048).bind(simulator, segments, family, 0.01, rng)(phi)
+            for rng in np.random.default_rng(0).spawn(16)
+        ]
+    )
     error = found.std(ddof=1) / np.sqrt(len(found))
     assert error < 0.05
-    assert abs(found.mean() - exact_log_likelihood(simulator, segments, mean, SD * scale, 0.01)) < 4.5 * error
-    assert abs(found.mean() - exact_log_likelihood(simulator, segments, mean, scale, 0.01)) > 4.5 * error
+    assert (
+        abs(found.mean() - exact_log_likelihood(simulator, segments, mean, SD * scale, 0.01))
+        < 4.5 * error
+    )
+    assert (
+        abs(found.mean() - exact_log_likelihood(simulator, segments, mean, scale, 0.01))
+        > 4.5 * error
+    )
 
 
 def test_log_likelihood_is_the_sum_of_rows_and_deterministic():
     """The same seed gives the same function of phi; another seed another one."""
     simulator, segments, family = linear_problem()
     phi = family.phi([1.0, -2.0], [0.5, 0.9])
-    one, same, other = (Gaussian(20).bind(simulator, segments, family, 0.01, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    one, same, other = (
+        Gaussian(20).bind(simulator, segments, family, 0.01, np.random.default_rng(seed))
+        for seed in (1, 1, 2)
+    )
     assert one(phi) == same(phi) == one(phi) == one.rows(phi).sum() != other(phi)
 
 
 def test_learned_epsilon_is_an_unknown():
-    """A learned epsilon adds one unknown, the factor on its shape, on a log scale; the likelihood is that of their product."""
+    """A learned epsilon adds one unknown, the factor on its shape, on a log scale; the likelihood
+    is that of their product.
+    """
     simulator, segments, family = linear_problem()
     phi = family.phi([1.0, -2.0], [0.5, 0.9])
     given = Gaussian(20).bind(simulator, segments, family, 0.03, np.random.default_rng(0))
-    learned = Gaussian(20).bind(simulator, segments, family, Noise(np.full(3, 0.01), "factor"), np.random.default_rng(0))
+    learned = Gaussian(20).bind(
+        simulator, segments, family, Noise(np.full(3, 0.01), "factor"), np.random.default_rng(0)
+    )
     assert learned.unknowns.names == (*family.unknowns.names, "epsilon")
     assert learned.unknowns["epsilon"].scale == "log"
     np.testing.assert_allclose(learned.epsilon(np.append(phi, 3.0)), np.full(3, 0.03))
@@ -85,17 +115,24 @@ def test_learned_epsilon_is_an_unknown():
 
 
 def test_singular_without_epsilon_names_row_and_way_out():
-    """Only the third row is singular, and the first row's simulation failed: the message counts all rows."""
+    """Only the third row is singular, and the first row's simulation failed: the message counts all
+    rows.
+    """
     predictions = np.random.default_rng(0).normal(size=(20, 5, 2))
     predictions[4, 0] = np.nan
     predictions[:, 2, 1] = predictions[:, 2, 0]
-    with pytest.raises(BadArgument, match=r"K = 20 predictions at row 2 is singular in p = 2 signals.* Give epsilon > 0"):
+    with pytest.raises(
+        BadArgument,
+        match=r"K = 20 predictions at row 2 is singular in p = 2 signals.* Give epsilon > 0",
+    ):
         Gaussian().log_density(predictions, np.zeros((5, 2)), np.zeros(2))
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_fewer_draws_than_signals_without_epsilon(seed):
-    """K <= p has no density without epsilon, whatever rounding does to the factor; with epsilon it has."""
+    """K <= p has no density without epsilon, whatever rounding does to the factor; with epsilon it
+    has.
+    """
     predictions = 50 * np.random.default_rng(seed).normal(size=(5, 3, 11))
     with pytest.raises(BadArgument, match=r"K = 5 predictions at row 0 is singular in p = 11"):
         Gaussian().log_density(predictions, np.zeros((3, 11)), 0.0)
@@ -103,7 +140,9 @@ def test_fewer_draws_than_signals_without_epsilon(seed):
 
 
 def test_a_covariance_beyond_rounding_fails_its_row_alone():
-    """With epsilon > 0, a row whose factor is lost in rounding is -inf, and the others keep their densities."""
+    """With epsilon > 0, a row whose factor is lost in rounding is -inf, and the others keep their
+    densities.
+    """
     predictions = np.random.default_rng(0).normal(size=(20, 4, 2))
     whole = Gaussian().log_density(predictions, np.zeros((4, 2)), 1e-6)
     predictions[:, 1, 0] *= 1e9
@@ -116,10 +155,18 @@ def test_a_covariance_beyond_rounding_fails_its_row_alone():
 def test_refusals():
     """K below 2, epsilon of the wrong kind, size or sign."""
     simulator, segments, family = linear_problem()
-    with pytest.raises(BadArgument, match=r"'draws' of Gaussian must be at least 2, to have a covariance. Got 1"):
+    with pytest.raises(
+        BadArgument, match=r"'draws' of Gaussian must be at least 2, to have a covariance. Got 1"
+    ):
         Gaussian(draws=1)
-    for epsilon, words in (([0.1, 0.2], "one for each of 3 signals"), (-0.1, "not negative"), (np.nan, "finite")):
+    for epsilon, words in (
+        ([0.1, 0.2], "one for each of 3 signals"),
+        (-0.1, "not negative"),
+        (np.nan, "finite"),
+    ):
         with pytest.raises(BadArgument, match=words):
             Gaussian().bind(simulator, segments, family, epsilon, np.random.default_rng(0))
-    with pytest.raises(BadArgument, match=r"'predictions' of Gaussian.log_density must be of shape \(any, 4, 2\)"):
+    with pytest.raises(
+        BadArgument, match=r"'predictions' of Gaussian.log_density must be of shape \(any, 4, 2\)"
+    ):
         Gaussian().log_density(np.zeros((9, 4, 3)), np.zeros((4, 2)), 0.1)

@@ -1,4 +1,6 @@
-"""What the emulated, linear and unscented likelihoods share: noise on both ends, long tails, blocks, tensors, failures."""
+"""What the emulated, linear and unscented likelihoods share: noise on both ends, long tails,
+blocks, tensors, failures.
+"""
 
 import tracemalloc
 from dataclasses import replace
@@ -36,22 +38,28 @@ NOISES = {
     "start, each": Noise(np.array([1e-3, 2e-3]), "each", start=True),
     "start, Student": Noise(np.array([1e-3, 2e-3]), "each", start=True, degrees=5.0),
 }
-CENTRE, WIDTH = np.array([1.5, 0.8]), np.array([0.25, 0.15])
+CENTRE = np.array([1.5, 0.8])
+WIDTH = np.array([0.25, 0.15])
 
 
 def block_data(rows=12, length=5, seed=4):
     """A sliding block with another draw of mass and damping in every push of 5 steps."""
-    rng, simulator = np.random.default_rng(seed), SlidingBlock(dt=0.2)
+    rng = np.random.default_rng(seed)
+    simulator = SlidingBlock(dt=0.2)
     values = CENTRE + np.array([0.2, 0.1]) * rng.standard_normal((rows, 2))
     actions = np.repeat(rng.normal(0.0, 3.0, (rows, 1, 1)), 5, axis=1)
-    return simulator, simulate(simulator, values, actions, np.array([0.0, 1.0]), noise_variance=1e-4, rng=rng).segments(length)
+    return simulator, simulate(
+        simulator, values, actions, np.array([0.0, 1.0]), noise_variance=1e-4, rng=rng
+    ).segments(length)
 
 
 def built(kind, name="truncated_gaussian", noise=1e-3, **settings):
     """A likelihood of the block data around (1.5 kg, 0.8 N s/m), and phi near by."""
     simulator, segments = block_data(**settings)
     family = find("families", name)(simulator.space)
-    local = LIKELIHOODS[kind].linearize_at(simulator, segments, family, noise, CENTRE, WIDTH, np.random.default_rng(0))
+    local = LIKELIHOODS[kind].linearize_at(
+        simulator, segments, family, noise, CENTRE, WIDTH, np.random.default_rng(0)
+    )
     relative = CENTRE if name == "log_normal" else 1.0
     phi = family.phi([1.45, 0.85], None if name == "point" else np.array([0.17, 0.09]) / relative)
     if name == "full":
@@ -73,7 +81,9 @@ def test_gradient_is_that_of_the_value(kind, name, noise):
         step = h * np.eye(len(phi))[i]
         return (local(phi + step) - local(phi - step)) / (2 * h)
 
-    by_difference = np.array([(4 * slope(i, h / 2) - slope(i, h)) / 3 for i, h in enumerate(1e-4 * np.abs(phi))])
+    by_difference = np.array(
+        [(4 * slope(i, h / 2) - slope(i, h)) / 3 for i, h in enumerate(1e-4 * np.abs(phi))]
+    )
     np.testing.assert_allclose(local.gradient(phi), by_difference, rtol=1e-6)
     assert local.value_score_information(phi)[0] == pytest.approx(local(phi), rel=1e-13)
 
@@ -91,7 +101,9 @@ def test_tensors_give_the_same_numbers_and_gradients(kind, name):
     value.backward()
     assert value.item() == pytest.approx(local(phi), rel=1e-10)
     gradient = local.gradient(phi)
-    np.testing.assert_allclose(tensor.grad.numpy(), gradient, rtol=0, atol=1e-6 * np.abs(gradient).max())
+    np.testing.assert_allclose(
+        tensor.grad.numpy(), gradient, rtol=0, atol=1e-6 * np.abs(gradient).max()
+    )
 
 
 @pytest.mark.parametrize("kind", LIKELIHOODS)
@@ -102,17 +114,28 @@ def test_tensors_of_another_shape_are_refused(kind):
         local(torch.ones(len(phi) + 1))
 
 
-@pytest.mark.parametrize(("kind", "noise"), [("linear", "start, Student"), ("unscented", "start, each"), ("unscented", "start, Student")])
+@pytest.mark.parametrize(
+    ("kind", "noise"),
+    [("linear", "start, Student"), ("unscented", "start, each"), ("unscented", "start, Student")],
+)
 def test_information_is_the_covariance_of_the_score(kind, noise):
-    """Over 600 simulated data sets of 5 rows, Gaussian or Student: 4.5 standard errors; twice the information is rejected."""
+    """Over 600 simulated data sets of 5 rows, Gaussian or Student: 4.5 standard errors; twice the
+    information is rejected.
+    """
     local, phi = built(kind, "full", NOISES[noise], rows=5)
     mean, sigma = local.moments(phi)
-    root, count, rng = np.linalg.cholesky(sigma), 600, np.random.default_rng(7)
+    root = np.linalg.cholesky(sigma)
+    count = 600
+    rng = np.random.default_rng(7)
     degrees = NOISES[noise].degrees
     scores = np.empty((count, len(phi)))
     for i in range(count):
-        stretch = 1.0 if degrees is None else np.sqrt(degrees / rng.chisquare(degrees, (len(mean), 1)))
-        local.targets = mean + stretch * np.einsum("rpq,rq->rp", root, rng.standard_normal(mean.shape))
+        stretch = (
+            1.0 if degrees is None else np.sqrt(degrees / rng.chisquare(degrees, (len(mean), 1)))
+        )
+        local.targets = mean + stretch * np.einsum(
+            "rpq,rq->rp", root, rng.standard_normal(mean.shape)
+        )
         scores[i] = local.gradient(phi)
     information = local.value_score_information(phi)[2]
     assert np.abs(scores.mean(axis=0) * np.sqrt(count) / scores.std(axis=0)).max() < 4.5
@@ -127,44 +150,79 @@ def test_information_is_the_covariance_of_the_score(kind, noise):
 
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_blocks_change_nothing(kind, monkeypatch):
-    """One row or one segment at a time gives the same rows, scores, information and design to 1e-11."""
+    """One row or one segment at a time gives the same rows, scores, information and design to
+    1e-11.
+    """
     whole, phi = built(kind, "full", NOISES["start, Student"])
     monkeypatch.setattr(blocks, "ROW_BYTES", 1)
     monkeypatch.setattr(blocks, "DESIGN_BYTES", 1)
     pieces, _ = built(kind, "full", NOISES["start, Student"])
     assert len(pieces.blocks) == len(whole.targets) > len(whole.blocks)
     np.testing.assert_allclose(pieces.rows(phi), whole.rows(phi), rtol=1e-11)
-    for one, other in zip(pieces.value_score_information(phi), whole.value_score_information(phi), strict=True):
+    for one, other in zip(
+        pieces.value_score_information(phi), whole.value_score_information(phi), strict=True
+    ):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11 * np.abs(other).max())
 
 
 def test_segments_are_cut_between_chains_alone():
-    """Blocks of segments cover all in order; those that go on from each other stay together; rows are counted."""
+    """Blocks of segments cover all in order; those that go on from each other stay together; rows
+    are counted.
+    """
     data = block_data(rows=4)[1].trajectories
     chained = data.segments(1, reset="partial", set_columns=[True, False])
-    parts = list(blocks.segment_blocks(chained, blocks.DESIGN_BYTES // 7))  # 7 rows a block, 5 segments a chain
+    parts = list(
+        blocks.segment_blocks(chained, blocks.DESIGN_BYTES // 7)
+    )  # 7 rows a block, 5 segments a chain
     assert [len(part) for part, _, _ in parts] == [5, 5, 5, 5]
-    assert [(rows.start, rows.stop) for _, rows, _ in parts] == [(0, 5), (5, 10), (10, 15), (15, 20)]
+    assert [(rows.start, rows.stop) for _, rows, _ in parts] == [
+        (0, 5),
+        (5, 10),
+        (10, 15),
+        (15, 20),
+    ]
     free = data.segments(1)
     parts = list(blocks.segment_blocks(free, blocks.DESIGN_BYTES // 7))
     assert [len(part) for part, _, _ in parts] == [7, 7, 6]
     assert np.concatenate([places for *_, places in parts]).tolist() == list(range(20))
     every = data.segments(5, every_step=True)  # 5 rows a segment: two do not fit
-    assert [rows.stop for _, rows, _ in blocks.segment_blocks(every, blocks.DESIGN_BYTES // 7)] == [5, 10, 15, 20]
+    assert [rows.stop for _, rows, _ in blocks.segment_blocks(every, blocks.DESIGN_BYTES // 7)] == [
+        5,
+        10,
+        15,
+        20,
+    ]
     np.testing.assert_array_equal(parts[1][0].targets, free.targets[parts[1][1]])
 
 
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_memory_does_not_grow_with_rows_times_unknowns(kind, monkeypatch):
-    """Per further row `expand` takes below 50 numbers, the 16 scores in blocks and together among them; in one block above 200."""
+    """Per further row `expand` takes below 50 numbers, the 16 scores in blocks and together among
+    them; in one block above 200.
+    """
     rng = np.random.default_rng(0)
     simulator = LinearSimulator(rng.normal(size=(2, 6, 8)))
     family = TruncatedGaussian(simulator.space)
 
     def peak(rows):
-        data = simulate(simulator, np.ones((rows, 8)), rng.normal(size=(rows, 1, 2)), np.zeros(6), noise_variance=0.01, rng=rng)
+        data = simulate(
+            simulator,
+            np.ones((rows, 8)),
+            rng.normal(size=(rows, 1, 2)),
+            np.zeros(6),
+            noise_variance=0.01,
+            rng=rng,
+        )
         around = LIKELIHOODS[kind].around
-        local = around(simulator, data.segments(), family, 0.01, np.ones(8), np.full(8, 0.02), np.random.default_rng(0))
+        local = around(
+            simulator,
+            data.segments(),
+            family,
+            0.01,
+            np.ones(8),
+            np.full(8, 0.02),
+            np.random.default_rng(0),
+        )
         phi = family.phi(np.ones(8), np.full(8, 0.02))
         tracemalloc.start()
         local.value_score_information(phi)
@@ -179,14 +237,26 @@ def test_memory_does_not_grow_with_rows_times_unknowns(kind, monkeypatch):
 
 
 def test_memory_of_a_design_is_bounded(monkeypatch):
-    """An emulator's predictions are held for a block of segments: eight times the rows, the same beyond what is kept."""
+    """An emulator's predictions are held for a block of segments: eight times the rows, the same
+    beyond what is kept.
+    """
     rng = np.random.default_rng(0)
     simulator = LinearSimulator(rng.normal(size=(2, 3, 6)))
 
     def peak(rows):
-        data = simulate(simulator, np.ones((rows, 6)), rng.normal(size=(rows, 1, 2)), np.zeros(3)).segments()
+        data = simulate(
+            simulator, np.ones((rows, 6)), rng.normal(size=(rows, 1, 2)), np.zeros(3)
+        ).segments()
         tracemalloc.start()
-        built = Emulated(order=2).linearize_at(simulator, data, TruncatedGaussian(simulator.space), 0.01, np.ones(6), np.full(6, 0.02), rng)
+        built = Emulated(order=2).linearize_at(
+            simulator,
+            data,
+            TruncatedGaussian(simulator.space),
+            0.01,
+            np.ones(6),
+            np.full(6, 0.02),
+            rng,
+        )
         most = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return most - built.emulator.coefficients.nbytes - built.emulator.residual.nbytes
@@ -204,23 +274,45 @@ def test_student_density_is_scipys():
     """Row by row scipy's multivariate t with Sigma as its scale matrix."""
     local, phi = built("emulated", noise=Noise(1e-3, degrees=4.0))
     mean, sigma = local.moments(phi)
-    by_hand = [stats.multivariate_t(m, s, df=4.0).logpdf(y) for m, s, y in zip(mean, sigma, local.targets, strict=True)]
+    by_hand = [
+        stats.multivariate_t(m, s, df=4.0).logpdf(y)
+        for m, s, y in zip(mean, sigma, local.targets, strict=True)
+    ]
     np.testing.assert_allclose(local.rows(phi), by_hand, rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_outliers_lose_their_pull(kind):
-    """5 % of rows off by 30 noises to one side: a Student t stays within 4 standard errors of the truth, a Gaussian is pulled off by 10."""
+    """5 % of rows off by 30 noises to one side: a Student t stays within 4 standard errors of the
+    truth, a Gaussian is pulled off by 10.
+    """
     rng = np.random.default_rng(3)
-    simulator, truth = LinearSimulator(rng.normal(size=(2, 3, 2))), np.array([1.0, -2.0])
+    simulator = LinearSimulator(rng.normal(size=(2, 3, 2)))
+    truth = np.array([1.0, -2.0])
     actions = rng.uniform(0.5, 1.5, (400, 1, 2))
-    data = simulate(simulator, np.repeat(truth[None], 400, axis=0), actions, np.zeros(3), noise_variance=1e-4, rng=rng)
+    data = simulate(
+        simulator,
+        np.repeat(truth[None], 400, axis=0),
+        actions,
+        np.zeros(3),
+        noise_variance=1e-4,
+        rng=rng,
+    )
     following = data.next_observations.copy()
     following[::20] += 0.3
-    segments, family = replace(data, next_observations=following).segments(), Point(simulator.space)
+    segments = replace(data, next_observations=following).segments()
+    family = Point(simulator.space)
 
     def z(noise):
-        local = LIKELIHOODS[kind].linearize_at(simulator, segments, family, noise, truth + 0.1, np.array([0.5, 0.5]), np.random.default_rng(0))
+        local = LIKELIHOODS[kind].linearize_at(
+            simulator,
+            segments,
+            family,
+            noise,
+            truth + 0.1,
+            np.array([0.5, 0.5]),
+            np.random.default_rng(0),
+        )
         found = maximize_locally(local, np.append(truth + 0.02, np.ones(len(local.unknowns) - 2)))
         assert found.converged
         error = np.sqrt(np.diagonal(np.linalg.inv(local.value_score_information(found.phi)[2])))
@@ -241,7 +333,8 @@ class Shift(LinearSimulator):
 
     def _replay(self, value, starts, actions):
         moved = np.einsum("nlq,qpd,d->nlp", actions, self.matrices, value)
-        out, state = np.empty_like(moved), starts
+        out = np.empty_like(moved)
+        state = starts
         for j in range(moved.shape[1]):
             state = state @ self.matrix.T + moved[:, j]
             out[:, j] = state
@@ -251,41 +344,75 @@ class Shift(LinearSimulator):
 @pytest.mark.parametrize("length", [1, 3])
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_start_noise_has_the_closed_form(kind, length):
-    """Sigma = M S M' + diag(epsilon) + B^L diag(epsilon) B^L' for segments of L steps, of every step where all are compared."""
+    """Sigma = M S M' + diag(epsilon) + B^L diag(epsilon) B^L' for segments of L steps, of every
+    step where all are compared.
+    """
     rng = np.random.default_rng(5)
     simulator = Shift(rng.normal(size=(2, 3, 2)))
-    data = simulate(simulator, rng.normal(size=(10, 2)), rng.normal(size=(10, 6, 2)), np.ones(3), noise_variance=0.01, rng=rng)
+    data = simulate(
+        simulator,
+        rng.normal(size=(10, 2)),
+        rng.normal(size=(10, 6, 2)),
+        np.ones(3),
+        noise_variance=0.01,
+        rng=rng,
+    )
     segments = data.segments(length, every_step=length > 1)
-    family, epsilon = FullGaussian(simulator.space), np.array([0.01, 0.02, 0.05])
+    family = FullGaussian(simulator.space)
+    epsilon = np.array([0.01, 0.02, 0.05])
     around = LIKELIHOODS[kind].around
-    centre, width = np.zeros(2), np.full(2, 0.3)
+    centre = np.zeros(2)
+    width = np.full(2, 0.3)
     noisy, quiet = (
-        around(simulator, segments, family, Noise(epsilon, start=start), centre, width, np.random.default_rng(0)) for start in (True, False)
+        around(
+            simulator,
+            segments,
+            family,
+            Noise(epsilon, start=start),
+            centre,
+            width,
+            np.random.default_rng(0),
+        )
+        for start in (True, False)
     )
     phi = family.phi([0.1, 0.2], [0.4, 0.3])
-    powers = np.stack([np.linalg.matrix_power(Shift.matrix, k) for k in range(1, length + 1)])[segments.rows[1] if length > 1 else 0]
+    powers = np.stack([np.linalg.matrix_power(Shift.matrix, k) for k in range(1, length + 1)])[
+        segments.rows[1] if length > 1 else 0
+    ]
     expected = quiet.moments(phi)[1] + powers * epsilon @ powers.swapaxes(-1, -2)
     np.testing.assert_allclose(noisy.moments(phi)[1], expected, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(noisy.mean(phi), quiet.mean(phi), atol=1e-9)
 
 
 def test_start_noise_goes_through_the_curvature():
-    """f = o^2: noise of variance v at o gives the mean o^2 + v and the variance 4 o^2 v + 2 v^2, exactly."""
-    simulator = FunctionSimulator(lambda value, starts, actions: (starts**2 + value)[:, None], [Parameter("x", -5, 5)], ["y"])
+    """f = o^2: noise of variance v at o gives the mean o^2 + v and the variance 4 o^2 v + 2 v^2,
+    exactly.
+    """
+    simulator = FunctionSimulator(
+        lambda value, starts, actions: (starts**2 + value)[:, None], [Parameter("x", -5, 5)], ["y"]
+    )
     starts = np.linspace(0.5, 2.0, 8)
     data = simulate(simulator, np.zeros((8, 1)), np.ones((8, 1, 1)), np.zeros(1))
     data = replace(data, observations=starts[:, None])
     variance = 1e-4
-    centre, width = np.zeros(1), np.ones(1)
-    family, noise = Point(simulator.space), Noise(variance, start=True)
-    local = Linear().linearize_at(simulator, data.segments(), family, noise, centre, width, np.random.default_rng(0))
+    centre = np.zeros(1)
+    width = np.ones(1)
+    family = Point(simulator.space)
+    noise = Noise(variance, start=True)
+    local = Linear().linearize_at(
+        simulator, data.segments(), family, noise, centre, width, np.random.default_rng(0)
+    )
     mean, sigma = local.moments(np.zeros(1))
     np.testing.assert_allclose(mean[:, 0], starts**2 + variance, rtol=1e-9)
-    np.testing.assert_allclose(sigma[:, 0, 0], variance + 4 * starts**2 * variance + 2 * variance**2, rtol=1e-7)
+    np.testing.assert_allclose(
+        sigma[:, 0, 0], variance + 4 * starts**2 * variance + 2 * variance**2, rtol=1e-7
+    )
 
 
 def test_segments_that_go_on_from_each_other_are_moved_one_at_a_time():
-    """`partial` resets: moving a segment's own start moves its set columns alone; what came before stays where it was."""
+    """`partial` resets: moving a segment's own start moves its set columns alone; what came before
+    stays where it was.
+    """
     rng = np.random.default_rng(5)
     simulator = Shift(rng.normal(size=(2, 3, 2)))
     data = simulate(simulator, rng.normal(size=(3, 2)), rng.normal(size=(3, 4, 2)), np.ones(3))
@@ -293,37 +420,65 @@ def test_segments_that_go_on_from_each_other_are_moved_one_at_a_time():
     found = along_starts(simulator, segments, np.zeros(2), NoiseModel(0.01, 3)).slope
     first = segments.previous < 0
     np.testing.assert_allclose(found[first], np.broadcast_to(Shift.matrix, (3, 3, 3)), atol=1e-8)
-    np.testing.assert_allclose(found[~first], np.broadcast_to(Shift.matrix * [1, 0, 1], (9, 3, 3)), atol=1e-8)
+    np.testing.assert_allclose(
+        found[~first], np.broadcast_to(Shift.matrix * [1, 0, 1], (9, 3, 3)), atol=1e-8
+    )
 
 
 def test_start_noise_is_not_taken_for_spread():
-    """Noise on both ends: with it the mean is within 3.5 standard errors and the scale at its bound; without, one above 0.1 is found."""
+    """Noise on both ends: with it the mean is within 3.5 standard errors and the scale at its
+    bound; without, one above 0.1 is found.
+    """
     rng = np.random.default_rng(2)
-    simulator, truth, variance = Shift(rng.normal(size=(2, 3, 2))), np.array([1.0, -2.0]), 0.01
-    data = simulate(simulator, np.repeat(truth[None], 300, axis=0), rng.uniform(0.5, 1.5, (300, 1, 2)), np.ones(3),
-                    noise_variance=variance, rng=rng)  # fmt: skip
+    simulator = Shift(rng.normal(size=(2, 3, 2)))
+    truth = np.array([1.0, -2.0])
+    variance = 0.01
+    data = simulate(
+        simulator,
+        np.repeat(truth[None], 300, axis=0),
+        rng.uniform(0.5, 1.5, (300, 1, 2)),
+        np.ones(3),
+        noise_variance=variance,
+        rng=rng,
+    )
     measured = data.observations + np.sqrt(variance) * rng.standard_normal(data.observations.shape)
-    segments, family = replace(data, observations=measured).segments(), TruncatedGaussian(simulator.space)
+    segments = replace(data, observations=measured).segments()
+    family = TruncatedGaussian(simulator.space)
 
     def fitted(noise):
-        local = Linear().linearize_at(simulator, segments, family, noise, truth, np.full(2, 0.5), rng)
-        return local, maximize_locally(local, np.append(family.phi(truth, [0.2, 0.2]), np.ones(len(local.unknowns) - 4)))
+        local = Linear().linearize_at(
+            simulator, segments, family, noise, truth, np.full(2, 0.5), rng
+        )
+        return local, maximize_locally(
+            local, np.append(family.phi(truth, [0.2, 0.2]), np.ones(len(local.unknowns) - 4))
+        )
 
     local, found = fitted(Noise(np.full(3, variance), "factor", start=True))
     error = np.sqrt(np.diagonal(np.linalg.inv(local.value_score_information(found.phi)[2][:2, :2])))
     assert (np.abs(found.phi[:2] - truth) < 3.5 * error).all()
-    assert found.phi[4] == pytest.approx(1.0, abs=0.15)  # 1800 numbers: its standard error is near 0.04
-    at_bound = lambda maximum: (maximum.phi[2:4] == local.unknowns.low[2:4]) & (maximum.score[2:4] < 0)
+    assert found.phi[4] == pytest.approx(
+        1.0, abs=0.15
+    )  # 1800 numbers: its standard error is near 0.04
+    at_bound = lambda maximum: (
+        (maximum.phi[2:4] == local.unknowns.low[2:4]) & (maximum.score[2:4] < 0)
+    )
     assert at_bound(found).any()
     assert found.phi[2:4].max() < 0.06
     assert fitted(Noise(variance))[1].phi[2:4].max() > 0.1
 
 
 def hopper_fitted(noise, seed=2):
-    """The rounds' maximum for 1000 transitions of the hopper with noise of variance 1e-5 on both ends, and the true masses."""
-    variance, rng = 1e-5, np.random.default_rng(100 + seed)
+    """The rounds' maximum for 1000 transitions of the hopper with noise of variance 1e-5 on both
+    ends, and the true masses.
+    """
+    variance = 1e-5
+    rng = np.random.default_rng(100 + seed)
     data, _ = hopper_transitions(500, 2, rng=np.random.default_rng(seed), noise_variance=variance)
-    data = replace(data, observations=data.observations + np.sqrt(variance) * rng.standard_normal(data.observations.shape))
+    data = replace(
+        data,
+        observations=data.observations
+        + np.sqrt(variance) * rng.standard_normal(data.observations.shape),
+    )
     problem = hopper_problem("both ends", data, variance)
     family = TruncatedGaussian(problem.space)
     run = Run(problem, np.random.default_rng(0))
@@ -334,7 +489,9 @@ def hopper_fitted(noise, seed=2):
 
 @pytest.mark.study
 def test_hopper_with_noise_on_both_ends():
-    """Every mass within 1 % and 3.5 standard errors, all scales at their bound; without propagation they run away."""
+    """Every mass within 1 % and 3.5 standard errors, all scales at their bound; without propagation
+    they run away.
+    """
     local, phi, truth = hopper_fitted(Noise(np.full(11, 1e-5), "factor", start=True))
     error = np.sqrt(np.diagonal(np.linalg.inv(local.value_score_information(phi)[2][:4, :4])))
     assert np.abs(phi[:4] / truth - 1).max() < 0.01
@@ -352,11 +509,19 @@ def test_start_noise_needs_the_signals_coordinates():
     class Odd(SlidingBlock):
         start_size = 5
 
-    simulator, (_, segments) = Odd(dt=0.2), block_data()
+    simulator = Odd(dt=0.2)
+    (_, segments) = block_data()
     with pytest.raises(Incompatible) as refusal:
-        Linear().bind(simulator, segments, Point(simulator.space), Noise(1e-3, start=True), np.random.default_rng(0))
+        Linear().bind(
+            simulator,
+            segments,
+            Point(simulator.space),
+            Noise(1e-3, start=True),
+            np.random.default_rng(0),
+        )
     assert str(refusal.value) == (
-        "Noise on the start states needs a simulator whose start has the coordinates of its 2 signals. Odd has 5 there."
+        "Noise on the start states needs a simulator whose start has the coordinates of "
+        "its 2 signals. Odd has 5 there."
         " Leave Noise(start=True) out."
     )
 
@@ -364,14 +529,18 @@ def test_start_noise_needs_the_signals_coordinates():
 def test_other_likelihoods_can_refuse_this_noise():
     assert NoiseModel(0.1, 2).plain("X").shape.tolist() == [0.1, 0.1]
     for noise in (Noise(0.1, start=True), Noise(0.1, degrees=4.0)):
-        with pytest.raises(Incompatible, match="X knows no noise on the start states and no Student t"):
+        with pytest.raises(
+            Incompatible, match="X knows no noise on the start states and no Student t"
+        ):
             NoiseModel(noise, 2).plain("X")
 
 
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_signals_that_never_change(kind):
     """A constant signal tells nothing and does no harm: the same gradient as without it."""
-    wide = lambda value, starts, actions: starts[:, None] + actions * np.array([np.sin(value[0]), 0.0])
+    wide = lambda value, starts, actions: (
+        starts[:, None] + actions * np.array([np.sin(value[0]), 0.0])
+    )
     simulator = FunctionSimulator(wide, [Parameter("x", 0.1, 2.0)], ["a", "b"])
     one = FunctionSimulator(lambda *given: wide(*given)[..., :1], [Parameter("x", 0.1, 2.0)], ["a"])
     rng = np.random.default_rng(0)
@@ -379,12 +548,25 @@ def test_signals_that_never_change(kind):
     data = simulate(simulator, np.ones((30, 1)), actions, np.zeros(2))
     only = simulate(one, np.ones((30, 1)), actions, np.zeros(1))
     make = lambda s, d, noise: LIKELIHOODS[kind].linearize_at(
-        s, d.segments(), TruncatedGaussian(s.space), noise, np.array([0.9]), np.array([0.1]), np.random.default_rng(0)
+        s,
+        d.segments(),
+        TruncatedGaussian(s.space),
+        noise,
+        np.array([0.9]),
+        np.array([0.1]),
+        np.random.default_rng(0),
     )
     phi = np.array([0.95, 0.1])
-    np.testing.assert_allclose(make(simulator, data, 1e-4).gradient(phi), make(one, only, 1e-4).gradient(phi), rtol=1e-6)
-    for noise in (Noise(np.array([1e-4, 1e-30]), "each"), Noise(np.array([1e-4, 1e-30]), "each", start=True)):
-        value, scores, _ = make(simulator, data, noise).value_score_information(np.append(phi, [1.0, 1.0]))
+    np.testing.assert_allclose(
+        make(simulator, data, 1e-4).gradient(phi), make(one, only, 1e-4).gradient(phi), rtol=1e-6
+    )
+    for noise in (
+        Noise(np.array([1e-4, 1e-30]), "each"),
+        Noise(np.array([1e-4, 1e-30]), "each", start=True),
+    ):
+        value, scores, _ = make(simulator, data, noise).value_score_information(
+            np.append(phi, [1.0, 1.0])
+        )
         assert np.isfinite(value)
         assert np.isfinite(scores).all()
 
@@ -395,9 +577,14 @@ def test_a_covariance_without_an_inverse_is_named():
     simulator = LinearSimulator(np.ones((1, 2, 1)))
     segments = simulate(simulator, np.zeros((3, 1)), np.ones((3, 1, 1)), np.zeros(2)).segments()
     family = TruncatedGaussian(simulator.space)
-    local = Linear().linearize_at(simulator, segments, family, 1e-30, np.zeros(1), np.ones(1), np.random.default_rng(0))
+    local = Linear().linearize_at(
+        simulator, segments, family, 1e-30, np.zeros(1), np.ones(1), np.random.default_rng(0)
+    )
     for phi in (np.array([0.0, 1.0]), torch.tensor([0.0, 1.0])):
-        with pytest.raises(BadArgument, match=r"covariance of row 0 is not positive definite: .* Give a larger epsilon"):
+        with pytest.raises(
+            BadArgument,
+            match=r"covariance of row 0 is not positive definite: .* Give a larger epsilon",
+        ):
             local.rows(phi)
 
 
@@ -413,17 +600,41 @@ def test_a_simulation_that_diverges_around_the_estimate_is_named(kind, monkeypat
     simulator = FunctionSimulator(function, [Parameter("x", 0.1, 2.0)], ["a"])
     data = simulate(simulator, np.full((10, 1), 0.9), np.ones((10, 1, 1)), np.zeros(1))
     segments = replace(data, observations=np.arange(10.0)[:, None]).segments()
-    family, around = TruncatedGaussian(simulator.space), LIKELIHOODS[kind].around
-    with pytest.raises(SimulationFailed, match=r"^1 of 3 simulated rows diverged, the first at row 7 with x = .* No slopes can be taken"):
-        around(simulator, segments, family, 1e-3, np.array([0.95]), np.array([0.5]), np.random.default_rng(0))
+    family = TruncatedGaussian(simulator.space)
+    around = LIKELIHOODS[kind].around
+    with pytest.raises(
+        SimulationFailed,
+        match=r"^1 of 3 simulated rows diverged, the first at row 7 with x = .* No slopes can be taken",
+    ):
+        around(
+            simulator,
+            segments,
+            family,
+            1e-3,
+            np.array([0.95]),
+            np.array([0.5]),
+            np.random.default_rng(0),
+        )
     assert np.isfinite(
-        around(simulator, segments, family, 1e-3, np.array([0.5]), np.array([0.1]), np.random.default_rng(0)).gradient([0.5, 0.1])
+        around(
+            simulator,
+            segments,
+            family,
+            1e-3,
+            np.array([0.5]),
+            np.array([0.1]),
+            np.random.default_rng(0),
+        ).gradient([0.5, 0.1])
     ).all()
 
 
 def test_steps_stay_within_what_is_possible():
-    """At a bound the second step goes to the other side, twice as far: slopes and curvatures of a parabola are exact still."""
-    parabola = lambda value, starts, actions: starts[:, None] + actions * (3 * value[0] + 2 * value[0] ** 2)
+    """At a bound the second step goes to the other side, twice as far: slopes and curvatures of a
+    parabola are exact still.
+    """
+    parabola = lambda value, starts, actions: (
+        starts[:, None] + actions * (3 * value[0] + 2 * value[0] ** 2)
+    )
     seen = []
 
     def spying(value, starts, actions):

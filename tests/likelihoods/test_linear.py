@@ -31,28 +31,43 @@ def test_keeps_to_the_contract():
 
 @pytest.mark.parametrize("name", ["truncated_gaussian", "full", "uniform"])
 def test_linear_simulator_has_the_closed_form(name):
-    """o + M(a) xi with covariance M S M' + diag(epsilon), to 1e-9; sigma in place of the sd of a cut Gaussian is rejected."""
+    """o + M(a) xi with covariance M S M' + diag(epsilon), to 1e-9; sigma in place of the sd of a
+    cut Gaussian is rejected.
+    """
     rng = np.random.default_rng(5)
     simulator = LinearSimulator(rng.normal(size=(2, 3, 2)))
-    values, actions = np.array([1.0, -2.0]) + rng.normal(size=(25, 2)), rng.normal(size=(25, 1, 2))
-    segments = simulate(simulator, values, actions, np.zeros(3), noise_variance=0.01, rng=rng).segments()
+    values = np.array([1.0, -2.0]) + rng.normal(size=(25, 2))
+    actions = rng.normal(size=(25, 1, 2))
+    segments = simulate(
+        simulator, values, actions, np.zeros(3), noise_variance=0.01, rng=rng
+    ).segments()
     epsilon = np.array([0.01, 0.02, 0.05])
     family = find("families", name)(simulator.space)
     phi = family.phi([1.0, -2.0], [0.5, 0.9])
     if name == "full":
         phi[4] = 0.6
-    local = Linear().linearize_at(simulator, segments, family, epsilon, np.array([1.1, -1.9]), np.array([0.4, 0.7]), rng)
+    local = Linear().linearize_at(
+        simulator, segments, family, epsilon, np.array([1.1, -1.9]), np.array([0.4, 0.7]), rng
+    )
 
     def closed_form(sd):
         covariance = family.correlation(phi) * np.outer(sd, sd)
         rows = []
-        for start, action, target in zip(segments.starts, segments.actions[:, 0], segments.targets, strict=True):
+        for start, action, target in zip(
+            segments.starts, segments.actions[:, 0], segments.targets, strict=True
+        ):
             m = np.einsum("q,qpd->pd", action, simulator.matrices)
-            rows.append(stats.multivariate_normal(start + m @ family.mean(phi), m @ covariance @ m.T + np.diag(epsilon)).logpdf(target))
+            rows.append(
+                stats.multivariate_normal(
+                    start + m @ family.mean(phi), m @ covariance @ m.T + np.diag(epsilon)
+                ).logpdf(target)
+            )
         return np.array(rows)
 
     np.testing.assert_allclose(local.rows(phi), closed_form(family.sd(phi)), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(local.predict(values[:4]), simulator.predict(values[:4], segments), atol=1e-9)
+    np.testing.assert_allclose(
+        local.predict(values[:4]), simulator.predict(values[:4], segments), atol=1e-9
+    )
     assert local(phi) == pytest.approx(local.rows(phi).sum(), rel=1e-13)
     if name == "truncated_gaussian":
         assert abs(local(phi) - closed_form(family.scale(phi)).sum()) > 0.1
@@ -69,10 +84,16 @@ def test_moments_of_logarithms_are_exact():
 
 def test_entries_that_do_not_move_cost_nothing():
     """A family without correlations moves d entries of its covariance, one with them d (d + 1) / 2."""
-    simulator, rng = LinearSimulator(np.ones((1, 2, 5))), np.random.default_rng(0)
+    simulator = LinearSimulator(np.ones((1, 2, 5)))
+    rng = np.random.default_rng(0)
     segments = simulate(simulator, np.zeros((3, 5)), np.ones((3, 1, 1)), np.zeros(2)).segments()
-    for family, count in ((TruncatedGaussian(simulator.space), 5), (FullGaussian(simulator.space), 15)):
-        local = Linear().linearize_at(simulator, segments, family, 1.0, np.zeros(5), np.ones(5), rng)
+    for family, count in (
+        (TruncatedGaussian(simulator.space), 5),
+        (FullGaussian(simulator.space), 15),
+    ):
+        local = Linear().linearize_at(
+            simulator, segments, family, 1.0, np.zeros(5), np.ones(5), rng
+        )
         phi = family.phi(np.zeros(5), np.ones(5))
         assert len(local._member_slopes(phi)[1].first) == count
 
@@ -85,7 +106,9 @@ def test_fits_a_linear_simulator_like_the_emulated_one():
     rng = np.random.default_rng(3)
     simulator = LinearSimulator(rng.normal(size=(2, 3, 2)))
     values = np.array([1.0, -2.0]) + np.array([0.5, 0.2]) * rng.standard_normal((80, 2))
-    data = simulate(simulator, values, rng.normal(size=(80, 1, 2)), np.zeros(3), noise_variance=0.01, rng=rng)
+    data = simulate(
+        simulator, values, rng.normal(size=(80, 1, 2)), np.zeros(3), noise_variance=0.01, rng=rng
+    )
     problem = Problem("linear", simulator, data, epsilon=0.01)
     linear, emulated = (DROPO(likelihood=name).fit(problem) for name in ("linear", "emulated"))
     assert linear.status == "converged"
@@ -96,17 +119,23 @@ def test_fits_a_linear_simulator_like_the_emulated_one():
 
 
 class Arms(Simulator):
-    """100 parameters that act on 12 signals through smooth features of the action: o + W (tanh(V a) sin xi)."""
+    """100 parameters that act on 12 signals through smooth features of the action: o + W (tanh(V a)
+    sin xi).
+    """
 
     def __init__(self, d=100, p=12, q=6):
         rng = np.random.default_rng(0)
         toy = LinearSimulator(np.ones((q, p, d)), low=0.2, high=1.2)
-        self.space, self.signals = toy.space, toy.signals
-        self.weights, self.features = rng.normal(size=(p, d)), rng.normal(size=(q, d))
+        self.space = toy.space
+        self.signals = toy.signals
+        self.weights = rng.normal(size=(p, d))
+        self.features = rng.normal(size=(q, d))
 
     def _predict(self, values, segments, offsets):
         load = np.tanh(segments.actions[:, 0] @ self.features)  # (N, d)
-        return segments.starts + np.stack([(load * np.sin(value)) @ self.weights.T for value in values])
+        return segments.starts + np.stack(
+            [(load * np.sin(value)) @ self.weights.T for value in values]
+        )
 
 
 def arms_problem(rows, rng):
@@ -114,20 +143,39 @@ def arms_problem(rows, rng):
     simulator = Arms()
     truth = rng.uniform(0.5, 0.9, 100)
     actions = rng.normal(size=(rows, 1, 6))
-    data = simulate(LinearSimulator(np.zeros((6, 12, 1))), np.zeros((rows, 1)), actions, np.zeros(12))
-    following = simulator.predict(truth[None], data.segments())[0] + np.sqrt(NOISE) * rng.standard_normal((rows, 12))
-    return Problem("arms", simulator, type(data)(data.observations, data.actions, following, data.terminals), epsilon=NOISE), truth
+    data = simulate(
+        LinearSimulator(np.zeros((6, 12, 1))), np.zeros((rows, 1)), actions, np.zeros(12)
+    )
+    following = simulator.predict(truth[None], data.segments())[0] + np.sqrt(
+        NOISE
+    ) * rng.standard_normal((rows, 12))
+    return Problem(
+        "arms",
+        simulator,
+        type(data)(data.observations, data.actions, following, data.terminals),
+        epsilon=NOISE,
+    ), truth
 
 
 def test_a_hundred_parameters_in_seconds():
-    """1000 transitions: the design and three expansions take below 4 s of processor time, a quarter of a round; scores are the value's."""
+    """1000 transitions: the design and three expansions take below 4 s of processor time, a quarter
+    of a round; scores are the value's.
+    """
     problem, truth = arms_problem(1000, np.random.default_rng(1))
     family = TruncatedGaussian(problem.space)
     phi = family.phi(truth, np.full(100, 0.01))
-    with threadpool_limits(1, user_api="blas"):  # as in a fit: waiting threads count as processor time
+    with threadpool_limits(
+        1, user_api="blas"
+    ):  # as in a fit: waiting threads count as processor time
         begun = time.process_time()
         local = Linear().linearize_at(
-            problem.simulator, problem.segments, family, NOISE, truth + 0.01, np.full(100, 0.02), np.random.default_rng(0)
+            problem.simulator,
+            problem.segments,
+            family,
+            NOISE,
+            truth + 0.01,
+            np.full(100, 0.02),
+            np.random.default_rng(0),
         )
         for _ in range(3):
             score = local.value_score_information(phi)[1].sum(axis=0)
@@ -135,13 +183,17 @@ def test_a_hundred_parameters_in_seconds():
     for i in (0, 57, 130, 199):
         step = 1e-5 * phi[i] * np.eye(200)[i]
         assert score[i] == pytest.approx(
-            (local(phi + step) - local(phi - step)) / (2 * step.sum()), rel=1e-5, abs=1e-5 * np.abs(score).max()
+            (local(phi + step) - local(phi - step)) / (2 * step.sum()),
+            rel=1e-5,
+            abs=1e-5 * np.abs(score).max(),
         )
 
 
 @pytest.mark.study
 def test_a_hundred_parameters_are_found():
-    """All means within 4.5 standard errors (the largest of 100 normals is below 4.5 with 99.9 %), all scales below 0.01."""
+    """All means within 4.5 standard errors (the largest of 100 normals is below 4.5 with 99.9 %),
+    all scales below 0.01.
+    """
     problem, truth = arms_problem(1000, np.random.default_rng(1))
     fit = DROPO(likelihood="linear").fit(problem)
     assert fit.status == "converged"
@@ -150,38 +202,68 @@ def test_a_hundred_parameters_are_found():
 
 
 def hopper_of_18(threads=0):
-    """Masses, inertias, joint damping and armature, gears and the foot's friction, each a factor on the model's own number in [0.5, 2]."""
+    """Masses, inertias, joint damping and armature, gears and the foot's friction, each a factor on
+    the model's own number in [0.5, 2].
+    """
     spec = hopper_spec()
     for i, actuator in enumerate(spec.actuators):
         actuator.name = f"motor{i}"
     fields = {
-        "body_mass": BODIES, "body_inertia": BODIES, "geom_friction": ["foot_geom"], "actuator_gear": [f"motor{i}" for i in range(3)],
-        **{field: [f"{body}_joint" for body in BODIES[1:]] for field in ("dof_damping", "dof_armature")},
-    }  # fmt: skip
+        "body_mass": BODIES,
+        "body_inertia": BODIES,
+        "geom_friction": ["foot_geom"],
+        "actuator_gear": [f"motor{i}" for i in range(3)],
+        **{
+            field: [f"{body}_joint" for body in BODIES[1:]]
+            for field in ("dof_damping", "dof_armature")
+        },
+    }
     parameters = [
-        FieldParameter(f"{field}.{element}", 0.5, 2.0, field=field, element=element, relative=True, derived=False)
+        FieldParameter(
+            f"{field}.{element}",
+            0.5,
+            2.0,
+            field=field,
+            element=element,
+            relative=True,
+            derived=False,
+        )
         for field, elements in fields.items()
         for element in elements
     ]
-    return MujocoSimulator(spec, parameters, observation=["qpos[1:]", "qvel"], frame_skip=FRAME_SKIP, threads=threads)
+    return MujocoSimulator(
+        spec, parameters, observation=["qpos[1:]", "qvel"], frame_skip=FRAME_SKIP, threads=threads
+    )
 
 
 def fitted_hopper(transitions, seed, likelihood="linear"):
     """DROPO's fit of 18 parameters, all 1 in truth, to noisy transitions."""
-    data, _ = hopper_transitions(transitions // 2, 2, rng=np.random.default_rng(seed), noise_variance=NOISE)
+    data, _ = hopper_transitions(
+        transitions // 2, 2, rng=np.random.default_rng(seed), noise_variance=NOISE
+    )
     problem = Problem("hopper-18", hopper_of_18(), data, epsilon=NOISE)
     return DROPO(likelihood=likelihood).fit(problem)
 
 
 def test_eighteen_parameters_of_the_hopper_linearise():
-    """The model at factors of 1 is the hopper's own; the likelihood's score there is within 4.5 of its standard errors, at 1.1 not."""
+    """The model at factors of 1 is the hopper's own; the likelihood's score there is within 4.5 of
+    its standard errors, at 1.1 not.
+    """
     data, _ = hopper_transitions(100, 1, rng=np.random.default_rng(0), noise_variance=NOISE)
     simulator = hopper_of_18()
     assert simulator.nominal.tolist() == [1.0] * 18
     family = find("families", "point")(simulator.space)
 
     def z(point):
-        local = Linear().linearize_at(simulator, data.segments(), family, NOISE, point, np.full(18, 1e-3), np.random.default_rng(0))
+        local = Linear().linearize_at(
+            simulator,
+            data.segments(),
+            family,
+            NOISE,
+            point,
+            np.full(18, 1e-3),
+            np.random.default_rng(0),
+        )
         _, scores, information = local.value_score_information(point)
         return np.abs(scores.sum(axis=0) / np.sqrt(np.diagonal(information))).max()
 
@@ -191,7 +273,9 @@ def test_eighteen_parameters_of_the_hopper_linearise():
 
 @pytest.mark.study
 def test_eighteen_parameters_of_the_hopper_are_found():
-    """1000 noisy transitions: every mean within 3.5 standard errors (of 18, 99 % are), in at most 1.5e6 simulator steps."""
+    """1000 noisy transitions: every mean within 3.5 standard errors (of 18, 99 % are), in at most
+    1.5e6 simulator steps.
+    """
     fit = fitted_hopper(1000, seed=61)
     assert (np.abs(fit.mean - 1) / fit.mean_se).max() < 3.5
     assert fit.simulator_steps <= 1.5e6

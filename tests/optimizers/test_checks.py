@@ -19,7 +19,9 @@ class Shrinking(Optimizer):
 
     def _ask(self):
         self.width *= 0.97
-        return np.clip(self.best[0] + self.width * self.rng.standard_normal((20, self.dimension)), 0, 1)
+        return np.clip(
+            self.best[0] + self.width * self.rng.standard_normal((20, self.dimension)), 0, 1
+        )
 
     def _tell(self, points, costs, gradients):
         pass
@@ -131,7 +133,9 @@ def test_a_seed_in_the_global_stream_is_caught():
         def _begin(self, start):
             import cma
 
-            return cma.CMAEvolutionStrategy(4 * start, 1, {"seed": 3, "verbose": -10, "verb_log": 0, "bounds": [0, 4]})
+            return cma.CMAEvolutionStrategy(
+                4 * start, 1, {"seed": 3, "verbose": -10, "verb_log": 0, "bounds": [0, 4]}
+            )
 
     with pytest.raises(AssertionError, match="global random stream"):
         check_optimizer(Plain)
@@ -142,19 +146,27 @@ class Metropolis(Emcee):
     """Random walks of 60 walkers. temper: the power of the density that they really draw from."""
 
     temper: float = 1.0
-    fold: float = 0.0  # share of the proposals put into the lower half of the box: no longer symmetric
+    fold: float = (
+        0.0  # share of the proposals put into the lower half of the box: no longer symmetric
+    )
     stream: bool = False
 
     def _sample(self, density, rng, start, spread):
         points, values = first_positions(density, rng, start, spread, 60)
-        chain, logs = [], []
+        chain = []
+        logs = []
         for _ in range(3000):
-            step = np.random.standard_normal(points.shape) if self.stream else rng.standard_normal(points.shape)  # noqa: NPY002
+            step = (
+                np.random.standard_normal(points.shape)
+                if self.stream
+                else rng.standard_normal(points.shape)
+            )  # noqa: NPY002
             proposed = points + 0.07 * step
             proposed = np.where(rng.random((60, 1)) < self.fold, proposed * 0.9, proposed)
             new = density(proposed)
             yes = np.log(rng.random(60)) < self.temper * (new - values)
-            points, values = np.where(yes[:, None], proposed, points), np.where(yes, new, values)
+            points = np.where(yes[:, None], proposed, points)
+            values = np.where(yes, new, values)
             chain.append(points)
             logs.append(values)
         return np.array(chain)[500:], np.array(logs)[500:]
@@ -172,7 +184,9 @@ class Squeezes(Emcee):
     """Draws that keep off the ends of the box."""
 
     def _sample(self, density, rng, start, spread):
-        inner = lambda points: np.where(((points > 0.03) & (points < 0.97)).all(axis=1), density(np.clip(points, 0, 1)), -np.inf)
+        inner = lambda points: np.where(
+            ((points > 0.03) & (points < 0.97)).all(axis=1), density(np.clip(points, 0, 1)), -np.inf
+        )
         return super()._sample(inner, rng, start, spread)
 
 

@@ -11,7 +11,8 @@ class Ellipsoid:
     """(u - c)' A (u - c) / 2, whose optimal search covariance is proportional to the inverse of A."""
 
     def __init__(self, centre, matrix):
-        self.centre, self.matrix = np.array(centre), np.array(matrix)
+        self.centre = np.array(centre)
+        self.matrix = np.array(matrix)
 
     def __call__(self, u):
         return float(0.5 * (u - self.centre) @ self.matrix @ (u - self.centre))
@@ -30,15 +31,23 @@ def make(dimension=2, seed=1, **settings):
 
 
 def test_first_generation_has_the_thesis_scaling():
-    """4 x the unit box, start 2, sigma_0 = 1: in the unit box the first steps have mean 0.5 and standard deviation 0.25 (section 5.3)."""
+    """4 x the unit box, start 2, sigma_0 = 1: in the unit box the first steps have mean 0.5 and
+    standard deviation 0.25 (section 5.3).
+    """
     optimizer = make(3, population=4000)
-    assert optimizer.covariance == pytest.approx(np.eye(3) / 16, rel=1e-4)  # pycma's first axes differ by 1e-4
+    assert optimizer.covariance == pytest.approx(
+        np.eye(3) / 16, rel=1e-4
+    )  # pycma's first axes differ by 1e-4
     inner = optimizer.ask()
     error = 0.25 / np.sqrt(4000)
-    assert np.abs(np.median(inner, axis=0) - 0.5).max() < 4.5 * 1.25 * error  # the median's standard error is 1.25 of the mean's
+    assert (
+        np.abs(np.median(inner, axis=0) - 0.5).max() < 4.5 * 1.25 * error
+    )  # the median's standard error is 1.25 of the mean's
     quarter = np.mean(np.abs(inner - 0.5) < 0.25, axis=0)  # 68.27 % within one standard deviation
     assert np.abs(quarter - 0.6827).max() < 4.5 * np.sqrt(0.6827 * 0.3173 / 4000)
-    assert abs(0.6827 - 0.5763) > 4.5 * np.sqrt(0.6827 * 0.3173 / 4000)  # a control: with sigma 0.3125 it would be 57.63 %
+    assert abs(0.6827 - 0.5763) > 4.5 * np.sqrt(
+        0.6827 * 0.3173 / 4000
+    )  # a control: with sigma 0.3125 it would be 57.63 %
 
 
 def test_steps_differ_by_coordinate():
@@ -47,19 +56,27 @@ def test_steps_differ_by_coordinate():
 
 
 def test_covariance_takes_the_shape_of_the_cost():
-    """On a quadratic the covariance tends to a multiple of the inverse Hessian; in the middle of the box nothing is folded."""
+    """On a quadratic the covariance tends to a multiple of the inverse Hessian; in the middle of
+    the box nothing is folded.
+    """
     hessian = np.array([[40.0, 12.0], [12.0, 10.0]])
     optimizer = make(restarts=0, population=40, budget=4000)
     drive(optimizer, Ellipsoid([0.45, 0.55], hessian))
-    found, wanted = optimizer.covariance, np.linalg.inv(hessian)
+    found = optimizer.covariance
+    wanted = np.linalg.inv(hessian)
     assert np.allclose(found, found.T)
-    assert found[0, 1] / np.sqrt(found[0, 0] * found[1, 1]) == pytest.approx(wanted[0, 1] / np.sqrt(wanted[0, 0] * wanted[1, 1]), abs=0.25)
-    assert np.sqrt(found[1, 1] / found[0, 0]) == pytest.approx(np.sqrt(wanted[1, 1] / wanted[0, 0]), rel=0.5)
+    assert found[0, 1] / np.sqrt(found[0, 0] * found[1, 1]) == pytest.approx(
+        wanted[0, 1] / np.sqrt(wanted[0, 0] * wanted[1, 1]), abs=0.25
+    )
+    assert np.sqrt(found[1, 1] / found[0, 0]) == pytest.approx(
+        np.sqrt(wanted[1, 1] / wanted[0, 0]), rel=0.5
+    )
     assert np.sqrt(found.max()) < 1e-9  # converged
 
 
 def test_covariance_shrinks_as_the_search_goes_on():
-    early, late = make(restarts=0), make(restarts=0)
+    early = make(restarts=0)
+    late = make(restarts=0)
     for _ in range(5):
         answer(early, Ellipsoid([0.5, 0.5], np.eye(2)))
     for _ in range(50):
@@ -68,10 +85,16 @@ def test_covariance_shrinks_as_the_search_goes_on():
 
 
 def test_restarts_leave_local_minima():
-    """Without restarts few of eight searches end in the global minimum of Rastrigin's function; with them at least three more do. Which
-    ones depends on the processor's rounding."""
-    alone, again = ([make(seed=seed, **more) for seed in range(8)] for more in ({"restarts": 0}, {"budget": 20000}))
-    reasons = [[drive(search, Rastrigin())[1] for search in searches] for searches in (alone, again)]
+    """Without restarts few of eight searches end in the global minimum of Rastrigin's function;
+    with them at least three more do. Which ones depends on the processor's rounding.
+    """
+    alone, again = (
+        [make(seed=seed, **more) for seed in range(8)]
+        for more in ({"restarts": 0}, {"budget": 20000})
+    )
+    reasons = [
+        [drive(search, Rastrigin())[1] for search in searches] for searches in (alone, again)
+    ]
     reached = [sum(search.best[1] < 1e-9 for search in searches) for searches in (alone, again)]
     assert all("." in reason for reason in reasons[0])
     assert any("restart" in (reason or "").lower() for reason in reasons[1])
@@ -88,7 +111,9 @@ def test_restarts_double_the_population_and_keep_to_their_number():
 
 
 def test_covariance_is_that_of_the_best_run():
-    """Half-way through a restart that has found nothing better, the covariance is still the converged one."""
+    """Half-way through a restart that has found nothing better, the covariance is still the
+    converged one.
+    """
     optimizer = make(restarts=1, budget=20000)
     while optimizer._run == 0:
         assert optimizer.stop() is None

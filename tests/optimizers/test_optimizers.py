@@ -28,7 +28,8 @@ class Sphere:
     """|u - centre|^2 / width^2: its minimum is the centre."""
 
     def __init__(self, centre, width=1.0):
-        self.centre, self.width = np.array(centre), width
+        self.centre = np.array(centre)
+        self.width = width
 
     def __call__(self, u):
         return float(np.sum(((u - self.centre) / self.width) ** 2))
@@ -38,7 +39,9 @@ class Sphere:
 
 
 class Rosenbrock:
-    """100 (y - x^2)^2 + (1 - x)^2 with x = -2 + 4 u_1, y = -2 + 4 u_2: the minimum (1, 1) is at u = (0.75, 0.75)."""
+    """100 (y - x^2)^2 + (1 - x)^2 with x = -2 + 4 u_1, y = -2 + 4 u_2: the minimum (1, 1) is at u =
+    (0.75, 0.75).
+    """
 
     def __call__(self, u):
         x, y = -2 + 4 * u
@@ -65,7 +68,10 @@ class Objective:
     has_gradients = True
 
     def __init__(self, cost, fails=lambda u: False, dies_after=None):
-        self.cost, self.fails, self.dies_after, self.calls = cost, fails, dies_after, 0
+        self.cost = cost
+        self.fails = fails
+        self.dies_after = dies_after
+        self.calls = 0
 
     def __call__(self, phi):
         if self.calls == self.dies_after:
@@ -77,7 +83,9 @@ class Objective:
         return -self.cost(u)
 
     def gradient(self, phi):
-        u, widths = SPACE.to_unit(phi), np.array([4.0, np.log(100.0) * phi[1]])  # d phi / d u
+        # d phi / d u
+        u = SPACE.to_unit(phi)
+        widths = np.array([4.0, np.log(100.0) * phi[1]])
         return np.full(2, np.nan) if self.fails(u) else -self.cost.gradient(u) / widths
 
 
@@ -85,7 +93,9 @@ SPACE = ParameterSpace((Parameter("a", -1.0, 3.0), Parameter("b", 0.1, 10.0, sca
 
 
 def make(name, dimension=2, seed=1, budget=5000, **settings) -> Optimizer:
-    return find("optimizers", name)(dimension, np.random.default_rng(seed), budget=budget, **settings)
+    return find("optimizers", name)(
+        dimension, np.random.default_rng(seed), budget=budget, **settings
+    )
 
 
 def run(journal=None) -> Run:
@@ -125,7 +135,9 @@ def test_finds_the_minimum(name, cost):
 
 @pytest.mark.parametrize("name", ALL)
 def test_start_and_step_are_used(name):
-    """With a start beside the minimum and small steps a local method needs fewer evaluations, and a start is asked for."""
+    """With a start beside the minimum and small steps a local method needs fewer evaluations, and a
+    start is asked for.
+    """
     optimizer = make(name, start=[0.75, 0.7], step=[0.01, 0.02])
     asked, _ = drive(optimizer, Rosenbrock(), batches=40)
     if name == "nlopt-direct-l":
@@ -136,7 +148,9 @@ def test_start_and_step_are_used(name):
 
 @pytest.mark.parametrize("name", ALL)
 def test_search_survives_failed_points(name):
-    """A corner whose simulations fail (NaN, -inf, gradients NaN) does not stop the search; the optimum lies beside it."""
+    """A corner whose simulations fail (NaN, -inf, gradients NaN) does not stop the search; the
+    optimum lies beside it.
+    """
     objective = Objective(Sphere([0.3, 0.25]), fails=lambda u: u.sum() < 0.5)
     found = maximize(objective, SPACE, make(name), run())
     assert np.abs(SPACE.to_unit(found.point) - [0.3, 0.25]).max() < 1e-3
@@ -162,14 +176,19 @@ def test_budget_is_never_exceeded(name, budget):
 
 
 def test_budget_smaller_than_a_batch_is_refused():
-    with pytest.raises(BadArgument, match=r"'budget' of CMAES must be at least 6, the first batch\. Got 5"):
+    with pytest.raises(
+        BadArgument, match=r"'budget' of CMAES must be at least 6, the first batch\. Got 5"
+    ):
         maximize(Objective(Slope()), SPACE, make("cma-es", budget=5), run())
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_killed_search_resumes(name, tmp_path):
-    """Killed in its 21st evaluation and taken up again: the same result as in one go, and nothing evaluated twice."""
-    cost, path = Rosenbrock(), tmp_path / "journal"
+    """Killed in its 21st evaluation and taken up again: the same result as in one go, and nothing
+    evaluated twice.
+    """
+    cost = Rosenbrock()
+    path = tmp_path / "journal"
     whole = maximize(Objective(cost), SPACE, make(name, budget=200), run())
     with pytest.raises(RuntimeError, match="killed"):
         maximize(Objective(cost, dies_after=20), SPACE, make(name, budget=200), run(Journal(path)))
@@ -179,20 +198,31 @@ def test_killed_search_resumes(name, tmp_path):
     assert recorded >= 12
     assert again.calls == whole.evaluations - recorded
     assert np.array_equal(resumed.point, whole.point)
-    assert (resumed.value, resumed.evaluations, resumed.reason) == (whole.value, whole.evaluations, whole.reason)
+    assert (resumed.value, resumed.evaluations, resumed.reason) == (
+        whole.value,
+        whole.evaluations,
+        whole.reason,
+    )
 
 
 @pytest.mark.parametrize("name", [n for n in ALL if find("optimizers", n).needs_gradients])
 def test_gradients_are_asked_for_and_wrong_ones_harm(name):
-    """An objective without gradients is refused with the way out; the control with its gradients reversed must fail."""
-    with pytest.raises(Incompatible, match=r"needs gradients, and function gives none\. Use likelihood 'emulated'.* such as 'cma-es'"):
+    """An objective without gradients is refused with the way out; the control with its gradients
+    reversed must fail.
+    """
+    with pytest.raises(
+        Incompatible,
+        match=r"needs gradients, and function gives none\. Use likelihood 'emulated'.* such as 'cma-es'",
+    ):
         maximize(lambda phi: 0.0, SPACE, make(name), run())
 
     class Reversed(Objective):
         def gradient(self, phi):
             return -super().gradient(phi)
 
-    right, wrong = (maximize(kind(Rosenbrock()), SPACE, make(name), run()) for kind in (Objective, Reversed))
+    right, wrong = (
+        maximize(kind(Rosenbrock()), SPACE, make(name), run()) for kind in (Objective, Reversed)
+    )
     assert np.abs(SPACE.to_unit(right.point) - 0.75).max() < 1e-5
     assert np.abs(SPACE.to_unit(wrong.point) - 0.75).max() > 0.1
 
@@ -251,15 +281,31 @@ def test_random_optimizers_use_their_rng(name):
 
 
 def test_unusable_settings_are_refused():
-    for settings, message in [({"population": 2}, "'population' of CMAES must be at least 4"), ({"restarts": -1}, "'restarts' of CMAES")]:
+    for settings, message in [
+        ({"population": 2}, "'population' of CMAES must be at least 4"),
+        ({"restarts": -1}, "'restarts' of CMAES"),
+    ]:
         with pytest.raises(BadArgument, match=message):
             make("cma-es", **settings)
-    with pytest.raises(BadArgument, match="'population' of DifferentialEvolution must be at least 5"):
+    with pytest.raises(
+        BadArgument, match="'population' of DifferentialEvolution must be at least 5"
+    ):
         make("scipy-differential-evolution", population=1)
 
 
 def test_libraries_are_imported_late():
     """Importing the plug-ins imports neither pycma nor NLopt nor emcee."""
-    modules = "import dropo.optimizers.cma_es, dropo.optimizers.nlopt, dropo.optimizers.scipy, dropo.optimizers.samplers.emcee, sys"
-    late = f"{modules}; print([m for m in ('cma', 'nlopt', 'emcee', 'matplotlib') if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", late], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    modules = (
+        "import dropo.optimizers.cma_es, dropo.optimizers.nlopt, dropo.optimizers.scipy, "
+        "dropo.optimizers.samplers.emcee, sys"
+    )
+    late = (
+        f"{modules}; print([m for m in ('cma', 'nlopt', 'emcee', 'matplotlib') if m in "
+        "sys.modules])"
+    )
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", late], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "[]"
+    )

@@ -19,7 +19,10 @@ from dropo.testing.samplers import SPACE, gaussian
 torch = pytest.importorskip("torch")
 pyro = pytest.importorskip("pyro")
 
-SHORT = {"nuts": PyroNuts(draws=30, warmup=20, chains=2), "svi": PyroSvi(draws=40, steps=20, particles=2)}
+SHORT = {
+    "nuts": PyroNuts(draws=30, warmup=20, chains=2),
+    "svi": PyroSvi(draws=40, steps=20, particles=2),
+}
 
 
 class Density:
@@ -60,15 +63,21 @@ def test_torch_and_pyro_are_left_as_they_were(sampler):
 
 @pytest.mark.parametrize("sampler", SHORT.values(), ids=SHORT)
 def test_a_density_without_gradients_is_refused(sampler):
-    with pytest.raises(Incompatible, match="Use likelihood 'emulated' or 'linear', or sampler 'emcee'"):
+    with pytest.raises(
+        Incompatible, match="Use likelihood 'emulated' or 'linear', or sampler 'emcee'"
+    ):
         sample(sampler, lambda points: np.zeros(len(points)))
 
 
 @pytest.mark.parametrize("sampler", SHORT.values(), ids=SHORT)
 def test_killed_sampling_resumes(sampler, tmp_path):
-    """Values and gradients are recorded: killed halfway and taken up again, the same draws, and no point evaluated twice."""
+    """Values and gradients are recorded: killed halfway and taken up again, the same draws, and no
+    point evaluated twice.
+    """
     simulator = LinearSimulator(np.ones((1, 1, 1)))
-    problem = Problem("none", simulator, simulate(simulator, np.array([[1.0]]), np.ones((1, 3, 1)), np.zeros(1)))
+    problem = Problem(
+        "none", simulator, simulate(simulator, np.array([[1.0]]), np.ones((1, 3, 1)), np.zeros(1))
+    )
     count = 0
 
     def counted(points):
@@ -82,14 +91,24 @@ def test_killed_sampling_resumes(sampler, tmp_path):
         nonlocal count
         count = 0
         run = Run(problem, np.random.default_rng(7), journal)
-        return sampler.sample(Density(counted), SPACE, rng=run.rng, evaluate=run.evaluate, start=[0.45, 0.6], spread=0.05)
+        return sampler.sample(
+            Density(counted),
+            SPACE,
+            rng=run.rng,
+            evaluate=run.evaluate,
+            start=[0.45, 0.6],
+            spread=0.05,
+        )
 
     dies_after = np.inf
-    straight, whole, path = go(Journal()), count, tmp_path / "journal"
+    straight = go(Journal())
+    whole = count
+    path = tmp_path / "journal"
     dies_after = whole // 2
     with pytest.raises(RuntimeError, match="killed"):
         go(Journal(path))
-    recorded, dies_after = sum(len(entry["points"]) for entry in Journal(path)._known), np.inf
+    recorded = sum(len(entry["points"]) for entry in Journal(path)._known)
+    dies_after = np.inf
     resumed = go(Journal(path))
     assert recorded > whole // 3
     assert count == whole - recorded
@@ -97,7 +116,9 @@ def test_killed_sampling_resumes(sampler, tmp_path):
 
 
 def test_gradients_over_the_real_line():
-    """By central differences to 1e-6, with the Jacobian: the integral over w of the density is that over the box."""
+    """By central differences to 1e-6, with the Jacobian: the integral over w of the density is that
+    over the box.
+    """
     unit = lambda u: np.column_stack([np.sin(3 * u).sum(axis=1), 3 * np.cos(3 * u)])
     line = RealLine(unit, np.array([0.3, 0.999]), np.array([0.2, 0.05]))
     w = torch.tensor([[0.3, -0.7], [1.5, 0.2]], dtype=torch.float64, requires_grad=True)
@@ -106,9 +127,15 @@ def test_gradients_over_the_real_line():
     at = w.detach().numpy()
     for i in range(2):
         step = 1e-5 * np.eye(2)[i]
-        np.testing.assert_allclose(w.grad[:, i], (value(at + step) - value(at - step)) / 2e-5, rtol=1e-6)
+        np.testing.assert_allclose(
+            w.grad[:, i], (value(at + step) - value(at - step)) / 2e-5, rtol=1e-6
+        )
     grid = np.linspace(-60, 60, 40001)[:, None]
-    one = RealLine(lambda u: np.column_stack([np.log(u[:, 0] + 0.5), 1 / (u[:, 0] + 0.5)]), np.array([0.3]), np.array([0.2]))
+    one = RealLine(
+        lambda u: np.column_stack([np.log(u[:, 0] + 0.5), 1 / (u[:, 0] + 0.5)]),
+        np.array([0.3]),
+        np.array([0.2]),
+    )
     mass = np.exp(one.log_density(torch.as_tensor(grid)).numpy())
     share = mass[one.unit(grid)[:, 0] < 0.5].sum() / mass.sum()
     assert share == pytest.approx(0.375, abs=1e-3)  # of u + 1/2 on [0, 1]
@@ -131,7 +158,9 @@ def test_svi_says_where_it_has_not_arrived_or_does_not_fit():
     noise = np.random.default_rng(1).standard_normal(400)
     assert "the ELBO still rises, by 2" in _rising(noise + 0.04 * np.arange(400))[0]
     assert _rising(noise) == []
-    far = sample(PyroSvi(draws=200, steps=200, learning_rate=0.002), start=[0.02, 0.98], spread=0.01)
+    far = sample(
+        PyroSvi(draws=200, steps=200, learning_rate=0.002), start=[0.02, 0.98], spread=0.01
+    )
     assert any("the guide does not fit the posterior" in note for note in far.notes)
     near = sample(PyroSvi(draws=400, steps=1000), start=[0.45, 0.6], spread=0.05)
     assert isinstance(near, Draws)
@@ -139,17 +168,26 @@ def test_svi_says_where_it_has_not_arrived_or_does_not_fit():
 
 
 def test_svi_refuses_a_guide_that_leaves_the_support():
-    half = Density(lambda points: (np.where(points[:, 0] < 1.0, 0.0, np.nan), np.zeros(points.shape)))
+    half = Density(
+        lambda points: (np.where(points[:, 0] < 1.0, 0.0, np.nan), np.zeros(points.shape))
+    )
     with pytest.raises(Refused, match="Use sampler 'pyro-nuts'"):
         sample(SHORT["svi"], half, start=[0.45, 0.5], spread=0.3)
 
 
-@pytest.mark.parametrize(("make", "match"), [
-    (lambda: PyroNuts(draws=3), "'draws' of PyroNuts must be at least 4"), (lambda: PyroNuts(chains=0), "'chains' of PyroNuts"),
-    (lambda: PyroNuts(warmup=0), "'warmup' of PyroNuts"), (lambda: PyroNuts(target_acceptance=1.0), "'target_acceptance' of PyroNuts"),
-    (lambda: PyroSvi(draws=3), "'draws' of PyroSvi"), (lambda: PyroSvi(steps=1), "'steps' of PyroSvi"),
-    (lambda: PyroSvi(learning_rate=0.0), "'learning_rate' of PyroSvi"), (lambda: PyroSvi(particles=0), "'particles' of PyroSvi"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: PyroNuts(draws=3), "'draws' of PyroNuts must be at least 4"),
+        (lambda: PyroNuts(chains=0), "'chains' of PyroNuts"),
+        (lambda: PyroNuts(warmup=0), "'warmup' of PyroNuts"),
+        (lambda: PyroNuts(target_acceptance=1.0), "'target_acceptance' of PyroNuts"),
+        (lambda: PyroSvi(draws=3), "'draws' of PyroSvi"),
+        (lambda: PyroSvi(steps=1), "'steps' of PyroSvi"),
+        (lambda: PyroSvi(learning_rate=0.0), "'learning_rate' of PyroSvi"),
+        (lambda: PyroSvi(particles=0), "'particles' of PyroSvi"),
+    ],
+)
 def test_unusable_settings_are_refused(make, match):
     with pytest.raises(BadArgument, match=match):
         make()

@@ -9,7 +9,14 @@ from mujoco import rollout
 
 from dropo.core.services.errors import BadArgument
 from dropo.problems.find_hopper_policy import Moments, as_json, found, returns, run, search
-from dropo.problems.hopper.data import LinearPolicy, healthy, hopper_policy, observe, simulate, start_states
+from dropo.problems.hopper.data import (
+    LinearPolicy,
+    healthy,
+    hopper_policy,
+    observe,
+    simulate,
+    start_states,
+)
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, TRUTH, hopper_model
 from dropo.problems.measured.external_data import find_data
 from dropo.simulators.mujoco.closed_loop import closed_loop
@@ -20,8 +27,12 @@ MASSES = np.array(list(TRUTH.values()))
 def following(model, observations, actions, masses=MASSES):
     """(N, 11) what MuJoCo's own rollout gives one control step after each observation."""
     model.body_mass[1:] = masses
-    starts = np.column_stack([np.zeros((len(observations), 2)), observations])  # time and the distance travelled
-    states, _ = rollout.rollout(model, mujoco.MjData(model), starts, np.repeat(actions[:, None], FRAME_SKIP, axis=1))
+    starts = np.column_stack(
+        [np.zeros((len(observations), 2)), observations]
+    )  # time and the distance travelled
+    states, _ = rollout.rollout(
+        model, mujoco.MjData(model), starts, np.repeat(actions[:, None], FRAME_SKIP, axis=1)
+    )
     return states[:, -1, 2:]
 
 
@@ -39,7 +50,9 @@ def test_truth_is_the_published_masses():
 
 @pytest.mark.parametrize(("file", "tolerance"), [("clean.npz", 1e-12), ("noisy-1e-5.npz", 0.03)])
 def test_published_transitions_are_reproduced(file, tolerance):
-    """All 10,000 to rounding, or within 9 standard deviations where noise of variance 1e-5 was added."""
+    """All 10,000 to rounding, or within 9 standard deviations where noise of variance 1e-5 was
+    added.
+    """
     path = find_data(f"hopper-published/{file}")
     if path is None:
         pytest.skip(f"hopper-published/{file} is not at hand (DROPO_DATA)")
@@ -53,14 +66,23 @@ def test_another_margin_does_not_replay_the_data(data):
     """The check above can fail: the stock margins alone are noticed."""
     model = hopper_model()
     model.geom_margin[:] = 0.001
-    assert np.abs(following(model, data.observations, data.actions) - data.next_observations).max() > 1e-3
+    assert (
+        np.abs(following(model, data.observations, data.actions) - data.next_observations).max()
+        > 1e-3
+    )
 
 
 def test_data_are_the_models_own_transitions(data):
     """In one piece, starting upright, and equal to MuJoCo's rollout from each observation."""
-    np.testing.assert_allclose(following(hopper_model(), data.observations, data.actions), data.next_observations, atol=1e-10)
+    np.testing.assert_allclose(
+        following(hopper_model(), data.observations, data.actions),
+        data.next_observations,
+        atol=1e-10,
+    )
     for start, stop in data.spans:
-        np.testing.assert_array_equal(data.observations[start + 1 : stop], data.next_observations[start : stop - 1])
+        np.testing.assert_array_equal(
+            data.observations[start + 1 : stop], data.next_observations[start : stop - 1]
+        )
         assert np.abs(data.observations[start] - np.eye(1, 11)[0] * 1.25).max() <= 5e-3
     assert len(data) == 1000
     assert np.abs(data.actions).max() <= 1
@@ -96,23 +118,32 @@ def test_contact_and_flight_both_happen(data):
 
 
 def test_masses_are_identifiable(data):
-    """1000 transitions under noise of variance 1e-5 give each mass to better than 0.02 kg (Cramer and Rao)."""
-    model, h = hopper_model(), 1e-4
+    """1000 transitions under noise of variance 1e-5 give each mass to better than 0.02 kg (Cramer
+    and Rao).
+    """
+    model = hopper_model()
+    h = 1e-4
     after = lambda masses: following(model, data.observations, data.actions, masses).ravel()
-    jacobian = np.column_stack([(after(MASSES + step) - after(MASSES - step)) / (2 * h) for step in h * np.eye(4)])
+    jacobian = np.column_stack(
+        [(after(MASSES + step) - after(MASSES - step)) / (2 * h) for step in h * np.eye(4)]
+    )
     errors = np.sqrt(1e-5 * np.diag(np.linalg.inv(jacobian.T @ jacobian)))
     assert (errors < 0.02).all(), errors
 
 
 def test_masses_change_by_block_and_in_body_mass_alone():
     """Each block of 10 transitions is replayed by its own masses, and by no others."""
-    varied, masses = simulate(95, 2, rng=3, block=10, masses=lambda rng, n: MASSES * rng.uniform(0.9, 1.1, (n, 4)))
+    varied, masses = simulate(
+        95, 2, rng=3, block=10, masses=lambda rng, n: MASSES * rng.uniform(0.9, 1.1, (n, 4))
+    )
     np.testing.assert_array_equal(varied.group, np.repeat(np.arange(20), ([10] * 9 + [5]) * 2))
     assert masses.shape == (20, 4)
     model = hopper_model()
     for g, own in enumerate(masses):
         rows = varied.group == g
-        replay = lambda m, rows=rows: following(model, varied.observations[rows], varied.actions[rows], m)
+        replay = lambda m, rows=rows: following(
+            model, varied.observations[rows], varied.actions[rows], m
+        )
         np.testing.assert_allclose(replay(own), varied.next_observations[rows], atol=1e-10)
         assert np.abs(replay(masses[g - 1]) - varied.next_observations[rows]).max() > 1e-4
 
@@ -135,7 +166,9 @@ def test_noise_is_on_the_next_observations_only(data):
 
 
 def test_a_fall_ends_a_trajectory_and_another_is_started():
-    """A policy that does nothing falls; every trajectory but the last ends fallen, and the count is met."""
+    """A policy that does nothing falls; every trajectory but the last ends fallen, and the count is
+    met.
+    """
     idle = LinearPolicy(np.zeros((3, 11)), np.zeros(11), np.ones(11), action_noise=0.1)
     fallen, masses = simulate(200, 3, rng=4, policy=idle, block=50)
     assert len(fallen) == 600
@@ -143,18 +176,26 @@ def test_a_fall_ends_a_trajectory_and_another_is_started():
     ends = fallen.next_observations[fallen.terminals][:-1]
     assert not healthy(np.column_stack([np.zeros(len(ends)), ends])).any()
     assert len(masses) == fallen.group.max() + 1
-    assert all(len(np.unique(fallen.trajectory[fallen.group == g])) == 1 for g in range(len(masses)))
+    assert all(
+        len(np.unique(fallen.trajectory[fallen.group == g])) == 1 for g in range(len(masses))
+    )
 
 
 def test_closed_loop_equals_stepping_by_hand():
-    """Against a plain loop over mj_step with the same policy, and field values that change in between."""
-    model, policy, rng = hopper_model(), hopper_policy(), np.random.default_rng(5)
-    starts, noise = start_states(rng, 2), rng.standard_normal((2, 12, 3))
+    """Against a plain loop over mj_step with the same policy, and field values that change in
+    between.
+    """
+    model = hopper_model()
+    policy = hopper_policy()
+    rng = np.random.default_rng(5)
+    starts = start_states(rng, 2)
+    noise = rng.standard_normal((2, 12, 3))
     fields = {"body_mass": model.body_mass * rng.uniform(0.9, 1.1, (2, 3, model.nbody))}
     act = lambda states, ids, step: policy(observe(states), noise[ids, step])
     runs = closed_loop(model, act, starts, 12, frame_skip=FRAME_SKIP, fields=fields, hold=5)
     for i in range(2):
-        own, state = hopper_model(), mujoco.MjData(model)
+        own = hopper_model()
+        state = mujoco.MjData(model)
         state.qpos[:], state.qvel[:] = np.split(starts[i], 2)
         for t in range(12):
             own.body_mass[:] = fields["body_mass"][i, t // 5]
@@ -169,7 +210,9 @@ def test_a_diverging_simulation_ends_and_spoils_no_other():
     model = hopper_model()
     starts = start_states(np.random.default_rng(6), 2)
     starts[1, 6:] = 1e12
-    runs = closed_loop(model, lambda states, ids, step: np.zeros((len(ids), 3)), starts, 5, frame_skip=FRAME_SKIP)
+    runs = closed_loop(
+        model, lambda states, ids, step: np.zeros((len(ids), 3)), starts, 5, frame_skip=FRAME_SKIP
+    )
     np.testing.assert_array_equal(runs.lengths, [5, 0])
     assert np.isfinite(runs.states[0]).all()
     assert np.isnan(runs.states[1, 1:]).all()
@@ -180,7 +223,10 @@ def test_search_improves_the_policy():
     """From 40 fresh starts the policy after fifteen updates travels further than the first."""
     model = hopper_model()
     policies = list(islice(search(model, np.random.default_rng(7)), 15))
-    gain = [returns(model, run(model, p, 40, np.random.default_rng(8))) for p in (policies[0], policies[-1])]
+    gain = [
+        returns(model, run(model, p, 40, np.random.default_rng(8)))
+        for p in (policies[0], policies[-1])
+    ]
     assert gain[1].mean() > gain[0].mean() + 4.5 * np.hypot(*(g.std() / np.sqrt(40) for g in gain))
 
 
@@ -191,7 +237,8 @@ def test_search_is_deterministic(capsys):
 
 
 def test_moments_are_those_of_all_values_together():
-    values, moments = np.random.default_rng(9).normal(3, 2, (100, 11)), Moments()
+    values = np.random.default_rng(9).normal(3, 2, (100, 11))
+    moments = Moments()
     for part in np.split(values, [10, 55]):
         moments.add(part)
     np.testing.assert_allclose(moments.mean, values.mean(axis=0))

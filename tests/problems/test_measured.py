@@ -1,4 +1,6 @@
-"""Real logs as problems, and the reduced case studies on them; skipped where the data are not at hand."""
+"""Real logs as problems, and the reduced case studies on them; skipped where the data are not at
+hand.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +20,9 @@ from dropo.problems.measured.recordings import Runs, gridded, measured, trajecto
 from dropo.problems.simulated.robots import machine
 
 HERE = find_data("double-pendulum/runs.npz") is not None
-outside = pytest.mark.skipif(not HERE, reason="the measured data are not at hand (DROPO_DATA names their folder)")
+outside = pytest.mark.skipif(
+    not HERE, reason="the measured data are not at hand (DROPO_DATA names their folder)"
+)
 SETS = {
     "cube-toss": 133,
     "double-pendulum": 2,
@@ -42,15 +46,23 @@ def named(found):
 
 
 def swing(step, seconds, jitter=0.0):
-    """A logged run of known motion, its stamps uneven and one of them twice, with a command that steps up at half time."""
+    """A logged run of known motion, its stamps uneven and one of them twice, with a command that
+    steps up at half time.
+    """
     time = np.arange(0.0, seconds, step)
     time[1:-1] += jitter * step * np.random.default_rng(0).uniform(-1, 1, len(time) - 2)
     time = np.insert(time, 10, time[10])
-    return {"time": time + 5.0, "qpos": np.sin(3 * time), "ctrl": (time >= seconds / 2).astype(np.float32)[:, None]}
+    return {
+        "time": time + 5.0,
+        "qpos": np.sin(3 * time),
+        "ctrl": (time >= seconds / 2).astype(np.float32)[:, None],
+    }
 
 
 def test_a_log_is_put_on_the_grid():
-    """Positions within the spline's error, velocities within the filter's, commands as means over a step; one stamp is given twice."""
+    """Positions within the spline's error, velocities within the filter's, commands as means over a
+    step; one stamp is given twice.
+    """
     time, rows, actions = gridded(swing(2e-3, 2.0, 0.4), 0.01, "ctrl")
     np.testing.assert_allclose(np.diff(time), 0.01)
     np.testing.assert_allclose(rows[:, 0], np.sin(3 * time), atol=1e-5)
@@ -61,8 +73,11 @@ def test_a_log_is_put_on_the_grid():
 
 
 def test_velocities_of_a_toss_are_put_where_the_models_are():
-    """Differences of the positions of a free fall are 33 mm/s off; half a step later they are those of 0.84 ms before, to 0.1 mm/s."""
-    time, lag = np.arange(60) / 148, 0.25 / 148 / 2
+    """Differences of the positions of a free fall are 33 mm/s off; half a step later they are those
+    of 0.84 ms before, to 0.1 mm/s.
+    """
+    time = np.arange(60) / 148
+    lag = 0.25 / 148 / 2
     qpos = np.zeros((60, 7))
     qpos[:, 2], qpos[:, 3] = 1 - 4.905 * time**2, 1.00001
     qvel = np.zeros((60, 6))
@@ -76,7 +91,9 @@ def test_velocities_of_a_toss_are_put_where_the_models_are():
 
 
 def test_a_log_on_the_grid_stays_as_it_is():
-    """Not one number is resampled, and no row is lost to rounding; a stamp off the grid makes splines of them all."""
+    """Not one number is resampled, and no row is lost to rounding; a stamp off the grid makes
+    splines of them all.
+    """
     rough = np.random.default_rng(1).normal(size=(40, 2))
     run = {"time": 3.0 + np.arange(40) / 148, "qpos": rough, "velocity": rough}
     assert (gridded(run, 1 / 148, None)[1] == np.hstack([rough, rough])).all()
@@ -86,13 +103,20 @@ def test_a_log_on_the_grid_stays_as_it_is():
 
 def test_every_third_run_is_held_out():
     """Of seven runs the third and the sixth, each a trajectory and a group of its own."""
-    two = [{key: np.stack([column.ravel()] * 2, axis=1) if key != "time" else column for key, column in swing(0.01, 0.5 + 0.1 * i).items()}
-           for i in range(7)]  # fmt: skip
+    two = [
+        {
+            key: np.stack([column.ravel()] * 2, axis=1) if key != "time" else column
+            for key, column in swing(0.01, 0.5 + 0.1 * i).items()
+        }
+        for i in range(7)
+    ]
     runs = Runs(tuple("abcdefg"), tuple(two))
     problem = measured("seven", machine("torque-arm").simulator, runs, 5, "ctrl")
     assert len(problem.trajectories.spans) == 5
     assert len(problem.held_out.spans) == 2
-    lengths = [len(trajectories([run], problem.simulator.control_step, "ctrl")) for run in runs.channels]
+    lengths = [
+        len(trajectories([run], problem.simulator.control_step, "ctrl")) for run in runs.channels
+    ]
     assert [b - a for a, b in problem.held_out.spans] == [lengths[2], lengths[5]]
 
 
@@ -105,13 +129,19 @@ def test_built_in_sets_are_whole(name):
     assert len(problem.held_out.spans) == SETS[name]
     both = (problem.everything or problem.trajectories, problem.held_out)
     assert abs(len(both[1].spans) / sum(len(side.spans) for side in both) - 1 / 3) < 0.14
-    assert all(np.isfinite(side.observations).all() and np.isfinite(side.actions).all() for side in both)
+    assert all(
+        np.isfinite(side.observations).all() and np.isfinite(side.actions).all() for side in both
+    )
 
 
 @outside
 def test_cube_toss_shows_friction():
-    """Contact friction near 0.19, although the contacts of the first model stick; inertia is not it; 100 ms ahead five times better."""
-    found = Diagnose(("contact_friction", "body_inertia"), windows=16).run(load("cube-toss", threads=1))
+    """Contact friction near 0.19, although the contacts of the first model stick; inertia is not
+    it; 100 ms ahead five times better.
+    """
+    found = Diagnose(("contact_friction", "body_inertia"), windows=16).run(
+        load("cube-toss", threads=1)
+    )
     assert [effect for effect, _ in named(found)] == ["contact_friction"]
     assert 0.15 < 1 + named(found)[0][1]["value"] < 0.24
     before, _, after = errors(found, "m", 15)
@@ -121,12 +151,18 @@ def test_cube_toss_shows_friction():
 
 @outside
 def test_cube_toss_is_fitted():
-    """Of 6 tosses, by polynomials of order 2: friction near 0.2, and 100 ms ahead less than half of the held-out error.
+    """Of 6 tosses, by polynomials of order 2: friction near 0.2, and 100 ms ahead less than half of
+    the held-out error.
 
-    The targets of rotations are angles of 1e-17; taken for the scale of their noise, these made all other signals irrelevant.
+    The targets of rotations are angles of 1e-17; taken for the scale of their noise, these made all
+    other signals irrelevant.
     """
     whole = load("cube-toss", threads=1)
-    few = replace(whole, trajectories=whole.trajectories.select(range(6)), held_out=whole.held_out.select(range(20)))
+    few = replace(
+        whole,
+        trajectories=whole.trajectories.select(range(6)),
+        held_out=whole.held_out.select(range(20)),
+    )
     fit = DROPO(likelihood=Emulated(order=2), family="point").fit(few)
     assert abs(fit.mean[0] - 0.2) < 0.06
     assert fit.log_likelihood > 0
@@ -136,7 +172,9 @@ def test_cube_toss_is_fitted():
 @outside
 @pytest.mark.study
 def test_cube_toss_shows_friction_then_stiffness():
-    """Of all effects contact friction first, contact stiffness second, no inertia; 100 ms ahead at most 4.5 mm, from about 30."""
+    """Of all effects contact friction first, contact stiffness second, no inertia; 100 ms ahead at
+    most 4.5 mm, from about 30.
+    """
     found = Diagnose().run(load("cube-toss", threads=2))
     effects = [effect for effect, _ in named(found)]
     assert effects[:2] == ["contact_friction", "contact_stiffness"]
@@ -150,7 +188,9 @@ def test_cube_toss_shows_friction_then_stiffness():
 @outside
 @pytest.mark.parametrize("name", ["double-pendulum", "double-pendulum-c0"])
 def test_double_pendulum_shows_friction_and_armature(name):
-    """Dry friction and rotor inertia at the joints, no torque offset; five times better than the first model, twice than its fit."""
+    """Dry friction and rotor inertia at the joints, no torque offset; five times better than the
+    first model, twice than its fit.
+    """
     found = Diagnose(FRICTION, windows=64, disturbances=False).run(load(name, threads=1))
     effects = [effect for effect, _ in named(found)]
     assert effects[0] == "joint_friction"
@@ -164,26 +204,44 @@ def test_double_pendulum_shows_friction_and_armature(name):
 @outside
 @pytest.mark.study
 def test_the_double_pendulum_obeys_its_commands():
-    """Rather than the torque by the current, once friction and rotor inertia are in the model; without them the current seems better."""
-    problems = {name: load("double-pendulum", threads=1, input=name) for name in inputs_of("double-pendulum")}
+    """Rather than the torque by the current, once friction and rotor inertia are in the model;
+    without them the current seems better.
+    """
+    problems = {
+        name: load("double-pendulum", threads=1, input=name)
+        for name in inputs_of("double-pendulum")
+    }
     found = choose_problem_input(problems)
     assert found.best == "commanded"
     assert found.sure
     first = problems["commanded"]
     data = {name: problem.trajectories for name, problem in problems.items()}
-    assert choose_input(first.simulator, data, first.simulator.nominal, first.simulator.control_step).best == "current"
+    assert (
+        choose_input(
+            first.simulator, data, first.simulator.nominal, first.simulator.control_step
+        ).best
+        == "current"
+    )
 
 
 PULLED = (10.0, 11.7)
-"""Seconds of the simple pendulum's held-out run in which a hand draws it to one side, slowly, under a constant torque."""
+"""Seconds of the simple pendulum's held-out run in which a hand draws it to one side, slowly, under
+a constant torque.
+"""
 
 
 def assert_pendulum_is_pushed(found):
-    """Dry friction near 0.18 N m; the pull is among the spans; 500 ms ahead, outside of them, below 60 % of the refit's error."""
+    """Dry friction near 0.18 N m; the pull is among the spans; 500 ms ahead, outside of them, below
+    60 % of the refit's error.
+    """
     effect, size = named(found)[0]
     assert effect == "joint_friction"
     assert abs(size["value"] - 0.18) < 0.04
-    pulled = [span for span in found.disturbances.spans if span.held_out and span.start < PULLED[1] and span.end > PULLED[0]]
+    pulled = [
+        span
+        for span in found.disturbances.spans
+        if span.held_out and span.start < PULLED[1] and span.end > PULLED[0]
+    ]
     assert min(span.start for span in pulled) < PULLED[0] + 0.3
     assert max(span.end for span in pulled) > PULLED[1] - 0.3
     assert found.disturbances.share < 0.1
@@ -193,7 +251,10 @@ def assert_pendulum_is_pushed(found):
 
 @outside
 def test_simple_pendulum_shows_dry_friction_and_pushes():
-    """With one effect and few windows. Judged with the spans, the pushes hide most of what friction gains: the control."""
+    """With one effect and few windows.
+
+    Judged with the spans, the pushes hide most of what friction gains: the control.
+    """
     found = Diagnose(("joint_friction",), windows=32).run(load("simple-pendulum", threads=1))
     assert_pendulum_is_pushed(found)
     _, fitted, extended = (h.units["rad"][0] for h in found.disturbances.inside)
@@ -203,7 +264,9 @@ def test_simple_pendulum_shows_dry_friction_and_pushes():
 @outside
 @pytest.mark.study
 def test_simple_pendulum_among_all_effects():
-    """As by `dropo diagnose simple-pendulum`; the errors with the spans are told too, and are far larger."""
+    """As by `dropo diagnose simple-pendulum`; the errors with the spans are told too, and are far
+    larger.
+    """
     found = Diagnose().run(load("simple-pendulum"))
     assert_pendulum_is_pushed(found)
     spans = [(span.start, span.end) for span in found.disturbances.spans if span.held_out]
@@ -223,7 +286,10 @@ def test_free_swing_shows_viscous_loss_and_no_absolute_mass():
 
 
 ROAD = {
-    "double-pendulum": ("model.xml", "joint_armature", """
+    "double-pendulum": (
+        "model.xml",
+        "joint_armature",
+        """
 qpos: {shoulder: {column: 'qpos[0]', unit: rad}, elbow: {column: 'qpos[1]', unit: rad}}
 qvel: {shoulder: {column: 'qvel[0]', unit: rad/s}, elbow: {column: 'qvel[1]', unit: rad/s}}
 inputs:
@@ -231,30 +297,47 @@ inputs:
   current: {m1: {column: 'tau[0]', unit: N m}, m2: {column: 'tau[1]', unit: N m}}
 run: {only: ['C0_*']}
 rate: 100
-"""),
-    "simple-pendulum": ("model.xml", "joint_friction", """
+""",
+    ),
+    "simple-pendulum": (
+        "model.xml",
+        "joint_friction",
+        """
 qpos: {hinge: {column: qpos, unit: rad}}
 ctrl: {m: {column: tau, unit: N m}}
 rate: 50
-"""),
-    "cube-toss": ("model.xml", "contact_friction", """
+""",
+    ),
+    "cube-toss": (
+        "model.xml",
+        "contact_friction",
+        """
 qpos: {cube: {columns: 'qpos[0:7]'}}
 qvel: {cube: {columns: 'qvel[0:6]'}}
 run: {only: ['toss_00*', 'toss_01*']}
-"""),
-}  # fmt: skip
+""",
+    ),
+}
 
 
 @outside
 @pytest.mark.parametrize(
-    "name", ["simple-pendulum", *(pytest.param(name, marks=pytest.mark.study) for name in ("double-pendulum", "cube-toss"))]
+    "name",
+    [
+        "simple-pendulum",
+        *(pytest.param(name, marks=pytest.mark.study) for name in ("double-pendulum", "cube-toss")),
+    ],
 )
 def test_from_raw_logs_to_a_cause(name, tmp_path):
-    """Import, check and diagnosis of the archive as it was logged, by a mapping alone: what the model lacks most is found."""
+    """Import, check and diagnosis of the archive as it was logged, by a mapping alone: what the
+    model lacks most is found.
+    """
     model, effect, text = ROAD[name]
     source = find_data(f"{name}/runs.npz")
     (tmp_path / "map.yaml").write_text("time: {column: time, unit: s}" + text)
     import_logs([source], tmp_path / "map.yaml", source.parent / model, tmp_path / "data.npz")
-    found = Diagnose((effect,), windows=48, disturbances=False).run(load(tmp_path / "problem.yaml", threads=1))
+    found = Diagnose((effect,), windows=48, disturbances=False).run(
+        load(tmp_path / "problem.yaml", threads=1)
+    )
     assert [cause.effect for cause in found.causes][:1] == [effect]
     assert found.after[-1].rmse < found.before[-1].rmse

@@ -1,4 +1,6 @@
-"""The arm that pushes a box: a moved centre of mass acts, commands keep to limits, closed and open loops agree, DROPO finds 3 cm."""
+"""The arm that pushes a box: a moved centre of mass acts, commands keep to limits, closed and open
+loops agree, DROPO finds 3 cm.
+"""
 
 import numpy as np
 import pytest
@@ -33,20 +35,38 @@ def problem():
 
 
 def push(model, fields, aims, steps=200):
-    """Pushes straight ahead at so many places beside the middle, by a hand that does not look at turns."""
+    """Pushes straight ahead at so many places beside the middle, by a hand that does not look at
+    turns.
+    """
     numbers = np.column_stack([aims, np.zeros((len(aims), 3))])
     hand = Pusher(numbers, model.body("box").pos[:2])
-    return drive(model, hand, np.zeros((len(aims), 3)), steps, frame_skip=FRAME_SKIP, fields=fields, rng=np.random.default_rng(0))
+    return drive(
+        model,
+        hand,
+        np.zeros((len(aims), 3)),
+        steps,
+        frame_skip=FRAME_SKIP,
+        fields=fields,
+        rng=np.random.default_rng(0),
+    )
 
 
 def test_closed_loop_is_what_predict_replays(simulator):
-    """Bit for bit, for boxes whose mass, friction and centre of mass differ; the control: another centre of mass is another run."""
-    values = np.array([[1.1, 0.45, 0.6, 0.0, 0.03], [0.8, 0.6, 0.3, 0.01, -0.02], [1.0, 0.5, 0.5, 0.0, 0.0]])
+    """Bit for bit, for boxes whose mass, friction and centre of mass differ; the control: another
+    centre of mass is another run.
+    """
+    values = np.array(
+        [[1.1, 0.45, 0.6, 0.0, 0.03], [0.8, 0.6, 0.3, 0.01, -0.02], [1.0, 0.5, 0.5, 0.0, 0.0]]
+    )
     model, fields = fields_of(simulator, values)
     runs = push(model, fields, [0.03, -0.02, 0.0])
-    before, after = (part.reshape(-1, part.shape[2]) for part in (runs.states[:, :-1], runs.states[:, 1:]))
+    before, after = (
+        part.reshape(-1, part.shape[2]) for part in (runs.states[:, :-1], runs.states[:, 1:])
+    )
     ends = np.tile(np.arange(200) == 199, 3)
-    segments = Trajectories(before, runs.actions.reshape(-1, 7), after, ends).segments(reset="start")
+    segments = Trajectories(before, runs.actions.reshape(-1, 7), after, ends).segments(
+        reset="start"
+    )
     predicted = simulator.predict(values, segments)
     targets = simulator.targets(segments)
     for k in range(3):
@@ -56,7 +76,9 @@ def test_closed_loop_is_what_predict_replays(simulator):
 
 
 def test_the_centre_of_mass_turns_the_box(simulator):
-    """Pushed in its middle, a box whose mass is on the left turns left, where it drags more, and its mirror image right."""
+    """Pushed in its middle, a box whose mass is on the left turns left, where it drags more, and
+    its mirror image right.
+    """
     true = simulator.space.vector(TRUTH)
     mirrored = true * [1, 1, 1, 1, -1]
     model, fields = fields_of(simulator, np.array([true, mirrored]))
@@ -76,9 +98,12 @@ def test_a_pushed_box_does_not_hop(simulator):
 
 
 def test_commands_keep_to_the_arms_limits(simulator):
-    """Joint accelerations are cut at the Panda's limits, and commanded angles are their double integral."""
+    """Joint accelerations are cut at the Panda's limits, and commanded angles are their double
+    integral.
+    """
     arms = Arms(simulator.model, 1, 0.01)
-    ids, path = np.array([0]), [arms.angles[0].copy()]
+    ids = np.array([0])
+    path = [arms.angles[0].copy()]
     for wanted in [[0.2, 0.1]] * 30 + [[-0.2, 0.1]] * 30:
         arms.lead(ids, np.array([wanted]))
         path.append(arms.angles[0].copy())
@@ -91,8 +116,11 @@ def test_commands_keep_to_the_arms_limits(simulator):
 
 
 def test_the_target_has_bolts():
-    """Its centre of mass is 3 cm beside the middle and the mass the truth's; its height and inertia are not the model's."""
-    box, own = target_model().body("box"), pushing_simulator(1).model.body("box")
+    """Its centre of mass is 3 cm beside the middle and the mass the truth's; its height and inertia
+    are not the model's.
+    """
+    box = target_model().body("box")
+    own = pushing_simulator(1).model.body("box")
     np.testing.assert_allclose(box.ipos[:2], [TRUTH["com_x"], TRUTH["com_y"]], atol=1e-12)
     assert box.mass[0] == pytest.approx(TRUTH["box_mass"])
     assert box.ipos[2] < -0.01
@@ -100,16 +128,26 @@ def test_the_target_has_bolts():
 
 
 def test_the_problem(problem):
-    """One trajectory of 1050 transitions in chains of ten; the box alone is reset; noise as stated; the same seed, the same data."""
-    assert (problem.reset, problem.length, len(problem.segments)) == ("partial", LENGTH, STEPS // LENGTH)
+    """One trajectory of 1050 transitions in chains of ten; the box alone is reset; noise as stated;
+    the same seed, the same data.
+    """
+    assert (problem.reset, problem.length, len(problem.segments)) == (
+        "partial",
+        LENGTH,
+        STEPS // LENGTH,
+    )
     assert problem.set_columns.sum() == 13
     assert problem.set_columns[BOX : BOX + 7].all()
-    np.testing.assert_array_equal(pushing(1).trajectories.observations, problem.trajectories.observations)
+    np.testing.assert_array_equal(
+        pushing(1).trajectories.observations, problem.trajectories.observations
+    )
     assert (pushing(1, seed=1).trajectories.observations != problem.trajectories.observations).any()
     state = problem.trajectories.observations[:1]
     seen = measured(np.repeat(state, 2000, axis=0), np.random.default_rng(0))
     spread = problem.simulator.layout.coordinates(seen, state).std(axis=0)
-    np.testing.assert_allclose(spread / NOISE, 1, atol=5 / np.sqrt(2 * 2000))  # 26 signals, five standard errors
+    np.testing.assert_allclose(
+        spread / NOISE, 1, atol=5 / np.sqrt(2 * 2000)
+    )  # 26 signals, five standard errors
 
 
 def test_dropo_finds_the_shift(problem, monkeypatch):

@@ -1,4 +1,6 @@
-"""Problem files: what they say is what is fitted, and everything that cannot be meant is refused by file, key and nearest name."""
+"""Problem files: what they say is what is fitted, and everything that cannot be meant is refused by
+file, key and nearest name.
+"""
 
 import re
 from dataclasses import replace
@@ -46,11 +48,16 @@ parameters:
 """
 
 
-def simulate(xml: str, *, trajectories: int = 3, steps: int = 20, frame_skip: int = 1) -> Trajectories:
+def simulate(
+    xml: str, *, trajectories: int = 3, steps: int = 20, frame_skip: int = 1
+) -> Trajectories:
     """Motion that the model itself makes under random actions in [-1, 1]."""
     gravity = FieldParameter("gravity", -11, -9, field="gravity", index=2)
-    simulator = MujocoSimulator(mujoco.MjSpec.from_string(xml), [gravity], threads=1, frame_skip=frame_skip)
-    rng, n = np.random.default_rng(0), trajectories * steps
+    simulator = MujocoSimulator(
+        mujoco.MjSpec.from_string(xml), [gravity], threads=1, frame_skip=frame_skip
+    )
+    rng = np.random.default_rng(0)
+    n = trajectories * steps
     start = np.zeros((n, len(simulator.layout)))
     for quaternion in simulator.layout.quaternions:
         start[:, quaternion[0]] = 1.0
@@ -93,14 +100,21 @@ def refusal(path: Path | str) -> str:
 
 
 def test_a_file_is_read_as_written(folder: Path) -> None:
-    """Parameters, columns, frame skip and data are those of the file, and the model fits the data that it made."""
+    """Parameters, columns, frame skip and data are those of the file, and the model fits the data
+    that it made.
+    """
     problem = load(folder / "problem.yaml", threads=1)
     assert problem.name == "problem"
     assert problem.space.names == ("cart_mass", "damping")
     assert problem.length == 1
     assert isinstance(problem.simulator, MujocoSimulator)
     assert problem.simulator.frame_skip == 2
-    assert [s.name for s in problem.simulator.signals] == ["qpos.slide", "qpos.hinge", "qvel.slide", "qvel.hinge"]
+    assert [s.name for s in problem.simulator.signals] == [
+        "qpos.slide",
+        "qpos.hinge",
+        "qvel.slide",
+        "qvel.hinge",
+    ]
     assert problem.space["cart_mass"].unit == "kg"
     assert problem.warnings == ()
     assert problem.held_out is None
@@ -137,7 +151,9 @@ def test_the_kind_of_noise(folder: Path) -> None:
 def test_epsilon_by_signal(folder: Path) -> None:
     keys = "epsilon: {qvel.hinge: 4, qpos.slide: 1, qpos.hinge: 2, qvel.slide: 3e0}\n"
     np.testing.assert_array_equal(load(written(folder, new=keys), threads=1).epsilon, [1, 2, 3, 4])
-    np.testing.assert_array_equal(load(written(folder, new="epsilon: [1, 2, 3, 4]\n"), threads=1).epsilon, [1, 2, 3, 4])
+    np.testing.assert_array_equal(
+        load(written(folder, new="epsilon: [1, 2, 3, 4]\n"), threads=1).epsilon, [1, 2, 3, 4]
+    )
 
 
 def test_reset_start_and_held_out_file(folder: Path) -> None:
@@ -157,11 +173,17 @@ def test_relative_and_kept_parameters(folder: Path) -> None:
 
 def test_a_prior_is_read_and_refused(folder: Path) -> None:
     """Kept as its text; a bad one is refused with its key, the rule and the nearest name."""
-    assert load(written(folder, "unit: kg}", 'unit: kg, prior: "normal(2, 0.1)"}'), threads=1).priors == {"cart_mass": "normal(2, 0.1)"}
+    assert load(
+        written(folder, "unit: kg}", 'unit: kg, prior: "normal(2, 0.1)"}'), threads=1
+    ).priors == {"cart_mass": "normal(2, 0.1)"}
     assert load(written(folder), threads=1).priors == {}
     wrong = refusal(written(folder, "unit: kg}", 'unit: kg, prior: "norml(2, 0.1)"}'))
-    assert wrong == "problem.yaml: parameters.cart_mass.prior: No prior called 'norml'. Did you mean 'normal'?"
-    assert "mass in the search interval [1, 4]" in refusal(written(folder, "unit: kg}", 'unit: kg, prior: "normal(9, 0.1)"}'))
+    assert wrong == (
+        "problem.yaml: parameters.cart_mass.prior: No prior called 'norml'. Did you mean 'normal'?"
+    )
+    assert "mass in the search interval [1, 4]" in refusal(
+        written(folder, "unit: kg}", 'unit: kg, prior: "normal(9, 0.1)"}')
+    )
 
 
 def test_parameters_may_be_left_out(folder: Path) -> None:
@@ -169,16 +191,27 @@ def test_parameters_may_be_left_out(folder: Path) -> None:
     problem = load(folder / "problem.yaml", threads=1)
     assert len(problem.space) == 0
     assert problem.simulator.predict(np.empty((1, 0)), problem.segments).shape == (1, 60, 4)
-    with pytest.raises(BadArgument, match=r"The 'parameters' of Problem 'problem' must be at least one\. Got 0 instead\."):
+    with pytest.raises(
+        BadArgument,
+        match=r"The 'parameters' of Problem 'problem' must be at least one\. Got 0 instead\.",
+    ):
         find("methods", "least-squares")().fit(problem)
 
 
 def test_a_model_may_be_a_built_in_one(folder: Path) -> None:
     rng = np.random.default_rng(0)
     rows = rng.normal(0, 0.01, (10, 11))
-    np.savez(folder / "hopper.npz", observations=rows, next_observations=rows, actions=np.zeros((10, 3)), terminals=np.arange(10) == 9)
+    np.savez(
+        folder / "hopper.npz",
+        observations=rows,
+        next_observations=rows,
+        actions=np.zeros((10, 3)),
+        terminals=np.arange(10) == 9,
+    )
     text = "model: hopper\nframe_skip: 4\ndata: hopper.npz\nobservation: ['qpos[1:]', qvel]\n"
-    (folder / "problem.yaml").write_text(text + "parameters: {torso: {field: body_mass, name: torso, low: 1, high: 7}}\n")
+    (folder / "problem.yaml").write_text(
+        text + "parameters: {torso: {field: body_mass, name: torso, low: 1, high: 7}}\n"
+    )
     assert load(folder / "problem.yaml", threads=1).space.names == ("torso",)
 
 
@@ -186,89 +219,210 @@ def test_actions_outside_the_control_range_are_warned_of(folder: Path) -> None:
     data = dict(np.load(folder / "data.npz"))
     data["actions"][3] = 1.5
     np.savez(folder / "data.npz", **data)
-    sentence = "1 of 60 actions are outside the control range [-1, 1] and are clipped; the farthest is 1.5, row 3 at 0.06 s."
+    sentence = (
+        "1 of 60 actions are outside the control range [-1, 1] and are clipped; the farthest "
+        "is 1.5, row 3 at 0.06 s."
+    )
     assert load(folder / "problem.yaml", threads=1).warnings == (f"ctrl.push: {sentence}",)
 
 
 REFUSALS = {
-    "unknown key": ("frame_skip: 2", "frame_skp: 2", "frame_skp: expected a known key (the nearest is 'frame_skip'), got 'frame_skp'."),
-    "unknown parameter key": (
-        "low: 1,", "lo: 1,", "parameters.cart_mass.lo: expected a known key (the nearest is 'low'), got 'lo'.",
+    "unknown key": (
+        "frame_skip: 2",
+        "frame_skp: 2",
+        "frame_skp: expected a known key (the nearest is 'frame_skip'), got 'frame_skp'.",
     ),
-    "wrong type": ("frame_skip: 2", "frame_skip: four", "frame_skip: expected a whole number of at least 1, got 'four'."),
-    "true is no number": ("frame_skip: 2", "frame_skip: true", "frame_skip: expected a whole number of at least 1, got True."),
-    "a float is not whole": ("frame_skip: 2", "frame_skip: 2.5", "frame_skip: expected a whole number of at least 1, got 2.5."),
-    "zero": ("frame_skip: 2", "frame_skip: 0", "frame_skip: expected a whole number of at least 1, got 0."),
+    "unknown parameter key": (
+        "low: 1,",
+        "lo: 1,",
+        "parameters.cart_mass.lo: expected a known key (the nearest is 'low'), got 'lo'.",
+    ),
+    "wrong type": (
+        "frame_skip: 2",
+        "frame_skip: four",
+        "frame_skip: expected a whole number of at least 1, got 'four'.",
+    ),
+    "true is no number": (
+        "frame_skip: 2",
+        "frame_skip: true",
+        "frame_skip: expected a whole number of at least 1, got True.",
+    ),
+    "a float is not whole": (
+        "frame_skip: 2",
+        "frame_skip: 2.5",
+        "frame_skip: expected a whole number of at least 1, got 2.5.",
+    ),
+    "zero": (
+        "frame_skip: 2",
+        "frame_skip: 0",
+        "frame_skip: expected a whole number of at least 1, got 0.",
+    ),
     "no low": ("low: 1, ", "", "parameters.cart_mass.low: expected a number, got nothing."),
-    "low is text": ("low: 1,", "low: one,", "parameters.cart_mass.low: expected a number, got 'one'."),
-    "low is infinite": ("low: 1,", "low: -.inf,", "parameters.cart_mass.low: expected a number, got -inf."),
-    "low is NaN": ("low: 1,", "low: .nan,", "parameters.cart_mass.low: expected a number, got nan."),
-    "reversed bounds": ("low: 1, high: 4", "low: 4, high: 1", "parameters.cart_mass.low: expected a number below high = 1, got 4."),
-    "equal bounds": ("low: 1, high: 4", "low: 4, high: 4", "parameters.cart_mass.low: expected a number below high = 4, got 4."),
+    "low is text": (
+        "low: 1,",
+        "low: one,",
+        "parameters.cart_mass.low: expected a number, got 'one'.",
+    ),
+    "low is infinite": (
+        "low: 1,",
+        "low: -.inf,",
+        "parameters.cart_mass.low: expected a number, got -inf.",
+    ),
+    "low is NaN": (
+        "low: 1,",
+        "low: .nan,",
+        "parameters.cart_mass.low: expected a number, got nan.",
+    ),
+    "reversed bounds": (
+        "low: 1, high: 4",
+        "low: 4, high: 1",
+        "parameters.cart_mass.low: expected a number below high = 1, got 4.",
+    ),
+    "equal bounds": (
+        "low: 1, high: 4",
+        "low: 4, high: 4",
+        "parameters.cart_mass.low: expected a number below high = 4, got 4.",
+    ),
     "unknown field": (
-        "body_mass", "body_mas",
-        "parameters.cart_mass.field: expected a field of MjModel or mjOption (the nearest is 'body_mass'), got 'body_mas'.",
+        "body_mass",
+        "body_mas",
+        (
+            "parameters.cart_mass.field: expected a field of MjModel or mjOption (the nearest "
+            "is 'body_mass'), got 'body_mas'."
+        ),
     ),
     "unknown element": (
-        "name: cart", "name: crat", "parameters.cart_mass.name: expected the name of a body (the nearest is 'cart'), got 'crat'.",
+        "name: cart",
+        "name: crat",
+        (
+            "parameters.cart_mass.name: expected the name of a body (the nearest is 'cart'), "
+            "got 'crat'."
+        ),
     ),
     "no element": (
-        "name: cart, ", "", "parameters.cart_mass.name: expected the name of a body (there is cart, pole, world), got nothing.",
+        "name: cart, ",
+        "",
+        (
+            "parameters.cart_mass.name: expected the name of a body (there is cart, pole, "
+            "world), got nothing."
+        ),
     ),
     "element of a field without": (
-        "field: body_mass, name: cart", "field: gravity, name: cart",
-        "parameters.cart_mass.name: expected no name, since the field 'gravity' has no elements, got 'cart'.",
+        "field: body_mass, name: cart",
+        "field: gravity, name: cart",
+        (
+            "parameters.cart_mass.name: expected no name, since the field 'gravity' has no "
+            "elements, got 'cart'."
+        ),
     ),
     "index out of the row": (
-        "name: slide,", "name: slide, index: 1,",
-        "parameters.damping.index: The index of parameter 'damping' must be 0 to 0, the field 'dof_damping' has 1 numbers there. Got 1.",
+        "name: slide,",
+        "name: slide, index: 1,",
+        (
+            "parameters.damping.index: The index of parameter 'damping' must be 0 to 0, the "
+            "field 'dof_damping' has 1 numbers there. Got 1."
+        ),
     ),
     "index missing": (
-        "field: dof_damping, name: slide", "field: geom_friction, name: box",
-        "parameters.damping.index: The field 'geom_friction' of parameter 'damping' has 3 numbers: give the index, 0 to 2.",
+        "field: dof_damping, name: slide",
+        "field: geom_friction, name: box",
+        (
+            "parameters.damping.index: The field 'geom_friction' of parameter 'damping' has 3 "
+            "numbers: give the index, 0 to 2."
+        ),
     ),
     "negative index": (
-        "name: slide,", "name: slide, index: -1,", "parameters.damping.index: expected a whole number of at least 0, got -1.",
+        "name: slide,",
+        "name: slide, index: -1,",
+        "parameters.damping.index: expected a whole number of at least 0, got -1.",
     ),
     "unknown target": (
-        "name: slide,", "name: slide, target: relativ,",
-        "parameters.damping.target: expected a known target (the nearest is 'relative'), got 'relativ'.",
+        "name: slide,",
+        "name: slide, target: relativ,",
+        (
+            "parameters.damping.target: expected a known target (the nearest is 'relative'), "
+            "got 'relativ'."
+        ),
     ),
     "unknown derived": (
-        "name: slide,", "name: slide, derived: keeep,",
-        "parameters.damping.derived: expected what derived constants do (the nearest is 'keep'), got 'keeep'.",
+        "name: slide,",
+        "name: slide, derived: keeep,",
+        (
+            "parameters.damping.derived: expected what derived constants do (the nearest is "
+            "'keep'), got 'keeep'."
+        ),
     ),
     "a parameter that is no mapping": (
-        "{field: dof_damping, name: slide, low: 0.1, high: 1.0}", "0.5",
+        "{field: dof_damping, name: slide, low: 0.1, high: 1.0}",
+        "0.5",
         "parameters.damping: expected a mapping with field, low and high, got 0.5.",
     ),
     "the same number twice": (
-        "field: dof_damping, name: slide", "field: body_mass, name: cart",
-        "parameters.damping.field: expected a number that no other parameter sets, got the one of 'cart_mass'.",
+        "field: dof_damping, name: slide",
+        "field: body_mass, name: cart",
+        (
+            "parameters.damping.field: expected a number that no other parameter sets, got the "
+            "one of 'cart_mass'."
+        ),
     ),
-    "a key twice": ("frame_skip: 2", "frame_skip: 2\nframe_skip: 4", "line 4: expected YAML, got the key 'frame_skip' twice."),
+    "a key twice": (
+        "frame_skip: 2",
+        "frame_skip: 2\nframe_skip: 4",
+        "line 4: expected YAML, got the key 'frame_skip' twice.",
+    ),
     "no YAML": ("[ctrl]", "[ctrl", "line 7: expected YAML, got expected ',' or ']', but got ':'."),
-    "no model": ("model: robot.xml\n", "", "model: expected an MJCF file, or the name of a built-in model (hopper), got nothing."),
+    "no model": (
+        "model: robot.xml\n",
+        "",
+        "model: expected an MJCF file, or the name of a built-in model (hopper), got nothing.",
+    ),
     "no such model": (
-        "robot.xml", "robt.xml",
+        "robot.xml",
+        "robt.xml",
         "model: expected an MJCF file, or the name of a built-in model (hopper),"
         " got 'robt.xml', which is neither (no such file: robt.xml).",
     ),
-    "no data": ("data: data.npz\n", "", "data: expected a file, a folder or a list of them, got nothing."),
+    "no data": (
+        "data: data.npz\n",
+        "",
+        "data: expected a file, a folder or a list of them, got nothing.",
+    ),
     "observation outside": (
-        "[qpos, qvel]", "['qpos[:5]']", "observation: The item 'qpos[:5]' is outside of qpos, which has 2 numbers.",
+        "[qpos, qvel]",
+        "['qpos[:5]']",
+        "observation: The item 'qpos[:5]' is outside of qpos, which has 2 numbers.",
     ),
-    "unknown observation field": ("[qpos, qvel]", "[qps, qvel]", "observation: No field called 'qps'. Did you mean 'qpos'?"),
+    "unknown observation field": (
+        "[qpos, qvel]",
+        "[qps, qvel]",
+        "observation: No field called 'qps'. Did you mean 'qpos'?",
+    ),
     "unknown observation element": (
-        "[qpos, qvel]", "[qpos.slid, qvel]", "observation: No element of qpos called 'slid'. Did you mean 'slide'?",
+        "[qpos, qvel]",
+        "[qpos.slid, qvel]",
+        "observation: No element of qpos called 'slid'. Did you mean 'slide'?",
     ),
-    "observation is no list": ("[qpos, qvel]", "qpos", "observation: expected a list of items such as [qpos, qvel], got 'qpos'."),
-    "a column twice": ("[qpos, qvel]", "[qpos, qvel, 'qpos[0]']", "observation: expected each column once, got 'qpos.slide' twice."),
-    "unknown action": ("[ctrl]", "[ctrl.pus]", "action: No element of ctrl called 'pus'. Did you mean 'push'?"),
+    "observation is no list": (
+        "[qpos, qvel]",
+        "qpos",
+        "observation: expected a list of items such as [qpos, qvel], got 'qpos'.",
+    ),
+    "a column twice": (
+        "[qpos, qvel]",
+        "[qpos, qvel, 'qpos[0]']",
+        "observation: expected each column once, got 'qpos.slide' twice.",
+    ),
+    "unknown action": (
+        "[ctrl]",
+        "[ctrl.pus]",
+        "action: No element of ctrl called 'pus'. Did you mean 'push'?",
+    ),
     "other columns than the data": (
-        "[qpos, qvel]", "[qpos]", "data: expected 2 observation columns, as the observation items give, got 4 in data.npz.",
+        "[qpos, qvel]",
+        "[qpos]",
+        "data: expected 2 observation columns, as the observation items give, got 4 in data.npz.",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("old", "new", "message"), REFUSALS.values(), ids=REFUSALS)
@@ -278,7 +432,10 @@ def test_refusals(folder: Path, old: str, new: str, message: str) -> None:
 
 
 ADDED = {
-    "start_noise: 1": "start_noise: expected true, where the measured start states carry the noise too, or false, got 1.",
+    "start_noise: 1": (
+        "start_noise: expected true, where the measured start states carry the noise too, or "
+        "false, got 1."
+    ),
     "student_t: 2": "student_t: expected degrees of freedom, a number above 2, got 2.",
     "student_t: .inf": "student_t: expected degrees of freedom, a number above 2, got inf.",
     "epsilon: -1": "epsilon: expected a variance, 0 or more, got -1.",
@@ -286,10 +443,14 @@ ADDED = {
     "epsilon: .nan": "epsilon: expected a variance, 0 or more, got nan.",
     "epsilon: [1, 2]": "epsilon: expected one number, or one for each of the 4 signals, got 2 numbers.",
     "epsilon: {qpos.slid: 1}": "epsilon.qpos.slid: expected a signal (the nearest is 'qpos.slide'), got 'qpos.slid'.",
-    "epsilon: {qpos.slide: 1}": "epsilon: expected a variance for each of the 4 signals, got none for qpos.hinge, qvel.slide, qvel.hinge.",
+    "epsilon: {qpos.slide: 1}": (
+        "epsilon: expected a variance for each of the 4 signals, got none for qpos.hinge, "
+        "qvel.slide, qvel.hinge."
+    ),
     "lambda: 0": "lambda: expected a whole number of at least 1, got 0.",
     "lambda: 21": (
-        "lambda: lambda = 21 is longer than trajectory 0, which has 20 transitions. Choose a smaller lambda, or leave that trajectory out."
+        "lambda: lambda = 21 is longer than trajectory 0, which has 20 transitions. Choose "
+        "a smaller lambda, or leave that trajectory out."
     ),
     "transitions: 0": "transitions: expected a whole number of at least 1, got 0.",
     "held_out: [3]": "held_out: expected trajectory numbers from 0 to 2, got 3.",
@@ -300,7 +461,9 @@ ADDED = {
     "reset: {sat: [qpos]}": "reset.sat: expected a known key (the nearest is 'set'), got 'sat'.",
     "reset: {set: [act]}": "reset.set: The observation must have at least one column. Got none.",
     "reset: {set: [qpo]}": "reset.set: No field called 'qpo'. Did you mean 'qpos'?",
-    "reset: start\nlambda: 2": "lambda: expected none with `reset: start`, where a segment is a whole trajectory, got 2.",
+    "reset: start\nlambda: 2": (
+        "lambda: expected none with `reset: start`, where a segment is a whole trajectory, got 2."
+    ),
 }
 
 
@@ -311,10 +474,16 @@ def test_refusals_of_further_keys(folder: Path, line: str, message: str) -> None
 
 def test_a_column_that_is_not_observed_cannot_be_set(folder: Path) -> None:
     data = dict(np.load(folder / "data.npz"))
-    np.savez(folder / "data.npz", **{key: value[:, :2] if "observations" in key else value for key, value in data.items()})
+    np.savez(
+        folder / "data.npz",
+        **{key: value[:, :2] if "observations" in key else value for key, value in data.items()},
+    )
     text = TEXT.replace("[qpos, qvel]", "[qpos]") + "reset: {set: ['qvel[0]']}\n"
     (folder / "problem.yaml").write_text(text)
-    assert refusal(folder / "problem.yaml") == "problem.yaml: reset.set: expected columns that the observation holds, got qvel.slide."
+    assert (
+        refusal(folder / "problem.yaml")
+        == "problem.yaml: reset.set: expected columns that the observation holds, got qvel.slide."
+    )
 
 
 def test_a_model_that_does_not_compile(folder: Path) -> None:
@@ -329,52 +498,91 @@ def test_a_model_that_does_not_compile(folder: Path) -> None:
 def test_a_model_that_is_no_xml(folder: Path) -> None:
     (folder / "robot.xml").write_text("robot")
     message = refusal(folder / "problem.yaml")
-    assert re.match(r"problem\.yaml: model: robot\.xml: expected a model that compiles, got XML parse error", message), message
+    assert re.match(
+        r"problem\.yaml: model: robot\.xml: expected a model that compiles, got XML parse error",
+        message,
+    ), message
 
 
 def test_data_with_other_actions(folder: Path) -> None:
     data = dict(np.load(folder / "data.npz"))
     np.savez(folder / "data.npz", **{**data, "actions": np.zeros((60, 2))})
-    assert refusal(folder / "problem.yaml") == "problem.yaml: data: expected 1 action columns, as the action items give, got 2 in data.npz."
+    assert refusal(folder / "problem.yaml") == (
+        "problem.yaml: data: expected 1 action columns, as the action items give, got 2 in "
+        "data.npz."
+    )
 
 
 def test_data_of_its_own_file_is_named(folder: Path) -> None:
     data = dict(np.load(folder / "data.npz"))
     data["observations"][4, 1] = np.nan
     np.savez(folder / "data.npz", **data)
-    assert refusal(folder / "problem.yaml") == "data.npz: observations: expected finite numbers, got nan at row 4, column 1."
+    assert (
+        refusal(folder / "problem.yaml")
+        == "data.npz: observations: expected finite numbers, got nan at row 4, column 1."
+    )
 
 
 def test_no_such_data(folder: Path) -> None:
     assert refusal(written(folder, "data.npz", "dat.npz")) == (
-        "dat.npz: expected an .npz file, a folder of .npy files or a Minari data set, got no such file."
+        "dat.npz: expected an .npz file, a folder of .npy files or a Minari data set, got "
+        "no such file."
     )
 
 
 def test_a_quaternion_must_have_length_one(folder: Path) -> None:
-    """A quaternion far from length 1 is refused; with `checked=False` it is left to `dropo data check`."""
+    """A quaternion far from length 1 is refused; with `checked=False` it is left to `dropo data
+    check`.
+    """
     data = simulate(BALL)
     twice = np.where(np.arange(13) == 3, 2.0, data.observations)
-    np.savez(folder / "ball.npz", observations=twice, actions=data.actions, next_observations=twice, terminals=data.terminals)
+    np.savez(
+        folder / "ball.npz",
+        observations=twice,
+        actions=data.actions,
+        next_observations=twice,
+        terminals=data.terminals,
+    )
     path = folder / "problem.yaml"
-    path.write_text("model: ball.xml\ndata: ball.npz\nparameters: {mass: {field: body_mass, name: ball, low: 1, high: 2}}\n")
-    sentence = "problem.yaml: data: qpos.free: a quaternion must have length 1, and one has 2, row 0. The order is w, x, y, z."
-    assert refusal(path) == f"{sentence} If they are right all the same: --unchecked, or load(..., checked=False)."
+    path.write_text(
+        "model: ball.xml\ndata: ball.npz\nparameters: {mass: {field: body_mass, name: ball, low: 1, high: 2}}\n"
+    )
+    sentence = (
+        "problem.yaml: data: qpos.free: a quaternion must have length 1, and one has 2, row 0. "
+        "The order is w, x, y, z."
+    )
+    assert (
+        refusal(path)
+        == f"{sentence} If they are right all the same: --unchecked, or load(..., checked=False)."
+    )
     assert len(load(path, threads=1, checked=False).trajectories) == 60
 
 
 def test_missing_and_empty_files(tmp_path: Path) -> None:
-    assert refusal(tmp_path / "none.yaml") == "none.yaml: expected a problem file, got no such file."
+    assert (
+        refusal(tmp_path / "none.yaml") == "none.yaml: expected a problem file, got no such file."
+    )
     (tmp_path / "empty.yaml").write_text("")
-    assert refusal(tmp_path / "empty.yaml") == "empty.yaml: expected a problem file, a mapping of keys, got an empty file."
+    assert (
+        refusal(tmp_path / "empty.yaml")
+        == "empty.yaml: expected a problem file, a mapping of keys, got an empty file."
+    )
     (tmp_path / "list.yaml").write_text("- model\n")
-    assert refusal(tmp_path / "list.yaml") == "list.yaml: expected a problem file, a mapping of keys, got a list."
+    assert (
+        refusal(tmp_path / "list.yaml")
+        == "list.yaml: expected a problem file, a mapping of keys, got a list."
+    )
     (tmp_path / "number.yaml").write_text("1: 2\n")
-    assert refusal(tmp_path / "number.yaml") == "number.yaml: 1: expected a word as a key, got 1 (quote it)."
+    assert (
+        refusal(tmp_path / "number.yaml")
+        == "number.yaml: 1: expected a word as a key, got 1 (quote it)."
+    )
 
 
 def test_an_unknown_name_gets_the_nearest() -> None:
-    with pytest.raises(UnknownName, match=re.escape("No problem called 'hoper'. Did you mean 'hopper'?")):
+    with pytest.raises(
+        UnknownName, match=re.escape("No problem called 'hoper'. Did you mean 'hopper'?")
+    ):
         load("hoper")
 
 
@@ -382,8 +590,13 @@ def test_built_in_problems_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also their held-out data, where they have some: here the clock stands still."""
     whole = find("problems", "slide")()
     still = replace(whole.trajectories, time=np.zeros(len(whole.trajectories)))
-    monkeypatch.setattr("dropo.problems.file.reader.find", lambda kind, name: lambda threads: replace(whole, held_out=still))
-    with pytest.raises(BadArgument, match=r"^slide: held_out: time: \d+ rows are not later .* --unchecked"):
+    monkeypatch.setattr(
+        "dropo.problems.file.reader.find",
+        lambda kind, name: lambda threads: replace(whole, held_out=still),
+    )
+    with pytest.raises(
+        BadArgument, match=r"^slide: held_out: time: \d+ rows are not later .* --unchecked"
+    ):
         load("slide")
     assert load("slide", checked=False).held_out is still
 
@@ -392,7 +605,10 @@ def test_numbers_are_those_of_yaml_1_2(folder: Path) -> None:
     """`1e-1` is a number and `on` is a word."""
     assert load(written(folder, "low: 0.1", "low: 1e-1"), threads=1).space["damping"].low == 0.1
     message = refusal(written(folder, "name: cart", "name: on"))
-    assert message == "problem.yaml: parameters.cart_mass.name: expected the name of a body (there is cart, pole, world), got 'on'."
+    assert message == (
+        "problem.yaml: parameters.cart_mass.name: expected the name of a body (there is "
+        "cart, pole, world), got 'on'."
+    )
 
 
 def test_the_error_names_file_and_key(folder: Path) -> None:

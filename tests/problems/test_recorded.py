@@ -23,10 +23,18 @@ def test_masses_of_an_arm_are_found():
 @pytest.mark.parametrize("name", NOISE)
 def test_something_hidden_changes_the_data(name):
     """The same machine, seed and noise, with and without: only what is hidden is another."""
-    place = {"hopper": "leg_joint", "hopper-noisy": "leg_joint", "half-cheetah": "bthigh", "walker2d": "leg_joint", "torque-arm": "elbow"}
+    place = {
+        "hopper": "leg_joint",
+        "hopper-noisy": "leg_joint",
+        "half-cheetah": "bthigh",
+        "walker2d": "leg_joint",
+        "torque-arm": "elbow",
+    }
     label = f"joint_damping:{place.get(name, 'lift')}=0.5"
-    with_it, without = hide(name, [label], seed=3), hide(name, [], seed=3)
-    first, second = with_it.trajectories, without.trajectories
+    with_it = hide(name, [label], seed=3)
+    without = hide(name, [], seed=3)
+    first = with_it.trajectories
+    second = without.trajectories
     np.testing.assert_array_equal(first.observations[0], second.observations[0])
     assert not np.allclose(first.next_observations[0], second.next_observations[0], atol=1e-9)
     assert with_it.simulator.space.names == without.simulator.space.names != ()
@@ -44,7 +52,8 @@ def test_walkers_load():
 
 def test_a_machine_that_falls_at_once_is_told():
     """No trajectory of a step; some that end early are left out."""
-    rng, arm = np.random.default_rng, machine("torque-arm")
+    rng = np.random.default_rng
+    arm = machine("torque-arm")
     fallen = replace(arm, alive=lambda rows: np.zeros(len(rows), dtype=bool))
     with pytest.raises(SimulationFailed, match="None of 26 trajectories lasts a control step"):
         fallen.record(noise=1e-3, rng=rng(0))

@@ -1,4 +1,6 @@
-"""The arm that hits a puck: its hits keep to the arm's limits, the model moves as it should, and its target is another one."""
+"""The arm that hits a puck: its hits keep to the arm's limits, the model moves as it should, and
+its target is another one.
+"""
 
 import mujoco
 import numpy as np
@@ -38,7 +40,9 @@ def commanded_speeds(model):
 
 
 def test_hits_keep_to_the_arms_limits(model, monkeypatch):
-    """No joint is commanded beyond its range or its speed; the control: hits of twice the speed are."""
+    """No joint is commanded beyond its range or its speed; the control: hits of twice the speed
+    are.
+    """
     angles = hits(model, CORNERS, STEPS, STEP)
     assert (angles > model.jnt_range[:7, 0]).all()
     assert (angles < model.jnt_range[:7, 1]).all()
@@ -48,9 +52,12 @@ def test_hits_keep_to_the_arms_limits(model, monkeypatch):
 
 
 def test_the_blade_meets_the_puck_as_the_latent_says(model):
-    """The commanded blade is fastest at the latent's speed, and in its direction; it starts where every hit starts."""
+    """The commanded blade is fastest at the latent's speed, and in its direction; it starts where
+    every hit starts.
+    """
     angles = hits(model, CORNERS, 1500, 0.001)
-    data, path = mujoco.MjData(model), np.empty((len(CORNERS), 1500, 3))
+    data = mujoco.MjData(model)
+    path = np.empty((len(CORNERS), 1500, 3))
     for i, one in enumerate(angles):
         for t, now in enumerate(one):
             data.qpos[:7] = now
@@ -59,9 +66,16 @@ def test_the_blade_meets_the_puck_as_the_latent_says(model):
     velocity = np.diff(path, axis=1) / 0.001
     speed = np.linalg.norm(velocity, axis=2)
     wanted, turn = speed_and_direction(CORNERS)
-    there = np.argmin(np.linalg.norm(path[:, :-1] - (model.body("puck").pos - 0.038 * ahead(turn))[:, None], axis=2), axis=1)
+    there = np.argmin(
+        np.linalg.norm(
+            path[:, :-1] - (model.body("puck").pos - 0.038 * ahead(turn))[:, None], axis=2
+        ),
+        axis=1,
+    )
     np.testing.assert_allclose(speed[np.arange(9), there], wanted, rtol=0.03)
-    np.testing.assert_allclose(velocity[np.arange(9), there] / wanted[:, None], ahead(turn), atol=0.05)
+    np.testing.assert_allclose(
+        velocity[np.arange(9), there] / wanted[:, None], ahead(turn), atol=0.05
+    )
     np.testing.assert_allclose(path[:, :, 2], model.body("puck").pos[2], atol=2e-3)
     np.testing.assert_allclose(angles[:, 0], np.tile(rest(model), (9, 1)), atol=1e-3)
 
@@ -77,32 +91,48 @@ def test_a_pose_out_of_reach_is_refused(model):
 
 
 def test_where_the_puck_stops():
-    """Farther after a faster hit and with less friction, aside with the direction; friction along x does not slow a hit along y."""
+    """Farther after a faster hit and with less friction, aside with the direction; friction along x
+    does not slow a hit along y.
+    """
     simulator = sliding_simulator(1)
     assert len(simulator.space) == 18
     true = simulator.space.vector(TRUTH)
-    rough_x, rough_y = true.copy(), true.copy()
+    rough_x = true.copy()
+    rough_y = true.copy()
     rough_x[simulator.space.names.index("friction_x")] *= 1.5
     rough_y[simulator.space.names.index("friction_y")] *= 1.5
-    ends = stops(simulator, [true, rough_x, rough_y], [[0.0, 0.0], [1.5, 0.0], [1.5, 1.0], [1.5, -1.0]])
+    ends = stops(
+        simulator, [true, rough_x, rough_y], [[0.0, 0.0], [1.5, 0.0], [1.5, 1.0], [1.5, -1.0]]
+    )
     assert ends[0, 1, 1] > 1.5 * ends[0, 0, 1]
     assert ends[0, 2, 0] < -0.02 < 0.02 < ends[0, 3, 0]
     np.testing.assert_allclose(ends[1, 1], ends[0, 1], atol=2e-3)
-    np.testing.assert_allclose(ends[2, 1, 1] / ends[0, 1, 1], 0.72, atol=0.05)  # 1 / 1.5, but for the way together with the blade
+    np.testing.assert_allclose(
+        ends[2, 1, 1] / ends[0, 1, 1], 0.72, atol=0.05
+    )  # 1 / 1.5, but for the way together with the blade
     assert abs(ends[1, 2, 0]) < 0.95 * abs(ends[0, 2, 0])
 
 
 def test_the_target_is_another_machine():
-    """At its own numbers the model misses the puck's speed by more than noise, for it is seen late, and the arm by noise alone."""
+    """At its own numbers the model misses the puck's speed by more than noise, for it is seen late,
+    and the arm by noise alone.
+    """
     problem = sliding(1).using(transitions=STEPS)
     predicted = problem.simulator.predict([problem.space.vector(TRUTH)], problem.segments)[0]
-    off = np.sqrt(np.mean((predicted - problem.simulator.targets(problem.segments)) ** 2, axis=0)) / NOISE
-    np.testing.assert_allclose(off[:7], 1, atol=4 / np.sqrt(2 * STEPS))  # four standard errors of a standard deviation
+    off = (
+        np.sqrt(np.mean((predicted - problem.simulator.targets(problem.segments)) ** 2, axis=0))
+        / NOISE
+    )
+    np.testing.assert_allclose(
+        off[:7], 1, atol=4 / np.sqrt(2 * STEPS)
+    )  # four standard errors of a standard deviation
     assert off[16:].max() > 2
 
 
 def test_the_problem():
-    """Five hits from one start, replayed as wholes; the same seed, the same data; the truth and the model lie in the box."""
+    """Five hits from one start, replayed as wholes; the same seed, the same data; the truth and the
+    model lie in the box.
+    """
     problem = sliding(1)
     assert problem.reset == "start"
     assert len(problem.segments) == 5
@@ -113,15 +143,22 @@ def test_the_problem():
         assert ((values > problem.space.low) & (values < problem.space.high)).all()
     assert estimator_for(problem, "dropo", {}).likelihood == "linear"
     assert estimator_for(problem, "dropo", {"likelihood": "monte-carlo"}).draws == 60
-    again, other = sliding(1), sliding(1, seed=1)
-    np.testing.assert_array_equal(again.trajectories.next_observations, problem.trajectories.next_observations)
+    again = sliding(1)
+    other = sliding(1, seed=1)
+    np.testing.assert_array_equal(
+        again.trajectories.next_observations, problem.trajectories.next_observations
+    )
     assert (other.trajectories.actions != problem.trajectories.actions).any()
-    assert problem.simulator.control_step == pytest.approx(STEP) == pytest.approx(FRAME_SKIP * 0.002)
+    assert (
+        problem.simulator.control_step == pytest.approx(STEP) == pytest.approx(FRAME_SKIP * 0.002)
+    )
 
 
 def test_reward_and_goals():
     """The thesis' reward is highest at the goal, and twelve goals lie on a grid."""
-    np.testing.assert_allclose(reward(np.array([0.0, 0.1])), [-np.log(0.001), -0.01 - np.log(0.011)])
+    np.testing.assert_allclose(
+        reward(np.array([0.0, 0.1])), [-np.log(0.001), -0.01 - np.log(0.011)]
+    )
     assert GOALS.shape == (12, 2)
     assert [len(np.unique(GOALS[:, i])) for i in range(2)] == [3, 4]
     with pytest.raises(BadArgument, match="latents"):

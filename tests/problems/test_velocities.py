@@ -12,9 +12,13 @@ from tests.diagnosis.arms import problem as arm_problem
 MODEL = """<mujoco><option timestep="0.005" integrator="RK4"/><worldbody><body name="arm"><joint name="pivot" axis="0 1 0" damping="0.002"/>
 <inertial pos="0 0 -0.2" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody></mujoco>"""
 PROBLEM = {
-    "model": "model.xml", "frame_skip": 4, "data": "data.npz", "lambda": 10, "observation": ["qpos"],
+    "model": "model.xml",
+    "frame_skip": 4,
+    "data": "data.npz",
+    "lambda": 10,
+    "observation": ["qpos"],
     "parameters": {"damping": {"field": "dof_damping", "name": "pivot", "low": 0.0, "high": 0.02}},
-}  # fmt: skip
+}
 
 
 def free_swings(folder, noise, reset=None):
@@ -22,8 +26,10 @@ def free_swings(folder, noise, reset=None):
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(MODEL)
-    data, rng = mujoco.MjData(model), np.random.default_rng(0)
-    rows, ends = [], []
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    rows = []
+    ends = []
     for _ in range(6):
         mujoco.mj_resetData(model, data)
         data.qpos[0], data.qvel[0] = rng.uniform(-1, 1), rng.uniform(-2, 2)
@@ -32,14 +38,23 @@ def free_swings(folder, noise, reset=None):
             ends.append(step == 149)
             mujoco.mj_step(model, data, 4)
     measured = np.array(rows) + noise * rng.standard_normal((len(rows), 1))
-    np.savez(folder / "data.npz", observations=measured, actions=np.zeros((len(rows), 0)), terminals=np.array(ends))
+    np.savez(
+        folder / "data.npz",
+        observations=measured,
+        actions=np.zeros((len(rows), 0)),
+        terminals=np.array(ends),
+    )
     (folder / "model.xml").write_text(MODEL)
-    (folder / "problem.yaml").write_text(yaml.safe_dump(PROBLEM | ({"reset": reset} if reset else {})))
+    (folder / "problem.yaml").write_text(
+        yaml.safe_dump(PROBLEM | ({"reset": reset} if reset else {}))
+    )
     return folder / "problem.yaml"
 
 
 def test_velocities_are_estimated_and_said_so(tmp_path):
-    """They stand behind the positions, are told of in a warning, and carry their noise into the starts."""
+    """They stand behind the positions, are told of in a warning, and carry their noise into the
+    starts.
+    """
     problem = load(free_swings(tmp_path, 1e-4))
     assert [signal.name for signal in problem.simulator.signals] == ["qpos.pivot", "qvel.pivot"]
     assert problem.start_noise
@@ -50,7 +65,9 @@ def test_velocities_are_estimated_and_said_so(tmp_path):
 
 
 def test_a_fit_of_positions_alone_finds_the_damping(tmp_path):
-    """0.002 N m s/rad within four standard errors; without velocities, arms that start at rest would be fitted to something else."""
+    """0.002 N m s/rad within four standard errors; without velocities, arms that start at rest
+    would be fitted to something else.
+    """
     fit = LeastSquares().fit(load(free_swings(tmp_path, 1e-3)))
     assert abs(fit.mean[0] - 0.002) < 4 * fit.mean_se[0] < 0.002
     at_rest = LeastSquares().fit(load(free_swings(tmp_path, 1e-3, reset={"set": ["qpos"]})))

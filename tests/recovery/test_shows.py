@@ -20,13 +20,16 @@ def needs(name):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_published_hopper_by_the_published_method(seed):
-    """CMA-ES on 10 draws, from the middle of the box, with 100 transitions and 4000 evaluations: the truth within 1e-4 kg.
+    """CMA-ES on 10 draws, from the middle of the box, with 100 transitions and 4000 evaluations:
+    the truth within 1e-4 kg.
 
     Half as many evaluations are enough for three digits with seed 0, and not with seed 1.
     """
     needs("hopper-published/clean.npz")
     problem = find("problems", "hopper-published")().using(transitions=100)
-    fit = DROPO(likelihood="monte-carlo", optimizer="cma-es", start="middle", draws=10, budget=4000).fit(problem, rng=seed)
+    fit = DROPO(
+        likelihood="monte-carlo", optimizer="cma-es", start="middle", draws=10, budget=4000
+    ).fit(problem, rng=seed)
     np.testing.assert_allclose(fit.mean, list(problem.truth.values()), atol=1e-4)
     assert (fit.scale < 1e-3).all()  # the masses did not vary
     assert fit.simulator_steps < 4010 * 10 * 100 * 4
@@ -35,12 +38,17 @@ def test_the_published_hopper_by_the_published_method(seed):
 def held_out_position_error(problem, values):
     """Root mean square distance [m] of the cube after a horizon, over the tosses that no fit saw."""
     segments = problem.cut(problem.held_out)
-    apart = (problem.simulator.predict(np.atleast_2d(values), segments)[0] - problem.simulator.targets(segments))[:, :3]
+    apart = (
+        problem.simulator.predict(np.atleast_2d(values), segments)[0]
+        - problem.simulator.targets(segments)
+    )[:, :3]
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 
 def test_a_real_cube_on_a_board():
-    """Friction 0.15 to 0.23, and held-out tosses within 5.5 mm after 101 ms; MuJoCo's default contact is 25 to 30 mm off."""
+    """Friction 0.15 to 0.23, and held-out tosses within 5.5 mm after 101 ms; MuJoCo's default
+    contact is 25 to 30 mm off.
+    """
     needs("cube-toss/runs.npz")
     problem = find("problems", "cube-toss")()
     fit = fit_as_commanded(problem)
@@ -50,7 +58,9 @@ def test_a_real_cube_on_a_board():
 
 
 def test_tuning_epsilon_on_noisy_data_chooses_the_noise():
-    """Figure 6.4: on 1000 transitions with noise of variance 1e-5, the smallest epsilon with an acceptable error is 1e-5."""
+    """Figure 6.4: on 1000 transitions with noise of variance 1e-5, the smallest epsilon with an
+    acceptable error is 1e-5.
+    """
     fit = DROPO(epsilon="tune").fit(find("problems", "hopper-noisy")(), rng=0)
     table = fit.details["tuning"]
     print(*table, sep="\n")
@@ -64,13 +74,22 @@ def test_tuning_epsilon_on_noisy_data_chooses_the_noise():
 def random_starts(request):
     """The published hopper from 20 means drawn from the box: which, and the fits."""
     needs(f"hopper-published/{request.param}.npz")
-    problem = find("problems", "hopper-published" if request.param == "clean" else "hopper-published-noisy")()
-    return request.param, problem, [DROPO(start="random").fit(problem, rng=seed) for seed in range(20)]
+    problem = find(
+        "problems", "hopper-published" if request.param == "clean" else "hopper-published-noisy"
+    )()
+    return (
+        request.param,
+        problem,
+        [DROPO(start="random").fit(problem, rng=seed) for seed in range(20)],
+    )
 
 
 def test_the_published_hopper_from_20_random_starts(random_starts):
-    """Clean: every mean within 1e-7 kg, every scale certified at its bound, for 1.2e5 steps. Noisy: one log-likelihood, and
-    errors within 2.5 standard errors; masses 0.05 kg off would be rejected."""
+    """Clean: every mean within 1e-7 kg, every scale certified at its bound, for 1.2e5 steps.
+
+    Noisy: one log-likelihood, and errors within 2.5 standard errors; masses 0.05 kg off would be
+    rejected.
+    """
     which, problem, fits = random_starts
     truth = np.array(list(problem.truth.values()))
     means = np.array([fit.mean for fit in fits])
@@ -87,7 +106,9 @@ def test_the_published_hopper_from_20_random_starts(random_starts):
 
 
 def test_the_published_noise_is_learned():
-    """Its mean over the 11 signals within 3 % of 1e-5; over all 10,000 transitions errors are within 2.5 standard errors."""
+    """Its mean over the 11 signals within 3 % of 1e-5; over all 10,000 transitions errors are
+    within 2.5 standard errors.
+    """
     needs("hopper-published/noisy-1e-5.npz")
     problem = find("problems", "hopper-published-noisy")()
     assert DROPO(epsilon="learn").fit(problem).epsilon.mean() == pytest.approx(1e-5, rel=0.03)

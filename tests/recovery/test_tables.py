@@ -1,4 +1,6 @@
-"""What the studies of the thesis' tables must show at their full size; `pytest -m study`, an hour on two cores."""
+"""What the studies of the thesis' tables must show at their full size; `pytest -m study`, an hour
+on two cores.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from dropo.studies.tiboni_2021.hopper_fits import AUTHORS
 from dropo.studies.tiboni_2021.hopper_sets import PUBLISHED_STEPS
 
 pytestmark = pytest.mark.study
-CLEAN, NOISY = f"{AUTHORS}, clean, epsilon 1e-08", f"{AUTHORS}, noisy, epsilon 1e-05"
+CLEAN = f"{AUTHORS}, clean, epsilon 1e-08"
+NOISY = f"{AUTHORS}, noisy, epsilon 1e-05"
 
 
 def needs_authors_data():
@@ -31,7 +34,9 @@ def masses_that_do_not_vary():
 
 
 def test_clean_masses_from_twenty_random_starts(masses_that_do_not_vary):
-    """Every mean within 1e-7 kg, every scale certified at its bound, at most 3e5 steps, from each of 20 starts."""
+    """Every mean within 1e-7 kg, every scale certified at its bound, at most 3e5 steps, from each
+    of 20 starts.
+    """
     starts = masses_that_do_not_vary[CLEAN]["random_starts"]
     assert len(starts) == 20
     for row in starts:
@@ -44,21 +49,31 @@ def test_seconds_on_two_cores():
     """Under 5 s for a whole fit from a random start on two free cores."""
     needs_authors_data()
     problem = find("problems", "hopper-published")(threads=2)
-    assert np.median([DROPO(start="random").fit(problem, rng=seed).wall_time_s for seed in range(3)]) < 5
+    assert (
+        np.median([DROPO(start="random").fit(problem, rng=seed).wall_time_s for seed in range(3)])
+        < 5
+    )
 
 
 def test_noisy_masses_from_twenty_random_starts(masses_that_do_not_vary):
-    """47,716.1 nat within 0.5 from every start; errors within 2.5 of the standard errors that the data allow."""
+    """47,716.1 nat within 0.5 from every start; errors within 2.5 of the standard errors that the
+    data allow.
+    """
     starts = masses_that_do_not_vary[NOISY]["random_starts"]
     values = [row["log_likelihood"] for row in starts]
     assert abs(min(values) - 47716.1) < 0.5
     assert abs(max(values) - 47716.1) < 0.5
     for row in starts:
-        assert (np.abs(np.subtract(row["mean"], row["drawn_mean"])) < 2.5 * np.array([0.0035, 0.0065, 0.0061, 0.0070])).all()
+        assert (
+            np.abs(np.subtract(row["mean"], row["drawn_mean"]))
+            < 2.5 * np.array([0.0035, 0.0065, 0.0061, 0.0070])
+        ).all()
 
 
 def test_noise_is_learned(masses_that_do_not_vary):
-    """The learned epsilon, over the signals, within 3 % of 1e-5; all 10,000 transitions within 2.5 of their standard errors."""
+    """The learned epsilon, over the signals, within 3 % of 1e-5; all 10,000 transitions within 2.5
+    of their standard errors.
+    """
     rows = masses_that_do_not_vary[NOISY]["first"]
     assert np.mean(rows["dropo, learned epsilon"]["epsilon"]) == pytest.approx(1e-5, rel=0.03)
     every = rows["dropo, all data"]
@@ -75,7 +90,9 @@ def masses_that_vary(request):
 
 
 def test_the_fit_is_worth_more_than_the_truth(masses_that_vary):
-    """Clean: at least the log-likelihood of the law and of the drawn sample's moments; simulator and emulator within 5 nat."""
+    """Clean: at least the log-likelihood of the law and of the drawn sample's moments; simulator
+    and emulator within 5 nat.
+    """
     distributions = masses_that_vary["clean"]["laws"]
     for name in ("drawn sample's moments", "law the masses were drawn from"):
         assert distributions["dropo"]["exact"] >= distributions[name]["exact"]
@@ -84,9 +101,14 @@ def test_the_fit_is_worth_more_than_the_truth(masses_that_vary):
 
 
 def test_random_effects_give_the_drawn_sample(masses_that_vary):
-    """Clean: every spread within 0.001 kg of the drawn sample's; the control: the likelihood of independent rows is farther off."""
+    """Clean: every spread within 0.001 kg of the drawn sample's; the control: the likelihood of
+    independent rows is farther off.
+    """
     rows = masses_that_vary["clean"]["data_sets"]
-    off = {name: max(np.abs(np.subtract(row["sd"], row["drawn_sd"])).max() for row in rows[name]) for name in ("random effects", "dropo")}
+    off = {
+        name: max(np.abs(np.subtract(row["sd"], row["drawn_sd"])).max() for row in rows[name])
+        for name in ("random effects", "dropo")
+    }
     assert off["random effects"] < 1e-3 < off["dropo"]
 
 
@@ -98,12 +120,15 @@ def test_a_thousandth_of_the_steps(masses_that_vary):
 
 
 def test_a_torso_too_light():
-    """At epsilon 1e-3 the optimum is the point of the authors' clean data, 200 nat above the thesis' solution."""
+    """At epsilon 1e-3 the optimum is the point of the authors' clean data, 200 nat above the
+    thesis' solution.
+    """
     needs_authors_data()
     study = recover("table-6.4")
     print(study)
     values = study.data[AUTHORS]["likelihoods"]
-    ours, thesis = values["dropo, epsilon 1e-03"], values["thesis, dropo"]
+    ours = values["dropo, epsilon 1e-03"]
+    thesis = values["thesis, dropo"]
     assert ours["1e-03"] == pytest.approx(27253.8, abs=1)
     assert 150 < ours["1e-03"] - thesis["1e-03"] < 260
     assert ours["mse"] < thesis["mse"]

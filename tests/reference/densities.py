@@ -15,7 +15,9 @@ def gaussian_one_by_one(predictions, targets, epsilon):
 
 
 def ghurye_olkin_one_by_one(samples, targets):
-    """(R,) log of the unbiased estimate in its source's form: ratio of constants c(p, n-2) / c(p, n-1), and two determinants."""
+    """(R,) log of the unbiased estimate in its source's form: ratio of constants c(p, n-2) / c(p,
+    n-1), and two determinants.
+    """
     n, _, p = samples.shape
     out = []
     for r, target in enumerate(targets):
@@ -25,11 +27,26 @@ def ghurye_olkin_one_by_one(samples, targets):
         if np.linalg.eigvalsh(rest).min() <= 0:
             out.append(-np.inf)
             continue
-        constant = -0.5 * p * np.log(2 * np.pi) + _log_c(p, n - 2) - _log_c(p, n - 1) - 0.5 * p * np.log(1 - 1 / n)
-        out.append(constant - 0.5 * (n - p - 2) * np.linalg.slogdet(scatter)[1] + 0.5 * (n - p - 3) * np.linalg.slogdet(rest)[1])
+        constant = (
+            -0.5 * p * np.log(2 * np.pi)
+            + _log_c(p, n - 2)
+            - _log_c(p, n - 1)
+            - 0.5 * p * np.log(1 - 1 / n)
+        )
+        out.append(
+            constant
+            - 0.5 * (n - p - 2) * np.linalg.slogdet(scatter)[1]
+            + 0.5 * (n - p - 3) * np.linalg.slogdet(rest)[1]
+        )
     return np.array(out)
 
 
 def _log_c(k, v):
-    """log c(k, v), c(k, v) = 2^(-k v / 2) pi^(-k (k - 1) / 4) / prod_{i = 1}^{k} Gamma((v - i + 1) / 2)."""
-    return -0.5 * k * v * np.log(2) - 0.25 * k * (k - 1) * np.log(np.pi) - sum(gammaln((v - i + 1) / 2) for i in range(1, k + 1))
+    """log c(k, v), c(k, v) = 2^(-k v / 2) pi^(-k (k - 1) / 4) / prod_{i = 1}^{k} Gamma((v - i + 1)
+    / 2).
+    """
+    return (
+        -0.5 * k * v * np.log(2)
+        - 0.25 * k * (k - 1) * np.log(np.pi)
+        - sum(gammaln((v - i + 1) / 2) for i in range(1, k + 1))
+    )

@@ -10,10 +10,12 @@ FINE = 2000  # parts of a physics step
 def replay(model, robot, commands=None, applied_force=None, wrench=None, move=0.0):
     """(R, nq + nv) states after every control step of the robot's segments.
 
-    commands: (T, nu) one a physics step of all rows, by default the rows' actions; push(model, data) -> generalised forces;
+    commands: (T, nu) one a physics step of all rows, by default the rows' actions; push(model,
+    data) -> generalised forces;
     wrench: (body, (6,)); move: (nq + nv,) added to starts, or (N, nq + nv).
     """
-    skip, rows = robot.simulator.frame_skip, []
+    skip = robot.simulator.frame_skip
+    rows = []
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
     held = np.repeat(robot.data.actions, skip, axis=0) if commands is None else commands
     for steps, start in zip(robot.segments.steps, robot.segments.starts + move, strict=True):
@@ -35,21 +37,32 @@ def replay(model, robot, commands=None, applied_force=None, wrench=None, move=0.
 
 def held(robot, column):
     """The clamped commands of one actuator, for each trajectory (T,), one a physics step."""
-    model, skip = robot.simulator.model, robot.simulator.frame_skip
-    low, high = model.actuator_ctrlrange[column] if model.actuator_ctrllimited[column] else (-np.inf, np.inf)
+    model = robot.simulator.model
+    skip = robot.simulator.frame_skip
+    low, high = (
+        model.actuator_ctrlrange[column]
+        if model.actuator_ctrllimited[column]
+        else (-np.inf, np.inf)
+    )
     for first, last in robot.data.spans:
-        yield np.repeat([min(max(u, low), high) for u in robot.data.actions[first:last, column]], skip)
+        yield np.repeat(
+            [min(max(u, low), high) for u in robot.data.actions[first:last, column]], skip
+        )
 
 
 def changed(robot, column, change):
-    """(T, nu) commands of all rows, one a physics step, with one column put through `change`, each trajectory on its own."""
+    """(T, nu) commands of all rows, one a physics step, with one column put through `change`, each
+    trajectory on its own.
+    """
     columns = [np.concatenate(list(held(robot, i))) for i in range(robot.simulator.model.nu)]
     columns[column] = np.concatenate([change(one) for one in held(robot, column)])
     return np.stack(columns, axis=1)
 
 
 def late(signal, steps):
-    """A signal (T,), constant in each step, so many steps late: the mean over each step, from fine samples."""
+    """A signal (T,), constant in each step, so many steps late: the mean over each step, from fine
+    samples.
+    """
     times = (np.arange(len(signal) * FINE) + 0.5) / FINE - steps
     return signal[np.maximum(np.floor(times), 0).astype(int)].reshape(-1, FINE).mean(axis=1)
 
@@ -64,7 +77,8 @@ def lagging(signal, step, time):
 
 def with_play(signal, width):
     """A follower that is drawn along at either end of a gap."""
-    out, at = [], signal[0]
+    out = []
+    at = signal[0]
     for value in signal:
         if value - at > width / 2:
             at = value - width / 2
@@ -76,7 +90,8 @@ def with_play(signal, width):
 
 def through_lash(signal, step, impulse):
     """What passes a gear with play: a rotor that crosses it against its drag, in many small steps."""
-    out, taken = [], 0.0 if signal[0] < 0 else impulse
+    out = []
+    taken = 0.0 if signal[0] < 0 else impulse
     for value in signal:
         passed = 0
         for _ in range(FINE):

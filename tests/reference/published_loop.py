@@ -1,4 +1,6 @@
-"""The slow, obvious twin of the `monte-carlo` likelihood on the hopper: the published way, one transition and one step at a time."""
+"""The slow, obvious twin of the `monte-carlo` likelihood on the hopper: the published way, one
+transition and one step at a time.
+"""
 
 import mujoco
 import numpy as np
@@ -8,11 +10,16 @@ from scipy.stats import multivariate_normal
 def log_likelihood(model, bodies, masses, trajectories, epsilon, frame_skip):
     """(sum of log densities [nats], physics steps made) for masses (K, d) of the named bodies.
 
-    Each transition is put to its measured observation and stepped under each draw; the moments of the K ends make its
-    Gaussian density (thesis, eq. 5.3 to 5.5). The observation is all of the state but the first position.
+    Each transition is put to its measured observation and stepped under each draw; the moments of
+    the K ends make its Gaussian density (thesis, eq. 5.3 to 5.5). The observation is all of the
+    state but the first position.
     """
-    data, total, steps = mujoco.MjData(model), 0.0, 0
-    for before, action, after in zip(trajectories.observations, trajectories.actions, trajectories.next_observations, strict=True):
+    data = mujoco.MjData(model)
+    total = 0.0
+    steps = 0
+    for before, action, after in zip(
+        trajectories.observations, trajectories.actions, trajectories.next_observations, strict=True
+    ):
         ends = []
         for draw in masses:
             mujoco.mj_resetData(model, data)

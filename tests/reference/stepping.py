@@ -1,4 +1,6 @@
-"""The slow, obvious twin of MujocoSimulator: each segment on its own, one mj_step after the other in a Python loop."""
+"""The slow, obvious twin of MujocoSimulator: each segment on its own, one mj_step after the other
+in a Python loop.
+"""
 
 import copy
 
@@ -7,15 +9,22 @@ import numpy as np
 
 
 def load(xml):
-    """A model as the simulator takes it: warm starts off, and a divergent simulation is not put back to its start."""
+    """A model as the simulator takes it: warm starts off, and a divergent simulation is not put
+    back to its start.
+    """
     model = mujoco.MjModel.from_xml_string(xml)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    model.opt.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_WARMSTART | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    )
     return model
 
 
 def replay_one_by_one(model, segments, columns, frame_skip=1):
-    """(R, P) observations at the compared rows. columns: (field, place) of each of the P columns, such as ("qpos", 0)."""
-    seen, ends = {}, {}
+    """(R, P) observations at the compared rows. columns: (field, place) of each of the P columns,
+    such as ("qpos", 0).
+    """
+    seen = {}
+    ends = {}
     for i, steps in enumerate(segments.steps):
         data = _start(model, segments, i, columns, ends)
         for j, transition in enumerate(steps[steps >= 0]):
@@ -28,10 +37,17 @@ def replay_one_by_one(model, segments, columns, frame_skip=1):
 
 
 def _start(model, segments, i, columns, ends):
-    data, before = mujoco.MjData(model), segments.previous[i]
+    data = mujoco.MjData(model)
+    before = segments.previous[i]
     if before >= 0:
-        data.qpos[:], data.qvel[:], data.act[:] = ends[before].qpos, ends[before].qvel, ends[before].act
-    for (field, place), value, is_set in zip(columns, segments.starts[i], segments.set_columns, strict=True):
+        data.qpos[:], data.qvel[:], data.act[:] = (
+            ends[before].qpos,
+            ends[before].qvel,
+            ends[before].act,
+        )
+    for (field, place), value, is_set in zip(
+        columns, segments.starts[i], segments.set_columns, strict=True
+    ):
         if field != "sensordata" and (before < 0 or is_set):
             getattr(data, field)[place] = value
     return data
@@ -39,5 +55,7 @@ def _start(model, segments, i, columns, ends):
 
 def _observe(model, data, columns):
     now = copy.copy(data)
-    mujoco.mj_forward(model, now)  # the sensors of this state, and not of the one before the last step
+    mujoco.mj_forward(
+        model, now
+    )  # the sensors of this state, and not of the one before the last step
     return [getattr(now, field)[place] for field, place in columns]

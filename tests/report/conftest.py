@@ -24,17 +24,31 @@ def fit_folder(tmp_path_factory):
 def diagnosis_folder(tmp_path_factory):
     """Of `dropo diagnose` on an arm whose elbow has more damping than its model."""
     folder = tmp_path_factory.mktemp("diagnosis")
-    path = write_problem(problem([("joint_damping:elbow", [0.05])], episodes=16), folder / "problem")
+    path = write_problem(
+        problem([("joint_damping:elbow", [0.05])], episodes=16), folder / "problem"
+    )
     out = folder / "run"
-    assert main(["diagnose", str(path), *EFFECTS, "--steps", "5", "--out", str(out), "--quiet"]) == 0
+    assert (
+        main(["diagnose", str(path), *EFFECTS, "--steps", "5", "--out", str(out), "--quiet"]) == 0
+    )
     return out
 
 
 @pytest.fixture(scope="session")
 def unfinished_folder(tmp_path_factory):
     """A search by evaluations whose process was killed in the middle of a line of its journal."""
-    whole, part = tmp_path_factory.mktemp("whole") / "run", tmp_path_factory.mktemp("part")
-    search = ["--likelihood", "monte-carlo", "--draws", "5", "--optimizer", "cma-es", "--budget", "60"]
+    whole = tmp_path_factory.mktemp("whole") / "run"
+    part = tmp_path_factory.mktemp("part")
+    search = [
+        "--likelihood",
+        "monte-carlo",
+        "--draws",
+        "5",
+        "--optimizer",
+        "cma-es",
+        "--budget",
+        "60",
+    ]
     assert main(["fit", "slide", *search, "--out", str(whole), "--quiet"]) == 0
     lines = (whole / "evaluations.jsonl").read_text().splitlines(keepends=True)
     (part / "evaluations.jsonl").write_text("".join(lines[:5]) + lines[5][:20])
@@ -45,7 +59,10 @@ def unfinished_folder(tmp_path_factory):
 def pages(fit_folder, diagnosis_folder, unfinished_folder, tmp_path_factory):
     """The path of each folder's page."""
     folders = {"fit": fit_folder, "diagnosis": diagnosis_folder, "unfinished": unfinished_folder}
-    return {kind: write_report(folder, tmp_path_factory.mktemp(kind) / "page.html") for kind, folder in folders.items()}
+    return {
+        kind: write_report(folder, tmp_path_factory.mktemp(kind) / "page.html")
+        for kind, folder in folders.items()
+    }
 
 
 @pytest.fixture

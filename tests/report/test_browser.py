@@ -1,22 +1,31 @@
-"""The pages in headless Chromium: no errors, nothing fetched, words for every picture, no sideways scrolling, tables that sort."""
+"""The pages in headless Chromium: no errors, nothing fetched, words for every picture, no sideways
+scrolling, tables that sort.
+"""
 
 import json
 import shutil
 
 import pytest
 
-SIZES, SCHEMES = (1400, 400), ("light", "dark")
+SIZES = (1400, 400)
+SCHEMES = ("light", "dark")
 FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-component-update",
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--no-first-run",
+    "--disable-component-update",
     "--disable-sync",
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     """A Chromium with a profile of its own."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-    program, driver = shutil.which("chromium") or shutil.which("google-chrome"), shutil.which("chromedriver")
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    driver = shutil.which("chromedriver")
     if program is None or driver is None:
         pytest.skip("no chromium with its chromedriver is installed")
     options = webdriver.ChromeOptions()
@@ -24,21 +33,33 @@ def browser(tmp_path_factory):
     for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    found = webdriver.Chrome(options=options, service=webdriver.ChromeService(executable_path=driver))
+    found = webdriver.Chrome(
+        options=options, service=webdriver.ChromeService(executable_path=driver)
+    )
     yield found
     found.quit()
 
 
 def opened(browser, path, width, scheme):
-    """Opens a file at a width in a color scheme; the addresses requested, and the console's messages."""
+    """Opens a file at a width in a color scheme; the addresses requested, and the console's
+    messages.
+    """
     screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]})
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia",
+        {"features": [{"name": "prefers-color-scheme", "value": scheme}]},
+    )
     for kind in ("performance", "browser"):
         browser.get_log(kind)
     browser.get(path.as_uri())
     messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent" and m["params"]["documentURL"] == path.as_uri()]
+    sent = [
+        m["params"]
+        for m in messages
+        if m["method"] == "Network.requestWillBeSent"
+        and m["params"]["documentURL"] == path.as_uri()
+    ]
     asked = [one["request"]["url"] for one in sent]  # but for what the browser's own pages ask for
     return [url for url in asked if not url.startswith("data:")], browser.get_log("browser")
 
@@ -46,21 +67,29 @@ def opened(browser, path, width, scheme):
 @pytest.mark.parametrize("kind", ["fit", "diagnosis", "unfinished"])
 def test_page_in_a_browser(browser, pages, kind):
     """At 1400 and 400 pixels, in light and dark."""
-    path, backgrounds = pages[kind], set()
+    path = pages[kind]
+    backgrounds = set()
     for width in SIZES:
         for scheme in SCHEMES:
             asked, messages = opened(browser, path, width, scheme)
             assert asked == [path.as_uri()]
             assert messages == []
-            wide = browser.execute_script("return [document.documentElement.scrollWidth, window.innerWidth]")
+            wide = browser.execute_script(
+                "return [document.documentElement.scrollWidth, window.innerWidth]"
+            )
             assert wide[0] <= wide[1] == width
             pictures = browser.execute_script(
-                "return [...document.querySelectorAll('svg, img')].map(e => [e.getAttribute('role'), e.getAttribute('aria-label'),"
+                "return [...document.querySelectorAll('svg, img')].map(e => "
+                "[e.getAttribute('role'), e.getAttribute('aria-label'),"
                 " e.getBoundingClientRect().width, e.getBoundingClientRect().height])"
             )
             assert pictures
-            assert all(role == "img" and label and w > 200 and h > 40 for role, label, w, h in pictures)
-            backgrounds.add(browser.execute_script("return getComputedStyle(document.body).backgroundColor"))
+            assert all(
+                role == "img" and label and w > 200 and h > 40 for role, label, w, h in pictures
+            )
+            backgrounds.add(
+                browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+            )
     assert len(backgrounds) == 2
 
 
@@ -70,10 +99,12 @@ def test_text_can_be_read_in_both_schemes(browser, pages):
         opened(browser, pages["diagnosis"], 1400, scheme)
         pairs = browser.execute_script(
             "const own = (e, p) => getComputedStyle(e)[p];"
-            "const ground = e => { for (; e; e = e.parentElement) { const c = own(e, 'backgroundColor');"
+            "const ground = e => { for (; e; e = e.parentElement) { const c = own(e, "
+            "'backgroundColor');"
             "  if (c !== 'rgba(0, 0, 0, 0)') return c; } };"
             "return [...document.querySelectorAll('p, h1, h2, dt, dd, figcaption, td, svg text')]"
-            "  .map(e => [own(e, e.tagName === 'text' ? 'fill' : 'color'), ground(e.closest('figure') ?? e), e.textContent])"
+            "  .map(e => [own(e, e.tagName === 'text' ? 'fill' : 'color'), "
+            "ground(e.closest('figure') ?? e), e.textContent])"
         )
         assert len(pairs) > 50
         assert min((contrast(a, b), text) for a, b, text in pairs)[0] >= 4.5
@@ -85,7 +116,9 @@ def contrast(one, two):
     lights = []
     for color in (one, two):
         parts = [int(part) / 255 for part in color[color.index("(") + 1 : -1].split(",")[:3]]
-        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+        linear = [
+            part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts
+        ]
         lights.append(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
     return (max(lights) + 0.05) / (min(lights) + 0.05)
 
@@ -102,10 +135,14 @@ def test_tables_sort(browser, pages):
     """A click sorts by value, another one the other way round, and says so."""
     opened(browser, pages["fit"], 1400, "light")
     script = (
-        "const head = [...document.querySelectorAll('th')].find(e => e.textContent === 'mean'); head.querySelector('button').click();"
-        "return [head.getAttribute('aria-sort'), [...head.closest('table').tBodies[0].rows].map(r => +r.cells[head.cellIndex].textContent)]"
+        "const head = [...document.querySelectorAll('th')].find(e => e.textContent === "
+        "'mean'); head.querySelector('button').click();"
+        "return [head.getAttribute('aria-sort'), "
+        "[...head.closest('table').tBodies[0].rows].map(r => "
+        "+r.cells[head.cellIndex].textContent)]"
     )
-    up, down = browser.execute_script(script), browser.execute_script(script)
+    up = browser.execute_script(script)
+    down = browser.execute_script(script)
     assert up == ["ascending", sorted(up[1])]
     assert down == ["descending", sorted(up[1], reverse=True)]
     assert len(set(up[1])) == 4

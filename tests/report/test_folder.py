@@ -16,7 +16,10 @@ def test_folders_that_are_no_result(tmp_path):
     with pytest.raises(BadFile, match="no such folder"):
         write_report(tmp_path / "none")
     (tmp_path / "file").write_text("")
-    with pytest.raises(BadFile, match=r"a folder that `dropo fit --out` or `dropo diagnose --out` wrote, got a file"):
+    with pytest.raises(
+        BadFile,
+        match=r"a folder that `dropo fit --out` or `dropo diagnose --out` wrote, got a file",
+    ):
         write_report(tmp_path / "file")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BadFile, match="an empty one"):
@@ -33,7 +36,10 @@ def test_a_newer_versions_result(fit_folder, diagnosis_folder, unfinished_folder
     for version, newer in (("99.0.0", True), (content["version"] + "+local", False)):
         (folder / "fit.json").write_text(json.dumps(content | {"version": version}))
         if newer:
-            with pytest.raises(BadFile, match=r"fit.json: version: expected .* or older .*pip install -U dropo.*, got 99.0.0"):
+            with pytest.raises(
+                BadFile,
+                match=r"fit.json: version: expected .* or older .*pip install -U dropo.*, got 99.0.0",
+            ):
                 read_result(folder)
         else:
             assert read_result(folder).kind == "fit"
@@ -44,14 +50,31 @@ def test_a_newer_versions_result(fit_folder, diagnosis_folder, unfinished_folder
     (folder / "evaluations.jsonl").write_text(json.dumps(header) + "\n")
     with pytest.raises(BadFile, match=r"got 99\.0\.0"):
         read_result(folder)
-    assert (read_result(diagnosis_folder).kind, read_result(unfinished_folder).kind) == ("diagnosis", "unfinished")
+    assert (read_result(diagnosis_folder).kind, read_result(unfinished_folder).kind) == (
+        "diagnosis",
+        "unfinished",
+    )
 
 
-@pytest.mark.parametrize(("name", "text"), [
-    ("fit.json", "{"), ("fit.json", "[]"), ("fit.json", "{}"), ("diagnosis.json", '{"verdict": "explained"}'),
-    ("diagnosis.json", '{"verdict": "", "headline": "", "causes": [], "remaining": {}, "pictures": {"rounds": 1}}'),
-    ("evaluations.jsonl", "words\nmore\n"), ("evaluations.jsonl", '{"header": {}}\n{"points": 1}\n'), ("run.json", "words"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("fit.json", "{"),
+        ("fit.json", "[]"),
+        ("fit.json", "{}"),
+        ("diagnosis.json", '{"verdict": "explained"}'),
+        (
+            "diagnosis.json",
+            (
+                '{"verdict": "", "headline": "", "causes": [], "remaining": {}, "pictures": '
+                '{"rounds": 1}}'
+            ),
+        ),
+        ("evaluations.jsonl", "words\nmore\n"),
+        ("evaluations.jsonl", '{"header": {}}\n{"points": 1}\n'),
+        ("run.json", "words"),
+    ],
+)
 def test_broken_files(tmp_path, name, text):
     """A sentence with the file's name."""
     (tmp_path / name).write_text(text)
@@ -66,10 +89,20 @@ def test_a_run_killed_at_once(tmp_path):
 
 
 def test_history_of_rounds_and_of_evaluations(tmp_path):
-    """Rounds of a local likelihood give means; evaluations give values over simulator steps; a half line is left out."""
+    """Rounds of a local likelihood give means; evaluations give values over simulator steps; a half
+    line is left out.
+    """
     header = {"header": {"parameters": [{"name": "a"}]}}
-    one_round = {"points": [[2.0, 0.5]], "answers": [[0.5, 0.1, 7.0, 1.0, 2.2, 0.3]], "counts": {"steps": 10}}
-    batch = {"points": [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], "answers": [-3.0, -1.0], "counts": {"steps": 20}}
+    one_round = {
+        "points": [[2.0, 0.5]],
+        "answers": [[0.5, 0.1, 7.0, 1.0, 2.2, 0.3]],
+        "counts": {"steps": 10},
+    }
+    batch = {
+        "points": [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]],
+        "answers": [-3.0, -1.0],
+        "counts": {"steps": 20},
+    }
     path = tmp_path / "evaluations.jsonl"
     path.write_text("\n".join(map(json.dumps, (header, one_round))) + "\n" + '{"points"')
     np.testing.assert_array_equal(read_history(path, None)[1].means, [[2.2]])

@@ -23,7 +23,9 @@ class Seen(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.tags, self.text, self.open = [], [], []
+        self.tags = []
+        self.text = []
+        self.open = []
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
@@ -52,34 +54,50 @@ def page(request, pages):
 
 
 def loads(text):
-    """Whatever a browser would fetch for a text: addresses in attributes and in style sheets; not names of namespaces."""
-    found = re.findall(r"""(?:src|href|srcset|action|poster|data)\s*=\s*["']?([^"'\s>]+)""", text) + re.findall(r"url\(([^)]+)\)", text)
-    return [address for address in found if not address.startswith(("#", "data:,"))] + re.findall(r"@import[^;]+", text)
+    """Whatever a browser would fetch for a text: addresses in attributes and in style sheets; not
+    names of namespaces.
+    """
+    found = re.findall(
+        r"""(?:src|href|srcset|action|poster|data)\s*=\s*["']?([^"'\s>]+)""", text
+    ) + re.findall(r"url\(([^)]+)\)", text)
+    return [address for address in found if not address.startswith(("#", "data:,"))] + re.findall(
+        r"@import[^;]+", text
+    )
 
 
 def test_it_is_whole_and_loads_nothing(page):
-    """Every tag closes; no address but within the page; under the limit; control: addresses are noticed."""
+    """Every tag closes; no address but within the page; under the limit; control: addresses are
+    noticed.
+    """
     seen = Seen(page)
     assert seen.open == []
     assert len(page.encode()) < LARGEST
     assert loads(page) == []
-    assert len(loads('<img src="a.png"><link href=x><style>@import "y"; a {b: url(z)}</style>')) == 4
+    assert (
+        len(loads('<img src="a.png"><link href=x><style>@import "y"; a {b: url(z)}</style>')) == 4
+    )
     assert all("src" not in attributes for attributes in seen.all("script"))
 
 
 def test_every_picture_says_what_it_shows(page):
-    """role and words; identities are used once; colours are the page's, so that they follow light and dark."""
+    """role and words; identities are used once; colours are the page's, so that they follow light
+    and dark.
+    """
     seen = Seen(page)
     pictures = seen.all("svg")
     assert pictures
     assert all(p["role"] == "img" and len(p["aria-label"].split()) > 3 for p in pictures)
     names = [attributes["id"] for _, attributes in seen.tags if "id" in attributes]
     assert len(names) == len(set(names))
-    used = set(re.findall(r"url\(#([^)]+)\)", page)) | {a["xlink:href"][1:] for a in seen.all("use")}
+    used = set(re.findall(r"url\(#([^)]+)\)", page)) | {
+        a["xlink:href"][1:] for a in seen.all("use")
+    }
     assert used <= set(names)
     inside = page[page.index("<main>") :]
     assert set(re.findall(r"#[0-9a-fA-F]{6}\b", inside)) <= {"#ffffff", "#000000"}
-    assert set(re.findall(r"var\(--([\w-]+)\)", page)) <= set(re.findall(r"--([\w-]+):", page)) | {"swatch"}
+    assert set(re.findall(r"var\(--([\w-]+)\)", page)) <= set(re.findall(r"--([\w-]+):", page)) | {
+        "swatch"
+    }
 
 
 def test_headings_go_down_in_order(page):
@@ -91,9 +109,12 @@ def test_headings_go_down_in_order(page):
 
 
 def test_a_fits_page_holds_its_numbers(fit_folder, pages):
-    """Names, means, hashes, the command, errors before and after; a truth where the data are simulated."""
+    """Names, means, hashes, the command, errors before and after; a truth where the data are
+    simulated.
+    """
     text = "".join(Seen(pages["fit"].read_text()).text)
-    fit, record = Fit.load(fit_folder), json.loads((fit_folder / "run.json").read_text())
+    fit = Fit.load(fit_folder)
+    record = json.loads((fit_folder / "run.json").read_text())
     found = Predictions.load(fit_folder)
     for name, mean, error in zip(fit.space.names, fit.mean, fit.mean_se, strict=True):
         assert name in text
@@ -117,19 +138,30 @@ def test_a_diagnosis_page_names_the_cause_at_once(diagnosis_folder, pages):
     content = json.loads((diagnosis_folder / "diagnosis.json").read_text())
     assert content["headline"].replace("+-", "±") in text
     assert "joint damping at elbow" in content["headline"]
-    assert seen.all("svg")[0]["aria-label"].startswith("Bars: nats that each effect gains on data held out. joint damping at elbow")
+    assert seen.all("svg")[0]["aria-label"].startswith(
+        "Bars: nats that each effect gains on data held out. joint damping at elbow"
+    )
     assert f"{content['causes'][0]['estimate']['damping']['value']:+.4g}" in text
     assert "N m s/rad" in text
     for horizon in content["extended"]["horizons"]:
         assert percent(horizon["rmse"]) in text
-    for title in ("What was tried", "Causes", "Is it the cause?", "Measured and simulated motion", "What remains unexplained"):
+    for title in (
+        "What was tried",
+        "Causes",
+        "Is it the cause?",
+        "Measured and simulated motion",
+        "What remains unexplained",
+    ):
         assert title in text
 
 
 def test_an_interrupted_run_says_how_far_it_came(unfinished_folder, pages):
     """Evaluations, best value, how to go on."""
     text = "".join(Seen(pages["unfinished"].read_text()).text)
-    entries = [json.loads(line) for line in (unfinished_folder / "evaluations.jsonl").read_text().splitlines()[1:5]]
+    entries = [
+        json.loads(line)
+        for line in (unfinished_folder / "evaluations.jsonl").read_text().splitlines()[1:5]
+    ]
     values = np.concatenate([np.ravel(entry["answers"]) for entry in entries])
     assert f"This fit of slide was interrupted after {len(values)} evaluations." in text
     assert f"{values.max():.6g}" in text
@@ -155,7 +187,11 @@ def test_words_of_others_are_escaped(fit_folder, copy_of):
     folder = copy_of(fit_folder)
     (folder / "predictions.npz").unlink()
     content = json.loads((folder / "fit.json").read_text())
-    content |= {"problem": "<script>alert(1)</script>", "warnings": ["a < b & c"], "status": "interrupted"}
+    content |= {
+        "problem": "<script>alert(1)</script>",
+        "warnings": ["a < b & c"],
+        "status": "interrupted",
+    }
     (folder / "fit.json").write_text(json.dumps(content))
     page = write_report(folder).read_text()
     assert "<script>alert" not in page
@@ -165,7 +201,10 @@ def test_words_of_others_are_escaped(fit_folder, copy_of):
 
 def test_the_same_folder_makes_the_same_page(unfinished_folder, pages, tmp_path):
     """Byte for byte."""
-    assert write_report(unfinished_folder, tmp_path / "again.html").read_bytes() == pages["unfinished"].read_bytes()
+    assert (
+        write_report(unfinished_folder, tmp_path / "again.html").read_bytes()
+        == pages["unfinished"].read_bytes()
+    )
 
 
 def test_cells_sort_by_value():
@@ -179,24 +218,58 @@ def test_what_was_left_out_and_what_disagrees_is_listed(diagnosis_folder, copy_o
     """Spans in which something pushed, odd runs, and what the data do not tell."""
     folder = copy_of(diagnosis_folder)
     content = json.loads((folder / "diagnosis.json").read_text())
-    span = {"run": 3, "held_out": True, "from": 1.0, "to": 1.5, "signal": "qvel.elbow", "unit": "rad/s", "off": 2.5, "after": 0.4}
-    odd = {"run": 2, "held_out": False, "parameter": "lower_mass", "unit": "kg", "value": 0.7, "se": 0.01, "others": 0.5, "spread": 0.0}
-    content |= {"disturbances": {"spans": [span]}, "odd_runs": [odd], "undetermined": ["the data do not determine upper_mass"]}
+    span = {
+        "run": 3,
+        "held_out": True,
+        "from": 1.0,
+        "to": 1.5,
+        "signal": "qvel.elbow",
+        "unit": "rad/s",
+        "off": 2.5,
+        "after": 0.4,
+    }
+    odd = {
+        "run": 2,
+        "held_out": False,
+        "parameter": "lower_mass",
+        "unit": "kg",
+        "value": 0.7,
+        "se": 0.01,
+        "others": 0.5,
+        "spread": 0.0,
+    }
+    content |= {
+        "disturbances": {"spans": [span]},
+        "odd_runs": [odd],
+        "undetermined": ["the data do not determine upper_mass"],
+    }
     (folder / "diagnosis.json").write_text(json.dumps(content))
     text = "".join(Seen(write_report(folder).read_text()).text)
-    assert "Left out: held-out run 3, 1.00 to 1.50 s, where qvel.elbow is 2.5 rad/s off after 0.4 s." in text
+    assert (
+        "Left out: held-out run 3, 1.00 to 1.50 s, where qvel.elbow is 2.5 rad/s off after 0.4 s."
+        in text
+    )
     assert "Run 2 disagrees with the others: its lower_mass is 0.7 ± 0.01 kg, theirs 0.5." in text
     assert "the data do not determine upper_mass" in text
 
 
 def test_long_headlines_are_cut_between_sentences():
     """As many sentences as fit, at least one; none is lost, and a number's dot ends none."""
-    assert shortened("It is off by 0.5 N m. Cause: drag. So it is.", 34) == ("It is off by 0.5 N m. Cause: drag.", "So it is.")
-    assert shortened("It is off by 0.5 N m. Cause: drag.", 5) == ("It is off by 0.5 N m.", "Cause: drag.")
+    assert shortened("It is off by 0.5 N m. Cause: drag. So it is.", 34) == (
+        "It is off by 0.5 N m. Cause: drag.",
+        "So it is.",
+    )
+    assert shortened("It is off by 0.5 N m. Cause: drag.", 5) == (
+        "It is off by 0.5 N m.",
+        "Cause: drag.",
+    )
     assert shortened("Short.", 50) == ("Short.", "")
 
 
-@pytest.mark.parametrize(("share", "shown"), [(0.5, "50 %"), (0.12345, "12.3 %"), (1e-9, "less than 0.001 %"), (0.0, "0 %"), (np.nan, "–")])
+@pytest.mark.parametrize(
+    ("share", "shown"),
+    [(0.5, "50 %"), (0.12345, "12.3 %"), (1e-9, "less than 0.001 %"), (0.0, "0 %"), (np.nan, "–")],
+)
 def test_percent(share, shown):
     """Three digits, none where they would be noise."""
     assert percent(share) == shown

@@ -1,4 +1,6 @@
-"""Small models that each have one thing that a simulator can get wrong, and data in their coordinates."""
+"""Small models that each have one thing that a simulator can get wrong, and data in their
+coordinates.
+"""
 
 from dataclasses import dataclass
 
@@ -50,7 +52,9 @@ SENSED = """<mujoco><option timestep="0.01"/><worldbody>
 
 @dataclass(frozen=True)
 class Case:
-    """A model, two of its numbers as parameters, its observed columns, and those that a `partial` reset sets."""
+    """A model, two of its numbers as parameters, its observed columns, and those that a `partial`
+    reset sets.
+    """
 
     xml: str
     parameters: tuple
@@ -62,14 +66,23 @@ class Case:
     def simulator(self, threads=1):
         """The simulator under test."""
         spec = mujoco.MjSpec.from_string(self.xml)
-        return MujocoSimulator(spec, self.parameters, observation=self.observation, frame_skip=self.frame_skip, threads=threads)
+        return MujocoSimulator(
+            spec,
+            self.parameters,
+            observation=self.observation,
+            frame_skip=self.frame_skip,
+            threads=threads,
+        )
 
     def data(self, lengths=(8, 6, 4), seed=0):
         """Trajectories whose rows are unrelated states: each transition is a test of its own."""
-        rng, n = np.random.default_rng(seed), sum(lengths)
+        rng = np.random.default_rng(seed)
+        n = sum(lengths)
         model = mujoco.MjModel.from_xml_string(self.xml)
         ends = np.isin(np.arange(n), np.cumsum(lengths) - 1)
-        observations, following = (np.array([self._row(model, rng) for _ in range(n)]) for _ in range(2))
+        observations, following = (
+            np.array([self._row(model, rng) for _ in range(n)]) for _ in range(2)
+        )
         return Trajectories(observations, rng.normal(size=(n, model.nu)), following, ends)
 
     def segments(self, cut):
@@ -106,13 +119,53 @@ def places(**fields):
 
 
 CASES = {
-    "pendulum": Case(PENDULUM, (mass("rod"), FieldParameter("damping", 0.01, 0.5, field="dof_damping", element="pivot")),
-                     ("qpos", "qvel"), places(qpos=1, qvel=1), (True, False)),
-    "cart": Case(CART, (mass("cart"), mass("pole", derived=False)), ("qpos", "qvel"), places(qpos=2, qvel=2), (True, False, False, True)),
-    "box": Case(BOX, (mass("box", derived=False), mass("flap")), ("qpos", "qvel"), places(qpos=8, qvel=7), (True,) * 8 + (False,) * 7, 4),
-    "ball": Case(BALL, (mass("arm"), mass("forearm", derived=False)), ("qpos", "qvel"), places(qpos=5, qvel=4), (True,) * 4 + (False,) * 5),
-    "valve": Case(VALVE, (mass("spool"), FieldParameter("lag", 0.02, 0.4, "s", field="actuator_dynprm", element="lag", index=0)),
-                  ("qpos", "qvel", "act"), places(qpos=1, qvel=1, act=1), (False, True, False)),
-    "sensed": Case(SENSED, (mass("rod"), FieldParameter("gear", 0.5, 2, field="actuator_gear", element="torque", index=0)),
-                   ("qpos", "qvel", "sensordata"), places(qpos=1, qvel=1, sensordata=5), (False, True) + (False,) * 5),
-}  # fmt: skip
+    "pendulum": Case(
+        PENDULUM,
+        (mass("rod"), FieldParameter("damping", 0.01, 0.5, field="dof_damping", element="pivot")),
+        ("qpos", "qvel"),
+        places(qpos=1, qvel=1),
+        (True, False),
+    ),
+    "cart": Case(
+        CART,
+        (mass("cart"), mass("pole", derived=False)),
+        ("qpos", "qvel"),
+        places(qpos=2, qvel=2),
+        (True, False, False, True),
+    ),
+    "box": Case(
+        BOX,
+        (mass("box", derived=False), mass("flap")),
+        ("qpos", "qvel"),
+        places(qpos=8, qvel=7),
+        (True,) * 8 + (False,) * 7,
+        4,
+    ),
+    "ball": Case(
+        BALL,
+        (mass("arm"), mass("forearm", derived=False)),
+        ("qpos", "qvel"),
+        places(qpos=5, qvel=4),
+        (True,) * 4 + (False,) * 5,
+    ),
+    "valve": Case(
+        VALVE,
+        (
+            mass("spool"),
+            FieldParameter("lag", 0.02, 0.4, "s", field="actuator_dynprm", element="lag", index=0),
+        ),
+        ("qpos", "qvel", "act"),
+        places(qpos=1, qvel=1, act=1),
+        (False, True, False),
+    ),
+    "sensed": Case(
+        SENSED,
+        (
+            mass("rod"),
+            FieldParameter("gear", 0.5, 2, field="actuator_gear", element="torque", index=0),
+        ),
+        ("qpos", "qvel", "sensordata"),
+        places(qpos=1, qvel=1, sensordata=5),
+        (False, True) + (False,) * 5,
+    ),
+}

@@ -1,4 +1,6 @@
-"""Actions that were left out of a simulated recording are found again; what no action explains is said."""
+"""Actions that were left out of a simulated recording are found again; what no action explains is
+said.
+"""
 
 from dataclasses import replace
 
@@ -33,21 +35,34 @@ TORQUES = """<motor name="one" joint="shoulder" gear="5" ctrllimited="true" ctrl
              <general name="two" joint="elbow" gainprm="2" biastype="affine" biasprm="0.1 -0.5 -0.05"/>
              <motor name="three" joint="wrist" gear="1 0 0"/><motor name="four" joint="wrist" gear="0 1 0"/>
              <motor name="five" joint="wrist" gear="0 0 1"/>"""
-POSITIONS = '<position name="one" joint="shoulder" kp="20" kv="1"/><velocity name="two" joint="elbow" kv="3"/>'
+POSITIONS = (
+    '<position name="one" joint="shoulder" kp="20" kv="1"/><velocity name="two" joint="elbow" '
+    'kv="3"/>'
+)
 
 
 def robot(actuators, frame_skip=5):
     mass = FieldParameter("mass", 0.1, 1.0, "kg", field="body_mass", element="arm")
-    return MujocoSimulator(mujoco.MjSpec.from_string(XML.format(actuators=actuators)), [mass], frame_skip=frame_skip, threads=1)
+    return MujocoSimulator(
+        mujoco.MjSpec.from_string(XML.format(actuators=actuators)),
+        [mass],
+        frame_skip=frame_skip,
+        threads=1,
+    )
 
 
 def recording(simulator, values, seed=0, rows=150):
     """A trajectory of random commands that the simulator made at these values."""
     rng = np.random.default_rng(seed)
     q = len(simulator.controls)
-    actions = np.clip(np.cumsum(rng.normal(0, 0.1, (rows, q)), axis=0), -0.9, 0.9) * [0.2, 0.3, 0.004, 0.004, 0.004][:q]
+    actions = (
+        np.clip(np.cumsum(rng.normal(0, 0.1, (rows, q)), axis=0), -0.9, 0.9)
+        * [0.2, 0.3, 0.004, 0.004, 0.004][:q]
+    )
     model = simulator.model
-    model = mujoco.MjSpec.from_string(XML.format(actuators=TORQUES if q == 5 else POSITIONS)).compile()
+    model = mujoco.MjSpec.from_string(
+        XML.format(actuators=TORQUES if q == 5 else POSITIONS)
+    ).compile()
     simulator.bindings[0].set(model, values[0])
     data = mujoco.MjData(model)
     mujoco.mj_setConst(model, data)
@@ -64,21 +79,34 @@ def recording(simulator, values, seed=0, rows=150):
 
 @pytest.mark.parametrize("frame_skip", [1, 5])
 def test_inverse_dynamics_finds_the_commands(frame_skip):
-    """Within a thousandth (a tenth where friction holds a joint), through gears, biases and held commands, with another mass."""
+    """Within a thousandth (a tenth where friction holds a joint), through gears, biases and held
+    commands, with another mass.
+    """
     simulator = robot(TORQUES, frame_skip)
     true = recording(simulator, [0.5])
-    found = by_inverse_dynamics(simulator, replace(true, actions=np.zeros_like(true.actions)), [0.5])
+    found = by_inverse_dynamics(
+        simulator, replace(true, actions=np.zeros_like(true.actions)), [0.5]
+    )
     scale = true.actions.std(axis=0)
-    np.testing.assert_array_less(np.median(np.abs(found.trajectories.actions - true.actions), axis=0) / scale, 1e-3)
-    np.testing.assert_array_less(np.abs(found.trajectories.actions - true.actions).max(axis=0) / scale, 0.1)
+    np.testing.assert_array_less(
+        np.median(np.abs(found.trajectories.actions - true.actions), axis=0) / scale, 1e-3
+    )
+    np.testing.assert_array_less(
+        np.abs(found.trajectories.actions - true.actions).max(axis=0) / scale, 0.1
+    )
     wrong = by_inverse_dynamics(simulator, true, [0.6])
-    assert np.median(np.abs(wrong.trajectories.actions[:, 0] - true.actions[:, 0])) > 0.01 * scale[0]
+    assert (
+        np.median(np.abs(wrong.trajectories.actions[:, 0] - true.actions[:, 0])) > 0.01 * scale[0]
+    )
 
 
 def test_what_no_action_gives_is_said():
-    """A push at the elbow, which has no actuator here, is left over there and when it acted, and nowhere else."""
+    """A push at the elbow, which has no actuator here, is left over there and when it acted, and
+    nowhere else.
+    """
     simulator = robot('<motor name="one" joint="shoulder"/>', 1)
-    model, data = simulator.model, mujoco.MjData(simulator.model)
+    model = simulator.model
+    data = mujoco.MjData(simulator.model)
     states = [np.concatenate([data.qpos, data.qvel])]
     data.qpos[0] = 0.5
     for row in range(60):
@@ -87,7 +115,9 @@ def test_what_no_action_gives_is_said():
         mujoco.mj_step(model, data)
         states.append(np.concatenate([data.qpos, data.qvel]))
     rows = np.array(states)
-    found = by_inverse_dynamics(simulator, Trajectories(rows[1:-1], np.zeros((59, 1)), rows[2:], np.arange(59) == 58))
+    found = by_inverse_dynamics(
+        simulator, Trajectories(rows[1:-1], np.zeros((59, 1)), rows[2:], np.arange(59) == 58)
+    )
     pushed = (np.arange(1, 60) >= 20) & (np.arange(1, 60) < 40)
     np.testing.assert_allclose(found.unexplained[pushed, 1], 0.2, rtol=0.05)
     assert np.abs(found.unexplained[~pushed]).max() < 0.01
@@ -95,12 +125,18 @@ def test_what_no_action_gives_is_said():
 
 
 def test_ideal_controllers_reach_their_set_points():
-    """Position actuators are commanded where the joint was at the step's end, velocity actuators as fast as it was."""
+    """Position actuators are commanded where the joint was at the step's end, velocity actuators as
+    fast as it was.
+    """
     simulator = robot(POSITIONS)
     true = recording(simulator, [0.4])
     found = by_ideal_controllers(simulator, true)
-    np.testing.assert_allclose(found.trajectories.actions[:, 0], true.next_observations[:, 0], atol=1e-12)
-    np.testing.assert_allclose(found.trajectories.actions[:, 1], true.next_observations[:, 7], atol=1e-12)
+    np.testing.assert_allclose(
+        found.trajectories.actions[:, 0], true.next_observations[:, 0], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        found.trajectories.actions[:, 1], true.next_observations[:, 7], atol=1e-12
+    )
     assert np.abs(found.trajectories.actions - true.actions).max() > 0.01
 
 
@@ -113,4 +149,6 @@ def test_refusals():
     half = MujocoSimulator(simulator.model, [], observation=["qpos"])
     columns = true.observations[:, :6], true.next_observations[:, :6]
     with pytest.raises(Incompatible, match=r"qvel\[0\] is not observed"):
-        by_inverse_dynamics(half, replace(true, observations=columns[0], next_observations=columns[1]))
+        by_inverse_dynamics(
+            half, replace(true, observations=columns[0], next_observations=columns[1])
+        )

@@ -51,24 +51,42 @@ def run(episodes, ids, value, start, commands):
 def atom_of(simulator, name, size):
     """The first place of an effect, with that size, or the size at which a screening tries it."""
     instance = next(iter(find("effects", name)(simulator.effect_context)))
-    return replace(instance, start=None), np.array([q.probes[-1] if size is None else size for q in instance.quantities])
+    return replace(instance, start=None), np.array(
+        [q.probes[-1] if size is None else size for q in instance.quantities]
+    )
 
 
 def test_motion_is_the_replays(hopper, motion):
-    """Bit for bit, under other parameters than the model's, and again from the same start in the same batch."""
-    value, episodes = hopper.nominal * 1.3, Episodes(hopper, 3)
+    """Bit for bit, under other parameters than the model's, and again from the same start in the
+    same batch.
+    """
+    value = hopper.nominal * 1.3
+    episodes = Episodes(hopper, 3)
     expected = replayed(hopper, value, *motion)
     first = run(episodes, ONE, value, *motion)
     np.testing.assert_array_equal(first, expected)
     np.testing.assert_array_equal(run(episodes, ONE, value, *motion), expected)
-    assert np.abs(first - replayed(hopper, hopper.nominal, *motion)).max() > 0.01, "the control: other masses move otherwise"
+    assert np.abs(first - replayed(hopper, hopper.nominal, *motion)).max() > 0.01, (
+        "the control: other masses move otherwise"
+    )
 
 
-@pytest.mark.parametrize(("name", "size"), [
-    ("actuator_delay", 0.013), ("actuator_lag", 0.02), ("gear_lash", 0.003), ("actuator_saturation", 0.8), ("joint_stribeck", None),
-    ("joint_load_friction", None), ("external_force", None), ("body_com", 0.01), ("joint_damping", 0.3), ("sensor_bias", 0.1),
-    ("sensor_gain", 0.1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("actuator_delay", 0.013),
+        ("actuator_lag", 0.02),
+        ("gear_lash", 0.003),
+        ("actuator_saturation", 0.8),
+        ("joint_stribeck", None),
+        ("joint_load_friction", None),
+        ("external_force", None),
+        ("body_com", 0.01),
+        ("joint_damping", 0.3),
+        ("sensor_bias", 0.1),
+        ("sensor_gain", 0.1),
+    ],
+)
 def test_effects_act_as_in_the_replays(name, size, hopper, motion):
     """Every layer around the physics, bit for bit; and it acts."""
     there = hopper.with_effects((), [atom_of(hopper, name, size)])
@@ -78,12 +96,16 @@ def test_effects_act_as_in_the_replays(name, size, hopper, motion):
 
 
 def test_late_sensors(hopper, motion):
-    """As in the replays from the moment at which the start has arrived; before it, the start is seen."""
+    """As in the replays from the moment at which the start has arrived; before it, the start is
+    seen.
+    """
     instance, size = atom_of(hopper, "sensor_delay", 0.0101)
     there = hopper.with_effects((), [(instance, size)])
     episodes = Episodes(there, 2)
     found = run(episodes, ONE, hopper.nominal, *motion)
-    np.testing.assert_allclose(found[1:], replayed(there, hopper.nominal, *motion)[1:], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        found[1:], replayed(there, hopper.nominal, *motion)[1:], rtol=0, atol=1e-14
+    )
     episodes.reset(ONE, motion[0])
     np.testing.assert_array_equal(episodes.measured(ONE, episodes.rows(ONE)), motion[0][:, 1:])
 
@@ -93,7 +115,9 @@ def test_free_effects_are_parameters(hopper, motion):
     instance, size = atom_of(hopper, "actuator_delay", 0.02)
     free = hopper.with_effects([instance])
     episodes = Episodes(free, 2)
-    absent, active = (run(episodes, ONE, np.append(hopper.nominal, s), *motion) for s in (0.0, size[0]))
+    absent, active = (
+        run(episodes, ONE, np.append(hopper.nominal, s), *motion) for s in (0.0, size[0])
+    )
     np.testing.assert_array_equal(absent, replayed(hopper, hopper.nominal, *motion))
     np.testing.assert_array_equal(active, replayed(free, np.append(hopper.nominal, size), *motion))
 
@@ -101,7 +125,8 @@ def test_free_effects_are_parameters(hopper, motion):
 def test_threads_and_company_do_not_matter(hopper, motion):
     """An episode beside others that begin at other times, on two threads, is the same alone."""
     start, commands = motion
-    episodes, rng = Episodes(hopper, 4, threads=2), np.random.default_rng(0)
+    episodes = Episodes(hopper, 4, threads=2)
+    rng = np.random.default_rng(0)
     values = hopper.nominal * rng.uniform(0.8, 1.2, (4, 4))
     everyone = np.arange(4)
     episodes.set(everyone, values)
@@ -118,7 +143,8 @@ def test_threads_and_company_do_not_matter(hopper, motion):
 
 def test_divergence_is_noticed(hopper):
     """A start beyond what MuJoCo can handle is not sound; its neighbour is."""
-    episodes, both = Episodes(hopper, 2), np.arange(2)
+    episodes = Episodes(hopper, 2)
+    both = np.arange(2)
     episodes.set(both, np.tile(hopper.nominal, (2, 1)))
     starts = np.tile(start_states(np.random.default_rng(0), 1), (2, 1))
     starts[0, 6:] = 1e9
@@ -129,6 +155,11 @@ def test_divergence_is_noticed(hopper):
 
 def test_recorded_forces_are_refused(hopper):
     """What is known for recorded motion alone has no place in a new episode."""
-    pushed = EffectInstance("push", None, (Quantity("size", "N", 0.0, 1.0, (0.5,)),), push=lambda steps, magnitudes: np.zeros((steps, 6)))
+    pushed = EffectInstance(
+        "push",
+        None,
+        (Quantity("size", "N", 0.0, 1.0, (0.5,)),),
+        push=lambda steps, magnitudes: np.zeros((steps, 6)),
+    )
     with pytest.raises(Incompatible, match="recorded motion alone"):
         Episodes(hopper.with_effects([pushed]), 1)

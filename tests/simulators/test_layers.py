@@ -7,7 +7,15 @@ import pytest
 from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
-from dropo.simulators.mujoco.layers import by_time_profile, clamp, commands_of, declared_values, lateness, seen_late, sensed
+from dropo.simulators.mujoco.layers import (
+    by_time_profile,
+    clamp,
+    commands_of,
+    declared_values,
+    lateness,
+    seen_late,
+    sensed,
+)
 
 SIZE = Quantity("size", "1", -1.0, 1.0, (0.5,))
 MODEL = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody><actuator>
@@ -30,12 +38,15 @@ def summed(commands, step, magnitudes):
     return np.cumsum(commands, axis=0)
 
 
-DOUBLE, SUM = EffectInstance("double", None, (SIZE,), command=doubled), EffectInstance("sum", None, (SIZE,), actuation=summed)
+DOUBLE = EffectInstance("double", None, (SIZE,), command=doubled)
+SUM = EffectInstance("sum", None, (SIZE,), actuation=summed)
 ONE = np.ones(1)
 
 
 def test_commands_in_order():
-    """`command` sees control steps before the clamp, `actuation` physics steps behind it, each trajectory from its beginning."""
+    """`command` sees control steps before the clamp, `actuation` physics steps behind it, each
+    trajectory from its beginning.
+    """
     rows = data()
     segments = rows.segments(length=2)
     found = commands_of(segments, np.arange(2), rows.actions, MODEL, 2, [(SUM, ONE), (DOUBLE, ONE)])
@@ -54,7 +65,9 @@ def test_commands_without_actuation_are_left_to_mujoco():
 
 def test_clamp():
     """As MuJoCo: declared ranges, others open."""
-    np.testing.assert_array_equal(clamp(np.array([[-3.0, -3.0], [3.0, 3.0]]), MODEL), [[-1, -3], [2, 3]])
+    np.testing.assert_array_equal(
+        clamp(np.array([[-3.0, -3.0], [3.0, 3.0]]), MODEL), [[-1, -3], [2, 3]]
+    )
 
 
 def half_of_it(segments, magnitudes):
@@ -66,12 +79,23 @@ def later(segments, magnitudes):
 
 
 def test_by_gate():
-    """Segments are put together by what holds in them, sizes with their share; what is absent is left out."""
+    """Segments are put together by what holds in them, sizes with their share; what is absent is
+    left out.
+    """
     segments = data().segments()
-    always, half, late = DOUBLE, EffectInstance("half", None, (SIZE,), command=doubled, time_profile=half_of_it), EffectInstance("late", None, (SIZE,), time_profile=later)
-    assert by_time_profile([(always, ONE)], segments, np.arange(5)) == [(pytest.approx(np.arange(5)), [(always, ONE)])]
-    found = by_time_profile([(always, ONE), (half, ONE), (late, ONE)], segments, np.array([1, 2, 3, 4]))
-    named = {tuple(part): [(instance.effect, float(magnitudes[0])) for instance, magnitudes in active] for part, active in found}
+    always = DOUBLE
+    half = EffectInstance("half", None, (SIZE,), command=doubled, time_profile=half_of_it)
+    late = EffectInstance("late", None, (SIZE,), time_profile=later)
+    assert by_time_profile([(always, ONE)], segments, np.arange(5)) == [
+        (pytest.approx(np.arange(5)), [(always, ONE)])
+    ]
+    found = by_time_profile(
+        [(always, ONE), (half, ONE), (late, ONE)], segments, np.array([1, 2, 3, 4])
+    )
+    named = {
+        tuple(part): [(instance.effect, float(magnitudes[0])) for instance, magnitudes in active]
+        for part, active in found
+    }
     assert named == {
         (1,): [("double", 1.0), ("half", 0.5)],
         (2,): [("double", 1.0), ("half", 1.0)],
@@ -79,21 +103,35 @@ def test_by_gate():
         (4,): [("double", 1.0), ("half", 1.0), ("late", 1.0)],
     }
     with pytest.raises(Incompatible, match="half changes from segment to segment"):
-        by_time_profile([(half, ONE)], data((4, 2)).segments(length=2, reset="partial", set_columns=[False]), np.arange(3))
+        by_time_profile(
+            [(half, ONE)],
+            data((4, 2)).segments(length=2, reset="partial", set_columns=[False]),
+            np.arange(3),
+        )
 
 
 def test_declared_values():
     """Hooks on the declared parameters follow each other."""
-    add = EffectInstance("add", None, (SIZE,), declared=lambda values, magnitudes: values + magnitudes[0])
-    np.testing.assert_array_equal(declared_values(np.array([1.0, 2.0]), [(add, ONE), (add, 2 * ONE)]), [4.0, 5.0])
+    add = EffectInstance(
+        "add", None, (SIZE,), declared=lambda values, magnitudes: values + magnitudes[0]
+    )
+    np.testing.assert_array_equal(
+        declared_values(np.array([1.0, 2.0]), [(add, ONE), (add, 2 * ONE)]), [4.0, 5.0]
+    )
 
 
 def test_senses_and_lateness_add_up():
     """Sensor effects follow each other; delays of one signal add up."""
     louder = EffectInstance(
-        "louder", None, (SIZE,), measurement=lambda signals, magnitudes: signals * (1 + magnitudes[0]), late=lambda magnitudes: np.array([0.0, magnitudes[0]])
+        "louder",
+        None,
+        (SIZE,),
+        measurement=lambda signals, magnitudes: signals * (1 + magnitudes[0]),
+        late=lambda magnitudes: np.array([0.0, magnitudes[0]]),
     )
-    np.testing.assert_array_equal(sensed(np.ones((2, 2)), [(louder, ONE), (louder, ONE)]), np.full((2, 2), 4.0))
+    np.testing.assert_array_equal(
+        sensed(np.ones((2, 2)), [(louder, ONE), (louder, ONE)]), np.full((2, 2), 4.0)
+    )
     np.testing.assert_array_equal(lateness([(louder, ONE), (louder, 2 * ONE)], 2), [0, 3])
 
 
@@ -101,7 +139,8 @@ def test_seen_late():
     """A straight line seen late is the line before, also before its start; a bend is interpolated."""
     line = np.arange(6.0)[None, :, None] * np.array([1.0, 2.0])
     np.testing.assert_allclose(
-        seen_late(line, np.array([1.5, 9.0]))[0], np.column_stack([np.arange(1, 6) - 1.5, 2 * (np.arange(1, 6) - 9.0)])
+        seen_late(line, np.array([1.5, 9.0]))[0],
+        np.column_stack([np.arange(1, 6) - 1.5, 2 * (np.arange(1, 6) - 9.0)]),
     )
     bend = np.array([0.0, 1.0, 1.0, 1.0])[None, :, None]
     np.testing.assert_allclose(seen_late(bend, np.array([1.25]))[0, :, 0], [-0.25, 0.75, 1.0])

@@ -20,7 +20,9 @@ XML = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
 
 
 def test_the_library_is_sound():
-    """Every motor has a source and a label, and reads as numbers; the AK80-6's rotor is 36 times as heavy behind its gear."""
+    """Every motor has a source and a label, and reads as numbers; the AK80-6's rotor is 36 times as
+    heavy behind its gear.
+    """
     motors = read_motors()
     assert all(motor.source.startswith("https://") and motor.label for motor in motors.values())
     assert motors["ak80-6"].armature == pytest.approx(36 * 6.0719e-5)
@@ -29,7 +31,9 @@ def test_the_library_is_sound():
 
 
 def test_a_mounted_motor_is_in_the_model():
-    """Reflected inertia, friction and peak torque behind the actuators' gears; what the data sheet lacks stays."""
+    """Reflected inertia, friction and peak torque behind the actuators' gears; what the data sheet
+    lacks stays.
+    """
     spec = mujoco.MjSpec.from_string(XML)
     mount(spec, "hinge", Motor("mine", 6, 6e-5, peak_torque=12, coulomb=0.1))
     model = spec.compile()
@@ -53,16 +57,23 @@ def test_its_parameters_hold_the_data_sheets_numbers():
 
 
 def test_servo_gains_are_one_number_each():
-    """kp is set in gain and bias alike, so that the set point stays; kv of a position servo damps, of a velocity servo drives."""
+    """kp is set in gain and bias alike, so that the set point stays; kv of a position servo damps,
+    of a velocity servo drives.
+    """
     model = mujoco.MjModel.from_xml_string(XML)
     names = [("actuator_kp", "servo"), ("actuator_kv", "servo"), ("actuator_kv", "speed")]
-    bound = [Binding(FieldParameter("gain", 1, 100, field=field, element=element), model) for field, element in names]
+    bound = [
+        Binding(FieldParameter("gain", 1, 100, field=field, element=element), model)
+        for field, element in names
+    ]
     assert [binding.nominal() for binding in bound] == [20, 3, 4]
     for binding, value in zip(bound, (50, 5, 7), strict=True):
         binding.set(model, value)
     np.testing.assert_allclose(model.actuator_gainprm[1:, 0], [50, 7])
     np.testing.assert_allclose(model.actuator_biasprm[1:, :3], [[0, -50, -5], [0, 0, -7]])
-    doubled = Binding(FieldParameter("gain", 0.5, 3, field="actuator_kp", element="servo", relative=True), model)
+    doubled = Binding(
+        FieldParameter("gain", 0.5, 3, field="actuator_kp", element="servo", relative=True), model
+    )
     doubled.set(model, 2.0)
     assert model.actuator_biasprm[1, 1] == -100
     with pytest.raises(BadArgument, match="'drive' is none"):
@@ -72,18 +83,21 @@ def test_servo_gains_are_one_number_each():
 
 
 def test_a_problem_file_names_motors(tmp_path):
-    """`motors` by joint, from the library or with numbers; kp is fitted by name; an unknown motor gives the nearest."""
+    """`motors` by joint, from the library or with numbers; kp is fitted by name; an unknown motor
+    gives the nearest.
+    """
     (tmp_path / "robot.xml").write_text(XML)
     rows = np.zeros((4, 9))
     rows[:, 1] = 1.0
     data = Trajectories(rows, np.zeros((4, 3)), rows, np.arange(4) == 3)
     np.savez(
-        tmp_path / "data.npz", observations=data.observations, actions=data.actions, next_observations=data.next_observations,
+        tmp_path / "data.npz",
+        observations=data.observations,
+        actions=data.actions,
+        next_observations=data.next_observations,
         terminals=data.terminals,
-    )  # fmt: skip
-    text = (
-        "model: robot.xml\ndata: data.npz\nmotors: {hinge: MOTOR}\nparameters: {kp: {field: actuator_kp, name: servo, low: 5, high: 60}}\n"
     )
+    text = "model: robot.xml\ndata: data.npz\nmotors: {hinge: MOTOR}\nparameters: {kp: {field: actuator_kp, name: servo, low: 5, high: 60}}\n"
     path = tmp_path / "problem.yaml"
     path.write_text(text.replace("MOTOR", "ak80-6"))
     simulator = load(path, threads=1).simulator
@@ -91,7 +105,11 @@ def test_a_problem_file_names_motors(tmp_path):
     assert simulator.nominal.tolist() == [20]
     path.write_text(text.replace("MOTOR", "{gear_ratio: 10, rotor_inertia: 1.0e-5}"))
     assert load(path, threads=1).simulator.model.dof_armature[0] == pytest.approx(1e-3)
-    for wrong, message in (("ak80-7", "Did you mean 'ak80-6'"), ("{gear: 10}", "Did you mean 'gear_ratio'"), ("3", "the name of a motor")):
+    for wrong, message in (
+        ("ak80-7", "Did you mean 'ak80-6'"),
+        ("{gear: 10}", "Did you mean 'gear_ratio'"),
+        ("3", "the name of a motor"),
+    ):
         path.write_text(text.replace("MOTOR", wrong))
         with pytest.raises(Refused, match=message):
             load(path, threads=1)

@@ -1,4 +1,6 @@
-"""MujocoSimulator against a plain loop over mj_step, and what it promises: the same bits always, failures by row, exact counts."""
+"""MujocoSimulator against a plain loop over mj_step, and what it promises: the same bits always,
+failures by row, exact counts.
+"""
 
 import copy
 from concurrent.futures import ThreadPoolExecutor
@@ -23,35 +25,50 @@ every_cut = pytest.mark.parametrize("cut", CUTS)
 
 def draws(simulator, count=4, seed=1):
     """(K, d) of the box."""
-    return simulator.space.from_unit(np.random.default_rng(seed).uniform(0.2, 0.8, (count, len(simulator.space))))
+    return simulator.space.from_unit(
+        np.random.default_rng(seed).uniform(0.2, 0.8, (count, len(simulator.space)))
+    )
 
 
 def twin_of(case, simulator, value, segments):
-    """(R, p) by hand: written in the derived parameters, then mj_setConst, then in the others, then stepped in a loop."""
+    """(R, p) by hand: written in the derived parameters, then mj_setConst, then in the others, then
+    stepped in a loop.
+    """
     model = load(case.xml)
     for derived in (True, False):
         for parameter, number in zip(simulator.space, value, strict=True):
             if parameter.derived is derived:
-                kind = {"body": model.body, "dof": model.joint, "actuator": model.actuator}[parameter.field.split("_")[0]]
-                name = {"dof_damping": "damping"}.get(parameter.field, parameter.field.split("_")[-1])
+                kind = {"body": model.body, "dof": model.joint, "actuator": model.actuator}[
+                    parameter.field.split("_")[0]
+                ]
+                name = {"dof_damping": "damping"}.get(
+                    parameter.field, parameter.field.split("_")[-1]
+                )
                 getattr(kind(parameter.element), name)[parameter.index or 0] = number
         if derived:
             mujoco.mj_setConst(model, mujoco.MjData(model))
-    return simulator.layout.coordinates(replay_one_by_one(model, segments, case.columns, case.frame_skip), segments.targets)
+    return simulator.layout.coordinates(
+        replay_one_by_one(model, segments, case.columns, case.frame_skip), segments.targets
+    )
 
 
 @every_case
 @every_cut
 def test_keeps_to_the_contract(case, cut):
-    """The checks that plug-in authors call are silent: shapes, counts, determinism, splits, groups, offsets, sensitivities."""
+    """The checks that plug-in authors call are silent: shapes, counts, determinism, splits, groups,
+    offsets, sensitivities.
+    """
     check_simulator(case.simulator(), case.segments(cut))
 
 
 @every_case
 @every_cut
 def test_equals_stepping_by_hand(case, cut):
-    """Every compared number is the plain loop's, to the last bit; the control: another parameter vector gives others."""
-    simulator, segments = case.simulator(), case.segments(cut)
+    """Every compared number is the plain loop's, to the last bit; the control: another parameter
+    vector gives others.
+    """
+    simulator = case.simulator()
+    segments = case.segments(cut)
     values = draws(simulator, 2)
     found = simulator.predict(values, segments)
     for value, mine in zip(values, found, strict=True):
@@ -62,10 +79,15 @@ def test_equals_stepping_by_hand(case, cut):
 @every_case
 @every_cut
 def test_bits_do_not_depend_on_threads(case, cut):
-    """1, 2 and 5 threads give the same numbers, for few draws (segments are dealt out) and for many."""
+    """1, 2 and 5 threads give the same numbers, for few draws (segments are dealt out) and for
+    many.
+    """
     segments = case.segments(cut)
     for count in (1, 11):
-        one, two, five = (case.simulator(threads).predict(draws(case.simulator(), count), segments) for threads in (1, 2, 5))
+        one, two, five = (
+            case.simulator(threads).predict(draws(case.simulator(), count), segments)
+            for threads in (1, 2, 5)
+        )
         np.testing.assert_array_equal(one, two)
         np.testing.assert_array_equal(one, five)
 
@@ -73,18 +95,27 @@ def test_bits_do_not_depend_on_threads(case, cut):
 @every_case
 def test_bits_do_not_depend_on_order_or_company(case):
     """Any order of the draws, and any subset of the segments in any order, gives the same numbers."""
-    simulator, segments, rng = case.simulator(3), case.segments("transitions"), np.random.default_rng(2)
+    simulator = case.simulator(3)
+    segments = case.segments("transitions")
+    rng = np.random.default_rng(2)
     values = draws(simulator, 9)
     whole = simulator.predict(values, segments)
     for _ in range(5):
-        k, n = rng.permutation(9)[:6], rng.permutation(len(segments))[:7]
-        np.testing.assert_array_equal(simulator.predict(values[k], segments.take(n)), whole[np.ix_(k, n)])
+        k = rng.permutation(9)[:6]
+        n = rng.permutation(len(segments))[:7]
+        np.testing.assert_array_equal(
+            simulator.predict(values[k], segments.take(n)), whole[np.ix_(k, n)]
+        )
 
 
 def test_calls_may_overlap():
-    """Several threads may ask one simulator at once, and the user's own handler of warnings is back afterwards."""
-    simulator, segments = CASES["box"].simulator(2), CASES["box"].segments("lambda")
-    values, before = draws(simulator, 12), mujoco.get_mju_user_warning()
+    """Several threads may ask one simulator at once, and the user's own handler of warnings is back
+    afterwards.
+    """
+    simulator = CASES["box"].simulator(2)
+    segments = CASES["box"].segments("lambda")
+    values = draws(simulator, 12)
+    before = mujoco.get_mju_user_warning()
     alone = [simulator.predict(v[None], segments) for v in values]
     with ThreadPoolExecutor(6) as pool:
         together = list(pool.map(lambda v: simulator.predict(v[None], segments), values))
@@ -93,11 +124,14 @@ def test_calls_may_overlap():
 
 
 def test_overlapping_silences_end_with_the_users_handler():
-    """The second to begin outlasts the first: MuJoCo warns through the user's handler again, and not before."""
+    """The second to begin outlasts the first: MuJoCo warns through the user's handler again, and
+    not before.
+    """
     own = lambda message: None
     mujoco.set_mju_user_warning(own)
     try:
-        first, second = quiet(), quiet()
+        first = quiet()
+        second = quiet()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)
@@ -109,20 +143,29 @@ def test_overlapping_silences_end_with_the_users_handler():
 
 
 def test_kept_constants_do_not_depend_on_what_ran_before():
-    """With one mass that derived constants follow and one that they do not, the draw before leaves no trace."""
+    """With one mass that derived constants follow and one that they do not, the draw before leaves
+    no trace.
+    """
     case = CASES["box"]
-    segments, values = case.segments("lambda"), draws(case.simulator(), 2)
-    fresh, used = case.simulator(), case.simulator()
+    segments = case.segments("lambda")
+    values = draws(case.simulator(), 2)
+    fresh = case.simulator()
+    used = case.simulator()
     used.predict(values[1:], segments)
-    np.testing.assert_array_equal(fresh.predict(values[:1], segments), used.predict(values[:1], segments))
+    np.testing.assert_array_equal(
+        fresh.predict(values[:1], segments), used.predict(values[:1], segments)
+    )
 
 
 def test_start_is_one_long_rollout():
-    """`reset="start"` ignores every measurement but a trajectory's first: 12 steps of 3 physics steps in one go."""
+    """`reset="start"` ignores every measurement but a trajectory's first: 12 steps of 3 physics
+    steps in one go.
+    """
     case = CASES["pendulum"]
     simulator = MujocoSimulator(mujoco.MjSpec.from_string(PENDULUM), case.parameters, frame_skip=3)
     data = case.data((12,))
-    model, state = load(PENDULUM), mujoco.MjData(load(PENDULUM))
+    model = load(PENDULUM)
+    state = mujoco.MjData(load(PENDULUM))
     state.qpos[:], state.qvel[:] = data.observations[0]
     expected = []
     for action in data.actions:
@@ -134,37 +177,55 @@ def test_start_is_one_long_rollout():
 
 
 def test_unobserved_state_starts_at_the_models_own():
-    """Of the cart only velocities are observed: positions begin at qpos0, here 0.2 m, whatever ran before."""
+    """Of the cart only velocities are observed: positions begin at qpos0, here 0.2 m, whatever ran
+    before.
+    """
     case = Case(CART, CASES["cart"].parameters, ("qvel",), places(qvel=2), (True, False))
-    simulator, segments = case.simulator(), case.segments("every step")
+    simulator = case.simulator()
+    segments = case.segments("every step")
     assert simulator.model.qpos0[0] == 0.2
     values = draws(simulator, 1)
-    np.testing.assert_array_equal(simulator.predict(values, segments)[0], twin_of(case, simulator, values[0], segments))
+    np.testing.assert_array_equal(
+        simulator.predict(values, segments)[0], twin_of(case, simulator, values[0], segments)
+    )
 
 
 def test_unobserved_activation_starts_at_zero():
     """An actuator's state that is not observed begins at zero."""
     valve = CASES["valve"]
-    case = Case(valve.xml, valve.parameters, ("qpos", "qvel"), places(qpos=1, qvel=1), (True, False))
-    simulator, segments = case.simulator(), case.segments("start")
+    case = Case(
+        valve.xml, valve.parameters, ("qpos", "qvel"), places(qpos=1, qvel=1), (True, False)
+    )
+    simulator = case.simulator()
+    segments = case.segments("start")
     values = draws(simulator, 1)
-    np.testing.assert_array_equal(simulator.predict(values, segments)[0], twin_of(case, simulator, values[0], segments))
+    np.testing.assert_array_equal(
+        simulator.predict(values, segments)[0], twin_of(case, simulator, values[0], segments)
+    )
 
 
 def test_sensors_are_those_after_the_step():
-    """An accelerometer and a force sensor show the state after an action, under that action, alone or in a longer segment.
+    """An accelerometer and a force sensor show the state after an action, under that action, alone
+    or in a longer segment.
 
     The control: mj_step itself leaves the sensors of the state before it.
     """
     case = CASES["sensed"]
-    simulator, data = case.simulator(), case.data((5,))
+    simulator = case.simulator()
+    data = case.data((5,))
     every = simulator.predict(simulator.nominal[None], data.segments(3, every_step=True))[0]
-    np.testing.assert_array_equal(every[:, 6], data.actions[:3, 0])  # the force sensor reads the action just held
+    np.testing.assert_array_equal(
+        every[:, 6], data.actions[:3, 0]
+    )  # the force sensor reads the action just held
     one = simulator.predict(simulator.nominal[None], data.segments(1))[0]
     np.testing.assert_array_equal(every[0], one[0])
     model = load(SENSED)
     state = mujoco.MjData(model)
-    state.qpos[:], state.qvel[:], state.ctrl[:] = data.observations[0, 0], data.observations[0, 1], data.actions[0]
+    state.qpos[:], state.qvel[:], state.ctrl[:] = (
+        data.observations[0, 0],
+        data.observations[0, 1],
+        data.actions[0],
+    )
     mujoco.mj_step(model, state, 2)
     assert abs(state.sensordata[3] - one[0, 5]) > 1e-4
     mujoco.mj_forward(model, state)
@@ -174,20 +235,34 @@ def test_sensors_are_those_after_the_step():
 def test_actions_go_to_the_named_actuators():
     """One action column for the second actuator of two: the first stays at zero."""
     case = CASES["cart"]
-    simulator = MujocoSimulator(mujoco.MjSpec.from_string(CART), case.parameters, action=["ctrl[1]"], frame_skip=2)
+    simulator = MujocoSimulator(
+        mujoco.MjSpec.from_string(CART), case.parameters, action=["ctrl[1]"], frame_skip=2
+    )
     data = case.data()
-    single = Trajectories(data.observations, data.actions[:, 1:], data.next_observations, data.terminals)
-    both = Trajectories(data.observations, data.actions * [0, 1], data.next_observations, data.terminals)
+    single = Trajectories(
+        data.observations, data.actions[:, 1:], data.next_observations, data.terminals
+    )
+    both = Trajectories(
+        data.observations, data.actions * [0, 1], data.next_observations, data.terminals
+    )
     values = draws(simulator)
-    np.testing.assert_array_equal(simulator.predict(values, single.segments()), case.simulator().predict(values, both.segments()))
+    np.testing.assert_array_equal(
+        simulator.predict(values, single.segments()),
+        case.simulator().predict(values, both.segments()),
+    )
 
 
 @pytest.mark.parametrize("name", ["box", "ball"])
 def test_offsets_move_starts_in_the_tangent_space(name):
-    """A start moved by an offset is mj_integratePos of the measured one; velocities move by addition."""
+    """A start moved by an offset is mj_integratePos of the measured one; velocities move by
+    addition.
+    """
     case = CASES[name]
-    simulator, data, rng = case.simulator(), case.data(), np.random.default_rng(3)
-    model, values = simulator.model, draws(simulator, 3)
+    simulator = case.simulator()
+    data = case.data()
+    rng = np.random.default_rng(3)
+    model = simulator.model
+    values = draws(simulator, 3)
     offsets = 0.3 * rng.normal(size=(3, len(data), 2 * model.nv))
     found = simulator.predict(values, data.segments(), offsets=offsets)
     for k, value in enumerate(values):
@@ -197,32 +272,48 @@ def test_offsets_move_starts_in_the_tangent_space(name):
             mujoco.mj_integratePos(model, position, offset[: model.nv], 1.0)
             row[:] = [*position, *(row[model.nq :] + offset[model.nv :])]
         other = Trajectories(moved, data.actions, data.next_observations, data.terminals)
-        np.testing.assert_allclose(found[k], simulator.predict(value[None], other.segments())[0], atol=1e-9)
+        np.testing.assert_allclose(
+            found[k], simulator.predict(value[None], other.segments())[0], atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("name", ["box", "ball"])
 def test_signs_of_quaternions_do_not_matter(name):
     """q and -q are one rotation, in the measured starts and in the measured ends."""
     case = CASES[name]
-    simulator, data = case.simulator(), case.data()
+    simulator = case.simulator()
+    data = case.data()
     quaternion = slice(3, 7) if name == "box" else slice(0, 4)
     flips = np.where(np.random.default_rng(4).random((2, len(data), 1)) < 0.5, -1.0, 1.0)
     rows = [data.observations.copy(), data.next_observations.copy()]
     for array, flip in zip(rows, flips, strict=True):
         array[:, quaternion] *= flip
-    flipped, values = Trajectories(rows[0], data.actions, rows[1], data.terminals), draws(simulator, 2)
-    np.testing.assert_allclose(simulator.predict(values, flipped.segments()), simulator.predict(values, data.segments()), atol=1e-12)
-    np.testing.assert_allclose(simulator.targets(flipped.segments())[:, quaternion.start : quaternion.start + 3], 0.0, atol=1e-15)
+    flipped = Trajectories(rows[0], data.actions, rows[1], data.terminals)
+    values = draws(simulator, 2)
+    np.testing.assert_allclose(
+        simulator.predict(values, flipped.segments()),
+        simulator.predict(values, data.segments()),
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        simulator.targets(flipped.segments())[:, quaternion.start : quaternion.start + 3],
+        0.0,
+        atol=1e-15,
+    )
 
 
 def growing():
     """A pendulum whose negative damping blows it up, at a rate that depends on the value."""
     damping = FieldParameter("damping", -100.0, 1.0, field="dof_damping", element="pivot")
-    return MujocoSimulator(mujoco.MjSpec.from_string(PENDULUM), [damping], threads=2), CASES["pendulum"].data((30, 20))
+    return MujocoSimulator(mujoco.MjSpec.from_string(PENDULUM), [damping], threads=2), CASES[
+        "pendulum"
+    ].data((30, 20))
 
 
 def test_a_diverging_simulation_marks_its_own_rows(tmp_path, monkeypatch, capfd):
-    """From the step at which it diverges, and nowhere else; it is counted once a segment, and MuJoCo writes no log."""
+    """From the step at which it diverges, and nowhere else; it is counted once a segment, and
+    MuJoCo writes no log.
+    """
     monkeypatch.chdir(tmp_path)
     simulator, data = growing()
     segments = data.segments(reset="start")
@@ -242,7 +333,9 @@ def test_a_diverging_simulation_marks_its_own_rows(tmp_path, monkeypatch, capfd)
 
 
 def test_a_failed_link_fails_the_rest_of_its_chain():
-    """With partial resets, segments that go on from a failed one fail too; another trajectory's do not."""
+    """With partial resets, segments that go on from a failed one fail too; another trajectory's do
+    not.
+    """
     simulator, data = growing()
     wild = data.observations.copy()
     wild[6, 1] = 1e12
@@ -256,12 +349,19 @@ def test_a_failed_link_fails_the_rest_of_its_chain():
 def test_contract_holds_around_a_failure():
     """The shipped checks, with a value that diverges."""
     simulator, data = growing()
-    check_simulator(simulator, data.segments(reset="start"), values=[[0.1], [0.2], [0.4]], diverging=[-40.0])
+    check_simulator(
+        simulator, data.segments(reset="start"), values=[[0.1], [0.2], [0.4]], diverging=[-40.0]
+    )
 
 
-@pytest.mark.parametrize(("cut", "transitions"), [("transitions", 18), ("lambda", 18), ("every step", 15), ("start", 18), ("partial", 18)])
+@pytest.mark.parametrize(
+    ("cut", "transitions"),
+    [("transitions", 18), ("lambda", 18), ("every step", 15), ("start", 18), ("partial", 18)],
+)
 def test_steps_are_counted_exactly(cut, transitions):
-    """Draws times replayed transitions times physics steps: lambda = 3 leaves two rows of the first trajectory and one of the last."""
+    """Draws times replayed transitions times physics steps: lambda = 3 leaves two rows of the first
+    trajectory and one of the last.
+    """
     simulator = CASES["cart"].simulator(2)
     simulator.predict(draws(simulator, 5), CASES["cart"].segments(cut))
     assert simulator.steps == 5 * transitions * 2
@@ -270,26 +370,35 @@ def test_steps_are_counted_exactly(cut, transitions):
 def test_values_by_group():
     """Row g of the values meets the segments of group g alone; fewer rows than groups are refused."""
     case = CASES["ball"]
-    simulator, segments = case.simulator(), case.segments("every step")
+    simulator = case.simulator()
+    segments = case.segments("every step")
     values = draws(simulator, 6).reshape(2, 3, 2)
     found = simulator.predict(values, segments)
     for g in range(3):
         mine = segments.group[segments.rows[0]] == g
-        np.testing.assert_array_equal(found[:, mine], simulator.predict(values[:, g], segments)[:, mine])
+        np.testing.assert_array_equal(
+            found[:, mine], simulator.predict(values[:, g], segments)[:, mine]
+        )
     words = r"^The 'values' of MujocoSimulator.predict must be given for 3 groups. Got \(2, 2, 2\) instead.$"
     with pytest.raises(BadArgument, match=words):
         simulator.predict(values[:, :2], segments)
 
 
 def test_file_spec_and_model_are_the_same(tmp_path):
-    """An MJCF file, an MjSpec and an MjModel give the same numbers, and the given model stays as it was."""
+    """An MJCF file, an MjSpec and an MjModel give the same numbers, and the given model stays as it
+    was.
+    """
     case = CASES["pendulum"]
     path = tmp_path / "pendulum.xml"
     path.write_text(PENDULUM)
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     before = copy.copy(model)
-    simulators = [MujocoSimulator(m, case.parameters) for m in (path, str(path), mujoco.MjSpec.from_string(PENDULUM), model)]
-    values, segments = draws(simulators[0]), case.segments("lambda")
+    simulators = [
+        MujocoSimulator(m, case.parameters)
+        for m in (path, str(path), mujoco.MjSpec.from_string(PENDULUM), model)
+    ]
+    values = draws(simulators[0])
+    segments = case.segments("lambda")
     found = [simulator.predict(values, segments) for simulator in simulators]
     assert all(np.array_equal(found[0], other) for other in found[1:])
     np.testing.assert_array_equal(model.body_mass, before.body_mass)
@@ -298,27 +407,49 @@ def test_file_spec_and_model_are_the_same(tmp_path):
     np.testing.assert_allclose(simulators[0].nominal, [0.4, 0.1])
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
-    ({"frame_skip": 0}, "The 'frame_skip' of MujocoSimulator must be at least 1. Got 0 instead."),
-    ({"threads": -1}, r"The 'threads' of MujocoSimulator must be 0 \(all cores\) or a number of threads. Got -1 instead."),
-    ({"action": ["ctrl", "ctrl[0]"]}, r"The action items \['ctrl', 'ctrl\[0\]'\] name an actuator twice."),
-    ({"action": ["ctrl.torqe"]}, "No element of ctrl called 'torqe'. Did you mean 'torque'?"),
-    ({"action": ["ctrl[1]"]}, r"The item 'ctrl\[1\]' is outside of ctrl, which has 1 numbers."),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            {"frame_skip": 0},
+            "The 'frame_skip' of MujocoSimulator must be at least 1. Got 0 instead.",
+        ),
+        (
+            {"threads": -1},
+            r"The 'threads' of MujocoSimulator must be 0 \(all cores\) or a number of threads. Got -1 instead.",
+        ),
+        (
+            {"action": ["ctrl", "ctrl[0]"]},
+            r"The action items \['ctrl', 'ctrl\[0\]'\] name an actuator twice.",
+        ),
+        ({"action": ["ctrl.torqe"]}, "No element of ctrl called 'torqe'. Did you mean 'torque'?"),
+        ({"action": ["ctrl[1]"]}, r"The item 'ctrl\[1\]' is outside of ctrl, which has 1 numbers."),
+    ],
+)
 def test_refuses_bad_settings(arguments, words):
     """The message names the argument, the rule and what came."""
     with pytest.raises(ValueError, match="^" + words.replace("?", r"\?") + "$"):
-        MujocoSimulator(mujoco.MjSpec.from_string(PENDULUM), CASES["pendulum"].parameters, **arguments)
+        MujocoSimulator(
+            mujoco.MjSpec.from_string(PENDULUM), CASES["pendulum"].parameters, **arguments
+        )
 
 
 def test_refuses_data_of_another_width():
     """Data of the cart do not fit the pendulum, nor do two actions."""
     simulator = CASES["pendulum"].simulator()
-    with pytest.raises(BadArgument, match=r"^The 'segments' of MujocoSimulator.predict must be of 2 observed columns. Got 4 instead.$"):
+    with pytest.raises(
+        BadArgument,
+        match=r"^The 'segments' of MujocoSimulator.predict must be of 2 observed columns. Got 4 instead.$",
+    ):
         simulator.predict(draws(simulator), CASES["cart"].segments("transitions"))
     data = CASES["pendulum"].data()
-    wide = Trajectories(data.observations, np.tile(data.actions, 2), data.next_observations, data.terminals)
-    with pytest.raises(BadArgument, match=r"^The 'segments' of MujocoSimulator must be of 1 action columns. Got 2 instead.$"):
+    wide = Trajectories(
+        data.observations, np.tile(data.actions, 2), data.next_observations, data.terminals
+    )
+    with pytest.raises(
+        BadArgument,
+        match=r"^The 'segments' of MujocoSimulator must be of 1 action columns. Got 2 instead.$",
+    ):
         simulator.predict(draws(simulator), wide.segments())
 
 
@@ -345,7 +476,9 @@ def test_moving_frames_needs_the_source_of_the_model():
 
 @pytest.mark.parametrize("name", ["hopper", "walker2d", "half-cheetah", "torque-arm"])
 def test_a_single_tree_does_not_look_for_islands(name):
-    """With islands of constraints looked for, a machine of one tree does the same bit for bit; data with contacts."""
+    """With islands of constraints looked for, a machine of one tree does the same bit for bit; data
+    with contacts.
+    """
     robot = machine(name, masses(name))
     segments = robot.record(noise=1e-3, rng=np.random.default_rng(0)).segments(10)
     values = np.asarray(robot.simulator.nominal) * np.array([[0.9], [1.0]])

@@ -10,7 +10,13 @@ from dropo.estimators.support.posterior_targets import PointLikelihood
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.studies.engine.work import Work
-from dropo.studies.intervals.calibration import SAMPLERS, calibration, ranks, replication, uniformity
+from dropo.studies.intervals.calibration import (
+    SAMPLERS,
+    calibration,
+    ranks,
+    replication,
+    uniformity,
+)
 
 
 def test_ranks_by_hand():
@@ -32,16 +38,34 @@ def test_uniformity_by_hand():
 
 
 def test_a_conjugate_posterior_is_calibrated_and_a_narrower_one_is_not():
-    """150 truths of a linear simulator, each with its posterior by emcee: p > 0.01, and below it 1.5 times too narrow."""
-    simulator, noise, found, narrow = LinearSimulator(np.ones((1, 1, 1)), low=-1.0, high=1.0), 0.5, [], []
+    """150 truths of a linear simulator, each with its posterior by emcee: p > 0.01, and below it
+    1.5 times too narrow.
+    """
+    simulator = LinearSimulator(np.ones((1, 1, 1)), low=-1.0, high=1.0)
+    noise = 0.5
+    found = []
+    narrow = []
     for seed in range(150):
         rng = np.random.default_rng(seed)
         truth = rng.uniform(-1, 1, 1)
         problem = Problem(
-            "line", simulator, simulate(simulator, truth[None], np.ones((1, 5, 1)), np.zeros(1), noise_variance=noise, rng=rng)
+            "line",
+            simulator,
+            simulate(
+                simulator,
+                truth[None],
+                np.ones((1, 5, 1)),
+                np.zeros(1),
+                noise_variance=noise,
+                rng=rng,
+            ),
         )
         target = PointLikelihood(problem, Noise(noise))
-        draws = Emcee(walkers=16, steps=40, burn_in=30).sample(target.many, target.unknowns, rng=rng, spread=0.2).flat()
+        draws = (
+            Emcee(walkers=16, steps=40, burn_in=30)
+            .sample(target.many, target.unknowns, rng=rng, spread=0.2)
+            .flat()
+        )
         found.append(ranks(draws, truth))
         narrow.append(ranks(draws.mean(axis=0) + (draws - draws.mean(axis=0)) / 1.5, truth))
     assert uniformity(np.array(found))[0] > 0.01
@@ -61,8 +85,12 @@ def test_a_replication_ranks_every_parameter():
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("case", ["sliding block", "hopper"])
 def test_posteriors_are_calibrated(case, sampler):
-    """100 replications: the least p-value of d parameters is above 0.01 / d, and below it where posteriors are 1.5 times too narrow."""
+    """100 replications: the least p-value of d parameters is above 0.01 / d, and below it where
+    posteriors are 1.5 times too narrow.
+    """
     answers = Work().map(replication, [[case, sampler, seed] for seed in range(100)])
-    p, control = (uniformity(np.array([answer[kind] for answer in answers])) for kind in ("ranks", "control"))
+    p, control = (
+        uniformity(np.array([answer[kind] for answer in answers])) for kind in ("ranks", "control")
+    )
     assert len(p) * p.min() > 0.01
     assert len(control) * control.min() < 0.01

@@ -6,12 +6,22 @@ import pytest
 from dropo.core.services.errors import BadArgument
 from dropo.simulators.toy import SlidingBlock
 from dropo.studies.engine.work import Work
-from dropo.studies.intervals.coverage import CASES, DRY, MANY, DryBlock, autocorrelated, coverage, data_set
+from dropo.studies.intervals.coverage import (
+    CASES,
+    DRY,
+    MANY,
+    DryBlock,
+    autocorrelated,
+    coverage,
+    data_set,
+)
 
 
 def test_intervals_cover_and_missing_friction_is_told():
-    """20 data sets of each: with a right model at least 32 of 40 intervals hold the truth (1 in 10^6 falls below); without the
-    friction no damping's does, and the fit says so in at least 15."""
+    """20 data sets of each: with a right model at least 32 of 40 intervals hold the truth (1 in
+    10^6 falls below); without the friction no damping's does, and the fit says so in at least
+    15.
+    """
     cases = (CASES[0], CASES[3], CASES[10])
     study = coverage(Work(), 20, cases=cases)
     independent, autocorrelated, dry = study.data.values()
@@ -20,25 +30,36 @@ def test_intervals_cover_and_missing_friction_is_told():
         assert found["flagged"] <= 0.1
     assert dry["coverage"][1] < 0.2
     assert dry["flagged"] >= 0.75
-    assert [row[0] for row in study.tables[0].rows] == ["block, independent", "block, autocorrelated", "block, dry friction"]
+    assert [row[0] for row in study.tables[0].rows] == [
+        "block, independent",
+        "block, autocorrelated",
+        "block, dry friction",
+    ]
 
 
 def test_friction_stops_and_holds_the_block():
-    """A block at rest stays under less than the friction; a sliding one stops; far above it, it slides as under a weaker push."""
-    values, starts = np.array([1.5, 0.8]), np.array([[0.0, 0.0], [0.0, 0.005], [0.0, 3.0]])
+    """A block at rest stays under less than the friction; a sliding one stops; far above it, it
+    slides as under a weaker push.
+    """
+    values = np.array([1.5, 0.8])
+    starts = np.array([[0.0, 0.0], [0.0, 0.005], [0.0, 3.0]])
     actions = np.array([[[0.9 * DRY]], [[0.0]], [[2.0]]])
     after = DryBlock()._replay(values, starts, actions)[:, 0]
     assert after[0].tolist() == [0.0, 0.0]
     assert after[1, 1] == 0.0
     assert 0 < after[1, 0] < 0.005 * 0.05
-    np.testing.assert_allclose(after[2], SlidingBlock()._replay(values, starts[2:], actions[2:] - DRY)[0, 0], rtol=1e-12)
+    np.testing.assert_allclose(
+        after[2], SlidingBlock()._replay(values, starts[2:], actions[2:] - DRY)[0, 0], rtol=1e-12
+    )
 
 
 def test_autocorrelated_noise_is_so():
     """Of variance NOISE^2 and correlation 0.9 from step to step, within 4.5 standard errors."""
     errors = autocorrelated((2000, 30, 1), np.random.default_rng(0))[:, :, 0] / 5e-3
     assert np.var(errors[:, -1]) == pytest.approx(1, abs=4.5 * np.sqrt(2 / 2000))
-    assert np.corrcoef(errors[:, -1], errors[:, -2])[0, 1] == pytest.approx(0.9, abs=4.5 * 0.19 / np.sqrt(2000))
+    assert np.corrcoef(errors[:, -1], errors[:, -2])[0, 1] == pytest.approx(
+        0.9, abs=4.5 * 0.19 / np.sqrt(2000)
+    )
 
 
 def test_start_noise_is_that_of_the_step_before():

@@ -1,4 +1,6 @@
-"""Figure 6.3 in small: laws found with the torso too light, policies under them, and the paired tests."""
+"""Figure 6.3 in small: laws found with the torso too light, policies under them, and the paired
+tests.
+"""
 
 import json
 
@@ -10,7 +12,16 @@ from dropo.studies.engine.pages import picture
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import figure_6_3, light_torso
 from dropo.studies.tiboni_2021.figure_6_3 import Size, difference, holm
-from dropo.studies.tiboni_2021.light_torso import EXTENDED, TRUTH, UNIFORM, Training, found, machine, trained, whole
+from dropo.studies.tiboni_2021.light_torso import (
+    EXTENDED,
+    TRUTH,
+    UNIFORM,
+    Training,
+    found,
+    machine,
+    trained,
+    whole,
+)
 
 TINY = Training(updates=2, episodes=4, steps=60)
 
@@ -28,8 +39,17 @@ def test_two_laws(tmp_path):
     study = figure_6_3.figure_6_3(Work(threads=1, path=path), 1, size=size)
     asked = [json.loads(json.loads(line)[0]) for line in path.read_text().splitlines()]
     policies = [item for task, item in asked if task.endswith("trained")]
-    assert {(item["law"], item["number"], item["seed"]) for item in policies} == {(TRUTH, 0, 0), (UNIFORM, 0, 0), (UNIFORM, 1, 0)}
-    assert [row[0] for row in study.tables[0].rows] == [TRUTH, UNIFORM, "  its best bounds", "  its worst bounds"]
+    assert {(item["law"], item["number"], item["seed"]) for item in policies} == {
+        (TRUTH, 0, 0),
+        (UNIFORM, 0, 0),
+        (UNIFORM, 1, 0),
+    }
+    assert [row[0] for row in study.tables[0].rows] == [
+        TRUTH,
+        UNIFORM,
+        "  its best bounds",
+        "  its worst bounds",
+    ]
     assert "<svg" in picture(study.draw)
 
 
@@ -42,9 +62,15 @@ def test_the_same_seed_gives_the_same_policy():
 
 
 def test_the_extended_model_has_the_torso_back():
-    """What is missing of the torso as an effect makes the target's motion; the control: without it the motion is another."""
-    target, right = whole(), machine([["body_mass", "body_mass:torso", [1.0]]])
-    rows = [problem.simulator.predict(values[None], target.segments) for problem, values in _true_masses(target, right, machine([]))]
+    """What is missing of the torso as an effect makes the target's motion; the control: without it
+    the motion is another.
+    """
+    target = whole()
+    right = machine([["body_mass", "body_mass:torso", [1.0]]])
+    rows = [
+        problem.simulator.predict(values[None], target.segments)
+        for problem, values in _true_masses(target, right, machine([]))
+    ]
     np.testing.assert_allclose(rows[1], rows[0], atol=1e-6)
     assert np.abs(rows[2] - rows[0]).max() > 1e-4
 
@@ -54,7 +80,9 @@ def _true_masses(*problems):
 
 
 def test_a_fit_goes_to_training_as_it_is():
-    """The point estimate of the three masses, found with the light torso, is the law that a policy is trained under."""
+    """The point estimate of the three masses, found with the light torso, is the law that a policy
+    is trained under.
+    """
     item = {"law": "least squares", "number": 0, "data": "6.1", "transitions": 20, "droid": 16}
     one = found(item)
     assert one["family"] == "point"
@@ -63,10 +91,14 @@ def test_a_fit_goes_to_training_as_it_is():
 
 
 def test_paired_differences():
-    """As scipy has the paired t test, with bounds averaged; seeds that agree need no luck; one seed tests nothing."""
+    """As scipy has the paired t test, with bounds averaged; seeds that agree need no luck; one seed
+    tests nothing.
+    """
     rng = np.random.default_rng(0)
-    one, other = 5 + rng.standard_normal((1, 6)), rng.standard_normal((3, 6))
-    gap, test = difference(one, other), stats.ttest_rel(one[0], other.mean(axis=0))
+    one = 5 + rng.standard_normal((1, 6))
+    other = rng.standard_normal((3, 6))
+    gap = difference(one, other)
+    test = stats.ttest_rel(one[0], other.mean(axis=0))
     assert gap.p == pytest.approx(test.pvalue)
     low, high = test.confidence_interval()
     assert (gap.mean - gap.half, gap.mean + gap.half) == pytest.approx((low, high))
@@ -81,7 +113,9 @@ def test_holm():
 
 @pytest.mark.study
 def test_the_diagnosis_finds_the_torso():
-    """With the torso fixed 1 kg too light and the other masses fitted beside, its mass is named, and the extended fit has the truth."""
+    """With the torso fixed 1 kg too light and the other masses fitted beside, its mass is named,
+    and the extended fit has the truth.
+    """
     one = found({"law": EXTENDED, "number": 0, "data": "6.1", "transitions": 1000, "droid": 16})
     assert [label for _, label, _ in one["effects"]] == ["body_mass:torso"]
     assert one["effects"][0][2][0] == pytest.approx(1, abs=1e-4)

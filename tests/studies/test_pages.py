@@ -17,7 +17,14 @@ TABLE = Table("numbers", ("name", "value"), (("one", "1"), ("ten", "10")))
 def toy(work, seeds=None):
     """A study for this test."""
     done = work.map(double, range(seeds or 3))
-    return Study("toy", f"{len(done)} numbers", (TABLE,), ("They are few.",), {"done": done, "none": np.nan, 3: np.arange(2)}, draw)
+    return Study(
+        "toy",
+        f"{len(done)} numbers",
+        (TABLE,),
+        ("They are few.",),
+        {"done": done, "none": np.nan, 3: np.arange(2)},
+        draw,
+    )
 
 
 def double(item):
@@ -42,7 +49,11 @@ def test_what_is_written(tmp_path):
     assert str(study) in (tmp_path / "toy.md").read_text()
     assert "name  value\n----  -----\none       1\nten      10" in str(study)
     content = json.loads((tmp_path / "toy.json").read_text())
-    assert content["data"] == {"done": [{"double": 0}, {"double": 2}, {"double": 4}], "none": None, "3": [0, 1]}
+    assert content["data"] == {
+        "done": [{"double": 0}, {"double": 2}, {"double": 4}],
+        "none": None,
+        "3": [0, 1],
+    }
     before = (tmp_path / "toy.svg").read_bytes()
     write(study, tmp_path)
     assert (tmp_path / "toy.svg").read_bytes() == before
@@ -52,11 +63,15 @@ def test_what_is_written(tmp_path):
 def test_the_block_of_a_readme_is_replaced(tmp_path):
     """The block alone, everything around it stays; a page without the block stays as it is."""
     page = tmp_path / "README.md"
-    page.write_text("# Page\n\n<!-- study: toy -->\nold\n<!-- end -->\n\n<!-- study: other -->\nkept\n<!-- end -->\nEnd.\n")
+    page.write_text(
+        "# Page\n\n<!-- study: toy -->\nold\n<!-- end -->\n\n<!-- study: other -->\nkept\n<!-- end -->\nEnd.\n"
+    )
     study = recover("toy", out=tmp_path)
     text = page.read_text()
     assert text.startswith("# Page\n\n<!-- study: toy -->\n```text\n3 numbers\n")
-    assert text.endswith("(toy.svg)\n<!-- end -->\n\n<!-- study: other -->\nkept\n<!-- end -->\nEnd.\n")
+    assert text.endswith(
+        "(toy.svg)\n<!-- end -->\n\n<!-- study: other -->\nkept\n<!-- end -->\nEnd.\n"
+    )
     assert str(study) in text
     assert "old" not in text
     page.write_text("nothing of it\n")
@@ -74,8 +89,12 @@ def test_a_block_without_an_end_is_refused(tmp_path):
 
 
 def test_refusals(tmp_path):
-    """Unknown names with the nearest, a file for a folder, no seeds, the published method where there is none."""
-    with pytest.raises(UnknownName, match=r"No study called 'table-6\.11'. Did you mean 'table-6\.1'\?"):
+    """Unknown names with the nearest, a file for a folder, no seeds, the published method where
+    there is none.
+    """
+    with pytest.raises(
+        UnknownName, match=r"No study called 'table-6\.11'. Did you mean 'table-6\.1'\?"
+    ):
         recover("table-6.11")
     (tmp_path / "file").write_text("")
     with pytest.raises(BadArgument, match="must be a folder"):

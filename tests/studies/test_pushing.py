@@ -10,7 +10,9 @@ from dropo.studies.tiboni_2021.pushing import POLICY, Size, ends, pushing_study
 
 
 def test_where_the_pin_aims_decides():
-    """A policy that pushes behind the centre of mass ends near the goal, one that pushes on the other side far from it."""
+    """A policy that pushes behind the centre of mass ends near the goal, one that pushes on the
+    other side far from it.
+    """
     numbers = np.array([[0.03, 0.0, 0.0, 0.0], [-0.05, 0.0, 0.0, 0.0]])
     near, far = ends(target_model(), numbers, {}, np.random.default_rng(0))
     assert near < 0.03 < far

@@ -14,7 +14,9 @@ SMALL = Size(transitions=STEPS, fits=1, bounds=1, droid=12, published=14, draws=
 
 
 def test_a_policy_for_known_numbers_hits():
-    """On the model that it was made for, the puck stops within 2 cm of the goals; the control: on other friction it does not."""
+    """On the model that it was made for, the puck stops within 2 cm of the goals; the control: on
+    other friction it does not.
+    """
     simulator = sliding_simulator(1)
     true = simulator.space.vector(TRUTH)
     goals = np.array([[0.0, 0.25], [-0.05, 0.35]])
@@ -28,15 +30,26 @@ def test_a_policy_for_known_numbers_hits():
 
 
 def test_sliding(monkeypatch):
-    """One hit as data and a quick fit in DROPO's place: a run of each method, in tables and a picture."""
+    """One hit as data and a quick fit in DROPO's place: a run of each method, in tables and a
+    picture.
+    """
     monkeypatch.setattr(transfer, "FITTED", ("dropo", "droid"))
     monkeypatch.setattr(sliding, "DRAWS", 4)
     as_it_is = transfer.DROPO
-    quick = lambda **settings: as_it_is(**settings) if "draws" in settings else LeastSquares(budget=3)
+    quick = lambda **settings: (
+        as_it_is(**settings) if "draws" in settings else LeastSquares(budget=3)
+    )
     monkeypatch.setattr(transfer, "DROPO", quick)
     study = sliding_study(Work(threads=1), published=True, size=SMALL)
     distance = {row[0]: float(row[2]) for row in study.tables[0].rows}
-    assert list(distance) == ["dropo", "droid", transfer.PUBLISHED, transfer.UNIFORM, transfer.NOMINAL, transfer.TRUE]
+    assert list(distance) == [
+        "dropo",
+        "droid",
+        transfer.PUBLISHED,
+        transfer.UNIFORM,
+        transfer.NOMINAL,
+        transfer.TRUE,
+    ]
     assert distance["the target's numbers"] < 3 < 5 < distance["the model as it is"]
     assert len(study.tables[2].rows) == 18
     assert "<svg" in picture(study.draw)

@@ -33,7 +33,15 @@ def test_table_6_1():
     """Both kinds of our data, all methods; without noise every mean is the truth."""
     study = table_6_1(Work(), 1, published=True, size=SMALL)
     found = column(study, "our data, clean, epsilon 1e-08: means", "m1")
-    assert list(found) == ["drawn sample", "dropo", "  thesis, dropo", "least squares", "droid", "  thesis, droid", "dropo, published"]
+    assert list(found) == [
+        "drawn sample",
+        "dropo",
+        "  thesis, dropo",
+        "least squares",
+        "droid",
+        "  thesis, droid",
+        "dropo, published",
+    ]
     assert found["dropo"].startswith("3.5343 (")
     assert "The authors' data are not at hand, so their tables are left out." in study.remarks
     starts = study.data["our data, clean, epsilon 1e-08"]["random_starts"]
@@ -48,24 +56,31 @@ def test_table_6_2(monkeypatch):
     for row in rows:
         assert abs(row["mean"][0] - row["drawn_mean"][0]) < 0.01
     distributions = study.data["clean"]["laws"]
-    assert distributions["dropo"]["exact"] > distributions["law the masses were drawn from"]["exact"]
+    assert (
+        distributions["dropo"]["exact"] > distributions["law the masses were drawn from"]["exact"]
+    )
     assert study.title.endswith("2 data sets")
 
 
 def test_table_6_4():
-    """The torso is 1 kg lighter and nothing else changes; the optimum is no worse than the thesis' solution at its epsilon."""
+    """The torso is 1 kg lighter and nothing else changes; the optimum is no worse than the thesis'
+    solution at its epsilon.
+    """
     study = table_6_4(Work(), 1, size=SMALL)
     values = study.data["our data set 0"]["likelihoods"]
     assert values["dropo, epsilon 1e-03"]["1e-03"] > values["thesis, dropo"]["1e-03"]
     asked = item("6.1", "clean", 0, SMALL)
-    light, whole = light_torso(asked).simulator, hopper_fits.problem_of(asked)[0].simulator
+    light = light_torso(asked).simulator
+    whole = hopper_fits.problem_of(asked)[0].simulator
     np.testing.assert_allclose((whole.model.body_mass - light.model.body_mass)[1:], [1, 0, 0, 0])
     np.testing.assert_array_equal(whole.model.body_inertia, light.model.body_inertia)
     assert light.space.names == whole.space.names[1:]
 
 
 def test_figures(monkeypatch):
-    """Figure 6.2, without noise alone, has a panel a mass and figure 6.4 a row an epsilon; both are drawn."""
+    """Figure 6.2, without noise alone, has a panel a mass and figure 6.4 a row an epsilon; both are
+    drawn.
+    """
     monkeypatch.setattr(figure_6_2, "EPSILON", {"clean": 1e-8})
     distributions = figure_6_2.figure_6_2(Work(), size=SMALL)
     assert [table.header[0] for table in distributions.tables] == ["m1", "m2", "m3", "m4"]
@@ -83,13 +98,20 @@ def test_data_sets():
     np.testing.assert_array_equal(fixed, MEAN[None].repeat(len(fixed), axis=0))
     _, drawn = data_set("6.3", "clean", 0, 1000)
     assert drawn.shape == (100, 4)
-    np.testing.assert_allclose(drawn.std(axis=0), SPREAD["6.3"], rtol=0.3)  # four standard errors of a spread of 100
+    np.testing.assert_allclose(
+        drawn.std(axis=0), SPREAD["6.3"], rtol=0.3
+    )  # four standard errors of a spread of 100
     assert (drawn != data_set("6.3", "clean", 1, 1000)[1]).any()
 
 
 def test_z_and_errors():
     """z is the error in standard errors, and the average over data sets is that of the errors."""
-    row = {"mean": [1.0, 2, 3, 4], "mean_se": [0.5, 0.5, np.nan, 1], "drawn_mean": [0.0, 2, 3, 6], "sd": [0.0] * 4}
+    row = {
+        "mean": [1.0, 2, 3, 4],
+        "mean_se": [0.5, 0.5, np.nan, 1],
+        "drawn_mean": [0.0, 2, 3, 6],
+        "sd": [0.0] * 4,
+    }
     np.testing.assert_allclose(z_of(row, "mean"), [2, 0, np.nan, -2])
     other = {**row, "mean": [2.0, 2, 3, 4]}
     table = over_data_sets("t", {"m": [row, other]})
@@ -100,5 +122,7 @@ def test_z_and_errors():
 def test_a_task_depends_on_its_item_alone():
     """The same item, the same numbers, whatever ran before."""
     asked = item("6.3", "noisy", 0, SMALL, method="least squares")
-    first, second = ({key: value for key, value in fitted(asked).items() if key != "seconds"} for _ in range(2))
+    first, second = (
+        {key: value for key, value in fitted(asked).items() if key != "seconds"} for _ in range(2)
+    )
     assert str(first) == str(second)

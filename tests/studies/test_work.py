@@ -26,7 +26,11 @@ def square(item):
 def fit_slide(seed):
     """A whole fit."""
     fit = DROPO().fit(slide(), rng=seed)
-    return {"phi": fit.phi.tolist(), "se": fit.mean_se.tolist(), "log_likelihood": fit.log_likelihood}
+    return {
+        "phi": fit.phi.tolist(),
+        "se": fit.mean_se.tolist(),
+        "log_likelihood": fit.log_likelihood,
+    }
 
 
 def point_of_slide(seed):
@@ -51,7 +55,9 @@ def test_in_order_and_with_progress():
 
 
 def test_what_is_finished_is_not_done_again(tmp_path):
-    """A study that failed, or was killed in the middle of a line, goes on with what is missing alone."""
+    """A study that failed, or was killed in the middle of a line, goes on with what is missing
+    alone.
+    """
     path = tmp_path / "kept.jsonl"
     with pytest.raises(ValueError, match="thirteen"):
         Work(threads=1, path=path).map(square, [1, 2, 13])
@@ -85,7 +91,9 @@ def test_the_same_numbers_on_a_dask_cluster():
     """Two workers of a local cluster: a study's tasks, and a fit whose simulations go there."""
     distributed = pytest.importorskip("distributed")
     alone = LeastSquares().fit(slide(), rng=0)
-    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    )
     with cluster, distributed.Client(cluster) as client:
         executor = client.get_executor()
         tasks = Work(executor).map(point_of_slide, [0, 1])

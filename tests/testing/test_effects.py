@@ -73,7 +73,10 @@ BROKEN = {
     "not neutral": ((replace(SOUND, force=jumps),), "still changes predictions"),
     "not smooth": ((replace(SOUND, force=root),), "not in proportion"),
     "changes the state": ((replace(SOUND, force=greedy_force),), "changes what it is given"),
-    "changes commands": ((replace(SOUND, force=None, command=greedy_command),), "'command' of pull:everything changes what it is given"),
+    "changes commands": (
+        (replace(SOUND, force=None, command=greedy_command),),
+        "'command' of pull:everything changes what it is given",
+    ),
     "fails": ((replace(SOUND, force=explodes),), "simulations fail under pull:everything at"),
     "wrong shape": ((replace(SOUND, force=short),), "gives shape"),
     "probe out of bounds": ((probed(0.5, 2.0),), "outside of its bounds"),
@@ -87,7 +90,10 @@ BROKEN = {
     "trial of another length": ((replace(SOUND, trials=(((0.5, 0.5),),)),), "for 1 quantities"),
     "trial of size 0": ((replace(SOUND, trials=(((0.0,),),)),), "size 0"),
     "no hook": ((replace(SOUND, force=None),), "has no hook"),
-    "no quantity": ((EffectInstance("pull", None, (), force=pull, trials=(((),),)),), "no quantity"),
+    "no quantity": (
+        (EffectInstance("pull", None, (), force=pull, trials=(((),),)),),
+        "no quantity",
+    ),
     "same label": ((SOUND, replace(SOUND)), "appear twice"),
     "two names": ((SOUND, replace(SOUND, effect="push")), "several names"),
 }

@@ -102,20 +102,23 @@ class OneColumn(Uniform):
         return super().draw(phi, base)[:, :1]
 
 
-@pytest.mark.parametrize(("broken", "words"), [
-    (SigmaForSd, "the sd of 20000 draws of SigmaForSd is .* standard errors"),
-    (NotCut, "the sd of 20000 draws of NotCut"),
-    (OffCentre, "the mean of 20000 draws of OffCentre"),
-    (OwnStream, "OwnStream.draw is not deterministic"),
-    (Standardised, "a draw of Standardised depends on the base points of other draws"),
-    (Clipped, "Clipped puts .* of its draws on a bound instead of drawing them again"),
-    (Escapes, "Escapes.draw leaves what is physically possible"),
-    (WrongSign, "the correlation of 20000 draws of WrongSign"),
-    (ScaleNotNamed, "ScaleNotNamed.unknowns has no 'scale.a'"),
-    (Overwrites, "Overwrites.draw changes the base points"),
-    (NamesAnotherLaw, "NamesAnotherLaw names a standard law, but its draws are no affine map"),
-    (OneColumn, r"OneColumn.draw gives shape \(64, 1\), not \(64, 3\)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [
+        (SigmaForSd, "the sd of 20000 draws of SigmaForSd is .* standard errors"),
+        (NotCut, "the sd of 20000 draws of NotCut"),
+        (OffCentre, "the mean of 20000 draws of OffCentre"),
+        (OwnStream, "OwnStream.draw is not deterministic"),
+        (Standardised, "a draw of Standardised depends on the base points of other draws"),
+        (Clipped, "Clipped puts .* of its draws on a bound instead of drawing them again"),
+        (Escapes, "Escapes.draw leaves what is physically possible"),
+        (WrongSign, "the correlation of 20000 draws of WrongSign"),
+        (ScaleNotNamed, "ScaleNotNamed.unknowns has no 'scale.a'"),
+        (Overwrites, "Overwrites.draw changes the base points"),
+        (NamesAnotherLaw, "NamesAnotherLaw names a standard law, but its draws are no affine map"),
+        (OneColumn, r"OneColumn.draw gives shape \(64, 1\), not \(64, 3\)"),
+    ],
+)
 def test_broken_families_are_caught(broken: type[Family], words):
     """Each defect gets the message that names it."""
     with pytest.raises(AssertionError, match=words):

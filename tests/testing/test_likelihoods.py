@@ -32,7 +32,9 @@ class PooledCovariance(Gaussian):
     def _log_density(self, predictions, targets, epsilon, noise):
         spread = predictions.std(axis=(0, 1))
         centre = predictions.mean(axis=0)
-        return super()._log_density(centre + spread * (predictions - centre), targets, epsilon, noise)
+        return super()._log_density(
+            centre + spread * (predictions - centre), targets, epsilon, noise
+        )
 
 
 class Sorted(Gaussian):
@@ -54,7 +56,9 @@ class NotCentred(Gaussian):
     """Second moments about zero instead of the mean."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
-        return super()._log_density(np.concatenate([predictions, -predictions]), targets, epsilon, noise)
+        return super()._log_density(
+            np.concatenate([predictions, -predictions]), targets, epsilon, noise
+        )
 
 
 class Weighted(Gaussian):
@@ -93,18 +97,27 @@ class Infinite(Gaussian):
         return np.nan_to_num(super()._log_density(predictions, targets, epsilon, noise), nan=np.inf)
 
 
-@pytest.mark.parametrize(("broken", "words"), [
-    (WrongConstant, r"exp\(WrongConstant.log_density\) integrates to 1.105 over targets of p = 1"),
-    (NoEpsilon, "a larger epsilon does not widen the density of NoEpsilon"),
-    (PooledCovariance, "a failed simulation changes other rows of PooledCovariance"),
-    (Sorted, "the rows of Sorted.log_density depend on their order"),
-    (OwnNoise, "OwnNoise.log_density is not deterministic"),
-    (NotCentred, "NotCentred.log_density changes when predictions and targets move together"),
-    (Weighted, "Weighted.log_density depends on the order of the draws"),
-    (Spoilt, "a failed simulation changes other rows of Spoilt"),
-    (Forgiving, "a failed simulation must give -inf in its row; Forgiving.log_density gives -1000000"),
-    (Infinite, "Infinite.log_density gives inf for equal predictions"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [
+        (
+            WrongConstant,
+            r"exp\(WrongConstant.log_density\) integrates to 1.105 over targets of p = 1",
+        ),
+        (NoEpsilon, "a larger epsilon does not widen the density of NoEpsilon"),
+        (PooledCovariance, "a failed simulation changes other rows of PooledCovariance"),
+        (Sorted, "the rows of Sorted.log_density depend on their order"),
+        (OwnNoise, "OwnNoise.log_density is not deterministic"),
+        (NotCentred, "NotCentred.log_density changes when predictions and targets move together"),
+        (Weighted, "Weighted.log_density depends on the order of the draws"),
+        (Spoilt, "a failed simulation changes other rows of Spoilt"),
+        (
+            Forgiving,
+            "a failed simulation must give -inf in its row; Forgiving.log_density gives -1000000",
+        ),
+        (Infinite, "Infinite.log_density gives inf for equal predictions"),
+    ],
+)
 def test_broken_densities_are_caught(broken: type[SampledLikelihood], words):
     """Each defect gets the message that names it."""
     with pytest.raises(AssertionError, match=words):
@@ -115,13 +128,18 @@ class _Bound(LogLikelihood):
     """A bound log-likelihood with one thing wrong."""
 
     def __init__(self, inner, fault, rng):
-        self.inner, self.unknowns, self.fault, self.rng = inner, inner.unknowns, fault, rng
+        self.inner = inner
+        self.unknowns = inner.unknowns
+        self.fault = fault
+        self.rng = rng
         self.has_gradients = fault == "gradient"
         self.jitter = np.random.default_rng().normal() if fault == "seed" else 0.0
 
     def _rows(self, phi):
         rows = self.inner.rows(phi) + self.jitter
-        return {"shape": rows[:-1], "noise": rows + self.rng.random(), "sign": -rows}.get(self.fault, rows)
+        return {"shape": rows[:-1], "noise": rows + self.rng.random(), "sign": -rows}.get(
+            self.fault, rows
+        )
 
     def gradient(self, phi):
         return np.ones_like(phi)
@@ -146,17 +164,20 @@ class Faulty:
         return _Bound(Gaussian(50).bind(simulator, segments, family, epsilon, rng), self.fault, rng)
 
 
-@pytest.mark.parametrize(("fault", "words"), [
-    ("shape", r"rows has shape \(39,\), not \(40,\)"),
-    ("noise", "the log-likelihood is not deterministic"),
-    ("seed", "bound twice with the same rng"),
-    ("sign", "the member that generated the data has"),
-    ("gradient", "the gradient is .* differences give"),
-    ("epsilon", "epsilon is .* but 0.05 was given"),
-    ("mean", "mean is .* away from data that the member generated"),
-    ("mean shape", r"mean has shape \(40,\), not \(40, 2\)"),
-    ("learn", "a learned epsilon adds no unknown"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("shape", r"rows has shape \(39,\), not \(40,\)"),
+        ("noise", "the log-likelihood is not deterministic"),
+        ("seed", "bound twice with the same rng"),
+        ("sign", "the member that generated the data has"),
+        ("gradient", "the gradient is .* differences give"),
+        ("epsilon", "epsilon is .* but 0.05 was given"),
+        ("mean", "mean is .* away from data that the member generated"),
+        ("mean shape", r"mean has shape \(40,\), not \(40, 2\)"),
+        ("learn", "a learned epsilon adds no unknown"),
+    ],
+)
 def test_broken_bindings_are_caught(fault, words):
     """Likelihoods that are not made from samples are checked as bound to a small problem."""
     with pytest.raises(AssertionError, match=words):

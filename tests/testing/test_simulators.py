@@ -12,11 +12,18 @@ def data():
     """Three trajectories of 8, 6 and 4 rows in the coordinates of SlidingBlock."""
     rng = np.random.default_rng(0)
     ends = np.isin(np.arange(18), [7, 13, 17])
-    return Trajectories(rng.normal(size=(18, 2)), rng.normal(size=(18, 1)), rng.normal(size=(18, 2)), ends)
+    return Trajectories(
+        rng.normal(size=(18, 2)), rng.normal(size=(18, 1)), rng.normal(size=(18, 2)), ends
+    )
 
 
-CUTS = {"transitions": {}, "lambda": {"length": 2}, "every step": {"length": 2, "every_step": True}, "start": {"reset": "start"},
-        "partial": {"length": 2, "reset": "partial", "set_columns": [True, False]}}  # fmt: skip
+CUTS = {
+    "transitions": {},
+    "lambda": {"length": 2},
+    "every step": {"length": 2, "every_step": True},
+    "start": {"reset": "start"},
+    "partial": {"length": 2, "reset": "partial", "set_columns": [True, False]},
+}
 
 
 @pytest.mark.parametrize("cut", CUTS)
@@ -48,7 +55,13 @@ class Ordered(SlidingBlock):
 
     def _predict(self, values, segments, offsets):
         out = super()._predict(values, segments, offsets)
-        return out + 1e-12 * np.arange(len(segments.rows[0]))[None, :, None] * (len(values) == 5) * np.arange(len(values))[:, None, None]
+        return (
+            out
+            + 1e-12
+            * np.arange(len(segments.rows[0]))[None, :, None]
+            * (len(values) == 5)
+            * np.arange(len(values))[:, None, None]
+        )
 
 
 class Neighbours(SlidingBlock):
@@ -107,17 +120,20 @@ class Breaks(SlidingBlock):
         return out + (1e-12 if self.spoil and light.any() else 0.0)
 
 
-@pytest.mark.parametrize(("broken", "words"), [
-    (Remembers, "Remembers.predict is not deterministic"),
-    (Pools, "Pools.predict depends on how the draws are split"),
-    (Ordered, "Ordered.predict depends on how the draws are split"),
-    (Neighbours, "Neighbours.predict depends on which segments come together"),
-    (EndsOnly, "EndsOnly.predict gives other numbers where every step is compared"),
-    (GroupsMixed, "GroupsMixed.predict with values by group is wrong in group 1"),
-    (OffsetsLost, "OffsetsLost.predict changes under start offsets of zero"),
-    (WrongSlopes, "WrongSlopes: d .* / d damping at row .* differences give"),
-    (Constant, "Constant.predict does not depend on the parameters"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [
+        (Remembers, "Remembers.predict is not deterministic"),
+        (Pools, "Pools.predict depends on how the draws are split"),
+        (Ordered, "Ordered.predict depends on how the draws are split"),
+        (Neighbours, "Neighbours.predict depends on which segments come together"),
+        (EndsOnly, "EndsOnly.predict gives other numbers where every step is compared"),
+        (GroupsMixed, "GroupsMixed.predict with values by group is wrong in group 1"),
+        (OffsetsLost, "OffsetsLost.predict changes under start offsets of zero"),
+        (WrongSlopes, "WrongSlopes: d .* / d damping at row .* differences give"),
+        (Constant, "Constant.predict does not depend on the parameters"),
+    ],
+)
 def test_broken_simulators_are_caught(broken, words):
     """Each defect gets the message that names it."""
     with pytest.raises(AssertionError, match=words):
@@ -126,9 +142,17 @@ def test_broken_simulators_are_caught(broken, words):
 
 def test_failures_are_checked_where_some_are_known():
     """A failing draw must leave the others alone; parameters that do not fail prove nothing."""
-    simulator, segments = Breaks(), data().segments()
-    check_simulator(simulator, segments, diverging=[0.5, 1.0], values=np.array([[1.0, 1.0], [2.0, 0.5], [1.5, 2.0]]))
-    with pytest.raises(AssertionError, match="no simulation of Breaks failed under the diverging parameters"):
+    simulator = Breaks()
+    segments = data().segments()
+    check_simulator(
+        simulator,
+        segments,
+        diverging=[0.5, 1.0],
+        values=np.array([[1.0, 1.0], [2.0, 0.5], [1.5, 2.0]]),
+    )
+    with pytest.raises(
+        AssertionError, match="no simulation of Breaks failed under the diverging parameters"
+    ):
         check_simulator(simulator, segments, diverging=[1.0, 1.0])
     simulator.spoil = True
     with pytest.raises(AssertionError, match="a failed simulation of Breaks changes the others"):

@@ -42,8 +42,12 @@ def cart(task=TASK, **options):
     """A problem with two parameters and hardly any data."""
     mass = FieldParameter("mass", 1, 4, "kg", field="body_mass", element="cart")
     damping = FieldParameter("damping", 0.1, 1.0, "N s/m", field="dof_damping", element="rail")
-    simulator = MujocoSimulator(mujoco.MjSpec.from_string(XML), [mass, damping], frame_skip=4, threads=1, **options)
-    data = Trajectories(np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 2)), np.array([False, True]))
+    simulator = MujocoSimulator(
+        mujoco.MjSpec.from_string(XML), [mass, damping], frame_skip=4, threads=1, **options
+    )
+    data = Trajectories(
+        np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 2)), np.array([False, True])
+    )
     return Problem("cart", simulator, data, task=task, truth={"mass": 2.0, "damping": 0.5})
 
 
@@ -55,8 +59,24 @@ def fit_of(space, mean, sd, *, correlation=0.0, epsilon=0.0, signals=2, problem=
         phi[2 * len(space)] = correlation
     d = len(space)
     return Fit(
-        method="test", problem=problem, space=space, family="full", phi=phi, mean=np.asarray(family.mean(phi)), scale=family.scale(phi),
-        sd=family.sd(phi), mean_se=np.full(d, np.nan), scale_se=np.full(d, np.nan), correlation=family.correlation(phi),
-        epsilon=np.full(signals, float(epsilon)), log_likelihood=0.0, mse=0.0, transitions=2, simulator_steps=0, failed_simulations=0,
-        objective_evaluations=0, status=Status.DONE, message="For a test.",
-    )  # fmt: skip
+        method="test",
+        problem=problem,
+        space=space,
+        family="full",
+        phi=phi,
+        mean=np.asarray(family.mean(phi)),
+        scale=family.scale(phi),
+        sd=family.sd(phi),
+        mean_se=np.full(d, np.nan),
+        scale_se=np.full(d, np.nan),
+        correlation=family.correlation(phi),
+        epsilon=np.full(signals, float(epsilon)),
+        log_likelihood=0.0,
+        mse=0.0,
+        transitions=2,
+        simulator_steps=0,
+        failed_simulations=0,
+        objective_evaluations=0,
+        status=Status.DONE,
+        message="For a test.",
+    )

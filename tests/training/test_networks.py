@@ -13,7 +13,10 @@ from tests.training.cart import STEPS, aside, cart, fit_of, near
 
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
 ALGORITHMS = {"sac": SAC(steps=180, every=90), "ppo": PPO(steps=4096, count=1, every=2048)}
-SIZES = {"sac": [(256, 2), (256, 256), (1, 256), (1, 256)], "ppo": [(128, 2), (128, 128), (128, 2), (128, 128), (1, 128), (1, 128)]}
+SIZES = {
+    "sac": [(256, 2), (256, 256), (1, 256), (1, 256)],
+    "ppo": [(128, 2), (128, 128), (128, 2), (128, 128), (1, 128), (1, 128)],
+}
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +26,12 @@ def problem():
 
 @pytest.mark.parametrize("name", ["sac", pytest.param("ppo", marks=pytest.mark.study)])
 def test_trained_resumed_and_kept(name, problem, tmp_path):
-    """With the thesis' layers; an interrupted training goes on with the steps that are left; the file plays the same."""
+    """With the thesis' layers; an interrupted training goes on with the steps that are left; the
+    file plays the same.
+    """
     distribution = fit_of(problem.space, [2.0, 0.5], [0.2, 0.05], epsilon=1e-6)
-    algorithm, seen = ALGORITHMS[name], []
+    algorithm = ALGORITHMS[name]
+    seen = []
 
     def stop(share, text):
         if share > 0.8:
@@ -33,7 +39,13 @@ def test_trained_resumed_and_kept(name, problem, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         train(problem, distribution, algorithm, out=tmp_path, progress=stop)
-    policy = train(problem, distribution, algorithm, out=tmp_path, progress=lambda share, text: seen.append(share))
+    policy = train(
+        problem,
+        distribution,
+        algorithm,
+        out=tmp_path,
+        progress=lambda share, text: seen.append(share),
+    )
     assert seen[0] > 0.5, "the first half is not done again"
     assert policy.about["control_steps"] == algorithm.steps
     network = policy.model.policy.actor if name == "sac" else policy.model.policy
@@ -42,7 +54,9 @@ def test_trained_resumed_and_kept(name, problem, tmp_path):
     path = policy.save(tmp_path / "kept")
     assert {p.name for p in path.parent.iterdir()} == {"policy.json", "policy.zip"}
     found = evaluate(policy, problem, episodes=3)
-    np.testing.assert_array_equal(found.returns, evaluate(load_policy(path.parent), problem, episodes=3).returns)
+    np.testing.assert_array_equal(
+        found.returns, evaluate(load_policy(path.parent), problem, episodes=3).returns
+    )
     assert set(found.lengths) == {STEPS}
 
 
@@ -51,7 +65,10 @@ def test_ppo_learns():
     """More return at the end than at the beginning of its training, by three standard errors."""
     rewarded = cart(Task(near, aside, steps=STEPS))
     early, late = (train(rewarded, None, PPO(steps=steps, count=4), rng=0) for steps in (1, 16384))
-    gained = evaluate(late, rewarded, episodes=40).returns - evaluate(early, rewarded, episodes=40).returns
+    gained = (
+        evaluate(late, rewarded, episodes=40).returns
+        - evaluate(early, rewarded, episodes=40).returns
+    )
     assert gained.mean() > 3 * gained.std() / np.sqrt(40)
 
 
@@ -64,4 +81,8 @@ def test_ppo_has_the_thesis_layers(problem):
 
 def test_actions_without_limits_are_refused():
     with pytest.raises(Incompatible, match="need limits"):
-        train(cart(Task(near, aside, steps=5, limits=np.array([[-np.inf], [np.inf]]))), None, SAC(steps=10))
+        train(
+            cart(Task(near, aside, steps=5, limits=np.array([[-np.inf], [np.inf]]))),
+            None,
+            SAC(steps=10),
+        )

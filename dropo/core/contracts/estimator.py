@@ -25,12 +25,16 @@ def silent(share: float, text: str) -> None:
 def with_cost(progress: Progress, simulator: Simulator) -> Progress:
     """The same progress, whose text also says how many simulator steps were made from now on."""
     before = simulator.steps
-    return lambda share, text: progress(share, f"{text}, {simulator.steps - before:,} simulator steps")
+    return lambda share, text: progress(
+        share, f"{text}, {simulator.steps - before:,} simulator steps"
+    )
 
 
 @dataclass
 class Run:
-    """One run of an estimator: its randomness, what was evaluated, where progress goes, and what it cost so far."""
+    """One run of an estimator: its randomness, what was evaluated, where progress goes, and what it
+    cost so far.
+    """
 
     problem: Problem
     rng: np.random.Generator
@@ -41,13 +45,18 @@ class Run:
     evaluations: int = 0
 
     def evaluate(self, points: Array, function: Callable[[Array], Array]) -> Array:
-        """function(points), or its recorded answer; simulator steps and failures are counted either way."""
+        """function(points), or its recorded answer; simulator steps and failures are counted either
+        way.
+        """
 
         def counted(points: Array) -> tuple[Array, dict[str, int]]:
             simulator = self.problem.simulator
             before = simulator.steps, simulator.failures
             answers = function(points)
-            return answers, {"steps": simulator.steps - before[0], "failures": simulator.failures - before[1]}
+            return answers, {
+                "steps": simulator.steps - before[0],
+                "failures": simulator.failures - before[1],
+            }
 
         answers, counts = self.journal.evaluate(points, counted)
         self.steps += counts["steps"]
@@ -57,7 +66,9 @@ class Run:
 
     @contextmanager
     def counting(self, evaluations: int = 0) -> Iterator[None]:
-        """Counts the simulations of a block that is too short to be recorded: a resumed run makes them again."""
+        """Counts the simulations of a block that is too short to be recorded: a resumed run makes
+        them again.
+        """
         simulator = self.problem.simulator
         before = simulator.steps, simulator.failures
         yield
@@ -72,24 +83,45 @@ class Estimator(ABC):
     name: str
 
     def fit(
-        self, problem: Problem, *, rng: np.random.Generator | int | None = 0, journal: Journal | None = None, progress: Progress = silent
+        self,
+        problem: Problem,
+        *,
+        rng: np.random.Generator | int | None = 0,
+        journal: Journal | None = None,
+        progress: Progress = silent,
     ) -> Fit:
         """Fits the distribution of the problem's parameters.
 
-        rng: anything that numpy.random.default_rng takes; journal: where evaluations are recorded, for a run that can be resumed;
+        rng: anything that numpy.random.default_rng takes; journal: where evaluations are recorded,
+        for a run that can be resumed;
         progress: called with the share that is done (0 to 1) and a text.
         """
-        require(len(problem.space) >= 1, "parameters", "at least one", 0, f"Problem {problem.name!r}")
+        require(
+            len(problem.space) >= 1, "parameters", "at least one", 0, f"Problem {problem.name!r}"
+        )
         begun = time.perf_counter()
-        run = Run(problem, np.random.default_rng(rng), journal or Journal(), with_cost(progress, problem.simulator))
-        with threadpool_limits(1, user_api="blas"):  # the simulator's threads use the cores; small products gain nothing
+        run = Run(
+            problem,
+            np.random.default_rng(rng),
+            journal or Journal(),
+            with_cost(progress, problem.simulator),
+        )
+        with threadpool_limits(
+            1, user_api="blas"
+        ):  # the simulator's threads use the cores; small products gain nothing
             fit = self._fit(problem, run)
         seed = int(rng) if isinstance(rng, int | np.integer) else None
         return replace(
-            fit, wall_time_s=time.perf_counter() - begun, seed=seed, simulator_steps=run.steps,
-            failed_simulations=run.failures, objective_evaluations=run.evaluations,
-        )  # fmt: skip
+            fit,
+            wall_time_s=time.perf_counter() - begun,
+            seed=seed,
+            simulator_steps=run.steps,
+            failed_simulations=run.failures,
+            objective_evaluations=run.evaluations,
+        )
 
     @abstractmethod
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        """Simulations go through `run.evaluate`, so that they are counted and recorded, or through `run.counting`."""
+        """Simulations go through `run.evaluate`, so that they are counted and recorded, or through
+        `run.counting`.
+        """

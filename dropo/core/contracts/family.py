@@ -1,4 +1,6 @@
-"""The contract of distributions over parameters: drawn by mapping fixed base points, so that objectives are deterministic."""
+"""The contract of distributions over parameters: drawn by mapping fixed base points, so that
+objectives are deterministic.
+"""
 
 from abc import ABC, abstractmethod
 from functools import cached_property
@@ -16,30 +18,39 @@ from dropo.core.services.validation import Array, require
 class Family(ABC):
     """A family of distributions over the parameters of `space`; phi (m,) names a member.
 
-    phi as a NumPy array gives arrays; as a torch tensor in float64, tensors with their history (`dropo.core.numerics.array_api`).
-    A plug-in sets `unknowns` (the box of phi) and writes `_draw`, `mean` and `sd`. The unknowns called "mean.<parameter>"
-    and "scale.<parameter>" are what a fit prints as the family's own mean and scale.
+    phi as a NumPy array gives arrays; as a torch tensor in float64, tensors with their history
+    (`dropo.core.numerics.array_api`). A plug-in sets `unknowns` (the box of phi) and writes
+    `_draw`, `mean` and `sd`. The unknowns called "mean.<parameter>" and "scale.<parameter>" are
+    what a fit prints as the family's own mean and scale.
     """
 
     unknowns: ParameterSpace
-    standard: StandardDistribution | None = None  # where a draw is an affine map of independent components of one law: that law
+    standard: StandardDistribution | None = (
+        None  # where a draw is an affine map of independent components of one law: that law
+    )
     logarithmic = False  # whether it is the draw's logarithm that is such a map
-    redraws = 20  # thesis, section 5.3: an infeasible draw is made again so many times, then put on the bound
+    # thesis, section 5.3: an infeasible draw is made again so many times, then put on the bound
+    redraws = 20
 
     def __init__(self, space: ParameterSpace):
         self.space = space
 
     def base(self, draws: int, rng: np.random.Generator, *, independent: bool = False) -> Array:
-        """Base points (1 + redraws, K, d) in (0, 1): a scrambled Sobol set, or independent ones, and the further attempts behind."""
+        """Base points (1 + redraws, K, d) in (0, 1): a scrambled Sobol set, or independent ones,
+        and the further attempts behind.
+        """
         require(draws >= 2, "K", "at least 2 draws", draws, type(self).__name__)
         sobol, again = rng.spawn(2)
         points = again.random((1 + self.redraws, draws, len(self.space)))
         if not independent:
-            points[0] = qmc.Sobol(len(self.space), rng=sobol).random_base2(int(np.ceil(np.log2(draws))))[:draws]
+            points[0] = qmc.Sobol(len(self.space), rng=sobol).random_base2(
+                int(np.ceil(np.log2(draws)))
+            )[:draws]
         return _inside(points)
 
     def draw(self, phi: ArrayLike, base: Array) -> Array:
-        """K parameter vectors (K, d) of member phi (m,), from base points (1 + redraws, K, d); all physically possible.
+        """K parameter vectors (K, d) of member phi (m,), from base points (1 + redraws, K, d); all
+        physically possible.
 
         An entry that is put on a bound has no slope in phi.
         """
@@ -61,8 +72,12 @@ class Family(ABC):
         return self.draw(phi, _inside(rng.random((1 + self.redraws, draws, len(self.space)))))
 
     def _infeasible(self, values: Array) -> NDArray[np.bool_]:
-        """(K, d) bool, which entries are made again; families with correlations make whole rows again."""
-        return (values < constant(self.space.lower, values)) | (values > constant(self.space.upper, values))
+        """(K, d) bool, which entries are made again; families with correlations make whole rows
+        again.
+        """
+        return (values < constant(self.space.lower, values)) | (
+            values > constant(self.space.upper, values)
+        )
 
     @abstractmethod
     def _draw(self, phi: Array, base: Array) -> Array:
@@ -82,7 +97,9 @@ class Family(ABC):
 
     @cached_property
     def _scales(self) -> list[int]:
-        """Where the scales are in phi; found once, as searching d names d times costs more than a fit's algebra at d = 100."""
+        """Where the scales are in phi; found once, as searching d names d times costs more than a
+        fit's algebra at d = 100.
+        """
         place = {name: i for i, name in enumerate(self.unknowns.names)}
         return [place[f"scale.{name}"] for name in self.space.names]
 
@@ -91,7 +108,9 @@ class Family(ABC):
         return constant(np.eye(len(self.space)), phi)
 
     def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
-        """The member of that mean and scale (d,) each, moved into the bounds of phi; what is not given is in its middle."""
+        """The member of that mean and scale (d,) each, moved into the bounds of phi; what is not
+        given is in its middle.
+        """
         phi = self.unknowns.from_unit(np.full(len(self.unknowns), 0.5))
         given = {"mean": mean} if scale is None else {"mean": mean, "scale": scale}
         for kind, values in given.items():
@@ -106,12 +125,25 @@ def _inside(points: Array) -> Array:
     return np.clip(points, tiny, 1 - tiny)
 
 
-def means_and_scales(space: ParameterSpace, scale_low: float = 1e-5, scale_high: float = 0.5) -> ParameterSpace:
-    """The thesis' box of phi: means in the search interval (each parameter's own way), scales in logarithms (section 6.2.1).
+def means_and_scales(
+    space: ParameterSpace, scale_low: float = 1e-5, scale_high: float = 0.5
+) -> ParameterSpace:
+    """The thesis' box of phi: means in the search interval (each parameter's own way), scales in
+    logarithms (section 6.2.1).
 
-    scale_low: the least scale, in the parameter's unit, or that share of an interval narrower than 1;
+    scale_low: the least scale, in the parameter's unit, or that share of an interval narrower than
+    1;
     scale_high: the largest, as a share of the interval.
     """
     means = [Parameter(f"mean.{p.name}", p.low, p.high, p.unit, scale=p.scale) for p in space]
-    scales = [Parameter(f"scale.{p.name}", scale_low * min(1.0, p.width), scale_high * p.width, p.unit, scale="log") for p in space]
+    scales = [
+        Parameter(
+            f"scale.{p.name}",
+            scale_low * min(1.0, p.width),
+            scale_high * p.width,
+            p.unit,
+            scale="log",
+        )
+        for p in space
+    ]
     return ParameterSpace((*means, *scales))

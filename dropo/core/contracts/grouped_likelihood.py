@@ -10,8 +10,10 @@ from dropo.core.services.validation import Array
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """What the data say of each of G groups. label: (G,) its number in the data; rows: (G,) its compared rows;
-    mean: (G, d) its parameters' mode under the population; precision: (G, d, d) the information of its own rows on them."""
+    """What the data say of each of G groups. label: (G,) its number in the data; rows: (G,) its
+    compared rows; mean: (G, d) its parameters' mode under the population; precision: (G, d, d)
+    the information of its own rows on them.
+    """
 
     label: Ints
     rows: Ints
@@ -23,7 +25,9 @@ class Groups:
 
 
 class GroupedLogLikelihood(LocalLogLikelihood):
-    """Its rows are the G groups: independent of each other, each with one draw of the parameters, integrated out."""
+    """Its rows are the G groups: independent of each other, each with one draw of the parameters,
+    integrated out.
+    """
 
     @abstractmethod
     def groups(self, phi: Array) -> Groups:

@@ -1,4 +1,6 @@
-"""The contract of online methods: they call back, to collect data on the target or to have a policy tried, and count what that costs."""
+"""The contract of online methods: they call back, to collect data on the target or to have a policy
+tried, and count what that costs.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,10 +22,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Answer(Generic[T]):
-    """What a callback brings, where it says what that cost; without costs to tell, the value alone will do.
+    """What a callback brings, where it says what that cost; without costs to tell, the value alone
+    will do.
 
-    value: trajectories or a number; transitions: control steps made on the target, beside those of the trajectories;
-    steps: simulator steps, for training a policy say, beside those of the problem's own simulator, which are counted anyway.
+    value: trajectories or a number; transitions: control steps made on the target, beside those of
+    the trajectories;
+    steps: simulator steps, for training a policy say, beside those of the problem's own simulator,
+    which are counted anyway.
     """
 
     value: T
@@ -34,28 +39,44 @@ class Answer(Generic[T]):
 Collect = Callable[[Fit, Generator], Trajectories | Answer[Trajectories]]
 """Data of the target, collected with a policy for the present fit: collect(fit, rng)."""
 Evaluate = Callable[[Fit, Generator], float | Answer[float]]
-"""The return on the target of a policy trained under the present fit, higher is better: evaluate(fit, rng)."""
+"""The return on the target of a policy trained under the present fit, higher is better:
+evaluate(fit, rng).
+"""
 Performance = Callable[[Array, Generator], float | Answer[float]]
-"""How well the policy does in simulation under parameter values (d,), higher is better: performance(values, rng)."""
+"""How well the policy does in simulation under parameter values (d,), higher is better:
+performance(values, rng).
+"""
 
 
 class InteractiveEstimator(Estimator):
-    """An estimator with a callback among its settings; its own `__post_init__` calls `_check_callback`."""
+    """An estimator with a callback among its settings; its own `__post_init__` calls
+    `_check_callback`.
+    """
 
     def _check_callback(self, name: str, signature: str) -> None:
         """Refuses to be made without the callback of that name, as the command line must."""
         made = type(self).__name__
         if getattr(self, name) is None:
             raise Incompatible(
-                f"Method {self.name!r} calls back to {name}{signature}, which a command line cannot give."
-                f" In Python: dropo.{made}({name}={name}).fit(dropo.load('hopper'), rng=0), with {name} a function of yours."
+                f"Method {self.name!r} calls back to {name}{signature}, which a command "
+                "line cannot give."
+                f" In Python: dropo.{made}({name}={name}).fit(dropo.load('hopper'), "
+                f"rng=0), with {name} a function of yours."
             )
-        require(callable(getattr(self, name)), name, f"a function {name}{signature}", getattr(self, name), made)
+        require(
+            callable(getattr(self, name)),
+            name,
+            f"a function {name}{signature}",
+            getattr(self, name),
+            made,
+        )
 
 
 @dataclass
 class Callbacks:
-    """The callbacks of one run. Each has a generator of its own, is recorded in the run's journal, and its cost is counted.
+    """The callbacks of one run.
+
+    Each has a generator of its own, is recorded in the run's journal, and its cost is counted.
 
     transitions: control steps made on the target so far.
     """
@@ -68,32 +89,50 @@ class Callbacks:
 
         def ask(rng: Generator) -> tuple[Array, Answer[Any]]:
             answer = _answer(call(rng))
-            require(bool(np.isfinite(answer.value)), "answer", "a finite number", answer.value, "the callback")
+            require(
+                bool(np.isfinite(answer.value)),
+                "answer",
+                "a finite number",
+                answer.value,
+                "the callback",
+            )
             return np.array([answer.value], dtype=float), answer
 
         return float(self._ask(point, ask)[0])
 
-    def data(self, point: Array, call: Callable[[Generator], Trajectories | Answer[Trajectories]]) -> Trajectories:
-        """What the callback collects at a point (m,), in the columns of the problem's own data; groups and times are not kept."""
+    def data(
+        self, point: Array, call: Callable[[Generator], Trajectories | Answer[Trajectories]]
+    ) -> Trajectories:
+        """What the callback collects at a point (m,), in the columns of the problem's own data;
+        groups and times are not kept.
+        """
         own = self.run.problem.trajectories
-        p, q = own.observations.shape[1], own.actions.shape[1]
+        p = own.observations.shape[1]
+        q = own.actions.shape[1]
 
         def ask(rng: Generator) -> tuple[Array, Answer[Any]]:
             answer = _answer(call(rng))
             check_shape("observations", answer.value.observations, (None, p), "the callback")
             check_shape("actions", answer.value.actions, (None, q), "the callback")
-            return _as_array(answer.value), Answer(None, answer.transitions + len(answer.value), answer.steps)
+            return _as_array(answer.value), Answer(
+                None, answer.transitions + len(answer.value), answer.steps
+            )
 
         return _as_trajectories(self._ask(point, ask), p, q)
 
     def _ask(self, point: Array, ask: Callable[[Generator], tuple[Array, Answer[Any]]]) -> Array:
-        rng, simulator = self.run.rng.spawn(1)[0], self.run.problem.simulator
+        rng = self.run.rng.spawn(1)[0]
+        simulator = self.run.problem.simulator
 
         def counted(_: Array) -> tuple[Array, dict[str, int]]:
             before = simulator.steps, simulator.failures
             found, answer = ask(rng)
             steps = simulator.steps - before[0] + answer.steps
-            return found, {"steps": steps, "failures": simulator.failures - before[1], "transitions": answer.transitions}
+            return found, {
+                "steps": steps,
+                "failures": simulator.failures - before[1],
+                "transitions": answer.transitions,
+            }
 
         found, counts = self.run.journal.evaluate(np.atleast_2d(point), counted)
         self.run.steps += counts["steps"]
@@ -104,28 +143,49 @@ class Callbacks:
 
 
 def distribution(problem: Problem, method: str, family_name: str, phi: Array, **found: Any) -> Fit:
-    """The Fit of the family's member phi (m,), of which nothing is known but itself, as a callback gets it; found: what is known beside.
+    """The Fit of the family's member phi (m,), of which nothing is known but itself, as a callback
+    gets it; found: what is known beside.
 
     Its epsilon is the problem's own, else 0, so that policies may be trained under it as it is.
     """
     family = find("families", family_name)(problem.space)
     unknown = np.full(len(problem.space), np.nan)
-    noise = np.broadcast_to(0.0 if problem.epsilon is None else problem.epsilon, len(problem.simulator.signals)).astype(float)
+    noise = np.broadcast_to(
+        0.0 if problem.epsilon is None else problem.epsilon, len(problem.simulator.signals)
+    ).astype(float)
     fields: dict[str, Any] = {
-        "mean_se": unknown, "scale_se": unknown, "epsilon": noise, "log_likelihood": np.nan, "mse": np.nan,
-        "transitions": int(problem.segments.lengths.sum()), "status": Status.DONE, "message": "A law as it stands.",
+        "mean_se": unknown,
+        "scale_se": unknown,
+        "epsilon": noise,
+        "log_likelihood": np.nan,
+        "mse": np.nan,
+        "transitions": int(problem.segments.lengths.sum()),
+        "status": Status.DONE,
+        "message": "A law as it stands.",
         **found,
-    }  # fmt: skip
+    }
     return Fit(
-        method=method, problem=problem.name, space=problem.space, family=family_name, phi=phi, mean=family.mean(phi),
-        scale=family.scale(phi), sd=family.sd(phi), correlation=family.correlation(phi), simulator_steps=0, failed_simulations=0,
-        objective_evaluations=0, **fields,
-    )  # fmt: skip
+        method=method,
+        problem=problem.name,
+        space=problem.space,
+        family=family_name,
+        phi=phi,
+        mean=family.mean(phi),
+        scale=family.scale(phi),
+        sd=family.sd(phi),
+        correlation=family.correlation(phi),
+        simulator_steps=0,
+        failed_simulations=0,
+        objective_evaluations=0,
+        **fields,
+    )
 
 
 def joined(parts: list[Trajectories]) -> Trajectories:
     """All of them, one behind the other."""
-    return Trajectories(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
+    return Trajectories(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS)
+    )
 
 
 _COLUMNS = ("observations", "actions", "next_observations", "terminals")

@@ -16,13 +16,17 @@ from dropo.core.services.validation import Array, check_shape, float_array
 
 
 class LogLikelihood(ABC):
-    """The log-likelihood of phi (m,) = the family's unknowns, then the likelihood's own: sums the R compared rows."""
+    """The log-likelihood of phi (m,) = the family's unknowns, then the likelihood's own: sums the R
+    compared rows.
+    """
 
     unknowns: ParameterSpace
     has_gradients = False
 
     def __call__(self, phi: ArrayLike) -> float:
-        """log L(phi) = sum of the rows [nats] (thesis, eq. 5.6); -inf where a simulation failed; a tensor () of a tensor."""
+        """log L(phi) = sum of the rows [nats] (thesis, eq. 5.6); -inf where a simulation failed; a
+        tensor () of a tensor.
+        """
         rows = self.rows(phi)
         if is_tensor(rows):
             return rows.sum()
@@ -31,7 +35,8 @@ class LogLikelihood(ABC):
     def rows(self, phi: ArrayLike) -> Array:
         """(R,) log density of each compared row [nats]; -inf where one of its simulations failed.
 
-        A torch tensor phi gives a tensor, with its autograd history, where likelihood and family are of closed form in phi.
+        A torch tensor phi gives a tensor, with its autograd history, where likelihood and family
+        are of closed form in phi.
         """
         if not is_tensor(phi):
             return self._rows(float_array("phi", phi, (len(self.unknowns),), type(self).__name__))
@@ -41,7 +46,10 @@ class LogLikelihood(ABC):
 
     def gradient(self, phi: ArrayLike) -> Array:
         """(m,) d log L / d phi, where `has_gradients`."""
-        raise Incompatible(f"{type(self).__name__} gives no gradients. Use an optimizer without, such as 'cma-es' or 'nlopt-sbplx'.")
+        raise Incompatible(
+            f"{type(self).__name__} gives no gradients. Use an optimizer without, such as "
+            "'cma-es' or 'nlopt-sbplx'."
+        )
 
     @abstractmethod
     def _rows(self, phi: Array) -> Array:
@@ -60,5 +68,14 @@ class Likelihood(ABC):
     """Settings of a likelihood; `bind` makes it a function of phi for given data."""
 
     @abstractmethod
-    def bind(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, rng: np.random.Generator) -> LogLikelihood:
-        """The log-likelihood of the segments. epsilon: the noise variance, one or (p,) [signal unit^2], or a Noise."""
+    def bind(
+        self,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        rng: np.random.Generator,
+    ) -> LogLikelihood:
+        """The log-likelihood of the segments. epsilon: the noise variance, one or (p,) [signal
+        unit^2], or a Noise.
+        """

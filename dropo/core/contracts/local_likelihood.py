@@ -17,7 +17,9 @@ class LocalLogLikelihood(LogLikelihood):
 
     @abstractmethod
     def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
-        """The value, the scores of the rows (R, m), or of the groups where they share draws, and the Fisher information (m, m)."""
+        """The value, the scores of the rows (R, m), or of the groups where they share draws, and
+        the Fisher information (m, m).
+        """
 
     @abstractmethod
     def predict(self, values: Array) -> Array:
@@ -25,16 +27,42 @@ class LocalLogLikelihood(LogLikelihood):
 
 
 class LocalLikelihood(Likelihood):
-    """A likelihood from a local model of the simulator: an estimator builds it again where it finds the maximum."""
+    """A likelihood from a local model of the simulator: an estimator builds it again where it finds
+    the maximum.
+    """
 
     @abstractmethod
-    def linearize_at(self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, centre: Array, width: Array,
-        rng: np.random.Generator, *, rough: bool = False,
-    ) -> LocalLogLikelihood:  # fmt: skip
-        """The log-likelihood of members with means near centre (d,) and scales up to about width (d,); cheaper where `rough`."""
+    def linearize_at(
+        self,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        centre: Array,
+        width: Array,
+        rng: np.random.Generator,
+        *,
+        rough: bool = False,
+    ) -> LocalLogLikelihood:
+        """The log-likelihood of members with means near centre (d,) and scales up to about width
+        (d,); cheaper where `rough`.
+        """
 
     def bind(
-        self, simulator: Simulator, segments: Segments, family: Family, epsilon: Epsilon, rng: np.random.Generator
+        self,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        rng: np.random.Generator,
     ) -> LocalLogLikelihood:
         space = simulator.space
-        return self.linearize_at(simulator, segments, family, epsilon, (space.low + space.high) / 2, (space.high - space.low) / 6, rng)
+        return self.linearize_at(
+            simulator,
+            segments,
+            family,
+            epsilon,
+            (space.low + space.high) / 2,
+            (space.high - space.low) / 6,
+            rng,
+        )

@@ -20,7 +20,9 @@ Objective = Callable[[Array], Any]
 
 @dataclass(frozen=True)
 class SearchResult:
-    """point: (m,) in the space's own units; value: the objective there, -inf where every point failed; reason: why it stopped."""
+    """point: (m,) in the space's own units; value: the objective there, -inf where every point
+    failed; reason: why it stopped.
+    """
 
     point: Array
     value: float
@@ -30,10 +32,13 @@ class SearchResult:
 
 
 class _Costs:
-    """-objective, made finite: a failed point costs more than the worst so far, by the spread seen so far."""
+    """-objective, made finite: a failed point costs more than the worst so far, by the spread seen
+    so far.
+    """
 
     def __init__(self) -> None:
-        self.least, self.most = np.inf, -np.inf
+        self.least = np.inf
+        self.most = -np.inf
 
     def finite(self, cost: float) -> float:
         if np.isfinite(cost):
@@ -43,37 +48,70 @@ class _Costs:
 
 
 def maximize(
-    objective: LogLikelihood | Objective, space: ParameterSpace, optimizer: Optimizer, run: Run, *, batched: bool = False
+    objective: LogLikelihood | Objective,
+    space: ParameterSpace,
+    optimizer: Optimizer,
+    run: Run,
+    *,
+    batched: bool = False,
 ) -> SearchResult:
-    """The point of the space's box with the highest objective, by the optimizer, in at most `optimizer.budget` evaluations.
+    """The point of the space's box with the highest objective, by the optimizer, in at most
+    `optimizer.budget` evaluations.
 
     batched: the objective takes points of the unit box, (P, m) -> (P,), at once.
     """
     gradients = optimizer.needs_gradients
     if gradients and not getattr(objective, "has_gradients", False):
         giver = getattr(objective, "simulator", objective)
-        raise Incompatible(f"{type(optimizer).__name__} needs gradients, and {type(giver).__name__} gives none. {WITHOUT_GRADIENTS}")
-    evaluate: Any = objective if batched else _with_gradients(objective, space) if gradients else _values(objective, space)  # type: ignore[arg-type]
-    costs, done, best, reason, status = _Costs(), 0, -np.inf, None, Status.CONVERGED
+        raise Incompatible(
+            f"{type(optimizer).__name__} needs gradients, and {type(giver).__name__} gives "
+            f"none. {WITHOUT_GRADIENTS}"
+        )
+    evaluate: Any = (
+        objective
+        if batched
+        else _with_gradients(objective, space)
+        if gradients
+        else _values(objective, space)
+    )  # type: ignore[arg-type]
+    costs = _Costs()
+    done = 0
+    best = -np.inf
+    reason = None
+    status = Status.CONVERGED
     try:
         while (reason := optimizer.stop()) is None and done < optimizer.budget:
             points = optimizer.ask()
             if done + len(points) > optimizer.budget:
-                require(done > 0, "budget", f"at least {len(points)}, the first batch", optimizer.budget, type(optimizer).__name__)
+                require(
+                    done > 0,
+                    "budget",
+                    f"at least {len(points)}, the first batch",
+                    optimizer.budget,
+                    type(optimizer).__name__,
+                )
                 break
             answers = run.evaluate(points, evaluate)  # (P,) or (P, 1 + m)
             answers = answers.reshape(len(points), -1)
             told = np.array([costs.finite(-value) for value in answers[:, 0]])
-            slopes = np.nan_to_num(-answers[:, 1:], nan=0.0, posinf=0.0, neginf=0.0) if gradients else None  # failed points have none
+            slopes = (
+                np.nan_to_num(-answers[:, 1:], nan=0.0, posinf=0.0, neginf=0.0)
+                if gradients
+                else None
+            )  # failed points have none
             optimizer.tell(points, told, slopes)
             done += len(points)
             best = max([best, *answers[np.isfinite(answers[:, 0]), 0].tolist()])
             run.progress(done / optimizer.budget, f"{done} evaluations, best {best:.6g}")
         if reason is None:
             status = Status.OUT_OF_BUDGET
-            reason = f"The budget of {optimizer.budget} evaluations ran out first: raise it, or go on from this fit."
+            reason = (
+                f"The budget of {optimizer.budget} evaluations ran out first: raise it, or go "
+                "on from this fit."
+            )
     except KeyboardInterrupt:
-        status, reason = Status.INTERRUPTED, f"Interrupted after {done} evaluations: this is the best so far."
+        status = Status.INTERRUPTED
+        reason = f"Interrupted after {done} evaluations: this is the best so far."
     finally:
         optimizer.close()
     return SearchResult(space.from_unit(optimizer.best[0]), best, done, reason or "", status)
@@ -90,7 +128,11 @@ def _with_gradients(objective: LogLikelihood, space: ParameterSpace) -> Callable
         out = []
         for point in points:
             phi = space.from_unit(point)
-            slope = np.where(space.is_log, phi * np.log(space.high / np.where(space.is_log, space.low, 1.0)), space.high - space.low)
+            slope = np.where(
+                space.is_log,
+                phi * np.log(space.high / np.where(space.is_log, space.low, 1.0)),
+                space.high - space.low,
+            )
             out.append(np.concatenate([[objective(phi)], objective.gradient(phi) * slope]))
         return np.array(out)
 

@@ -1,4 +1,7 @@
-"""The contract of optimizers: ask and tell, in the unit box. They never call the objective, so budgets and logs stay outside."""
+"""The contract of optimizers: ask and tell, in the unit box.
+
+They never call the objective, so budgets and logs stay outside.
+"""
 
 import queue
 import threading
@@ -14,21 +17,38 @@ from dropo.core.services.validation import Array, check_shape, float_array, requ
 class Optimizer(ABC):
     """Minimises a cost over [0, 1]^m. A plug-in writes `_ask`, `_tell` and `_stop`.
 
-    dimension: m; rng: its own generator; start: (m,), the middle by default; step: (m,) the width of the first steps,
-    where the method has one; budget: the evaluations that it may plan with (those that stop by themselves need none).
+    dimension: m; rng: its own generator; start: (m,), the middle by default; step: (m,) the width
+    of the first steps, where the method has one; budget: the evaluations that it may plan with
+    (those that stop by themselves need none).
     """
 
     needs_gradients = False
 
     def __init__(
-        self, dimension: int, rng: np.random.Generator, *, start: ArrayLike | None = None, step: ArrayLike = 0.25, budget: int = 5000
+        self,
+        dimension: int,
+        rng: np.random.Generator,
+        *,
+        start: ArrayLike | None = None,
+        step: ArrayLike = 0.25,
+        budget: int = 5000,
     ):
         caller = type(self).__name__
         require(dimension >= 1, "dimension", "at least 1", dimension, caller)
         require(budget >= 1, "budget", "at least 1 evaluation", budget, caller)
-        self.dimension, self.rng, self.budget = dimension, rng, budget
-        self.start = float_array("start", np.full(dimension, 0.5) if start is None else start, (dimension,), caller)
-        require(bool((self.start >= 0).all() and (self.start <= 1).all()), "start", "inside [0, 1]", self.start, caller)
+        self.dimension = dimension
+        self.rng = rng
+        self.budget = budget
+        self.start = float_array(
+            "start", np.full(dimension, 0.5) if start is None else start, (dimension,), caller
+        )
+        require(
+            bool((self.start >= 0).all() and (self.start <= 1).all()),
+            "start",
+            "inside [0, 1]",
+            self.start,
+            caller,
+        )
         self.step = float_array("step", np.broadcast_to(step, (dimension,)), (dimension,), caller)
         require(bool((self.step > 0).all()), "step", "positive", self.step, caller)
         self.best: tuple[Array, float] = (self.start, np.inf)
@@ -44,7 +64,9 @@ class Optimizer(ABC):
         caller = f"{type(self).__name__}.tell"
         points = float_array("points", points, (None, self.dimension), caller)
         costs = float_array("costs", costs, (len(points),), caller)
-        require(gradients is not None or not self.needs_gradients, "gradients", "given", None, caller)
+        require(
+            gradients is not None or not self.needs_gradients, "gradients", "given", None, caller
+        )
         i = int(costs.argmin())
         if costs[i] < self.best[1]:
             self.best = (points[i], float(costs[i]))
@@ -72,13 +94,21 @@ class _Closed(BaseException):
 
 
 class CallbackOptimizer(Optimizer):
-    """Ask and tell around a library that wants to call the objective itself. A plug-in writes `_minimise` alone.
+    """Ask and tell around a library that wants to call the objective itself.
+
+    A plug-in writes `_minimise` alone.
 
     The minimiser runs in a thread of its own and waits, in its objective, for the cost to be told.
     """
 
     def __init__(
-        self, dimension: int, rng: np.random.Generator, *, start: ArrayLike | None = None, step: ArrayLike = 0.25, budget: int = 5000
+        self,
+        dimension: int,
+        rng: np.random.Generator,
+        *,
+        start: ArrayLike | None = None,
+        step: ArrayLike = 0.25,
+        budget: int = 5000,
     ):
         super().__init__(dimension, rng, start=start, step=step, budget=budget)
         self._questions: queue.Queue[Array | str | BaseException] = queue.Queue()
@@ -88,7 +118,9 @@ class CallbackOptimizer(Optimizer):
 
     @abstractmethod
     def _minimise(self, cost: Callable[[Array], tuple[float, Array | None]]) -> str:
-        """Minimises cost(x (m,)) -> (value, gradient (m,) or None) from `self.start`; returns why it stopped."""
+        """Minimises cost(x (m,)) -> (value, gradient (m,) or None) from `self.start`; returns why
+        it stopped.
+        """
 
     def _run(self) -> None:
         try:
@@ -118,7 +150,13 @@ class CallbackOptimizer(Optimizer):
 
     def _ask(self) -> Array:
         point = self._next()
-        require(not isinstance(point, str), "optimizer", "unfinished", point, f"{type(self).__name__}.ask")
+        require(
+            not isinstance(point, str),
+            "optimizer",
+            "unfinished",
+            point,
+            f"{type(self).__name__}.ask",
+        )
         return np.asarray(point, dtype=float)
 
     def _tell(self, points: Array, costs: Array, gradients: Array | None) -> None:

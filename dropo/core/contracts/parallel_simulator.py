@@ -15,20 +15,29 @@ from dropo.core.services.validation import Array, require
 
 
 class Spread(Simulator):
-    """Splits the K parameter vectors of every prediction into `parts`, sends each to a worker, and puts them together in order.
+    """Splits the K parameter vectors of every prediction into `parts`, sends each to a worker, and
+    puts them together in order.
 
-    executor: any concurrent.futures.Executor: processes, or the workers of a cluster. The results are those of the
-    simulator itself, bit for bit. simulator: one that can be pickled; its copies stay with the workers between calls.
-    parts: as many as there are workers, the executor's own number where it names one, else this machine's cores.
+    executor: any concurrent.futures.Executor: processes, or the workers of a cluster. The results
+    are those of the simulator itself, bit for bit. simulator: one that can be pickled; its copies
+    stay with the workers between calls.
+    parts: as many as there are workers, the executor's own number where it names one, else this
+    machine's cores.
     """
 
     def __init__(self, simulator: Simulator, executor: Executor, parts: int | None = None):
         require(parts is None or parts >= 1, "parts", "at least 1", parts, "Spread")
         if simulator.has_gradients:
-            raise Incompatible(f"{type(simulator).__name__} gives gradients, which do not cross processes. Use it without an executor.")
-        self.simulator, self.executor = simulator, executor
+            raise Incompatible(
+                f"{type(simulator).__name__} gives gradients, which do not cross "
+                "processes. Use it without an executor."
+            )
+        self.simulator = simulator
+        self.executor = executor
         self.parts = parts or int(getattr(executor, "_max_workers", 0)) or os.cpu_count() or 1
-        self.space, self.signals, self.nominal = simulator.space, simulator.signals, simulator.nominal
+        self.space = simulator.space
+        self.signals = simulator.signals
+        self.nominal = simulator.nominal
         self.steps_per_action = simulator.steps_per_action
         self._pickled = pickle.dumps(simulator)
         self._segments: tuple[Segments, bytes] | None = None
@@ -45,7 +54,8 @@ class Spread(Simulator):
         sent = self._sent(segments)
         moved = [None if offsets is None else offsets[share] for share in shares]
         waiting = [
-            self.executor.submit(_part, self._pickled, sent, values[share], offset) for share, offset in zip(shares, moved, strict=True)
+            self.executor.submit(_part, self._pickled, sent, values[share], offset)
+            for share, offset in zip(shares, moved, strict=True)
         ]
         return np.concatenate([future.result() for future in waiting])
 

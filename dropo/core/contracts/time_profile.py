@@ -12,12 +12,25 @@ from dropo.core.services.validation import Array
 
 MOMENT = Quantity("moment", "1", -0.45, 0.45, (-0.25, 0.25), smooth=False, base=0.5)
 """When something sets in: how far into the data, less a half."""
-HOOKS = ("model", "command", "actuation", "command_feedback", "force", "wrench", "start", "measurement", "sensor_delay", "declared")
+HOOKS = (
+    "model",
+    "command",
+    "actuation",
+    "command_feedback",
+    "force",
+    "wrench",
+    "start",
+    "measurement",
+    "sensor_delay",
+    "declared",
+)
 STAGES = 10  # of a ramp
 
 
 def place_in_data(segments: Segments) -> Array:
-    """(N,) how far into its data each segment begins, from 0 up to 1; every trajectory is given the same share of the data."""
+    """(N,) how far into its data each segment begins, from 0 up to 1; every trajectory is given the
+    same share of the data.
+    """
     data = segments.trajectories
     first, last = np.array(data.spans).T
     row = segments.steps[:, 0]
@@ -47,18 +60,41 @@ class _Before:
 
 def growing(instance: EffectInstance) -> EffectInstance:
     """The same change, but growing through the data (`ramp`); it goes by the name parameter_drift."""
-    return replace(instance, effect="parameter_drift", target=instance.label, variant="ramp", time_profile=ramp, trials=tuple(_ends(instance)), alike=())
+    return replace(
+        instance,
+        effect="parameter_drift",
+        target=instance.label,
+        variant="ramp",
+        time_profile=ramp,
+        trials=tuple(_ends(instance)),
+        alike=(),
+    )
 
 
 def setting_in(instance: EffectInstance) -> EffectInstance:
-    """The same change, but from a moment of the data on (`set_in`), which is to be found too; it goes by the name parameter_drift."""
-    hooks: dict[str, Any] = {name: _Before(hook) for name in HOOKS if (hook := getattr(instance, name)) is not None}
+    """The same change, but from a moment of the data on (`set_in`), which is to be found too; it
+    goes by the name parameter_drift.
+    """
+    hooks: dict[str, Any] = {
+        name: _Before(hook) for name in HOOKS if (hook := getattr(instance, name)) is not None
+    }
     moments = (MOMENT.probes[0], 0.0, MOMENT.probes[1])
-    trials = tuple(tuple((*trial, moment) for trial in trials) for trials in _ends(instance) for moment in moments)
+    trials = tuple(
+        tuple((*trial, moment) for trial in trials)
+        for trials in _ends(instance)
+        for moment in moments
+    )
     return replace(
-        instance, effect="parameter_drift", target=instance.label, variant="from", quantities=(*instance.quantities, MOMENT), time_profile=set_in,
-        trials=trials, alike=(), **hooks,
-    )  # fmt: skip
+        instance,
+        effect="parameter_drift",
+        target=instance.label,
+        variant="from",
+        quantities=(*instance.quantities, MOMENT),
+        time_profile=set_in,
+        trials=trials,
+        alike=(),
+        **hooks,
+    )
 
 
 def _ends(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:

@@ -1,7 +1,9 @@
-"""NumPy or torch, by what is handed in: the same code gives the same numbers, with gradients by autograd where a tensor came in.
+"""NumPy or torch, by what is handed in: the same code gives the same numbers, with gradients by
+autograd where a tensor came in.
 
-A function of arrays asks `namespace` for its functions (the array API standard, through array-api-compat), and wraps its
-own constants in `constant`. torch is never imported here: where no tensor can have come in, it need not be installed.
+A function of arrays asks `namespace` for its functions (the array API standard, through
+array-api-compat), and wraps its own constants in `constant`. torch is never imported here: where no
+tensor can have come in, it need not be installed.
 """
 
 import sys
@@ -21,7 +23,9 @@ def is_tensor(x: Any) -> bool:
 
 
 def namespace(*arrays: Any) -> Any:
-    """The array API namespace of the arrays: torch's where one of them is a tensor, else NumPy's; `einsum` is in both."""
+    """The array API namespace of the arrays: torch's where one of them is a tensor, else NumPy's;
+    `einsum` is in both.
+    """
     tensors = [x for x in arrays if is_tensor(x)]
     return array_api_compat.array_namespace(tensors[0] if tensors else np.empty(0))
 
@@ -37,7 +41,9 @@ def constant(x: Any, like: Any) -> Any:
 
 
 def checked(name: str, values: Any, shape: tuple[int | None, ...], caller: str) -> Any:
-    """`float_array` of numbers; a tensor in float64, with its history, if it is finite and of that shape."""
+    """`float_array` of numbers; a tensor in float64, with its history, if it is finite and of that
+    shape.
+    """
     if not is_tensor(values):
         return float_array(name, values, shape, caller)
     check_shape(name, values, shape, caller)

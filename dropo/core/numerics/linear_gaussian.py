@@ -8,11 +8,15 @@ import numpy as np
 from dropo.core.services.validation import Array
 
 
-def scores_and_information(residuals: Array, jacobian: Array, covariance: Array, epsilon: Array) -> tuple[Array, Array]:
-    """Scores (R, 2 d) in (mu, v), v the parameters' variances, and the Fisher information (2 d, 2 d), block diagonal.
+def scores_and_information(
+    residuals: Array, jacobian: Array, covariance: Array, epsilon: Array
+) -> tuple[Array, Array]:
+    """Scores (R, 2 d) in (mu, v), v the parameters' variances, and the Fisher information (2 d, 2
+    d), block diagonal.
 
-    residuals: (R, p) measured - predicted; jacobian: (R, p, d); covariance: S (d, d); epsilon: (p,).
-    d log L / d mu = J' Sigma^-1 r; d log L / d v_i = ((J_i' Sigma^-1 r)^2 - J_i' Sigma^-1 J_i) / 2.
+    residuals: (R, p) measured - predicted; jacobian: (R, p, d); covariance: S (d, d); epsilon:
+    (p,). d log L / d mu = J' Sigma^-1 r; d log L / d v_i = ((J_i' Sigma^-1 r)^2 - J_i' Sigma^-1
+    J_i) / 2.
     """
     sigma = jacobian @ covariance @ jacobian.swapaxes(1, 2)
     sigma[:, np.arange(len(epsilon)), np.arange(len(epsilon))] += epsilon

@@ -9,5 +9,7 @@ NORMAL = 1.4826
 
 
 def deviation(errors: Array) -> Array:
-    """The standard deviation (p,) of errors (n, p) about 0, were they normal: by their median size; NaN rows count for nothing."""
+    """The standard deviation (p,) of errors (n, p) about 0, were they normal: by their median size;
+    NaN rows count for nothing.
+    """
     return np.asarray(NORMAL * np.nanmedian(np.abs(errors), axis=0))

@@ -15,7 +15,9 @@ NODES = 64
 
 @dataclass(frozen=True, eq=False)
 class StandardDistribution:
-    """quantile: (0, 1) -> the law's values; nodes, weights: (Q,) a Gauss rule, weights summing to 1."""
+    """quantile: (0, 1) -> the law's values; nodes, weights: (Q,) a Gauss rule, weights summing to
+    1.
+    """
 
     quantile: Callable[[Array], Array]
     nodes: Array
@@ -23,19 +25,27 @@ class StandardDistribution:
 
     @cached_property
     def _recurrence(self) -> tuple[Array, Array]:
-        """The three-term recurrence's coefficients by the Stieltjes procedure on the rule (Gautschi 2004, section 2.2)."""
-        a, b = np.zeros(NODES // 2), np.ones(NODES // 2)
-        before, now = np.zeros_like(self.nodes), np.ones_like(self.nodes)
+        """The three-term recurrence's coefficients by the Stieltjes procedure on the rule (Gautschi
+        2004, section 2.2).
+        """
+        a = np.zeros(NODES // 2)
+        b = np.ones(NODES // 2)
+        before = np.zeros_like(self.nodes)
+        now = np.ones_like(self.nodes)
         for k in range(len(a) - 1):
             a[k] = self.weights @ (self.nodes * now**2)
             after = (self.nodes - a[k]) * now - b[k] * before
             b[k + 1] = np.sqrt(self.weights @ after**2)
-            before, now = now, after / b[k + 1]
+            before = now
+            now = after / b[k + 1]
         return a, b
 
     def orthonormal(self, x: Array, degree: int) -> Array:
-        """Orthonormal polynomials of degree 0 ... degree at x (...,), array or tensor: (..., degree + 1)."""
-        xp, (a, b) = namespace(x), self._recurrence
+        """Orthonormal polynomials of degree 0 ... degree at x (...,), array or tensor: (..., degree
+        + 1).
+        """
+        xp = namespace(x)
+        (a, b) = self._recurrence
         out = [xp.ones_like(x), (x - a[0]) / b[1]]
         for k in range(1, degree):
             out.append(((x - a[k]) * out[k] - b[k] * out[k - 1]) / b[k + 1])
@@ -58,7 +68,11 @@ def _truncated_normal(cut: float) -> StandardDistribution:
     nodes, weights = roots_legendre(NODES)
     density = weights * np.exp(-((cut * nodes) ** 2) / 2)
     tail = float(ndtr(-cut))
-    return StandardDistribution(lambda base: ndtri(tail + (1 - 2 * tail) * base), cut * nodes, density / density.sum())
+    return StandardDistribution(
+        lambda base: ndtri(tail + (1 - 2 * tail) * base), cut * nodes, density / density.sum()
+    )
 
 
-NORMAL, UNIFORM, TRUNCATED_NORMAL = _normal(), _uniform(), _truncated_normal(2.0)
+NORMAL = _normal()
+UNIFORM = _uniform()
+TRUNCATED_NORMAL = _truncated_normal(2.0)

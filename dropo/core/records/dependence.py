@@ -8,13 +8,17 @@ from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
 
 MANY = 20  # trajectories or groups from which their number is enough for errors clustered by them
-NEAR_ONE = 0.97  # the largest autoregression that is taken out before smoothing (Andrews and Monahan 1992)
+NEAR_ONE = (
+    0.97  # the largest autoregression that is taken out before smoothing (Andrews and Monahan 1992)
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Independent units of R rows. label: (R,) 0, 1, ...; serial: whether there are too few of them to compare with each other,
-    so that the dependence is measured along time within each; order: (R,) the rows by unit, then time; kind: their name."""
+    """Independent units of R rows. label: (R,) 0, 1, ...; serial: whether there are too few of them
+    to compare with each other, so that the dependence is measured along time within each; order:
+    (R,) the rows by unit, then time; kind: their name.
+    """
 
     label: Ints
     serial: bool
@@ -33,10 +37,12 @@ def independent(rows: int) -> Units:
 
 
 def units_of(segments: Segments) -> Units:
-    """The units of the compared rows: trajectories that share no group, trajectories, or groups, the first of them that are
-    many; else the trajectories as series in time."""
+    """The units of the compared rows: trajectories that share no group, trajectories, or groups,
+    the first of them that are many; else the trajectories as series in time.
+    """
     segment, step = segments.rows
-    trajectory, group = segments.trajectory[segment], segments.group[segment]
+    trajectory = segments.trajectory[segment]
+    group = segments.group[segment]
     named = segments.trajectories.group is not None
     choices = [("trajectories", _joined(trajectory, group))] if named else []
     choices += [("trajectories", trajectory)] + ([("groups", group)] if named else [])
@@ -71,30 +77,36 @@ def unit_sums(values: Array, units: Units) -> Array:
 
 
 def variance_of_sum(values: Array, units: Units) -> tuple[Array, Array]:
-    """The covariance (m, m) of the sum over rows (R, m) that have mean 0, and the degrees of freedom (m,) of its diagonal.
+    """The covariance (m, m) of the sum over rows (R, m) that have mean 0, and the degrees of
+    freedom (m,) of its diagonal.
 
-    G/(G-1) sum_g u_g u_g' with G - 1 degrees over units; where they are too few, the long-run covariance along time.
+    G/(G-1) sum_g u_g u_g' with G - 1 degrees over units; where they are too few, the long-run
+    covariance along time.
     """
     if units.serial:
         return long_run(values[units.order], units.label[units.order])
-    sums, count = unit_sums(values, units), units.count
+    sums = unit_sums(values, units)
+    count = units.count
     return sums.T @ sums * count / max(count - 1, 1), np.full(values.shape[1], max(count - 1, 1.0))
 
 
 def long_run(values: Array, series: Ints) -> tuple[Array, Array]:
-    """The covariance of the sum of serially dependent rows (R, m) in time order, never across series (R,); and its degrees (m,).
+    """The covariance of the sum of serially dependent rows (R, m) in time order, never across
+    series (R,); and its degrees (m,).
 
-    Each column is prewhitened by its own first-order autoregression, its residuals are smoothed by the quadratic spectral
-    kernel with Andrews' automatic bandwidth S, and both are put together again (Andrews 1991, eq. 6.2 and 6.4; Andrews and
-    Monahan 1992). Degrees: 2 / (2 S/R + 4 (1 + r) / ((1 - r) R)), from the variances of a kernel estimate and of the
-    autoregression r.
+    Each column is prewhitened by its own first-order autoregression, its residuals are smoothed by
+    the quadratic spectral kernel with Andrews' automatic bandwidth S, and both are put together
+    again (Andrews 1991, eq. 6.2 and 6.4; Andrews and Monahan 1992). Degrees: 2 / (2 S/R + 4 (1 + r)
+    / ((1 - r) R)), from the variances of a kernel estimate and of the autoregression r.
     """
     rows, m = values.shape
     follows = np.flatnonzero(series[1:] == series[:-1]) + 1  # rows with a row before them
     if len(follows) < 2:
         return values.T @ values, np.full(m, max(rows - 1.0, 1.0))
     rho = np.clip(_autoregression(values, follows), -NEAR_ONE, NEAR_ONE)
-    white = values.copy()  # the first row of a series has nothing before it: it is scaled to the same variance
+    white = (
+        values.copy()
+    )  # the first row of a series has nothing before it: it is scaled to the same variance
     white[follows] -= rho * values[follows - 1]
     first = np.setdiff1d(np.arange(rows), follows)
     white[first] *= np.sqrt(1 - rho**2)
@@ -111,15 +123,19 @@ def long_run(values: Array, series: Ints) -> tuple[Array, Array]:
 
 def _autoregression(values: Array, follows: Ints) -> Array:
     """(m,) first-order coefficients, corrected for their bias -(1 + 3 r) / R (Kendall 1954)."""
-    now, before = values[follows], values[follows - 1]
+    now = values[follows]
+    before = values[follows - 1]
     size = np.sum(before**2, axis=0)
     rho = np.sum(now * before, axis=0) / np.where(size > 0, size, 1.0)
     return rho + (1 + 3 * rho) / len(follows)
 
 
 def _bandwidth(white: Array, follows: Ints, rows: int) -> float:
-    """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5) for the quadratic spectral kernel, alpha from autoregressions."""
-    now, before = white[follows], white[follows - 1]
+    """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5) for the quadratic spectral kernel, alpha
+    from autoregressions.
+    """
+    now = white[follows]
+    before = white[follows - 1]
     size = np.sum(before**2, axis=0)
     good = size > 0
     if not good.any():

@@ -8,9 +8,11 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Bar:
-    """An effect that was tried in a round of the search: nats gained on data held out, with their standard error, before the accepted one
-    is fitted to the end; None where it was not refitted, since its response is that of the effect named. told: whether the
-    data can tell it from the effect that was accepted."""
+    """An effect that was tried in a round of the search: nats gained on data held out, with their
+    standard error, before the accepted one is fitted to the end; None where it was not refitted,
+    since its response is that of the effect named. told: whether the data can tell it from the
+    effect that was accepted.
+    """
 
     label: str
     gain: float | None
@@ -21,8 +23,10 @@ class Bar:
 
 @dataclass(frozen=True)
 class AgainstAxis:
-    """The errors of the signal in which an effect shows most, over what the effect acts on. x: its value in each window held out;
-    before, after: the error at the window's end without the effect, and with all that was accepted."""
+    """The errors of the signal in which an effect shows most, over what the effect acts on. x: its
+    value in each window held out; before, after: the error at the window's end without the
+    effect, and with all that was accepted.
+    """
 
     label: str
     axis: str
@@ -36,8 +40,10 @@ class AgainstAxis:
 
 @dataclass(frozen=True)
 class Sizes:
-    """An effect's size estimated anew in quarters of the data by a variable, as multiples of the whole's; a true cause has one size.
-    at: the variable's median in each part; error: standard errors; p_value: of one size in all of them, this variable alone."""
+    """An effect's size estimated anew in quarters of the data by a variable, as multiples of the
+    whole's; a true cause has one size. at: the variable's median in each part; error: standard
+    errors; p_value: of one size in all of them, this variable alone.
+    """
 
     label: str
     variable: str
@@ -49,7 +55,9 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Forces:
-    """Standard deviations of random forces at each degree of freedom, anew in each control step, that would explain what is left."""
+    """Standard deviations of random forces at each degree of freedom, anew in each control step,
+    that would explain what is left.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -61,7 +69,9 @@ class Forces:
 
 @dataclass(frozen=True)
 class Similarity:
-    """|cosine| between the whitened responses of the effects that promised most: 1 where the data cannot tell them apart."""
+    """|cosine| between the whitened responses of the effects that promised most: 1 where the data
+    cannot tell them apart.
+    """
 
     labels: tuple[str, ...]
     cosines: tuple[Numbers, ...]
@@ -69,8 +79,10 @@ class Similarity:
 
 @dataclass(frozen=True)
 class Sums:
-    """The scores of an effect's size summed over the windows held out, in order, as a bridge that ends where it begins: a size that
-    changes at a moment makes a peak there. time: the share of the data so far; beyond +-1.36 once in twenty where nothing changes."""
+    """The scores of an effect's size summed over the windows held out, in order, as a bridge that
+    ends where it begins: a size that changes at a moment makes a peak there. time: the share of
+    the data so far; beyond +-1.36 once in twenty where nothing changes.
+    """
 
     label: str
     time: Numbers
@@ -79,7 +91,9 @@ class Sums:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Everything but the motion itself, which `Predictions` keep. needed: the nats that confirm an effect."""
+    """Everything but the motion itself, which `Predictions` keep. needed: the nats that confirm an
+    effect.
+    """
 
     needed: float
     rounds: tuple[tuple[Bar, ...], ...]
@@ -99,9 +113,13 @@ class Pictures:
     def from_json(cls, kept: dict[str, Any]) -> "Pictures":
         """What `to_json` gave."""
         kinds: dict[str, Any] = {"axes": AgainstAxis, "sizes": Sizes, "sums": Sums}
-        lists = {name: tuple(kind(**_tuples(entry)) for entry in kept[name]) for name, kind in kinds.items()}
+        lists = {
+            name: tuple(kind(**_tuples(entry)) for entry in kept[name])
+            for name, kind in kinds.items()
+        }
         rounds = tuple(tuple(Bar(**bar) for bar in one) for one in kept["rounds"])
-        forces, alike = Forces(**_tuples(kept["forces"])), Similarity(**_tuples(kept["similarity"]))
+        forces = Forces(**_tuples(kept["forces"]))
+        alike = Similarity(**_tuples(kept["similarity"]))
         return cls(needed=kept["needed"], rounds=rounds, forces=forces, similarity=alike, **lists)
 
 

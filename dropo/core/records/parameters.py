@@ -17,8 +17,9 @@ from dropo.core.services.validation import Array, float_array, known, require
 class Parameter:
     """One number to be found.
 
-    name: what it is called in tables and files; low, high: the search interval, in `unit`. lower, upper: what is physically
-    possible, which a draw never leaves; by default a tenth of `low` where `low` is positive, 0 where it is 0, and no limit otherwise.
+    name: what it is called in tables and files; low, high: the search interval, in `unit`. lower,
+    upper: what is physically possible, which a draw never leaves; by default a tenth of `low` where
+    `low` is positive, 0 where it is 0, and no limit otherwise.
     scale: how a search moves in the interval, "linear" or "log".
     """
 
@@ -33,15 +34,35 @@ class Parameter:
 
     def __post_init__(self) -> None:
         caller = f"Parameter {self.name!r}"
-        require(bool(self.name) and isinstance(self.name, str), "name", "a word", self.name, "Parameter")
-        require(math.isfinite(self.low) and math.isfinite(self.high), "low, high", "finite", (self.low, self.high), caller)
+        require(
+            bool(self.name) and isinstance(self.name, str), "name", "a word", self.name, "Parameter"
+        )
+        require(
+            math.isfinite(self.low) and math.isfinite(self.high),
+            "low, high",
+            "finite",
+            (self.low, self.high),
+            caller,
+        )
         require(self.low < self.high, "low", f"below high = {self.high:g}", self.low, caller)
         require(self.scale in ("linear", "log"), "scale", "'linear' or 'log'", self.scale, caller)
-        require(self.scale == "linear" or self.low > 0, "low", "positive on a log scale", self.low, caller)
+        require(
+            self.scale == "linear" or self.low > 0,
+            "low",
+            "positive on a log scale",
+            self.low,
+            caller,
+        )
         if math.isnan(self.lower):
-            object.__setattr__(self, "lower", self.low / 10 if self.low > 0 else 0.0 if self.low == 0 else -math.inf)
+            object.__setattr__(
+                self,
+                "lower",
+                self.low / 10 if self.low > 0 else 0.0 if self.low == 0 else -math.inf,
+            )
         require(self.lower <= self.low, "lower", f"at most low = {self.low:g}", self.lower, caller)
-        require(self.upper >= self.high, "upper", f"at least high = {self.high:g}", self.upper, caller)
+        require(
+            self.upper >= self.high, "upper", f"at least high = {self.high:g}", self.upper, caller
+        )
 
     @property
     def width(self) -> float:
@@ -51,12 +72,18 @@ class Parameter:
     @property
     def place(self) -> dict[str, Any]:
         """What a kind of parameter says beside this: where in a model it is; empty for a bare one."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in Parameter.__dataclass_fields__}
+        return {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name not in Parameter.__dataclass_fields__
+        }
 
 
 @dataclass(frozen=True)
 class ParameterSpace(Sequence[Parameter]):
-    """An ordered set of parameters of different names: vectors (d,) in this order, and the box [low, high]."""
+    """An ordered set of parameters of different names: vectors (d,) in this order, and the box
+    [low, high].
+    """
 
     parameters: tuple[Parameter, ...]
 
@@ -113,12 +140,20 @@ class ParameterSpace(Sequence[Parameter]):
             for name in values:
                 known("parameter", name, self.names)
             missing = [name for name in self.names if name not in values]
-            require(not missing, "values", "given for every parameter", f"none for {missing}", "ParameterSpace.vector")
+            require(
+                not missing,
+                "values",
+                "given for every parameter",
+                f"none for {missing}",
+                "ParameterSpace.vector",
+            )
             values = [values[name] for name in self.names]
         return float_array("values", values, (len(self),), "ParameterSpace.vector")
 
     def from_unit(self, unit: ArrayLike) -> Array:
-        """Points of the box from points of [0, 1]^d, linear or in logarithms; unit: (..., d) -> (..., d)."""
+        """Points of the box from points of [0, 1]^d, linear or in logarithms; unit: (..., d) ->
+        (..., d).
+        """
         unit = np.asarray(unit, dtype=float)
         linear = self.low + unit * (self.high - self.low)
         base = np.where(self.is_log, self.low, 1.0)
@@ -129,11 +164,14 @@ class ParameterSpace(Sequence[Parameter]):
         """The inverse of `from_unit`; values outside the box land outside [0, 1]."""
         values = np.asarray(values, dtype=float)
         linear = (values - self.low) / (self.high - self.low)
-        base, ratio = np.where(self.is_log, self.low, 1.0), np.where(self.is_log, self.high / np.where(self.is_log, self.low, 1.0), math.e)
+        base = np.where(self.is_log, self.low, 1.0)
+        ratio = np.where(self.is_log, self.high / np.where(self.is_log, self.low, 1.0), math.e)
         logarithmic = np.log(np.where(self.is_log, values, 1.0) / base) / np.log(ratio)
         return np.where(self.is_log, logarithmic, linear)
 
     def feasible(self, values: Array) -> Array:
         """`values` (..., d) moved to the nearest physically possible ones."""
         xp = namespace(values)
-        return xp.minimum(xp.maximum(values, constant(self.lower, values)), constant(self.upper, values))
+        return xp.minimum(
+            xp.maximum(values, constant(self.lower, values)), constant(self.upper, values)
+        )

@@ -1,4 +1,6 @@
-"""Measured motion beside what a model predicts, before and after: what pictures of a fit or a diagnosis are drawn from."""
+"""Measured motion beside what a model predicts, before and after: what pictures of a fit or a
+diagnosis are drawn from.
+"""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -18,11 +20,14 @@ LEVEL = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """What one model predicts, for W windows of L steps and p signals; NaN where a simulation failed.
+    """What one model predicts, for W windows of L steps and p signals; NaN where a simulation
+    failed.
 
-    line: (W, L, p); band: (2, W, L, p) the ends of the bands that hold a share `LEVEL`; by_horizon: (H,) root mean square errors after
-    1 ... H steps, all signals together, each in units of its own spread; by_signal: (p,) root mean square errors of the rows that a fit
-    compares, in each signal's unit; pit: (n,) the predicted probability of what is below each measurement, even where that is calibrated.
+    line: (W, L, p); band: (2, W, L, p) the ends of the bands that hold a share `LEVEL`; by_horizon:
+    (H,) root mean square errors after 1 ... H steps, all signals together, each in units of its own
+    spread; by_signal: (p,) root mean square errors of the rows that a fit compares, in each
+    signal's unit; pit: (n,) the predicted probability of what is below each measurement, even where
+    that is calibrated.
     """
 
     name: str
@@ -37,11 +42,13 @@ class Side:
 class Predictions:
     """The measured windows and both sides.
 
-    names, units: of the p signals; seconds: of a control step, NaN where unknown; begins: (W,) the step of the data at which a window
-    begins, counted within its trajectory; measured: (W, L, p); rows: (W, L, P) the same
-    as observation rows; spread: (p,) each signal's standard deviation in the data;
-    noise: (H,) what the measurements' noise alone gives by horizon, NaN where it is unknown; rows_after: how many steps after their
-    start the rows of `by_signal` are; held_out: whether no fit has seen these data.
+    names, units: of the p signals; seconds: of a control step, NaN where unknown; begins: (W,) the
+    step of the data at which a window begins, counted within its trajectory; measured: (W, L, p);
+    rows: (W, L, P) the same as observation rows; spread: (p,) each signal's standard deviation in
+    the data;
+    noise: (H,) what the measurements' noise alone gives by horizon, NaN where it is unknown;
+    rows_after: how many steps after their start the rows of `by_signal` are; held_out: whether no
+    fit has seen these data.
     """
 
     names: tuple[str, ...]
@@ -71,19 +78,33 @@ class Predictions:
         """What `save` wrote into a folder."""
         path = Path(folder) / FILE
         if not path.is_file():
-            raise BadFile(path, "", "what a run of `dropo fit --out` or `dropo diagnose --out` keeps", "no such file")
+            raise BadFile(
+                path,
+                "",
+                "what a run of `dropo fit --out` or `dropo diagnose --out` keeps",
+                "no such file",
+            )
         try:
             with np.load(path, allow_pickle=False) as kept:
                 return _from_arrays(cls, dict(kept))
         except (KeyError, ValueError, OSError) as error:
-            raise BadFile(path, "", "what a run of `dropo fit --out` keeps", f"{type(error).__name__}: {error}") from None
+            raise BadFile(
+                path,
+                "",
+                "what a run of `dropo fit --out` keeps",
+                f"{type(error).__name__}: {error}",
+            ) from None
 
 
 def _arrays(found: Predictions) -> dict[str, Any]:
     """All fields by name, those of the sides as "before.line"."""
     own = {field.name: getattr(found, field.name) for field in fields(found)}
     sides = {name: own.pop(name) for name in SIDES}
-    own |= {f"{name}.{field.name}": getattr(side, field.name) for name, side in sides.items() for field in fields(side)}
+    own |= {
+        f"{name}.{field.name}": getattr(side, field.name)
+        for name, side in sides.items()
+        for field in fields(side)
+    }
     return {name: np.asarray(value) for name, value in own.items()}
 
 
@@ -92,7 +113,9 @@ def _from_arrays(cls: type[Predictions], kept: dict[str, Any]) -> Predictions:
         arrays = {field.name: kept[f"{name}.{field.name}"] for field in fields(Side)}
         return Side(**{**arrays, "name": str(arrays["name"])})
 
-    own: dict[str, Any] = {field.name: kept[field.name] for field in fields(cls) if field.name not in SIDES}
+    own: dict[str, Any] = {
+        field.name: kept[field.name] for field in fields(cls) if field.name not in SIDES
+    }
     own |= {name: tuple(own[name].tolist()) for name in ("names", "units")}
     own |= {name: own[name].item() for name in ("seconds", "rows_after", "held_out")}
     return cls(**own, before=side("before"), after=side("after"))

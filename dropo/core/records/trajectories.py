@@ -26,8 +26,9 @@ class Signal:
 class Trajectories:
     """Transitions (o_t, a_t, o_{t+1}) of one or more trajectories, in order; read-only float64.
 
-    observations, next_observations: (N, p); actions: (N, q), q may be 0; terminals: (N,), True on each trajectory's
-    last row; group: (N,) integers, rows of one group share one draw of the parameters (None: nothing is known);
+    observations, next_observations: (N, p); actions: (N, q), q may be 0; terminals: (N,), True on
+    each trajectory's last row; group: (N,) integers, rows of one group share one draw of the
+    parameters (None: nothing is known);
     time: (N,) [s] or None.
     """
 
@@ -46,21 +47,40 @@ class Trajectories:
         following = float_array("next_observations", self.next_observations, (n, p), "Trajectories")
         terminals = np.array(self.terminals, dtype=bool)
         check_shape("terminals", terminals, (n,), "Trajectories")
-        require(bool(terminals.any()), "terminals", "True on each trajectory's last row", "no True at all", "Trajectories")
+        require(
+            bool(terminals.any()),
+            "terminals",
+            "True on each trajectory's last row",
+            "no True at all",
+            "Trajectories",
+        )
         require(bool(terminals[-1]), "terminals", "True on the last row", "False", "Trajectories")
-        for name, value in (("observations", observations), ("actions", actions), ("next_observations", following)):
+        for name, value in (
+            ("observations", observations),
+            ("actions", actions),
+            ("next_observations", following),
+        ):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "terminals", terminals)
         if self.group is not None:
             group = np.array(self.group)
             check_shape("group", group, (n,), "Trajectories")
-            object.__setattr__(self, "group", np.unique(group, return_inverse=True)[1].astype(np.int64))
+            object.__setattr__(
+                self, "group", np.unique(group, return_inverse=True)[1].astype(np.int64)
+            )
         if self.time is not None:
             object.__setattr__(self, "time", float_array("time", self.time, (n,), "Trajectories"))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Copies in other processes are read-only too."""
-        return Trajectories, (self.observations, self.actions, self.next_observations, self.terminals, self.group, self.time)
+        return Trajectories, (
+            self.observations,
+            self.actions,
+            self.next_observations,
+            self.terminals,
+            self.group,
+            self.time,
+        )
 
     def __len__(self) -> int:
         return len(self.observations)
@@ -86,44 +106,71 @@ class Trajectories:
         return self.rows(np.flatnonzero(np.isin(self.trajectory, np.asarray(trajectories))))
 
     def rows(self, rows: Ints) -> "Trajectories":
-        """Some rows, in order; a trajectory ends where the next row is missing or belongs to another one."""
+        """Some rows, in order; a trajectory ends where the next row is missing or belongs to
+        another one.
+        """
         require(len(rows) > 0, "rows", "at least one", len(rows), "Trajectories")
         end = self.terminals[rows].copy()
         end[:-1] |= np.diff(rows) != 1
         end[-1] = True
         group = None if self.group is None else self.group[rows]
         time = None if self.time is None else self.time[rows]
-        return Trajectories(self.observations[rows], self.actions[rows], self.next_observations[rows], end, group, time)
+        return Trajectories(
+            self.observations[rows],
+            self.actions[rows],
+            self.next_observations[rows],
+            end,
+            group,
+            time,
+        )
 
     def segments(
-        self, length: int = 1, *, reset: Reset = "transition", set_columns: ArrayLike | None = None, every_step: bool = False
+        self,
+        length: int = 1,
+        *,
+        reset: Reset = "transition",
+        set_columns: ArrayLike | None = None,
+        every_step: bool = False,
     ) -> "Segments":
-        """Segments of `length` steps (the thesis' lambda), not overlapping, never across a trajectory's end.
+        """Segments of `length` steps (the thesis' lambda), not overlapping, never across a
+        trajectory's end.
 
-        reset: "transition", every segment starts from its own measured observation; "start", one segment a trajectory,
-        every step compared; "partial", only the columns in `set_columns` (p,) bool are set to the measurement at a
-        segment's start, the others go on from where the last segment's simulation ended (all are set at a
-        trajectory's first row). every_step: compare every step and not only the last.
+        reset: "transition", every segment starts from its own measured observation; "start", one
+        segment a trajectory, every step compared; "partial", only the columns in `set_columns` (p,)
+        bool are set to the measurement at a segment's start, the others go on from where the last
+        segment's simulation ended (all are set at a trajectory's first row). every_step: compare
+        every step and not only the last.
         """
         known("reset mode", reset, ("transition", "start", "partial"))
         require(length >= 1, "lambda", "at least 1", length, "Trajectories.segments")
         p = self.observations.shape[1]
-        columns = np.ones(p, dtype=bool) if set_columns is None else np.array(set_columns, dtype=bool)
+        columns = (
+            np.ones(p, dtype=bool) if set_columns is None else np.array(set_columns, dtype=bool)
+        )
         check_shape("set_columns", columns, (p,), "Trajectories.segments")
         if reset == "start":
             return Segments(self, *_whole(self.spans), set_columns=columns, every_step=True)
-        short = [(i, stop - start) for i, (start, stop) in enumerate(self.spans) if stop - start < length]
+        short = [
+            (i, stop - start) for i, (start, stop) in enumerate(self.spans) if stop - start < length
+        ]
         if len(short) == len(self.spans) or (short and reset == "partial"):
-            raise BadArgument(f"lambda = {length} is longer than trajectory {short[0][0]}, which has {short[0][1]} transitions."
-                              " Choose a smaller lambda, or leave that trajectory out.")  # fmt: skip
+            raise BadArgument(
+                f"lambda = {length} is longer than trajectory {short[0][0]}, which has "
+                f"{short[0][1]} transitions."
+                " Choose a smaller lambda, or leave that trajectory out."
+            )
         steps, previous = _windows(self.spans, length, chained=reset == "partial")
         return Segments(self, steps, previous, set_columns=columns, every_step=every_step)
 
     def from_rows(self, first: Ints, length: int = 1, *, every_step: bool = False) -> "Segments":
-        """Segments of `length` steps that begin at the rows `first` (N,), each from its measurement; they may overlap. `every_step`: as of
-        `segments`."""
-        alone, columns = np.full(len(first), -1, dtype=np.int64), np.ones(self.observations.shape[1], dtype=bool)
-        return Segments(self, first[:, None] + np.arange(length), alone, columns, every_step=every_step)
+        """Segments of `length` steps that begin at the rows `first` (N,), each from its
+        measurement; they may overlap. `every_step`: as of `segments`.
+        """
+        alone = np.full(len(first), -1, dtype=np.int64)
+        columns = np.ones(self.observations.shape[1], dtype=bool)
+        return Segments(
+            self, first[:, None] + np.arange(length), alone, columns, every_step=every_step
+        )
 
 
 def _whole(spans: list[tuple[int, int]]) -> tuple[Ints, Ints]:
@@ -144,17 +191,23 @@ def _windows(spans: list[tuple[int, int]], length: int, *, chained: bool) -> tup
         previous.append(np.arange(first, first + len(own)) - 1)
         previous[-1][:1] = -1
     begin = np.concatenate(starts).astype(np.int64)
-    follow = np.concatenate(previous).astype(np.int64) if chained else np.full(len(begin), -1, dtype=np.int64)
+    follow = (
+        np.concatenate(previous).astype(np.int64)
+        if chained
+        else np.full(len(begin), -1, dtype=np.int64)
+    )
     return begin[:, None] + np.arange(length), follow
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """N pieces of trajectories to replay, of up to L steps, and the R compared (segment, step) pairs, the rows.
+    """N pieces of trajectories to replay, of up to L steps, and the R compared (segment, step)
+    pairs, the rows.
 
-    steps: (N, L) the transition replayed at each step, -1 behind the end of a shorter segment; previous: (N,) the
-    segment whose simulated end the unset columns start from, or -1; set_columns: (p,) bool.
-    Rows are ordered by segment, then step; without `every_step` there is one a segment and R = N.
+    steps: (N, L) the transition replayed at each step, -1 behind the end of a shorter segment;
+    previous: (N,) the segment whose simulated end the unset columns start from, or -1; set_columns:
+    (p,) bool. Rows are ordered by segment, then step; without `every_step` there is one a segment
+    and R = N.
     """
 
     trajectories: Trajectories
@@ -181,9 +234,13 @@ class Segments:
 
     @cached_property
     def levels(self) -> list[Ints]:
-        """The segments by how many come before them in their chain; one level without `partial` resets."""
+        """The segments by how many come before them in their chain; one level without `partial`
+        resets.
+        """
         depth = np.zeros(len(self), dtype=np.int64)
-        for i in np.flatnonzero(self.previous >= 0):  # a segment comes behind the one it goes on from
+        for i in np.flatnonzero(
+            self.previous >= 0
+        ):  # a segment comes behind the one it goes on from
             depth[i] = depth[self.previous[i]] + 1
         return [np.flatnonzero(depth == level) for level in range(int(depth.max()) + 1)]
 
@@ -220,16 +277,26 @@ class Segments:
         return self if self.every_step else replace(self, every_step=True)
 
     def thin(self, count: int) -> Ints:
-        """Which segments to take for about `count` of them, evenly spread; all where they form chains, or are fewer."""
+        """Which segments to take for about `count` of them, evenly spread; all where they form
+        chains, or are fewer.
+        """
         stride = len(self) // count if len(self.levels) == 1 else 1
         return np.arange(0, len(self), max(1, stride), dtype=np.int64)
 
     def take(self, index: ArrayLike) -> "Segments":
-        """Some of the segments, by an index of numbers or (N,) bool; of a chain (`partial` resets) only whole beginnings can be taken."""
+        """Some of the segments, by an index of numbers or (N,) bool; of a chain (`partial` resets)
+        only whole beginnings can be taken.
+        """
         index = np.asarray(index)
         index = np.flatnonzero(index) if index.dtype == bool else index.astype(np.int64)
         place = np.full(len(self) + 1, -2, dtype=np.int64)
         place[index], place[-1] = np.arange(len(index)), -1
         previous = place[self.previous[index]]
-        require(not (previous == -2).any(), "index", "closed under 'previous'", "a segment without the one before it", "Segments.take")
+        require(
+            not (previous == -2).any(),
+            "index",
+            "closed under 'previous'",
+            "a segment without the one before it",
+            "Segments.take",
+        )
         return replace(self, steps=self.steps[index], previous=previous)

@@ -7,7 +7,10 @@ from dropo.core.services.optional_dependencies import need
 
 
 def frame(rows: Sequence[dict[str, Any]], index: str) -> Any:
-    """A pandas.DataFrame of rows of equal keys, indexed by one of these. Needs the extra `tables`."""
+    """A pandas.DataFrame of rows of equal keys, indexed by one of these.
+
+    Needs the extra `tables`.
+    """
     need("pandas", extra="tables", caller="A table for pandas")
     import pandas
 

@@ -1,4 +1,7 @@
-"""One family of errors. `Refused` means that the input cannot be used: nothing was run and nothing was written."""
+"""One family of errors.
+
+`Refused` means that the input cannot be used: nothing was run and nothing was written.
+"""
 
 
 class DropoError(Exception):
@@ -19,7 +22,8 @@ class BadFile(Refused):
     def __init__(self, path: object, key: str, expected: str, got: object):
         where = f"{path}: {key}" if key else f"{path}"
         super().__init__(f"{where}: expected {expected}, got {got}.")
-        self.path, self.key = path, key
+        self.path = path
+        self.key = key
 
 
 class UnknownName(Refused, LookupError):
@@ -31,7 +35,9 @@ class Incompatible(Refused):
 
 
 class MissingPackage(Refused, ImportError):
-    """A package is not installed that only some uses need; the message names it and the extra that brings it."""
+    """A package is not installed that only some uses need; the message names it and the extra that
+    brings it.
+    """
 
 
 class SimulationFailed(DropoError, RuntimeError):

@@ -1,7 +1,9 @@
-"""What was evaluated so far, on disk: a run that was killed goes on by asking the same questions and reading the answers.
+"""What was evaluated so far, on disk: a run that was killed goes on by asking the same questions
+and reading the answers.
 
-Every part of a run is deterministic given its seed, so nothing else needs to be saved: neither an optimizer's state
-nor a random generator's. The file holds one JSON line a batch; numbers are written so that they come back bit for bit.
+Every part of a run is deterministic given its seed, so nothing else needs to be saved: neither an
+optimizer's state nor a random generator's. The file holds one JSON line a batch; numbers are
+written so that they come back bit for bit.
 """
 
 import json
@@ -21,12 +23,13 @@ Answer = tuple[Array, dict[str, int]]
 class Journal:
     """Evaluations by the order in which they were asked for; with `path`, kept in a file.
 
-    header: what the run is (problem, settings, seed, hashes); a file of another run is refused. The file begins with
-    the first batch, so that a run that is refused before it leaves none.
+    header: what the run is (problem, settings, seed, hashes); a file of another run is refused. The
+    file begins with the first batch, so that a run that is refused before it leaves none.
     """
 
     def __init__(self, path: Path | None = None, header: dict[str, Any] | None = None):
-        self.path, self._next = path, 0
+        self.path = path
+        self._next = 0
         self._known: list[dict[str, Any]] = []
         if path is None:
             return
@@ -40,17 +43,28 @@ class Journal:
         return len(self._known)
 
     def evaluate(self, points: Array, function: Callable[[Array], Answer]) -> Answer:
-        """function(points) -> (answers, counts); from the file where the same batch was asked for before."""
+        """function(points) -> (answers, counts); from the file where the same batch was asked for
+        before.
+        """
         if self._next < len(self._known):
             entry = self._known[self._next]
             self._next += 1
             if not np.array_equal(np.asarray(entry["points"]), points):
-                sentence = f"batch {self._next} was asked for at other points, so another version wrote it."
+                sentence = (
+                    f"batch {self._next} was asked for at other points, so another version "
+                    "wrote it."
+                )
                 raise Refused(f"{self.path}: {sentence} Use another --out.")
             return np.array(entry["answers"], dtype=float), entry["counts"]
         answers, counts = function(points)
         if self.path is not None:
-            self._append({"points": points.tolist(), "answers": np.asarray(answers).tolist(), "counts": counts})
+            self._append(
+                {
+                    "points": points.tolist(),
+                    "answers": np.asarray(answers).tolist(),
+                    "counts": counts,
+                }
+            )
         return np.asarray(answers, dtype=float), counts
 
     def _append(self, entry: dict[str, Any]) -> None:
@@ -72,11 +86,17 @@ def _read(path: Path, header: dict[str, Any]) -> list[dict[str, Any]]:
     try:
         lines = [json.loads(line) for line in whole.splitlines()]
     except json.JSONDecodeError:
-        raise BadFile(path, "", "the evaluations of a run, one JSON line each", "something else") from None
+        raise BadFile(
+            path, "", "the evaluations of a run, one JSON line each", "something else"
+        ) from None
     if not lines:
         return []
     if lines[0] != json.loads(json.dumps(header)):
-        ours, theirs = header["header"], lines[0].get("header", {})
+        ours = header["header"]
+        theirs = lines[0].get("header", {})
         differ = sorted(key for key in {*ours, *theirs} if ours.get(key) != theirs.get(key))
-        raise Refused(f"{path}: holds another run; it differs in {', '.join(differ)}. Use another --out, or the settings of that run.")
+        raise Refused(
+            f"{path}: holds another run; it differs in {', '.join(differ)}. Use another "
+            "--out, or the settings of that run."
+        )
     return lines[1:]

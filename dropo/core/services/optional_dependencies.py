@@ -10,4 +10,7 @@ def need(*packages: str, extra: str, caller: str) -> None:
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
         verb = "is" if len(missing) == 1 else "are"
-        raise MissingPackage(f"{caller} needs {' and '.join(missing)}, which {verb} not installed: pip install 'dropo[{extra}]'.")
+        raise MissingPackage(
+            f"{caller} needs {' and '.join(missing)}, which {verb} not installed: pip "
+            f"install 'dropo[{extra}]'."
+        )

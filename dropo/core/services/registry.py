@@ -1,6 +1,7 @@
 """Names of plug-ins. A plug-in is imported when it is asked for, so that `dropo list` imports none.
 
-Packages outside announce theirs as entry points of the group `dropo.<kind>` (for example `dropo.optimizers`);
+Packages outside announce theirs as entry points of the group `dropo.<kind>` (for example
+`dropo.optimizers`);
 a script or a notebook calls `register`.
 """
 
@@ -10,17 +11,41 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from dropo.core.contracts.effect import EffectInstance, EffectContext
+from dropo.core.contracts.effect import EffectContext, EffectInstance
 from dropo.core.services.validation import known
 
 _EFFECTS = (
-    "body_mass", "body_com", "body_inertia", "joint_damping", "joint_friction",
-    "joint_stribeck", "joint_stiffness", "joint_armature", "joint_load_friction", "joint_cogging",
-    "joint_limit", "actuator_gain", "actuator_bias", "actuator_delay", "actuator_lag",
-    "actuator_coupling", "actuator_torque_speed", "actuator_saturation", "actuator_deadband", "gravity_tilt",
-    "external_force", "air_drag", "wind", "contact_friction", "contact_stiffness",
-    "sensor_bias", "sensor_gain", "sensor_delay", "gear_lash", "parameter_drift",
-)  # fmt: skip
+    "body_mass",
+    "body_com",
+    "body_inertia",
+    "joint_damping",
+    "joint_friction",
+    "joint_stribeck",
+    "joint_stiffness",
+    "joint_armature",
+    "joint_load_friction",
+    "joint_cogging",
+    "joint_limit",
+    "actuator_gain",
+    "actuator_bias",
+    "actuator_delay",
+    "actuator_lag",
+    "actuator_coupling",
+    "actuator_torque_speed",
+    "actuator_saturation",
+    "actuator_deadband",
+    "gravity_tilt",
+    "external_force",
+    "air_drag",
+    "wind",
+    "contact_friction",
+    "contact_stiffness",
+    "sensor_bias",
+    "sensor_gain",
+    "sensor_delay",
+    "gear_lash",
+    "parameter_drift",
+)
 BUILT_IN: dict[str, dict[str, str]] = {
     "methods": {
         "dropo": "dropo.estimators.dropo:DROPO",
@@ -137,7 +162,9 @@ def names(kind: str) -> list[str]:
 
 
 def find(kind: str, name: str) -> Any:
-    """The plug-in of that kind and name; UnknownName, with the nearest valid name, where there is none."""
+    """The plug-in of that kind and name; UnknownName, with the nearest valid name, where there is
+    none.
+    """
     known(_singular(kind), name, names(kind))
     if name in _registered[kind]:
         return _registered[kind][name]

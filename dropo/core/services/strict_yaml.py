@@ -1,4 +1,6 @@
-"""YAML files read strictly: every refusal names the file, the key, what was expected, what came and the nearest valid name."""
+"""YAML files read strictly: every refusal names the file, the key, what was expected, what came and
+the nearest valid name.
+"""
 
 import difflib
 import math
@@ -12,7 +14,8 @@ import yaml
 
 from dropo.core.services.errors import BadFile, Refused
 
-ALIKE = 0.5  # share of two names that is the same (Ratcliff and Obershelp), from which one is near the other
+# share of two names that is the same (Ratcliff and Obershelp), from which one is near the other
+ALIKE = 0.5
 
 
 class BadEntry(BadFile):
@@ -20,17 +23,28 @@ class BadEntry(BadFile):
 
     def __init__(self, path: object, key: str, sentence: str):
         Refused.__init__(self, f"{path}: {key}: {sentence}")
-        self.path, self.key = path, key
+        self.path = path
+        self.key = key
 
 
 class Entries:
     """One level of a YAML file, a mapping whose keys are all known."""
 
-    def __init__(self, path: Path, content: Mapping[Any, Any], keys: Iterable[str] | None = None, prefix: str = ""):
-        self.path, self.content, self.prefix = path, content, prefix
+    def __init__(
+        self,
+        path: Path,
+        content: Mapping[Any, Any],
+        keys: Iterable[str] | None = None,
+        prefix: str = "",
+    ):
+        self.path = path
+        self.content = content
+        self.prefix = prefix
         for key in content:
             if not isinstance(key, str):
-                raise BadFile(path, self.key(str(key)), "a word as a key", f"{shown(key)} (quote it)")
+                raise BadFile(
+                    path, self.key(str(key)), "a word as a key", f"{shown(key)} (quote it)"
+                )
             if keys is not None and key not in (valid := tuple(keys)):
                 raise BadFile(path, self.key(key), named("a known key", key, valid), shown(key))
 
@@ -43,7 +57,12 @@ class Entries:
 
     def bad(self, name: str, expected: str, got: str | None = None) -> BadFile:
         """The refusal of an entry; without `got`, what came is shown."""
-        return BadFile(self.path, self.key(name), expected, shown(self.content.get(name)) if got is None else got)
+        return BadFile(
+            self.path,
+            self.key(name),
+            expected,
+            shown(self.content.get(name)) if got is None else got,
+        )
 
     @contextmanager
     def blaming(self, name: str) -> Iterator[None]:
@@ -63,7 +82,11 @@ class Entries:
     def texts(self, name: str, default: tuple[str, ...], expected: str) -> tuple[str, ...]:
         """A list of texts, at least one."""
         value = self.content.get(name, list(default))
-        if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
+        if (
+            not isinstance(value, list)
+            or not value
+            or not all(isinstance(item, str) and item for item in value)
+        ):
             raise self.bad(name, expected)
         return tuple(value)
 
@@ -72,7 +95,11 @@ class Entries:
         return self._number(name, self.content.get(name))
 
     def _number(self, name: str, value: object, rule: str = "a number") -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
             raise self.bad(name, rule, shown(value))
         return float(value)
 
@@ -104,7 +131,9 @@ class Entries:
             raise self.bad(name, named(what, value, options), shown(value))
         return value
 
-    def level(self, name: str, keys: Iterable[str] | None = None, what: str = "a mapping") -> "Entries":
+    def level(
+        self, name: str, keys: Iterable[str] | None = None, what: str = "a mapping"
+    ) -> "Entries":
         """The mapping under a key; an empty one where the key is missing."""
         value = self.content.get(name, {})
         if not isinstance(value, Mapping):
@@ -113,12 +142,21 @@ class Entries:
 
 
 def named(what: str, value: object, valid: Iterable[str]) -> str:
-    """What was expected, with the nearest valid name (the first of several), or with all of them where none is near."""
+    """What was expected, with the nearest valid name (the first of several), or with all of them
+    where none is near.
+    """
     options = sorted(valid)
-    alike = [difflib.SequenceMatcher(None, option, value).ratio() if isinstance(value, str) else 0.0 for option in options]
+    alike = [
+        difflib.SequenceMatcher(None, option, value).ratio() if isinstance(value, str) else 0.0
+        for option in options
+    ]
     if max(alike, default=0.0) >= ALIKE:
         return f"{what} (the nearest is {options[alike.index(max(alike))]!r})"
-    return f"{what} (there is {', '.join(options[:12])}{', ...' if len(options) > 12 else ''})" if options else f"{what} (there is none)"
+    return (
+        f"{what} (there is {', '.join(options[:12])}{', ...' if len(options) > 12 else ''})"
+        if options
+        else f"{what} (there is none)"
+    )
 
 
 def shown(value: object) -> str:
@@ -137,11 +175,16 @@ class _Strict(yaml.SafeLoader):
 
 _OTHERS = ("tag:yaml.org,2002:bool", "tag:yaml.org,2002:float")
 _Strict.yaml_implicit_resolvers = {
-    first: [(tag, rule) for tag, rule in rules if tag not in _OTHERS] for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    first: [(tag, rule) for tag, rule in rules if tag not in _OTHERS]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_FLOAT = re.compile(r"^(?:[-+]?(?:\d+\.\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?\d+[eE][-+]?\d+|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$")
+_FLOAT = re.compile(
+    r"^(?:[-+]?(?:\d+\.\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?\d+[eE][-+]?\d+|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+)
 _Strict.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
-_Strict.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF"))
+_Strict.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
 
 
 def _mapping(loader: _Strict, node: yaml.MappingNode, deep: bool = True) -> dict[Any, Any]:
@@ -149,7 +192,9 @@ def _mapping(loader: _Strict, node: yaml.MappingNode, deep: bool = True) -> dict
     for key, _ in node.value:
         name = str(key.value)
         if name in seen:
-            raise yaml.constructor.ConstructorError(None, None, f"the key {name!r} twice", key.start_mark)
+            raise yaml.constructor.ConstructorError(
+                None, None, f"the key {name!r} twice", key.start_mark
+            )
         seen.add(name)
     return loader.construct_mapping(node, deep=True)
 
@@ -158,7 +203,9 @@ _Strict.add_constructor("tag:yaml.org,2002:map", _mapping)
 
 
 def read_yaml(path: Path, keys: Iterable[str], what: str) -> Entries:
-    """A YAML file that is a mapping with known keys. what: the kind of file, for messages ("a problem file")."""
+    """A YAML file that is a mapping with known keys. what: the kind of file, for messages ("a
+    problem file").
+    """
     if not path.is_file():
         raise BadFile(path, "", what, "no such file")
     try:
@@ -170,5 +217,10 @@ def read_yaml(path: Path, keys: Iterable[str], what: str) -> Entries:
     except (UnicodeDecodeError, OSError) as error:
         raise BadFile(path, "", what, f"a file that cannot be read as text ({error})") from None
     if not isinstance(content, Mapping):
-        raise BadFile(path, "", f"{what}, a mapping of keys", "an empty file" if content is None else f"a {type(content).__name__}")
+        raise BadFile(
+            path,
+            "",
+            f"{what}, a mapping of keys",
+            "an empty file" if content is None else f"a {type(content).__name__}",
+        )
     return Entries(path, content, keys)

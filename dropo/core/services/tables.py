@@ -28,12 +28,17 @@ class Table:
 def _html_row(tag: str, cells: tuple[str, ...]) -> str:
     """The first cell to the left, the others to the right."""
     sides = ["left", *["right"] * (len(cells) - 1)]
-    shown = (f'<{tag} style="text-align: {side}; padding: 0 0.6em">{escape(cell)}</{tag}>' for side, cell in zip(sides, cells, strict=True))
+    shown = (
+        f'<{tag} style="text-align: {side}; padding: 0 0.6em">{escape(cell)}</{tag}>'
+        for side, cell in zip(sides, cells, strict=True)
+    )
     return f"<tr>{''.join(shown)}</tr>"
 
 
 class Printed(ABC):
-    """A result that prints itself: as text, in a notebook as HTML, and on a terminal as the command line draws it."""
+    """A result that prints itself: as text, in a notebook as HTML, and on a terminal as the command
+    line draws it.
+    """
 
     @abstractmethod
     def parts(self) -> list[str | Table]:
@@ -46,12 +51,20 @@ class Printed(ABC):
         return str(self)
 
     def _repr_html_(self) -> str:
-        return "\n".join(part._repr_html_() if isinstance(part, Table) else _html_text(part) for part in self.parts() if part)
+        return "\n".join(
+            part._repr_html_() if isinstance(part, Table) else _html_text(part)
+            for part in self.parts()
+            if part
+        )
 
 
 def _html_text(text: str) -> str:
     """A sentence as a paragraph; several lines, which may be a table, as they stand."""
-    return f"<pre>{escape(text)}</pre>" if "\n" in text else f'<p style="margin: 0.2em 0">{escape(text)}</p>'
+    return (
+        f"<pre>{escape(text)}</pre>"
+        if "\n" in text
+        else f'<p style="margin: 0.2em 0">{escape(text)}</p>'
+    )
 
 
 def text_table(header: list[str], rows: list[list[str]]) -> str:
@@ -59,10 +72,15 @@ def text_table(header: list[str], rows: list[list[str]]) -> str:
     widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
 
     def line(row: list[str]) -> str:
-        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        cells = [
+            row[0].ljust(widths[0]),
+            *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
+        ]
         return "  ".join(cells).rstrip()
 
-    return "\n".join([line(header), "  ".join("-" * width for width in widths), *(line(row) for row in rows)])
+    return "\n".join(
+        [line(header), "  ".join("-" * width for width in widths), *(line(row) for row in rows)]
+    )
 
 
 def number(value: float, digits: int = 5) -> str:
@@ -71,7 +89,9 @@ def number(value: float, digits: int = 5) -> str:
 
 
 def estimate(value: float, error: float) -> str:
-    """A number with the decimals of its standard error's two digits, twelve at most; with seven digits where there is no error."""
+    """A number with the decimals of its standard error's two digits, twelve at most; with seven
+    digits where there is no error.
+    """
     if not (np.isfinite(value) and np.isfinite(error) and error > 0 and 1e-6 < abs(value) < 1e7):
         return number(value, 7)
     return f"{value:.{int(np.clip(1 - np.floor(np.log10(error)), 0, 12))}f}"

@@ -23,18 +23,33 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], cal
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise BadArgument(f"The {name!r} of {caller} must be numbers. Got {type(values).__name__}: {error}.") from None
+        raise BadArgument(
+            f"The {name!r} of {caller} must be numbers. Got {type(values).__name__}: {error}."
+        ) from None
     check_shape(name, array, shape, caller)
     bad = np.argwhere(~np.isfinite(array))
-    require(len(bad) == 0, name, "finite", f"{array[tuple(bad[0])]} at {tuple(map(int, bad[0]))}" if len(bad) else "", caller)
+    require(
+        len(bad) == 0,
+        name,
+        "finite",
+        f"{array[tuple(bad[0])]} at {tuple(map(int, bad[0]))}" if len(bad) else "",
+        caller,
+    )
     array.setflags(write=False)
     return array
 
 
 def check_shape(name: str, array: Any, shape: tuple[int | None, ...], caller: str) -> None:
     """Refuses an array of another shape; None in `shape` stands for any length."""
-    fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
-    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+    fits = array.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
+    )
+    wanted = (
+        "("
+        + ", ".join("any" if n is None else str(n) for n in shape)
+        + ("," if len(shape) == 1 else "")
+        + ")"
+    )
     require(fits, name, f"of shape {wanted}", tuple(array.shape), caller)
 
 

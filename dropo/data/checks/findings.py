@@ -10,10 +10,11 @@ LEVELS: tuple[Level, ...] = ("error", "warning", "information")
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that looks odd: an "error" makes the data useless, a "warning" may, "information" is only said.
+    """One thing that looks odd: an "error" makes the data useless, a "warning" may, "information"
+    is only said.
 
-    sentence: what was found, with how much and where; advice: what to do; run, row, time: the first place, where there is one
-    (rows count from 0 in the log or the data; seconds in its own clock).
+    sentence: what was found, with how much and where; advice: what to do; run, row, time: the first
+    place, where there is one (rows count from 0 in the log or the data; seconds in its own clock).
     """
 
     level: Level

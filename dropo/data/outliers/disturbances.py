@@ -1,4 +1,6 @@
-"""Spans of time that no command explains, such as a hand that pushes the arm: found, listed, and left out."""
+"""Spans of time that no command explains, such as a hand that pushes the arm: found, listed, and
+left out.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,10 +15,22 @@ from dropo.core.records.trajectories import Ints, Segments, Signal, Trajectories
 from dropo.core.services.validation import Array, float_array, require
 from dropo.data.outliers.robust_fit import robust_fit
 
-SECONDS = (0.05, 0.1, 0.2, 0.4)  # windows in which a push shows: a short strong one, a long weak one
-SURE, EDGE = 6.0, 4.0  # robust standard deviations: of a span's worst window, and of all of them
-NEIGHBOURS = 2  # windows of a span at least: a spike of a sensor spoils the one that begins there and the one that ends there
-BINS, FEWEST = 10, 40  # of windows by how far they move, whose errors are compared with each other; windows in one at least
+SECONDS = (
+    0.05,
+    0.1,
+    0.2,
+    0.4,
+)  # windows in which a push shows: a short strong one, a long weak one
+# robust standard deviations: of a span's worst window, and of all of them
+SURE = 6.0
+EDGE = 4.0
+# windows of a span at least: a spike of a sensor spoils the one that begins there and the one that
+# ends there
+NEIGHBOURS = 2
+# of windows by how far they move, whose errors are compared with each other; windows in one at
+# least
+BINS = 10
+FEWEST = 40
 NEAR = 0.2  # seconds between spans of one disturbance
 FAR = 3.0  # standard deviations of noise that a start may be off by
 AROUND = 2  # rows around a contact that are not looked at
@@ -24,7 +38,9 @@ WINDOWS = 300  # that the robust fit sees
 MUCH = 0.2  # a share of the data beyond which it is the model that is wrong
 STILL = 0.02  # of a signal's spread: a window that goes less far is at rest
 ROUNDING = 1e-4  # of a signal's spread: what is off by less is no push
-CALM, CALM_NORMAL = 0.25, 0.3186  # of a run's moving windows, those that err least say what is usual in it; that quantile of |z|
+# of a run's moving windows, those that err least say what is usual in it; that quantile of |z|
+CALM = 0.25
+CALM_NORMAL = 0.3186
 
 Predict = Callable[[Segments], Array]
 """What is expected at the compared rows (R, p) of segments of any length."""
@@ -32,9 +48,11 @@ Predict = Callable[[Segments], Array]
 
 @dataclass(frozen=True)
 class Span:
-    """Transitions `first` to `last` - 1 of a trajectory, `start` to `end` seconds from its beginning; held_out: of those held out.
+    """Transitions `first` to `last` - 1 of a trajectory, `start` to `end` seconds from its
+    beginning; held_out: of those held out.
 
-    signal: that is off most, by `size` in its unit after `seconds`, `times` the robust standard deviation of like windows.
+    signal: that is off most, by `size` in its unit after `seconds`, `times` the robust standard
+    deviation of like windows.
     """
 
     trajectory: int
@@ -50,21 +68,37 @@ class Span:
     held_out: bool = False
 
     def __str__(self) -> str:
-        where = f"{'held-out ' * self.held_out}trajectory {self.trajectory}, {self.start:.2f} to {self.end:.2f} s"
+        where = (
+            f"{'held-out ' * self.held_out}trajectory {self.trajectory}, {self.start:.2f} to "
+            f"{self.end:.2f} s"
+        )
         unit = f" {self.unit}" if self.unit else ""
-        return f"{where}: {self.signal} is {self.size:.3g}{unit} off after {self.seconds:.3g} s, {self.times:.0f} times the usual error"
+        return (
+            f"{where}: {self.signal} is {self.size:.3g}{unit} off after {self.seconds:.3g} s, "
+            f"{self.times:.0f} times the usual error"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers: the run, and from where to where in it [s]."""
         return {
-            "run": self.trajectory, "held_out": self.held_out, "from": self.start, "to": self.end, "seconds": self.end - self.start,
-            "signal": self.signal, "unit": self.unit, "off": self.size, "after": self.seconds, "times": self.times,
-        }  # fmt: skip
+            "run": self.trajectory,
+            "held_out": self.held_out,
+            "from": self.start,
+            "to": self.end,
+            "seconds": self.end - self.start,
+            "signal": self.signal,
+            "unit": self.unit,
+            "off": self.size,
+            "after": self.seconds,
+            "times": self.times,
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class Disturbances:
-    """The spans, by trajectory and time, in which the trajectories do not move as they do elsewhere."""
+    """The spans, by trajectory and time, in which the trajectories do not move as they do
+    elsewhere.
+    """
 
     trajectories: Trajectories
     spans: tuple[Span, ...]
@@ -91,46 +125,75 @@ class Disturbances:
         if not self.spans:
             return "No span of time stands out."
         lines = [
-            f"{len(self.spans)} spans of time, {100 * self.share:.2g} % of the data, in which something acts that no command explains:"
+            (
+                f"{len(self.spans)} spans of time, {100 * self.share:.2g} % of the data, in "
+                "which something acts that no command explains:"
+            )
         ]
         if self.share > MUCH:
             lines = [
-                f"{len(self.spans)} spans, {100 * self.share:.2g} % of the data, stand out: so much is rather a model that lacks something:"
+                (
+                    f"{len(self.spans)} spans, {100 * self.share:.2g} % of the data, stand "
+                    "out: so much is rather a model that lacks something:"
+                )
             ]
         return "\n  ".join([*lines, *map(str, self.spans)])
 
 
 def find_disturbances(
-    simulator: Simulator, trajectories: Trajectories, values: Array, step: float, *, seconds: Sequence[float] = SECONDS
+    simulator: Simulator,
+    trajectories: Trajectories,
+    values: Array,
+    step: float,
+    *,
+    seconds: Sequence[float] = SECONDS,
 ) -> Disturbances:
-    """Windows that the simulator with these values (d,) predicts far worse than others of like motion; step: of the control [s].
+    """Windows that the simulator with these values (d,) predicts far worse than others of like
+    motion; step: of the control [s].
 
-    A push shows in velocities: where there are such signals (units per second), they alone are judged. The values should come from a
-    fit that explains most of the data (see `robust_values`), or the model's errors hide all but the strongest pushes: what the
-    model always gets wrong in like motion is its usual error there.
+    A push shows in velocities: where there are such signals (units per second), they alone are
+    judged. The values should come from a fit that explains most of the data (see `robust_values`),
+    or the model's errors hide all but the strongest pushes: what the model always gets wrong in
+    like motion is its usual error there.
     """
     value = float_array("values", values, (len(simulator.space),), "find_disturbances")
     predict: Predict = lambda segments: simulator.predict(value[None], segments)[0]
     short = cut(trajectories, 1)
     noise = deviation(simulator.targets(short) - predict(short)) / np.sqrt(2)
     return scan(
-        predict, simulator.targets, simulator.signals, trajectories, step, seconds, free=_untouched(simulator, trajectories),
+        predict,
+        simulator.targets,
+        simulator.signals,
+        trajectories,
+        step,
+        seconds,
+        free=_untouched(simulator, trajectories),
         reach=lambda windows: _reach(simulator, value, noise, windows),
-    )  # fmt: skip
+    )
 
 
 def scan(
-    predict: Predict, targets: Predict, signals: Sequence[Signal], trajectories: Trajectories, step: float,
-    seconds: Sequence[float] = SECONDS, sure: float = SURE, free: NDArray[np.bool_] | None = None, reach: Predict | None = None,
-) -> Disturbances:  # fmt: skip
-    """Windows of each length whose errors stand out, joined to spans; a long window tells only of what no short one has shown.
+    predict: Predict,
+    targets: Predict,
+    signals: Sequence[Signal],
+    trajectories: Trajectories,
+    step: float,
+    seconds: Sequence[float] = SECONDS,
+    sure: float = SURE,
+    free: NDArray[np.bool_] | None = None,
+    reach: Predict | None = None,
+) -> Disturbances:
+    """Windows of each length whose errors stand out, joined to spans; a long window tells only of
+    what no short one has shown.
 
-    sure: robust standard deviations of a span's worst window; free: (N,) rows that are looked at, None: all; reach: how far the noise of
-    their starts moves the predictions (R, p) of windows.
+    sure: robust standard deviations of a span's worst window; free: (N,) rows that are looked at,
+    None: all; reach: how far the noise of their starts moves the predictions (R, p) of windows.
     """
     require(step > 0, "step", "the seconds of a control step, above 0", step, "find_disturbances")
     found: list[Span] = []
-    rates = [i for i, signal in enumerate(signals) if signal.unit.endswith("/s")] or list(range(len(signals)))
+    rates = [i for i, signal in enumerate(signals) if signal.unit.endswith("/s")] or list(
+        range(len(signals))
+    )
     judged = [signals[i] for i in rates]
     for length in sorted({max(1, round(s / step)) for s in seconds}):
         windows = cut(trajectories, length)
@@ -148,15 +211,22 @@ def scan(
             times[far] = np.sign(errors[far]) * left / usual[far]
         for members, which in _runs(windows, times, sure):
             span = _span(windows, members, errors[:, which], times[:, which], judged[which], step)
-            if not any(span.trajectory == s.trajectory and span.first < s.last and s.first < span.last for s in found):
+            if not any(
+                span.trajectory == s.trajectory and span.first < s.last and s.first < span.last
+                for s in found
+            ):
                 found.append(span)
-    return Disturbances(trajectories, tuple(_joined(sorted(found, key=lambda span: (span.trajectory, span.first)))))
+    return Disturbances(
+        trajectories, tuple(_joined(sorted(found, key=lambda span: (span.trajectory, span.first))))
+    )
 
 
 def _reach(simulator: Simulator, value: Array, noise: Array, windows: Segments) -> Array:
-    """(W, p) how far predictions move as each signal of the start is off by up to FAR standard deviations, all signals together.
+    """(W, p) how far predictions move as each signal of the start is off by up to FAR standard
+    deviations, all signals together.
 
-    So a window that begins close to a stop or an impact, where little decides much, is not taken for pushed.
+    So a window that begins close to a stop or an impact, where little decides much, is not taken
+    for pushed.
     """
     p = len(noise)
     if simulator.start_size != p:
@@ -165,13 +235,19 @@ def _reach(simulator: Simulator, value: Array, noise: Array, windows: Segments) 
     offsets = np.zeros((1 + len(shares) * p, len(windows), p))
     for i in range(p):
         offsets[1 + len(shares) * i + np.arange(len(shares)), :, i] = (shares * noise[i])[:, None]
-    found = simulator.predict(np.repeat(value[None], len(offsets), axis=0), windows, offsets=offsets)
-    moved = np.nan_to_num(np.abs(found[1:] - found[0]), nan=np.inf).reshape(p, len(shares), len(windows), p)
+    found = simulator.predict(
+        np.repeat(value[None], len(offsets), axis=0), windows, offsets=offsets
+    )
+    moved = np.nan_to_num(np.abs(found[1:] - found[0]), nan=np.inf).reshape(
+        p, len(shares), len(windows), p
+    )
     return np.asarray(moved.max(axis=1).sum(axis=0))
 
 
 def _untouched(simulator: Simulator, trajectories: Trajectories) -> NDArray[np.bool_] | None:
-    """(N,) transitions that neither begin nor end near a contact, in which a push and a wrong contact are the same."""
+    """(N,) transitions that neither begin nor end near a contact, in which a push and a wrong
+    contact are the same.
+    """
     if not hasattr(simulator, "in_contact"):
         return None
     touching = np.array(simulator.in_contact(trajectories.segments(1)))
@@ -187,7 +263,11 @@ def _joined(spans: list[Span]) -> list[Span]:
         if out and out[-1].trajectory == span.trajectory and span.start - out[-1].end <= NEAR:
             worst = max(out[-1], span, key=lambda s: s.times)
             out[-1] = replace(
-                worst, first=out[-1].first, start=out[-1].start, last=max(out[-1].last, span.last), end=max(out[-1].end, span.end)
+                worst,
+                first=out[-1].first,
+                start=out[-1].start,
+                last=max(out[-1].last, span.last),
+                end=max(out[-1].end, span.end),
             )
         else:
             out.append(span)
@@ -195,25 +275,35 @@ def _joined(spans: list[Span]) -> list[Span]:
 
 
 def cut(trajectories: Trajectories, length: int) -> Segments:
-    """Windows of so many steps, each beginning half a window after the one before; only their ends are compared."""
+    """Windows of so many steps, each beginning half a window after the one before; only their ends
+    are compared.
+    """
     stride = max(1, length // 2)
-    begin = np.concatenate([np.arange(start, stop - length + 1, stride) for start, stop in trajectories.spans]).astype(np.int64)
+    begin = np.concatenate(
+        [np.arange(start, stop - length + 1, stride) for start, stop in trajectories.spans]
+    ).astype(np.int64)
     return trajectories.from_rows(begin, length)
 
 
 def _moved(windows: Segments, predicted: Array) -> Array:
     """(W,) how far a window goes by the prediction, in spreads of the signals."""
-    ways = np.nan_to_num(predicted - windows.starts if predicted.shape == windows.starts.shape else predicted)
+    ways = np.nan_to_num(
+        predicted - windows.starts if predicted.shape == windows.starts.shape else predicted
+    )
     return np.asarray(np.sqrt(np.sum((ways / np.maximum(ways.std(axis=0), 1e-300)) ** 2, axis=1)))
 
 
 def _usual(errors: Array, moved: Array, run: Ints) -> Array:
-    """(W, p) the robust standard deviation of the errors of windows that move about as far, and no less than in half of all bins; and
-    no less than that of the calmer windows of its run. Windows at rest do not count: where friction holds, there are no errors."""
+    """(W, p) the robust standard deviation of the errors of windows that move about as far, and no
+    less than in half of all bins; and no less than that of the calmer windows of its run.
+    Windows at rest do not count: where friction holds, there are no errors.
+    """
     moving = np.flatnonzero(moved > STILL)
     if not len(moving):
         return np.full_like(errors, np.inf)
-    bins = np.array_split(moving[np.argsort(moved[moving], kind="stable")], max(1, min(BINS, len(moving) // FEWEST)))
+    bins = np.array_split(
+        moving[np.argsort(moved[moving], kind="stable")], max(1, min(BINS, len(moving) // FEWEST))
+    )
     scales = np.array([deviation(errors[members]) for members in bins])
     scales = np.maximum(scales, np.median(scales, axis=0))
     out = scales[np.searchsorted([moved[members[-1]] for members in bins[:-1]], moved)]
@@ -224,21 +314,30 @@ def _usual(errors: Array, moved: Array, run: Ints) -> Array:
 
 
 def _runs(windows: Segments, times: Array, sure: float) -> list[tuple[Ints, int]]:
-    """Neighbouring windows, and the signal that is above EDGE to the same side in all of them, and above `sure` in one."""
+    """Neighbouring windows, and the signal that is above EDGE to the same side in all of them, and
+    above `sure` in one.
+    """
     out = []
     for which in range(times.shape[1]):
         for side in (1.0, -1.0):
             above = np.flatnonzero(side * times[:, which] > EDGE)
             broken = (np.diff(above) > 1) | (np.diff(windows.trajectory[above]) != 0)
             runs = np.split(above, np.flatnonzero(broken) + 1)
-            out += [(run, which) for run in runs if len(run) >= NEIGHBOURS and (side * times[run, which]).max() > sure]
+            out += [
+                (run, which)
+                for run in runs
+                if len(run) >= NEIGHBOURS and (side * times[run, which]).max() > sure
+            ]
     return out
 
 
-def _span(windows: Segments, members: Ints, errors: Array, times: Array, signal: Signal, step: float) -> Span:
+def _span(
+    windows: Segments, members: Ints, errors: Array, times: Array, signal: Signal, step: float
+) -> Span:
     trajectory = int(windows.trajectory[members[0]])
     begin = windows.trajectories.spans[trajectory][0]
-    first, last = int(windows.steps[members[0], 0]) - begin, int(windows.steps[members[-1], -1]) + 1 - begin
+    first = int(windows.steps[members[0], 0]) - begin
+    last = int(windows.steps[members[-1], -1]) + 1 - begin
     worst = members[int(np.argmax(np.abs(times[members])))]
     seconds = windows.steps.shape[1] * step
     return Span(
@@ -255,7 +354,16 @@ def _span(windows: Segments, members: Ints, errors: Array, times: Array, signal:
     )
 
 
-def robust_values(simulator: Simulator, trajectories: Trajectories, step: float, start: Array, *, seconds: float = 0.2) -> Array:
-    """The parameters (d,) that explain most windows of the trajectories, from `start`: `robust_fit`, which pushes do not lead astray."""
+def robust_values(
+    simulator: Simulator,
+    trajectories: Trajectories,
+    step: float,
+    start: Array,
+    *,
+    seconds: float = 0.2,
+) -> Array:
+    """The parameters (d,) that explain most windows of the trajectories, from `start`:
+    `robust_fit`, which pushes do not lead astray.
+    """
     windows = cut(trajectories, max(1, round(seconds / step)))
     return robust_fit(simulator, windows.take(windows.thin(WINDOWS)), start).value

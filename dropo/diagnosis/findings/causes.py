@@ -1,4 +1,6 @@
-"""What is told of each accepted effect: its size with error, what it gained, what it cannot be told from."""
+"""What is told of each accepted effect: its size with error, what it gained, what it cannot be told
+from.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -21,91 +23,166 @@ from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection, State, by_block, gain_of
 from dropo.diagnosis.search.windows import spread_of
 
-TOLD_APART, PATIENCE = 2, 600.0  # effects in an ambiguity set for which an experiment is looked for; [s] that it may take
+# effects in an ambiguity set for which an experiment is looked for; [s] that it may take
+TOLD_APART = 2
+PATIENCE = 600.0
 LEAST_P = float(np.finfo(float).tiny)
 
 
-def causes(library: Library, last: State, reviews: Mapping[str, Review], count: int) -> tuple[Cause, ...]:
-    """The accepted effects of the last state, in the order in which they were found; count: how many effects were looked for."""
+def causes(
+    library: Library, last: State, reviews: Mapping[str, Review], count: int
+) -> tuple[Cause, ...]:
+    """The accepted effects of the last state, in the order in which they were found; count: how
+    many effects were looked for.
+    """
     errors = standard_errors(library, last) if last.accepted else np.zeros(0)
-    return tuple(_cause(library, last, instance, reviews[instance.label], count, errors) for instance in last.accepted)
+    return tuple(
+        _cause(library, last, instance, reviews[instance.label], count, errors)
+        for instance in last.accepted
+    )
 
 
-def _cause(library: Library, last: State, instance: EffectInstance, found: Review, count: int, errors: Array) -> Cause:
-    gain, steps = gain_of(found.without.test, last.test)[0], last.test.windows.steps
+def _cause(
+    library: Library,
+    last: State,
+    instance: EffectInstance,
+    found: Review,
+    count: int,
+    errors: Array,
+) -> Cause:
+    gain = gain_of(found.without.test, last.test)[0]
+    steps = last.test.windows.steps
     blocks = by_block(found.without.test, last.test)
     held = invariance(library, last.test, instance)
     return Cause(
-        instance.effect, instance.target, instance.variant, estimate(library, last, instance, errors), p_of(gain, count), gain / steps,
-        float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps), _rmse(library, found.without), _rmse(library, last),
-        _confused(library, last, instance, found), _shape(last, instance) if held.constant else held.variable,
-    )  # fmt: skip
+        instance.effect,
+        instance.target,
+        instance.variant,
+        estimate(library, last, instance, errors),
+        p_of(gain, count),
+        gain / steps,
+        float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
+        _rmse(library, found.without),
+        _rmse(library, last),
+        _confused(library, last, instance, found),
+        _shape(last, instance) if held.constant else held.variable,
+    )
 
 
 def _shape(last: State, instance: EffectInstance) -> str | None:
-    """The angle that harmonics act on which are no multiples of the lowest: together they draw a shape that no effect stands for."""
-    orders = [other.order for other in last.accepted if (other.effect, other.target) == (instance.effect, instance.target)]
-    return f"qpos.{instance.target}" if instance.order and any(order % min(orders) for order in orders) else None
+    """The angle that harmonics act on which are no multiples of the lowest: together they draw a
+    shape that no effect stands for.
+    """
+    orders = [
+        other.order
+        for other in last.accepted
+        if (other.effect, other.target) == (instance.effect, instance.target)
+    ]
+    return (
+        f"qpos.{instance.target}"
+        if instance.order and any(order % min(orders) for order in orders)
+        else None
+    )
 
 
 def _rmse(library: Library, state: State) -> float:
     """The error at the last step of the windows held out, in units of each signal's own spread."""
-    seen, p = state.test, len(state.test.whiten.sigma)
+    seen = state.test
+    p = len(state.test.whiten.sigma)
     errors = (seen.windows.measured - seen.predicted)[~seen.lost, -p:]
-    return float(np.sqrt(np.mean(np.mean(errors**2, axis=0) / spread_of(library.simulator, seen.windows) ** 2)))
+    return float(
+        np.sqrt(
+            np.mean(np.mean(errors**2, axis=0) / spread_of(library.simulator, seen.windows) ** 2)
+        )
+    )
 
 
 def p_of(gain: float, count: int, z: float | None = None) -> float:
-    """The p-value of the split likelihood-ratio test for all effects tried, and where that says less, of z by blocks."""
+    """The p-value of the split likelihood-ratio test for all effects tried, and where that says
+    less, of z by blocks.
+    """
     p = min(1.0, count * float(np.exp(-max(gain, 0.0))))
     return max(p, LEAST_P, 0.0 if z is None else float(norm.sf(z)))
 
 
-def _confused(library: Library, last: State, instance: EffectInstance, found: Review) -> tuple[dict[str, Any], ...]:
-    """The other effects that the data cannot tell from it, with why, and where in the data the difference is largest."""
+def _confused(
+    library: Library, last: State, instance: EffectInstance, found: Review
+) -> tuple[dict[str, Any], ...]:
+    """The other effects that the data cannot tell from it, with why, and where in the data the
+    difference is largest.
+    """
     told = []
     for i, (own, other, why) in enumerate(ambiguity(last, instance, found)):
-        told.append({"effect": other.instance.effect, "target": other.instance.target, "variant": other.instance.variant, "why": why})
-        tried = experiment(library, last, instance, other.instance, other.sizes) if i < TOLD_APART else None
+        told.append(
+            {
+                "effect": other.instance.effect,
+                "target": other.instance.target,
+                "variant": other.instance.variant,
+                "why": why,
+            }
+        )
+        tried = (
+            experiment(library, last, instance, other.instance, other.sizes)
+            if i < TOLD_APART
+            else None
+        )
         regime = _difference(library, found.origin.before, own, other) if found.origin else None
         if tried is not None and tried.seconds < PATIENCE:
             told[-1]["to_tell"] = f"record {number(tried.seconds, 2)} s of {tried}"
         elif regime:
             told[-1]["to_tell"] = f"record more {regime}"
-    return (*told, *({"effect": name, "target": None, "variant": "", "why": "the same in any recorded data"} for name in instance.alike))
+    return (
+        *told,
+        *(
+            {"effect": name, "target": None, "variant": "", "why": "the same in any recorded data"}
+            for name in instance.alike
+        ),
+    )
 
 
 def _difference(library: Library, before: State, one: Candidate, two: Candidate) -> str | None:
     """The regime in which two effects' responses differ most, in words."""
-    a, b = one.signature, two.signature
+    a = one.signature
+    b = two.signature
     rest = (a - (a @ b) * b).reshape(len(before.train.windows), -1)
     return standing_out(before.train.windows, library, (rest**2).sum(axis=1))
 
 
-def estimate(library: Library, last: State, instance: EffectInstance, errors: Array) -> dict[str, dict[str, Any]]:
+def estimate(
+    library: Library, last: State, instance: EffectInstance, errors: Array
+) -> dict[str, dict[str, Any]]:
     """By quantity: what is added, its standard error, the model's own number."""
     out = {}
     for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
         error = float(errors[int(np.flatnonzero(last.free == place)[0])])
         out[quantity.name] = {
-            "value": float(last.theta[place]), "se": error if np.isfinite(error) else None, "unit": quantity.unit, "model": quantity.base,
-        }  # fmt: skip
+            "value": float(last.theta[place]),
+            "se": error if np.isfinite(error) else None,
+            "unit": quantity.unit,
+            "model": quantity.base,
+        }
     return out
 
 
 def standard_errors(library: Library, last: State) -> Array:
     """(f,) of the free numbers, by the sandwich clustered by block."""
     errors = _sandwich(library, last, 1.0)
-    near = np.any(errors < NEAR * library.steps[last.free])  # far below the usual width of differences, within which predictions bend
+    near = np.any(
+        errors < NEAR * library.steps[last.free]
+    )  # far below the usual width of differences, within which predictions bend
     return _sandwich(library, last, NEAR) if near else errors
 
 
 def _sandwich(library: Library, last: State, share: float) -> Array:
     """The same with slopes over so large a share of the usual width."""
-    seen, free = last.train, last.free
-    slopes = seen.flat(library.slopes(seen.theta, free, seen.windows, share)).reshape(len(free), len(seen.windows), -1)
+    seen = last.train
+    free = last.free
+    slopes = seen.flat(library.slopes(seen.theta, free, seen.windows, share)).reshape(
+        len(free), len(seen.windows), -1
+    )
     rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
-    scores, information = np.einsum("fwn,wn->wf", slopes, rest), np.einsum("fwn,gwn->fg", slopes, slopes)
+    scores = np.einsum("fwn,wn->wf", slopes, rest)
+    information = np.einsum("fwn,gwn->fg", slopes, slopes)
     block = np.unique(seen.windows.block, return_inverse=True)[1]
     units = Units(block, False, np.argsort(block, kind="stable"), "blocks")
     return np.sqrt(np.diagonal(sandwich(scores, information, units)[0]))
@@ -117,8 +194,11 @@ def suspects(selection: Selection, last: State, count: int) -> tuple[dict[str, A
     trials = selection.rounds[-1].trials if selection.rounds else []
     return tuple(
         {
-            "effect": trial.candidate.instance.effect, "target": trial.candidate.instance.target,
-            "p_value": p_of(trial.held_out, count, trial.z), "held_out_gain": trial.held_out / last.test.windows.steps,
+            "effect": trial.candidate.instance.effect,
+            "target": trial.candidate.instance.target,
+            "p_value": p_of(trial.held_out, count, trial.z),
+            "held_out_gain": trial.held_out / last.test.windows.steps,
         }
-        for trial in trials if trial.held_out > 0 and trial.candidate.instance.label not in taken
-    )  # fmt: skip
+        for trial in trials
+        if trial.held_out > 0 and trial.candidate.instance.label not in taken
+    )

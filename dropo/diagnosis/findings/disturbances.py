@@ -1,4 +1,6 @@
-"""What no cause explains since it is there at times alone: spans in which something pushes, and runs that disagree with the others."""
+"""What no cause explains since it is there at times alone: spans in which something pushes, and
+runs that disagree with the others.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +22,9 @@ RUNS = 40  # that are compared at most: each is fitted by itself
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Spans that a diagnosis left out, and their share of the data; inside: the errors at its horizon of the model as it came, fitted and
-    extended, on all data held out, those spans too."""
+    """Spans that a diagnosis left out, and their share of the data; inside: the errors at its
+    horizon of the model as it came, fitted and extended, on all data held out, those spans too.
+    """
 
     spans: tuple[Span, ...]
     share: float
@@ -29,7 +32,10 @@ class LeftOut:
 
     def __str__(self) -> str:
         count = f"{len(self.spans)} span{'s' * (len(self.spans) > 1)} of time"
-        return f"{count}, {self.share:.2%} of the data, in which something acts that no command explains"
+        return (
+            f"{count}, {self.share:.2%} of the data, in which something acts that no command "
+            "explains"
+        )
 
     def lines(self) -> list[str]:
         """Each span, and the errors with all of them."""
@@ -37,33 +43,62 @@ class LeftOut:
         if len(self.inside) < 2:
             return spans
         told = [
-            f"{number(first, 3)} {unit} fitted, {number(self.inside[-1].units[unit][0], 3)} {unit} extended"
+            (
+                f"{number(first, 3)} {unit} fitted, "
+                f"{number(self.inside[-1].units[unit][0], 3)} {unit} extended"
+            )
             for unit, (first, _) in self.inside[-2].units.items()
         ]
-        return [*spans, f"  with them, the errors after {self.inside[-1].steps} steps are {'; '.join(told)}"]
+        return [
+            *spans,
+            f"  with them, the errors after {self.inside[-1].steps} steps are {'; '.join(told)}",
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""
-        sides = dict(zip(("nominal", "baseline", "extended"), (one.to_json() for one in self.inside), strict=False))
-        return {"spans": [span.to_json() for span in self.spans], "share": self.share, "errors_with_them": sides}
+        sides = dict(
+            zip(
+                ("nominal", "baseline", "extended"),
+                (one.to_json() for one in self.inside),
+                strict=False,
+            )
+        )
+        return {
+            "spans": [span.to_json() for span in self.spans],
+            "share": self.share,
+            "errors_with_them": sides,
+        }
 
 
 def left_out(quiet: WithoutDisturbances, inside: Sequence[Sequence[Horizon]]) -> LeftOut:
-    """What was left out, with the errors on all data held out of each model (one horizon each, where the data are long enough)."""
+    """What was left out, with the errors on all data held out of each model (one horizon each,
+    where the data are long enough).
+    """
     return LeftOut(quiet.spans, quiet.share, tuple(one for found in inside for one in found))
 
 
 def outlier_runs(problem: Problem, extended: Problem, values: Array) -> tuple[OutlierRun, ...]:
-    """The runs whose own declared parameters or sizes of causes disagree with the others'; none where there are few runs or many."""
-    base, data = cast(Any, problem.simulator), both_sides(problem)
+    """The runs whose own declared parameters or sizes of causes disagree with the others'; none
+    where there are few runs or many.
+    """
+    base = cast(Any, problem.simulator)
+    data = both_sides(problem)
     causes = cast(Any, extended.simulator).fixed[len(base.fixed) :]
     simulator = base.with_effects([instance for instance, _ in causes])
     if not len(simulator.space) or data.group is None or data.group.max() >= RUNS:
         return ()
     try:
-        found = compare_runs(simulator, data, np.concatenate([values, *(sizes for _, sizes in causes)]), base.control_step)
+        found = compare_runs(
+            simulator,
+            data,
+            np.concatenate([values, *(sizes for _, sizes in causes)]),
+            base.control_step,
+        )
     except (BadArgument, SimulationFailed):  # too few runs, or one whose own values are no machine
         return ()
     own = problem.trajectories
     before = 1 + int((own.trajectory if own.group is None else own.group).max())
-    return tuple(one if one.run < before else replace(one, run=one.run - before, held_out=True) for one in found.odd)
+    return tuple(
+        one if one.run < before else replace(one, run=one.run - before, held_out=True)
+        for one in found.odd
+    )

@@ -10,10 +10,17 @@ from dropo.evaluation.identifiability import undetermined as sentences
 
 
 def undetermined(library: Library, last: State) -> tuple[str, ...]:
-    """Declared parameters and sizes of causes, and combinations of them, that could as well be others, in words."""
+    """Declared parameters and sizes of causes, and combinations of them, that could as well be
+    others, in words.
+    """
     if not len(last.free):
         return ()
-    seen, space = last.train, library.simulator.space
+    seen = last.train
+    space = library.simulator.space
     own = ParameterSpace(tuple(list(space)[i] for i in last.free))
     slopes = seen.flat(library.slopes(seen.theta, last.free, seen.windows))
-    return tuple(sentences(own, seen.theta[last.free], null_directions(own, slopes.T[:, None, :], np.ones(1))))
+    return tuple(
+        sentences(
+            own, seen.theta[last.free], null_directions(own, slopes.T[:, None, :], np.ones(1))
+        )
+    )

@@ -1,4 +1,6 @@
-"""What is still wrong once all that was found is there: in which joints and signals, and in which regime."""
+"""What is still wrong once all that was found is there: in which joints and signals, and in which
+regime.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,12 +17,16 @@ from dropo.diagnosis.search.invariance import drifting, standing_out
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import State, gain_of
 
-SURPRISE = 3.5  # times the stated noise, as a standard deviation, from which learned noise stands for something else
+# times the stated noise, as a standard deviation, from which learned noise stands for something
+# else
+SURPRISE = 3.5
 
 
 @dataclass(frozen=True)
 class Remaining:
-    """wrong: whether something is; p_value: of the stronger of the tests for forces and for structure; where: in words."""
+    """wrong: whether something is; p_value: of the stronger of the tests for forces and for
+    structure; where: in words.
+    """
 
     wrong: bool
     p_value: float
@@ -29,35 +35,63 @@ class Remaining:
     force: Unexplained
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it; forces: the sd of what nothing explains, by joint, each control step anew."""
-        return {"calibrated": not self.wrong, "p_value": self.p_value, "where": list(self.where), "forces": self.forces}
+        """As diagnosis.json has it; forces: the sd of what nothing explains, by joint, each control
+        step anew.
+        """
+        return {
+            "calibrated": not self.wrong,
+            "p_value": self.p_value,
+            "where": list(self.where),
+            "forces": self.forces,
+        }
 
 
-def remaining(problem: Problem, library: Library, last: State, floor: Array, rng: np.random.Generator) -> Remaining:
-    """The tests that follow a search: random forces in every step, structure in state and command, noise beyond what was stated,
-    declared parameters that change."""
-    force, rest = unexplained_force(library, last.train, last.test, floor, gain_of), omnibus(last.train, last.test, rng)
+def remaining(
+    problem: Problem, library: Library, last: State, floor: Array, rng: np.random.Generator
+) -> Remaining:
+    """The tests that follow a search: random forces in every step, structure in state and command,
+    noise beyond what was stated, declared parameters that change.
+    """
+    force = unexplained_force(library, last.train, last.test, floor, gain_of)
+    rest = omnibus(last.train, last.test, rng)
     where = [f"noise of {name} beyond what was stated" for name in _surprise(problem, last)]
-    where += [f"{name}, which changes with time" for name in drifting(library, last.test, problem.space.names)]
+    where += [
+        f"{name}, which changes with time"
+        for name in drifting(library, last.test, problem.space.names)
+    ]
     names = force_names(library)
     regime = None
     if force.present:
         worst = int(np.argmax(force.sd * force.scale))
         regime = standing_out(last.test.windows, library, force.excess)
-        where.append(f"forces of {force.sd[worst]:.3g} {names[worst][1]} at {names[worst][0]} that nothing explains")
+        where.append(
+            f"forces of {force.sd[worst]:.3g} {names[worst][1]} at {names[worst][0]} that "
+            "nothing explains"
+        )
     if rest.present:
-        where.append(f"{library.simulator.signals[int(np.argmax(rest.signals))].name}, which state and command predict")
+        where.append(
+            f"{library.simulator.signals[int(np.argmax(rest.signals))].name}, which state "
+            "and command predict"
+        )
     if regime:
         where.append(f"mostly {regime}")
     z = max(force.z if force.present else 0.0, rest.z)
     p_value = float(max(norm.sf(z), np.finfo(float).tiny))
-    forces = {f"{name} [{unit}]": float(sd) for (name, unit), sd in zip(names, force.sd, strict=True)} if force.present else {}
+    forces = (
+        {f"{name} [{unit}]": float(sd) for (name, unit), sd in zip(names, force.sd, strict=True)}
+        if force.present
+        else {}
+    )
     return Remaining(bool(where), p_value, tuple(where), forces, force)
 
 
 def force_names(library: Library) -> Sequence[tuple[str, str]]:
     """(name, unit) of each degree of freedom: its joint's."""
-    instances = [instance for instance in library.instances if instance.effect == "unexplained_force" and instance.variant == "0"]
+    instances = [
+        instance
+        for instance in library.instances
+        if instance.effect == "unexplained_force" and instance.variant == "0"
+    ]
     return [(str(instance.target), instance.quantities[0].unit) for instance in instances]
 
 
@@ -67,4 +101,8 @@ def _surprise(problem: Problem, state: State) -> list[str]:
         return []
     sigma = state.train.whiten.sigma
     stated = np.sqrt(np.broadcast_to(np.asarray(problem.epsilon, dtype=float), sigma.shape))
-    return [s.name for s, one, told in zip(problem.simulator.signals, sigma, stated, strict=True) if one > SURPRISE * max(told, 1e-300)]
+    return [
+        s.name
+        for s, one, told in zip(problem.simulator.signals, sigma, stated, strict=True)
+        if one > SURPRISE * max(told, 1e-300)
+    ]

@@ -1,4 +1,6 @@
-"""Forces at the joints that no command and no known effect explains: how large, where, and whether they are there at all."""
+"""Forces at the joints that no command and no known effect explains: how large, where, and whether
+they are there at all.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,24 +14,35 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.whitening import Whitener, learn_noise
 
-GAINED, CERTAIN = 9.0, 2.5  # nats and standard errors on windows held out, from which the forces are there
+# nats and standard errors on windows held out, from which the forces are there
+GAINED = 9.0
+CERTAIN = 2.5
 PIECES = 10  # of a window at most, in each of which a force is drawn anew
 LEARNED = 48  # windows at least that their size is learned from, where there are so many
 FREE, BALL, SLIDE, HINGE = range(4)
 
 
 def impulses(model: Any, length: int) -> list[EffectInstance]:
-    """An atom for each piece of a window and degree of freedom: a generalised force in that piece alone. Its target is the joint.
+    """An atom for each piece of a window and degree of freedom: a generalised force in that piece
+    alone. Its target is the joint.
 
-    A piece is a control step, in long windows several."""
-    names, pieces = [_name(model, dof) for dof in range(model.nv)], min(length, PIECES)
-    return [_impulse(model, dof, k, pieces, *names[dof]) for k in range(pieces) for dof in range(model.nv)]
+    A piece is a control step, in long windows several.
+    """
+    names = [_name(model, dof) for dof in range(model.nv)]
+    pieces = min(length, PIECES)
+    return [
+        _impulse(model, dof, k, pieces, *names[dof])
+        for k in range(pieces)
+        for dof in range(model.nv)
+    ]
 
 
 def _impulse(model: Any, dof: int, k: int, pieces: int, name: str, unit: str) -> EffectInstance:
     scale = 10.0 * max(float(model.dof_M0[dof]), 1e-9)  # what moves it by 10 rad/s^2 (m/s^2)
     force = Quantity("force", unit, -1e3 * scale, 1e3 * scale, (scale,))
-    return EffectInstance("unexplained_force", name, (force,), str(k), push=partial(_push, model.nv, dof, k, pieces))
+    return EffectInstance(
+        "unexplained_force", name, (force,), str(k), push=partial(_push, model.nv, dof, k, pieces)
+    )
 
 
 def _push(nv: int, dof: int, k: int, pieces: int, steps: int, sizes: Array) -> Array:
@@ -39,21 +52,26 @@ def _push(nv: int, dof: int, k: int, pieces: int, steps: int, sizes: Array) -> A
 
 
 def _name(model: Any, dof: int) -> tuple[str, str]:
-    """The joint of a degree of freedom, or its body where it has no name, with the number of the axis where there are several."""
+    """The joint of a degree of freedom, or its body where it has no name, with the number of the
+    axis where there are several.
+    """
     joint = int(model.dof_jntid[dof])
     body = model.body(int(model.jnt_bodyid[joint]))
     number = f" {joint - int(body.jntadr[0])}" if int(body.jntnum[0]) > 1 else ""
     name = model.joint(joint).name or f"{body.name or f'body {body.id}'}{number}"
-    kind, axis = int(model.jnt_type[joint]), dof - int(model.jnt_dofadr[joint])
+    kind = int(model.jnt_type[joint])
+    axis = dof - int(model.jnt_dofadr[joint])
     straight = kind == SLIDE or (kind == FREE and axis < 3)
     return (f"{name}[{axis}]" if kind in (FREE, BALL) else name), "N" if straight else "N m"
 
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
-    """sd: (nv,) of the forces [N m, N], each piece of a window anew; scale: (nv,) 1 / what moves each as far; gain, z: of allowing for them
-    on windows held out [nats]; excess: (W,) that gain by window; answers: d residual / d force (W, n, pieces nv) of the windows that they
-    are learned from and of those held out."""
+    """sd: (nv,) of the forces [N m, N], each piece of a window anew; scale: (nv,) 1 / what moves
+    each as far; gain, z: of allowing for them on windows held out [nats]; excess: (W,) that gain
+    by window; answers: d residual / d force (W, n, pieces nv) of the windows that they are
+    learned from and of those held out.
+    """
 
     sd: Array
     scale: Array
@@ -69,26 +87,51 @@ class Unexplained:
 
 
 def unexplained_force(
-    library: Library, train: LinearizedWindows, test: LinearizedWindows, floor: Array, gain_of: Callable[[LinearizedWindows, LinearizedWindows], tuple[float, float]],
+    library: Library,
+    train: LinearizedWindows,
+    test: LinearizedWindows,
+    floor: Array,
+    gain_of: Callable[[LinearizedWindows, LinearizedWindows], tuple[float, float]],
     answers: tuple[Array, Array] | None = None,
-) -> Unexplained:  # fmt: skip
-    """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, by expectation-maximisation on the windows to fit.
+) -> Unexplained:
+    """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, by
+    expectation-maximisation on the windows to fit.
 
     answers: those found under another theta, which hardly matters to them.
     """
-    instances = [instance for instance in library.instances if instance.effect == "unexplained_force"]
+    instances = [
+        instance for instance in library.instances if instance.effect == "unexplained_force"
+    ]
     train = train.take(np.arange(0, len(train.windows), max(1, len(train.windows) // LEARNED)))
-    nv, good = len({instance.target for instance in instances}), ~train.lost
+    nv = len({instance.target for instance in instances})
+    good = ~train.lost
     pieces = len(instances) // nv
     unit = np.array([instance.quantities[0].probes[0] for instance in instances[:nv]])
     answers = answers or (_answers(library, train, instances), _answers(library, test, instances))
-    ways = [np.concatenate([seen.loadings, way], axis=2) for seen, way in zip((train, test), answers, strict=True)]
+    ways = [
+        np.concatenate([seen.loadings, way], axis=2)
+        for seen, way in zip((train, test), answers, strict=True)
+    ]
     sigma, sd = learn_noise(
-        ways[0][good], train.residuals[good], train.whiten.sigma, floor, unit, pieces=pieces, known=train.doubts[good]
-    )  # fmt: skip
+        ways[0][good],
+        train.residuals[good],
+        train.whiten.sigma,
+        floor,
+        unit,
+        pieces=pieces,
+        known=train.doubts[good],
+    )
     scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces), np.ones(test.doubts.shape[2])])
-    with_forces = replace(test, whiten=Whitener(np.concatenate([ways[1], test.doubts], axis=2), scale, sigma))
-    return Unexplained(sd, 1 / unit, *gain_of(test, with_forces), with_forces.log_likelihood - test.log_likelihood, answers)
+    with_forces = replace(
+        test, whiten=Whitener(np.concatenate([ways[1], test.doubts], axis=2), scale, sigma)
+    )
+    return Unexplained(
+        sd,
+        1 / unit,
+        *gain_of(test, with_forces),
+        with_forces.log_likelihood - test.log_likelihood,
+        answers,
+    )
 
 
 def _answers(library: Library, seen: LinearizedWindows, instances: list[EffectInstance]) -> Array:

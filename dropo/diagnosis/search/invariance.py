@@ -1,4 +1,6 @@
-"""Whether a number has one size in all regimes, as a true cause has; what only acts like it has not."""
+"""Whether a number has one size in all regimes, as a true cause has; what only acts like it has
+not.
+"""
 
 from dataclasses import dataclass
 
@@ -12,13 +14,16 @@ from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.windows import Windows
 
 BINS = 4  # quantile bins of each variable
-DIFFERS = 0.01  # p-value, corrected for the number of variables, below which the size differs between regimes
+# p-value, corrected for the number of variables, below which the size differs between regimes
+DIFFERS = 0.01
 STANDS_OUT = 3.0  # standard errors by which a bin must differ from the rest to be named
 
 
 @dataclass(frozen=True)
 class Invariance:
-    """The regime variable in which the size differs most, its p-value (Bonferroni), and the size's relative change in each bin."""
+    """The regime variable in which the size differs most, its p-value (Bonferroni), and the size's
+    relative change in each bin.
+    """
 
     variable: str
     p_value: float
@@ -32,13 +37,16 @@ class Invariance:
 
 
 def invariance(library: Library, seen: LinearizedWindows, instance: EffectInstance) -> Invariance:
-    """The test on windows that the effect was not fitted to: one-step estimates of its size in each bin, compared by chi-square."""
+    """The test on windows that the effect was not fitted to: one-step estimates of its size in each
+    bin, compared by chi-square.
+    """
     return differing(seen, response_of(library, seen, instance), regimes(seen.windows, library))
 
 
 def response_of(library: Library, seen: LinearizedWindows, instance: EffectInstance) -> Array:
     """(W, n) how the predictions change as the effect's size doubles, by their slope."""
-    place, space = library.places[instance.label], library.simulator.space
+    place = library.places[instance.label]
+    space = library.simulator.space
     halves = np.stack([seen.theta, seen.theta])
     halves[:, place] *= np.array([[1.05], [0.95]])
     ends = library.predict(np.clip(halves, space.low, space.high), seen.windows)
@@ -51,17 +59,26 @@ def drifting(library: Library, seen: LinearizedWindows, names: tuple[str, ...]) 
         return []
     slopes = library.slopes(seen.theta, np.arange(len(names)), seen.windows)
     time = {"time": regimes(seen.windows, library)["time"]}
-    return [n for n, slope in zip(names, slopes, strict=True) if differing(seen, slope, time).p_value * len(names) < DIFFERS]
+    return [
+        n
+        for n, slope in zip(names, slopes, strict=True)
+        if differing(seen, slope, time).p_value * len(names) < DIFFERS
+    ]
 
 
 def differing(seen: LinearizedWindows, response: Array, variables: dict[str, Array]) -> Invariance:
-    """The variable over whose bins the estimate of the response's share (W, n) in the residuals differs most."""
+    """The variable over whose bins the estimate of the response's share (W, n) in the residuals
+    differs most.
+    """
     slope = seen.flat(response).reshape(len(seen.windows), -1)
     rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
-    score, weight = (slope * rest).sum(axis=1), (slope**2).sum(axis=1)
+    score = (slope * rest).sum(axis=1)
+    weight = (slope**2).sum(axis=1)
     found = [_test(name, values, score, weight) for name, values in variables.items()]
     worst = min(found, key=lambda one: one.p_value)
-    return Invariance(worst.variable, min(1.0, worst.p_value * len(found)), worst.sizes, worst.errors)
+    return Invariance(
+        worst.variable, min(1.0, worst.p_value * len(found)), worst.sizes, worst.errors
+    )
 
 
 def _test(name: str, values: Array, score: Array, weight: Array) -> Invariance:
@@ -69,17 +86,23 @@ def _test(name: str, values: Array, score: Array, weight: Array) -> Invariance:
     total = np.array([weight[mask].sum() for mask in masks])
     sizes = np.array([score[mask].sum() for mask in masks]) / np.maximum(total, 1e-300)
     errors = np.array([_error(score[mask], weight[mask]) for mask in masks])
-    used = (total > 1e-6 * total.sum()) & (errors > 0) & np.array([mask.sum() >= 5 for mask in masks])
+    used = (
+        (total > 1e-6 * total.sum()) & (errors > 0) & np.array([mask.sum() >= 5 for mask in masks])
+    )
     if used.sum() < 2:
         return Invariance(name, 1.0, tuple(sizes.tolist()), tuple(errors.tolist()))
     inverse = 1 / errors[used] ** 2
     spread = (inverse * (sizes[used] - (inverse @ sizes[used]) / inverse.sum()) ** 2).sum()
-    return Invariance(name, float(chi2.sf(spread, used.sum() - 1)), tuple(sizes.tolist()), tuple(errors.tolist()))
+    return Invariance(
+        name, float(chi2.sf(spread, used.sum() - 1)), tuple(sizes.tolist()), tuple(errors.tolist())
+    )
 
 
 def _error(score: Array, weight: Array) -> float:
-    """The standard error of sum(score) / sum(weight): by the scores' spread, leverage allowed for (MacKinnon and White 1985, HC3), and no
-    less than by the weights, which are the scores' variances."""
+    """The standard error of sum(score) / sum(weight): by the scores' spread, leverage allowed for
+    (MacKinnon and White 1985, HC3), and no less than by the weights, which are the scores'
+    variances.
+    """
     total = float(weight.sum())
     if not total > 0:
         return 0.0
@@ -91,40 +114,61 @@ def _error(score: Array, weight: Array) -> float:
 def bins_of(values: Array) -> list[np.ndarray]:
     """Masks (W,) of quantile bins, ascending; fewer where values repeat."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, BINS + 1)))
-    bin_of = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0)) if len(np.unique(values)) > 2 else values
+    bin_of = (
+        np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
+        if len(np.unique(values)) > 2
+        else values
+    )
     return [bin_of == b for b in np.unique(bin_of)]
 
 
 def regimes(windows: Windows, library: Library) -> dict[str, Array]:
-    """What may set windows apart, each (W,): place in the data, contact, signals at the start, speed, commands and their changes."""
-    segments, simulator = windows.segments, library.simulator
+    """What may set windows apart, each (W,): place in the data, contact, signals at the start,
+    speed, commands and their changes.
+    """
+    segments = windows.segments
+    simulator = library.simulator
     found = {"time": segments.steps[:, 0].astype(float)}
     if hasattr(simulator, "in_contact"):
         found["contact"] = simulator.in_contact(segments).astype(float)
-    starts, actions = segments.starts, segments.actions
-    names = getattr(getattr(simulator, "layout", None), "names", [f"signal {i}" for i in range(starts.shape[1])])
+    starts = segments.starts
+    actions = segments.actions
+    names = getattr(
+        getattr(simulator, "layout", None), "names", [f"signal {i}" for i in range(starts.shape[1])]
+    )
     found |= {name: starts[:, i] for i, name in enumerate(names)}
-    found |= {f"|{name}|": np.abs(starts[:, i]) for i, name in enumerate(names) if name.startswith("qvel")}
-    drives = command_names(simulator) if hasattr(simulator, "controls") else [f"column {i}" for i in range(actions.shape[2])]
+    found |= {
+        f"|{name}|": np.abs(starts[:, i]) for i, name in enumerate(names) if name.startswith("qvel")
+    }
+    drives = (
+        command_names(simulator)
+        if hasattr(simulator, "controls")
+        else [f"column {i}" for i in range(actions.shape[2])]
+    )
     for i, name in enumerate(drives):
         found[f"the command of {name}"] = actions[:, :, i].mean(axis=1)
-        found[f"the change of the command of {name}"] = np.abs(np.diff(actions[:, :, i], axis=1, prepend=actions[:, :1, i])).mean(axis=1)
+        found[f"the change of the command of {name}"] = np.abs(
+            np.diff(actions[:, :, i], axis=1, prepend=actions[:, :1, i])
+        ).mean(axis=1)
     return {name: values for name, values in found.items() if np.ptp(values) > 0}
 
 
 def standing_out(windows: Windows, library: Library, excess: Array) -> str | None:
     """The regime in which an excess (W,) is largest, in words; None where it is the same in all."""
-    best, told = STANDS_OUT, None
+    best = STANDS_OUT
+    told = None
     for name, values in regimes(windows, library).items():
         masks = bins_of(values)
         for k, mask in ((0, masks[0]), (len(masks) - 1, masks[-1])):
-            inside, outside = excess[mask], excess[~mask]
+            inside = excess[mask]
+            outside = excess[~mask]
             if min(len(inside), len(outside)) < 5:
                 continue
             error = np.sqrt(inside.var(ddof=1) / len(inside) + outside.var(ddof=1) / len(outside))
             z = (inside.mean() - outside.mean()) / error if error > 0 else 0.0
             if z > best:
-                best, told = float(z), _words(name, k > 0)
+                best = float(z)
+                told = _words(name, k > 0)
     return told
 
 

@@ -1,9 +1,10 @@
 """Whether an effect shows in single steps too, as a true cause does.
 
-In a closed loop the commands answer to random forces. Over a window of several steps the forces of its beginning and the commands of its
-end belong together, so that an effect of the commands may seem to explain what chance did (the bias of open-loop prediction errors under
-feedback; Forssell and Ljung 1999). A single step's command was given before the step's force: there is no such effect in it. The two
-estimates of the size are compared (Hausman 1978).
+In a closed loop the commands answer to random forces. Over a window of several steps the forces of
+its beginning and the commands of its end belong together, so that an effect of the commands may
+seem to explain what chance did (the bias of open-loop prediction errors under feedback; Forssell
+and Ljung 1999). A single step's command was given before the step's force: there is no such effect
+in it. The two estimates of the size are compared (Hausman 1978).
 """
 
 from collections.abc import Sequence
@@ -13,15 +14,24 @@ import numpy as np
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.invariance import response_of
-from dropo.diagnosis.search.linearization import Library, LinearizedWindows, linearize, moved, noise_of
+from dropo.diagnosis.search.linearization import (
+    Library,
+    LinearizedWindows,
+    linearize,
+    moved,
+    noise_of,
+)
 from dropo.diagnosis.search.windows import Windows
 
-CLEAR = 3.0  # standard errors from the full size, and no more from nothing, at which an effect is not there
+# standard errors from the full size, and no more from nothing, at which an effect is not there
+CLEAR = 3.0
 ROUNDS = 10  # of weighting by what is left
 MOST = 240  # single steps of each look, evenly spread
 
 
-def only_over_windows(library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array) -> bool:
+def only_over_windows(
+    library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array
+) -> bool:
     """Whether single steps say, against the windows of the looks, that the effect is not there."""
     windows = looks[0].windows
     if windows.length == 1 or not np.diff(windows.segments.actions.ravel()).any():
@@ -30,14 +40,19 @@ def only_over_windows(library: Library, looks: Sequence[LinearizedWindows], inst
     return error > 0 and share < CLEAR * error and share < 1 - CLEAR * error
 
 
-def size_in_single_steps(library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array) -> tuple[float, float]:
-    """The effect's size in single steps as a share of the one that it has, by reweighted least squares, and its standard error, by
-    window."""
+def size_in_single_steps(
+    library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array
+) -> tuple[float, float]:
+    """The effect's size in single steps as a share of the one that it has, by reweighted least
+    squares, and its standard error, by window.
+    """
     singles = [_single(library, seen, floor) for seen in looks]
     slopes = [response_of(library, single, instance) for single in singles]
     more = 0.0
     for _ in range(ROUNDS):
-        parts = [_by_window(single, slope, more) for single, slope in zip(singles, slopes, strict=True)]
+        parts = [
+            _by_window(single, slope, more) for single, slope in zip(singles, slopes, strict=True)
+        ]
         score, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
         if not weight.sum() > 0:
             return 1.0, 0.0
@@ -55,14 +70,24 @@ def _by_window(single: LinearizedWindows, slope: Array, more: float) -> tuple[Ar
     """(W,) the score of so much more of the size than there is, and its weight."""
     rest = single.residuals - more * slope
     counts = single.whiten.weights(rest) * ~single.lost
-    left, along = single.whiten(rest), single.whiten(slope)
-    score, weight = (np.bincount(single.windows.block, counts * (along * part).sum(axis=1)) for part in (left, along))
+    left = single.whiten(rest)
+    along = single.whiten(slope)
+    score, weight = (
+        np.bincount(single.windows.block, counts * (along * part).sum(axis=1))
+        for part in (left, along)
+    )
     return np.asarray(score, dtype=float), np.asarray(weight, dtype=float)
 
 
 def _apart(library: Library, windows: Windows) -> Windows:
     """Steps of the windows as windows of their own; the block is the window that a step is of."""
-    old, n = windows.segments, len(windows) * windows.length
+    old = windows.segments
+    n = len(windows) * windows.length
     chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.int64))
     segments = old.trajectories.from_rows(old.steps.ravel()[chosen], every_step=True)
-    return Windows(segments, library.simulator.targets(segments).reshape(len(chosen), -1), chosen // windows.length, 1)
+    return Windows(
+        segments,
+        library.simulator.targets(segments).reshape(len(chosen), -1),
+        chosen // windows.length,
+        1,
+    )

@@ -14,7 +14,9 @@ PROBES = (-1.0, -0.1, 0.1, 1.0)  # in natural sizes
 
 @dataclass(frozen=True)
 class Entry:
-    """A number of the model: the element's name, its place in the field, and the natural size of a change."""
+    """A number of the model: the element's name, its place in the field, and the natural size of a
+    change.
+    """
 
     name: str
     place: tuple[int, ...]
@@ -23,19 +25,36 @@ class Entry:
 
 @dataclass(frozen=True)
 class Field:
-    """A field of the model, in which an effect changes a quantity of that unit, by at most `reach` natural sizes."""
+    """A field of the model, in which an effect changes a quantity of that unit, by at most `reach`
+    natural sizes.
+    """
 
     effect: str
     field: str
     quantity: str
     reach: float = 10.0
 
-    def instances(self, model: Any, entries: Sequence[Entry], unit: str, together: str) -> Iterator[EffectInstance]:
-        """One atom for each entry, and one for all of them alike, whose variant is called `together`."""
+    def instances(
+        self, model: Any, entries: Sequence[Entry], unit: str, together: str
+    ) -> Iterator[EffectInstance]:
+        """One atom for each entry, and one for all of them alike, whose variant is called
+        `together`.
+        """
         for entry in entries:
-            yield EffectInstance(self.effect, entry.name, (self._number(model, [entry], unit),), model=self.change([entry]))
+            yield EffectInstance(
+                self.effect,
+                entry.name,
+                (self._number(model, [entry], unit),),
+                model=self.change([entry]),
+            )
         if len(entries) > 1:
-            yield EffectInstance(self.effect, None, (self._number(model, entries, unit),), together, model=self.change(entries))
+            yield EffectInstance(
+                self.effect,
+                None,
+                (self._number(model, entries, unit),),
+                together,
+                model=self.change(entries),
+            )
 
     def change(self, entries: Sequence[Entry]) -> Callable[[Any, Array], None]:
         """A model hook that adds sizes[0] to the entries."""
@@ -52,7 +71,11 @@ class Field:
 
 def by_kind(joints: Sequence[Joint]) -> list[tuple[str, list[Joint]]]:
     """Hinges and slides apart, since a sum over metres and radians means nothing."""
-    return [(kind, same) for kind in ("hinges", "slides") if (same := [joint for joint in joints if joint.kind == kind])]
+    return [
+        (kind, same)
+        for kind in ("hinges", "slides")
+        if (same := [joint for joint in joints if joint.kind == kind])
+    ]
 
 
 def _add(field: str, places: Sequence[tuple[int, ...]], model: Any, magnitudes: Array) -> None:

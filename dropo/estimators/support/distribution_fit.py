@@ -1,4 +1,6 @@
-"""What the problem's data say about a law that was not found by its likelihood: by draws of it, or of a posterior."""
+"""What the problem's data say about a law that was not found by its likelihood: by draws of it, or
+of a posterior.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -21,7 +23,8 @@ ROUNDING = 1e-12  # of an interval: the standard deviation of draws that are all
 
 
 def judged(problem: Problem, run: Run, fit: Fit, draws: int, rng: np.random.Generator) -> Fit:
-    """The fit with log-likelihood and errors of so many draws of its law; no standard errors, as its method has none.
+    """The fit with log-likelihood and errors of so many draws of its law; no standard errors, as
+    its method has none.
 
     The noise variance is the problem's own, else that of what the draws' mean leaves.
     """
@@ -29,29 +32,55 @@ def judged(problem: Problem, run: Run, fit: Fit, draws: int, rng: np.random.Gene
     with run.counting(evaluations=1):
         predictions = problem.simulator.predict(fit.sample(draws, rng), problem.segments)
     residual = np.mean((predictions.mean(axis=0) - targets) ** 2, axis=0)
-    epsilon = residual if problem.epsilon is None else np.broadcast_to(np.asarray(problem.epsilon, dtype=float), targets.shape[1:])
-    rows = find("likelihoods", "monte-carlo")(draws=draws).log_density(predictions, targets, epsilon)
+    epsilon = (
+        residual
+        if problem.epsilon is None
+        else np.broadcast_to(np.asarray(problem.epsilon, dtype=float), targets.shape[1:])
+    )
+    rows = find("likelihoods", "monte-carlo")(draws=draws).log_density(
+        predictions, targets, epsilon
+    )
     return replace(
-        fit, epsilon=epsilon, log_likelihood=float(rows.sum()) if np.isfinite(rows).all() else -np.inf, mse=float(residual.mean()),
+        fit,
+        epsilon=epsilon,
+        log_likelihood=float(rows.sum()) if np.isfinite(rows).all() else -np.inf,
+        mse=float(residual.mean()),
         **_told(problem, run, fit),
-    )  # fmt: skip
+    )
 
 
-def point_likelihood(problem: Problem, run: Run, method: str, epsilon: float | tuple[float, ...] | None) -> PointLikelihood:
-    """The likelihood of parameters that are the same in all rows; epsilon: None, the problem's own, else what least squares leaves."""
+def point_likelihood(
+    problem: Problem, run: Run, method: str, epsilon: float | tuple[float, ...] | None
+) -> PointLikelihood:
+    """The likelihood of parameters that are the same in all rows; epsilon: None, the problem's own,
+    else what least squares leaves.
+    """
     if problem.start_noise or problem.noise_degrees is not None:
         raise Incompatible(
-            f"Method {method!r} knows Gaussian noise on the compared rows alone, and the problem {problem.name!r} has other noise too."
+            f"Method {method!r} knows Gaussian noise on the compared rows alone, and the "
+            f"problem {problem.name!r} has other noise too."
             " Use method 'posterior' or 'dropo'."
         )
-    return PointLikelihood(problem, noise_shape(problem, run) if epsilon is None else np.asarray(epsilon, dtype=float))
+    return PointLikelihood(
+        problem, noise_shape(problem, run) if epsilon is None else np.asarray(epsilon, dtype=float)
+    )
 
 
 def posterior_fit(
-    problem: Problem, run: Run, method: str, draws: Array, target: PointLikelihood, *, status: Status, message: str,
-    arrays: dict[str, Array], details: dict[str, Any], warnings: tuple[str, ...] = (),
-) -> Fit:  # fmt: skip
-    """The Gaussian with the mean and covariance of a posterior's draws (K, d) of the parameters, which are its standard errors too.
+    problem: Problem,
+    run: Run,
+    method: str,
+    draws: Array,
+    target: PointLikelihood,
+    *,
+    status: Status,
+    message: str,
+    arrays: dict[str, Array],
+    details: dict[str, Any],
+    warnings: tuple[str, ...] = (),
+) -> Fit:
+    """The Gaussian with the mean and covariance of a posterior's draws (K, d) of the parameters,
+    which are its standard errors too.
 
     log_likelihood and mse are those of the mean; the draws are kept in `arrays["draws"]`.
     """
@@ -61,12 +90,23 @@ def posterior_fit(
     phi = family.phi_of(draws.mean(axis=0), np.cov(draws.T).reshape(d, d) + rounding)
     mean = family.mean(phi)
     with run.counting(evaluations=1):
-        value, predicted = float(target.many(mean[None])[0]), target.mean(mean)
+        value = float(target.many(mean[None])[0])
+        predicted = target.mean(mean)
     fit = distribution(
-        problem, method, "full", phi, mean_se=family.sd(phi), epsilon=target.epsilon(mean), log_likelihood=value,
-        mse=float(np.mean((predicted - target.targets) ** 2)), status=status, message=message, arrays={"draws": draws, **arrays},
-        details=details, warnings=(*warnings, *at_bounds(family.unknowns, phi)),
-    )  # fmt: skip
+        problem,
+        method,
+        "full",
+        phi,
+        mean_se=family.sd(phi),
+        epsilon=target.epsilon(mean),
+        log_likelihood=value,
+        mse=float(np.mean((predicted - target.targets) ** 2)),
+        status=status,
+        message=message,
+        arrays={"draws": draws, **arrays},
+        details=details,
+        warnings=(*warnings, *at_bounds(family.unknowns, phi)),
+    )
     return replace(fit, **_told(problem, run, fit))
 
 

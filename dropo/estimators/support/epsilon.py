@@ -1,4 +1,6 @@
-"""The variance of the noise: by a sweep over given values (thesis, section 5.3), or what a learned one starts from."""
+"""The variance of the noise: by a sweep over given values (thesis, section 5.3), or what a learned
+one starts from.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,19 +18,22 @@ PERFECT = 1e-8  # of a signal's variance: less noise than that is not claimed
 
 
 def noise_scale(problem: Problem, run: Run) -> Array:
-    """(p,) what each signal's own learned epsilon is a factor of, in [1e-8, 1e4]: the measured signal's variance.
+    """(p,) what each signal's own learned epsilon is a factor of, in [1e-8, 1e4]: the measured
+    signal's variance.
 
-    So a learned epsilon stays above (1e-4 of the signal's standard deviation)^2: a signal that the model explains
-    perfectly would otherwise outweigh all others without bound. Signals that do not vary, and rotations, whose targets are
-    angles of 0, go by the misfit in the middle of the box.
+    So a learned epsilon stays above (1e-4 of the signal's standard deviation)^2: a signal that the
+    model explains perfectly would otherwise outweigh all others without bound. Signals that do not
+    vary, and rotations, whose targets are angles of 0, go by the misfit in the middle of the box.
     """
     targets = problem.simulator.targets(problem.segments)
-    variance, still = np.var(targets, axis=0), flat(targets)
+    variance = np.var(targets, axis=0)
+    still = flat(targets)
     return np.where(still, misfit(problem, run), variance) if still.any() else variance
 
 
 def noise_shape(problem: Problem, run: Run) -> Array:
-    """(p,) what one learned factor on all variances is a factor of: the problem's own, else what least squares leaves.
+    """(p,) what one learned factor on all variances is a factor of: the problem's own, else what
+    least squares leaves.
 
     The latter are kept above (1e-4 of a signal's standard deviation)^2, as in `noise_scale`.
     """
@@ -38,26 +43,58 @@ def noise_shape(problem: Problem, run: Run) -> Array:
     return np.maximum(estimate(problem, run).noise, np.maximum(PERFECT * spread, 1e-300))
 
 
-def tune(fit_at: Callable[[float], Fit], sweep: Sequence[float], threshold: float | None, problem: Problem, run: Run) -> Fit:
-    """The fit at the smallest epsilon of the sweep with an acceptable mean squared error (thesis, section 5.3, figure 6.4).
+def tune(
+    fit_at: Callable[[float], Fit],
+    sweep: Sequence[float],
+    threshold: float | None,
+    problem: Problem,
+    run: Run,
+) -> Fit:
+    """The fit at the smallest epsilon of the sweep with an acceptable mean squared error (thesis,
+    section 5.3, figure 6.4).
 
-    Without a threshold, acceptable is at most 1.1 times the least of the sweep. Its table is in `details["tuning"]`.
+    Without a threshold, acceptable is at most 1.1 times the least of the sweep. Its table is in
+    `details["tuning"]`.
     """
     fits: list[Fit] = []
     report = run.progress
     for i, epsilon in enumerate(sorted(sweep)):
-        run.progress = lambda share, text, i=i, e=epsilon: report((i + share) / len(sweep), f"epsilon {e:.0e}: {text}")  # type: ignore[misc]
+        run.progress = lambda share, text, i=i, e=epsilon: report(
+            (i + share) / len(sweep), f"epsilon {e:.0e}: {text}"
+        )  # type: ignore[misc]
         fits.append(fit_at(epsilon))
         if fits[-1].status is Status.INTERRUPTED:
             break
     run.progress = report
     least = min(fit.mse for fit in fits)
-    limit = 1.1 * least + 1e-10 * float(np.var(problem.segments.targets)) if threshold is None else threshold
+    limit = (
+        1.1 * least + 1e-10 * float(np.var(problem.segments.targets))
+        if threshold is None
+        else threshold
+    )
     accepted = [fit for fit in fits if fit.mse <= limit]
     table = [
-        {"epsilon": float(f.epsilon[0]), "total_variance": float(np.sum(f.sd**2)), "mse": f.mse, "log_likelihood": f.log_likelihood}
+        {
+            "epsilon": float(f.epsilon[0]),
+            "total_variance": float(np.sum(f.sd**2)),
+            "mse": f.mse,
+            "log_likelihood": f.log_likelihood,
+        }
         for f in fits
     ]
     best = accepted[0] if accepted else min(fits, key=lambda fit: fit.mse)
-    note = () if accepted else (f"no epsilon of the sweep reaches the mean squared error {limit:.3g}; the least is shown",)
-    return replace(best, warnings=(*best.warnings, *note), details={**best.details, "tuning": table, "mse_threshold": limit})
+    note = (
+        ()
+        if accepted
+        else (
+            (
+                f"no epsilon of the sweep reaches the mean squared error {limit:.3g}; the "
+                "least is shown"
+            ),
+        )
+    )
+    return replace(
+        best,
+        warnings=(*best.warnings, *note),
+        details={**best.details, "tuning": table, "mse_threshold": limit},
+    )

@@ -17,7 +17,8 @@ from dropo.core.services.validation import Array
 class Target(Protocol):
     """A log-likelihood of phi (m,), many phi at once.
 
-    many: (W, m) -> (W,) [nats]; epsilon: (m,) -> (p,) the noise variances; mean: (m,) -> (R, p) the mean prediction.
+    many: (W, m) -> (W,) [nats]; epsilon: (m,) -> (p,) the noise variances; mean: (m,) -> (R, p) the
+    mean prediction.
     """
 
     unknowns: ParameterSpace
@@ -28,19 +29,31 @@ class Target(Protocol):
 
 
 class PointLikelihood:
-    """log p(data | xi, epsilon) = sum over rows of log N(target; prediction under xi, diag(epsilon)): one xi for all the data."""
+    """log p(data | xi, epsilon) = sum over rows of log N(target; prediction under xi,
+    diag(epsilon)): one xi for all the data.
+    """
 
     def __init__(self, problem: Problem, epsilon: Epsilon):
-        self.simulator, self.segments, self.size = problem.simulator, problem.segments, len(problem.space)
+        self.simulator = problem.simulator
+        self.segments = problem.segments
+        self.size = len(problem.space)
         self.targets = self.simulator.targets(self.segments)
-        self.noise = NoiseModel(epsilon, self.targets.shape[1]).positive("a posterior").plain("A posterior without likelihood")
+        self.noise = (
+            NoiseModel(epsilon, self.targets.shape[1])
+            .positive("a posterior")
+            .plain("A posterior without likelihood")
+        )
         self.unknowns = ParameterSpace((*problem.space, *self.noise.unknowns))
 
     def many(self, phi: Array) -> Array:
         """(W, m) -> (W,) log-likelihood [nats]; NaN where a simulation failed."""
         variance = np.array([self.epsilon(p) for p in phi])[:, None]  # (W, 1, p)
-        errors = self.simulator.predict(phi[:, : self.size], self.segments) - self.targets  # (W, R, p)
-        return np.asarray(-0.5 * (errors**2 / variance + np.log(2 * np.pi * variance)).sum(axis=(1, 2)))
+        errors = (
+            self.simulator.predict(phi[:, : self.size], self.segments) - self.targets
+        )  # (W, R, p)
+        return np.asarray(
+            -0.5 * (errors**2 / variance + np.log(2 * np.pi * variance)).sum(axis=(1, 2))
+        )
 
     def epsilon(self, phi: Array) -> Array:
         """(p,) the noise variances."""
@@ -56,7 +69,10 @@ class OneByOne:
     """A log-likelihood over a family's members, for many of them."""
 
     def __init__(self, bound: LogLikelihood):
-        self.bound, self.unknowns, self.epsilon, self.mean = bound, bound.unknowns, bound.epsilon, bound.mean
+        self.bound = bound
+        self.unknowns = bound.unknowns
+        self.epsilon = bound.epsilon
+        self.mean = bound.mean
 
     def many(self, phi: Array) -> Array:
         """(W, m) -> (W,) log-likelihood [nats]."""
@@ -68,7 +84,9 @@ class OneByOne:
 
 
 class Local(OneByOne):
-    """A local log-likelihood, from which gradients come where it has them; `best` (m,) is near its maximum."""
+    """A local log-likelihood, from which gradients come where it has them; `best` (m,) is near its
+    maximum.
+    """
 
     def __init__(self, bound: LocalLogLikelihood, best: Array):
         super().__init__(bound)
@@ -78,11 +96,18 @@ class Local(OneByOne):
     def value_score_information(self, phi: Array) -> tuple[Array, Array]:
         """(W, m) -> log-likelihoods (W,) [nats] and their gradients (W, m)."""
         parts = [self.bound.value_score_information(p)[:2] for p in phi]
-        return np.array([value for value, _ in parts]), np.array([scores.sum(axis=0) for _, scores in parts])
+        return np.array([value for value, _ in parts]), np.array(
+            [scores.sum(axis=0) for _, scores in parts]
+        )
 
     def rename(self, space: ParameterSpace) -> None:
-        """The unknowns "mean.x" of a family without spread as the parameters x themselves, on their own scales."""
-        own = [replace(p, name=q.name, scale=q.scale) for p, q in zip(self.unknowns, space, strict=False)]
+        """The unknowns "mean.x" of a family without spread as the parameters x themselves, on their
+        own scales.
+        """
+        own = [
+            replace(p, name=q.name, scale=q.scale)
+            for p, q in zip(self.unknowns, space, strict=False)
+        ]
         self.unknowns = ParameterSpace((*own, *self.unknowns.parameters[len(space) :]))
 
 
@@ -90,7 +115,8 @@ class LogPosterior:
     """Log-likelihood + log prior, a density over the unit box; (W, m) -> (W,)."""
 
     def __init__(self, target: Target, prior: LogPrior):
-        self.target, self.prior = target, prior
+        self.target = target
+        self.prior = prior
 
     def __call__(self, phi: Array) -> Array:
         return self.target.many(phi) + self.prior(phi)
@@ -112,4 +138,8 @@ class SmoothLogPosterior(LogPosterior):
 def log_posterior(target: Target, prior: LogPrior) -> LogPosterior:
     """With gradients where the likelihood has them."""
     smooth = isinstance(target, Local) and target.bound.has_gradients
-    return SmoothLogPosterior(target, prior) if isinstance(target, Local) and smooth else LogPosterior(target, prior)
+    return (
+        SmoothLogPosterior(target, prior)
+        if isinstance(target, Local) and smooth
+        else LogPosterior(target, prior)
+    )

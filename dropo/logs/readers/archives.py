@@ -1,4 +1,6 @@
-"""NPZ archives of columns: one table, or many runs as arrays "000/time", "000/qpos", ... with their `names`."""
+"""NPZ archives of columns: one table, or many runs as arrays "000/time", "000/qpos", ... with their
+`names`.
+"""
 
 import re
 import zipfile
@@ -19,13 +21,17 @@ _RUN = re.compile(r"^(\d+)/(.+)$")
 
 
 def npz_log(path: str | Path) -> Log:
-    """The reader for an archive: of runs where its arrays are called "000/time" and so on, else of columns."""
+    """The reader for an archive: of runs where its arrays are called "000/time" and so on, else of
+    columns.
+    """
     log = NpzLog(path)
     return RunsLog(path) if any(_RUN.match(name) for name in log.members) else log
 
 
 class NpzLog(Log):
-    """Arrays of one length, each a column, or (n, k) for columns "name[0]" to "name[k - 1]"; others are passed over."""
+    """Arrays of one length, each a column, or (n, k) for columns "name[0]" to "name[k - 1]"; others
+    are passed over.
+    """
 
     @cached_property
     def members(self) -> list[str]:
@@ -35,7 +41,9 @@ class NpzLog(Log):
             with zipfile.ZipFile(self.path) as archive:
                 return [name.removesuffix(".npy") for name in archive.namelist()]
         except (zipfile.BadZipFile, OSError) as error:
-            raise self.broken(EXPECTED, f"byte {size}", f"{error}: it ends before the table of its contents") from None
+            raise self.broken(
+                EXPECTED, f"byte {size}", f"{error}: it ends before the table of its contents"
+            ) from None
 
     @cached_property
     def arrays(self) -> Arrays:
@@ -66,12 +74,15 @@ class NpzLog(Log):
 
 
 class RunsLog(NpzLog):
-    """Many runs in one archive: `names` (n,), and for run i the arrays "{i:03d}/time" and others, first axis time.
+    """Many runs in one archive: `names` (n,), and for run i the arrays "{i:03d}/time" and others,
+    first axis time.
 
     A run that lacks a column has NaN in it. The column "run" holds the runs' names.
     """
 
-    run_column, time_column, separate_runs = "run", "time", True
+    run_column = "run"
+    time_column = "time"
+    separate_runs = True
 
     @cached_property
     def names(self) -> list[str]:
@@ -79,7 +90,9 @@ class RunsLog(NpzLog):
         numbers = sorted({int(found[1]) for name in self.members if (found := _RUN.match(name))})
         given = [str(name) for name in self.arrays.get("names", ())]
         if given and len(given) != len(numbers):
-            raise BadFile(self.path, "names", f"a name for each of the {len(numbers)} runs", f"{len(given)}")
+            raise BadFile(
+                self.path, "names", f"a name for each of the {len(numbers)} runs", f"{len(given)}"
+            )
         return given or [f"{i:03d}" for i in numbers]
 
     @cached_property
@@ -93,7 +106,12 @@ class RunsLog(NpzLog):
         for run, name in zip(runs, self.names, strict=True):
             lengths = {channel: len(array) for channel, array in run.items()}
             if len(set(lengths.values())) > 1:
-                raise BadFile(self.path, name, "arrays of one length", ", ".join(f"{key} of {n}" for key, n in lengths.items()))
+                raise BadFile(
+                    self.path,
+                    name,
+                    "arrays of one length",
+                    ", ".join(f"{key} of {n}" for key, n in lengths.items()),
+                )
         return runs
 
     @cached_property
@@ -109,6 +127,10 @@ class RunsLog(NpzLog):
         for number, (run, name) in enumerate(zip(self._runs, self.names, strict=True)):
             rows = len(next(iter(run.values())))
             for column, into in parts.items():
-                into.append(np.full(rows, name) if column == "run" else run.get(column, np.full(rows, np.nan)))
+                into.append(
+                    np.full(rows, name)
+                    if column == "run"
+                    else run.get(column, np.full(rows, np.nan))
+                )
             progress((number + 1) / len(self.names), f"reading {self.path.name}")
         return {name: np.concatenate(arrays) for name, arrays in parts.items()}

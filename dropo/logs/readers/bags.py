@@ -1,4 +1,6 @@
-"""Recorded messages: MCAP files, and bags of ROS 1 and ROS 2; needs the packages `mcap` and `rosbags`."""
+"""Recorded messages: MCAP files, and bags of ROS 1 and ROS 2; needs the packages `mcap` and
+`rosbags`.
+"""
 
 import json
 import struct
@@ -29,7 +31,9 @@ class _Bag(Log):
         return columns_of(self._first(self._known(topic)))
 
     def stamps(self, topic: str | None) -> str:
-        """The column of time stamps: the messages' own where they have one, else when they were received."""
+        """The column of time stamps: the messages' own where they have one, else when they were
+        received.
+        """
         return STAMP if STAMP in self.columns(topic) else LOG_TIME
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
@@ -41,7 +45,12 @@ class _Bag(Log):
             return next(iter(there))
         if topic not in there:
             listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(there.items())) or "none"
-            raise BadFile(self.path, "topic", f"one of its topics: {listed}", "none" if topic is None else repr(topic))
+            raise BadFile(
+                self.path,
+                "topic",
+                f"one of its topics: {listed}",
+                "none" if topic is None else repr(topic),
+            )
         return topic
 
     def _first(self, topic: str) -> Any:
@@ -55,7 +64,9 @@ class _Bag(Log):
         rows: dict[str, list[Any]] = {name: [] for name in columns}
         for count, (share, received, message) in enumerate(self._messages(topic), 1):
             for name in columns:
-                rows[name].append(np.datetime64(received, "ns") if name == LOG_TIME else getters[name](message))
+                rows[name].append(
+                    np.datetime64(received, "ns") if name == LOG_TIME else getters[name](message)
+                )
             if count % BLOCK == 0:
                 yield {name: np.array(values) for name, values in rows.items()}
                 rows = {name: [] for name in columns}
@@ -74,20 +85,32 @@ class McapLog(_Bag):
 
     @cached_property
     def _summary(self) -> Any:
-        reader, size = package("mcap.reader", self.path, "logs"), self.path.stat().st_size
+        reader = package("mcap.reader", self.path, "logs")
+        size = self.path.stat().st_size
         with self.path.open("rb") as file:
             if (first := file.read(len(MCAP_MAGIC))) != MCAP_MAGIC:
-                raise BadFile(self.path, "byte 0", f"an MCAP file, which begins with {MCAP_MAGIC!r}", repr(first))
+                raise BadFile(
+                    self.path,
+                    "byte 0",
+                    f"an MCAP file, which begins with {MCAP_MAGIC!r}",
+                    repr(first),
+                )
             file.seek(max(0, size - len(MCAP_MAGIC)))
             if file.read() != MCAP_MAGIC:
-                raise self.broken(self.expected, f"byte {size}", "it ends before its footer; `mcap recover` saves what is whole")
+                raise self.broken(
+                    self.expected,
+                    f"byte {size}",
+                    "it ends before its footer; `mcap recover` saves what is whole",
+                )
             file.seek(0)
             try:
                 summary = reader.make_reader(file).get_summary()
             except (*BROKEN, self._error) as error:
                 raise self.broken(self.expected, f"byte {file.tell()}", repr(error)) from None
         if summary is None:
-            raise self.broken(self.expected, f"byte {size}", "no summary; `mcap recover` writes one")
+            raise self.broken(
+                self.expected, f"byte {size}", "no summary; `mcap recover` writes one"
+            )
         return summary
 
     @property
@@ -97,20 +120,30 @@ class McapLog(_Bag):
 
     def topics(self) -> dict[str, str]:
         schemas = self._summary.schemas
-        kinds = {channel.topic: getattr(schemas.get(channel.schema_id), "name", "") for channel in self._summary.channels.values()}
+        kinds = {
+            channel.topic: getattr(schemas.get(channel.schema_id), "name", "")
+            for channel in self._summary.channels.values()
+        }
         return {topic: str(kind) for topic, kind in kinds.items()}
 
     def _messages(self, topic: str) -> Iterator[tuple[float, int, Any]]:
         reader = package("mcap.reader", self.path, "logs")
         decoders: dict[int, Callable[[bytes], Any]] = {}
         statistics = self._summary.statistics
-        begin, length = statistics.message_start_time, max(1, statistics.message_end_time - statistics.message_start_time)
+        begin = statistics.message_start_time
+        length = max(1, statistics.message_end_time - statistics.message_start_time)
         with self.path.open("rb") as file:
             try:
-                for schema, channel, message in reader.make_reader(file, validate_crcs=True).iter_messages(topics=[topic]):
+                for schema, channel, message in reader.make_reader(
+                    file, validate_crcs=True
+                ).iter_messages(topics=[topic]):
                     if channel.id not in decoders:
                         decoders[channel.id] = self._decoder(schema, channel)
-                    yield (message.log_time - begin) / length, message.log_time, decoders[channel.id](message.data)
+                    yield (
+                        (message.log_time - begin) / length,
+                        message.log_time,
+                        decoders[channel.id](message.data),
+                    )
             except (*BROKEN, self._error) as error:
                 if isinstance(error, Refused):
                     raise
@@ -120,9 +153,18 @@ class McapLog(_Bag):
         kind = channel.message_encoding
         if kind == "json":
             return json.loads
-        if kind not in ("cdr", "ros1") or schema is None or schema.encoding not in ("ros2msg", "ros1msg"):
+        if (
+            kind not in ("cdr", "ros1")
+            or schema is None
+            or schema.encoding not in ("ros2msg", "ros1msg")
+        ):
             wanted = named("messages in an encoding that is read", kind, ("json", "cdr", "ros1"))
-            raise BadFile(self.path, channel.topic, wanted, f"{kind!r} with a schema {getattr(schema, 'encoding', None)!r}")
+            raise BadFile(
+                self.path,
+                channel.topic,
+                wanted,
+                f"{kind!r} with a schema {getattr(schema, 'encoding', None)!r}",
+            )
         typesys = package("rosbags.typesys", self.path, "logs")
         store = typesys.get_typestore(typesys.Stores.EMPTY)
         store.register(typesys.get_types_from_msg(schema.data.decode(), _full(schema.name)))
@@ -145,19 +187,27 @@ class RosLog(_Bag):
         self._place = self.path.parent if self.path.suffix == ".db3" else self.path
 
     def _reader(self) -> Any:
-        highlevel, typesys = package("rosbags.highlevel", self.path, "logs"), package("rosbags.typesys", self.path, "logs")
+        highlevel = package("rosbags.highlevel", self.path, "logs")
+        typesys = package("rosbags.typesys", self.path, "logs")
         try:
-            reader = highlevel.AnyReader([self._place], default_typestore=typesys.get_typestore(typesys.Stores.ROS2_HUMBLE))
+            reader = highlevel.AnyReader(
+                [self._place], default_typestore=typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+            )
             reader.open()
         except self._errors as error:
-            size = sum(file.stat().st_size for file in ([self._place] if self._place.is_file() else self._place.iterdir()))
+            size = sum(
+                file.stat().st_size
+                for file in ([self._place] if self._place.is_file() else self._place.iterdir())
+            )
             raise self.broken(self.expected, f"of {size} bytes", error) from None
         return reader
 
     @property
     def _errors(self) -> tuple[type[Exception], ...]:
-        sqlite, own = package("sqlite3", self.path, "logs"), package("rosbags.highlevel", self.path, "logs")
-        one, two = package("rosbags.rosbag1", self.path, "logs"), package("rosbags.rosbag2", self.path, "logs")
+        sqlite = package("sqlite3", self.path, "logs")
+        own = package("rosbags.highlevel", self.path, "logs")
+        one = package("rosbags.rosbag1", self.path, "logs")
+        two = package("rosbags.rosbag2", self.path, "logs")
         return (*BROKEN, own.AnyReaderError, one.ReaderError, two.ReaderError, sqlite.Error)
 
     @cached_property
@@ -172,7 +222,8 @@ class RosLog(_Bag):
         return self._topics
 
     def _messages(self, topic: str) -> Iterator[tuple[float, int, Any]]:
-        reader, row = self._reader(), 0
+        reader = self._reader()
+        row = 0
         connections = [connection for connection in reader.connections if connection.topic == topic]
         total = max(1, sum(connection.msgcount for connection in connections))
         try:

@@ -15,10 +15,12 @@ from dropo.logs.readers.tables import ParquetLog
 class LeRobotLog(Log):
     """A folder with meta/info.json and episodes as Parquet files under data/, in LeRobot's layout.
 
-    Columns are "observation.state[0]", or by the names that info.json gives its elements: "observation.state[elbow.pos]".
+    Columns are "observation.state[0]", or by the names that info.json gives its elements:
+    "observation.state[elbow.pos]".
     """
 
-    run_column, time_column = "episode_index", "timestamp"
+    run_column = "episode_index"
+    time_column = "timestamp"
 
     @cached_property
     def _names(self) -> dict[str, str]:
@@ -31,7 +33,9 @@ class LeRobotLog(Log):
         return {
             f"{feature}[{name}]": f"{feature}[{i}]"
             for feature, content in features.items()
-            for i, name in enumerate(_listed(content.get("names") if isinstance(content, dict) else None))
+            for i, name in enumerate(
+                _listed(content.get("names") if isinstance(content, dict) else None)
+            )
         }
 
     @cached_property
@@ -49,7 +53,13 @@ class LeRobotLog(Log):
         places = [self._names.get(name, name) for name in columns]
         blocks = []
         for i, file in enumerate(self._files):
-            blocks.append(file.read(None, places, lambda share, text, i=i: progress((i + share) / len(self._files), text)))  # type: ignore[misc]
+            blocks.append(
+                file.read(
+                    None,
+                    places,
+                    lambda share, text, i=i: progress((i + share) / len(self._files), text),
+                )
+            )  # type: ignore[misc]
         found = joined(blocks, places)
         return {name: found[place] for name, place in zip(columns, places, strict=True)}
 
@@ -62,13 +72,16 @@ def _listed(names: Any) -> list[str]:
 
 
 class MinariLog(Log):
-    """A Minari data set's folder: columns "observations[0]", "actions[0]", or "observations.position[0]" of a dictionary.
+    """A Minari data set's folder: columns "observations[0]", "actions[0]", or
+    "observations.position[0]" of a dictionary.
 
-    Each episode is a run with one more observation than actions: the last row has no action. It has no time stamps: rows are
-    a control step apart, which the mapping's `rate` gives.
+    Each episode is a run with one more observation than actions: the last row has no action. It has
+    no time stamps: rows are a control step apart, which the mapping's `rate` gives.
     """
 
-    run_column, time_column, separate_runs = "episode", None, True
+    run_column = "episode"
+    time_column = None
+    separate_runs = True
 
     @cached_property
     def _runs(self) -> list[Arrays]:
@@ -87,7 +100,9 @@ class MinariLog(Log):
         blocks = []
         for i, run in enumerate(self._runs):
             rows = len(next(iter(run.values())))
-            blocks.append({name: np.full(rows, i) if name == "episode" else run[name] for name in columns})
+            blocks.append(
+                {name: np.full(rows, i) if name == "episode" else run[name] for name in columns}
+            )
             progress((i + 1) / len(self._runs), f"reading {self.path.name}")
         return joined(blocks, columns)
 
@@ -105,5 +120,9 @@ def _episode(episode: Any) -> Arrays:
 
 def _flat(name: str, value: Any) -> Arrays:
     if isinstance(value, dict):
-        return {key: array for inner, item in value.items() for key, array in _flat(f"{name}.{inner}", item).items()}
+        return {
+            key: array
+            for inner, item in value.items()
+            for key, array in _flat(f"{name}.{inner}", item).items()
+        }
     return {name: np.asarray(value, dtype=float)}

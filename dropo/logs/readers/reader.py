@@ -19,7 +19,8 @@ Report = Callable[[float, str], None]
 class Log(ABC):
     """A file or folder of recorded numbers: one table of named columns, or several by topic.
 
-    run_column: the column that tells its runs apart, where the kind of log has one; time_column: its own column of stamps;
+    run_column: the column that tells its runs apart, where the kind of log has one; time_column:
+    its own column of stamps;
     separate_runs: each run counts its own rows.
     """
 
@@ -40,11 +41,19 @@ class Log(ABC):
 
     @abstractmethod
     def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
-        """Columns by name, (n,) each: numbers (NaN: no value in that row), dates, or texts. All are in `columns(topic)`."""
+        """Columns by name, (n,) each: numbers (NaN: no value in that row), dates, or texts.
+
+        All are in `columns(topic)`.
+        """
 
     def broken(self, expected: str, where: str, reason: object) -> BadFile:
         """The refusal of a truncated or corrupt file, with the place."""
-        return BadFile(self.path, where, expected, f"a truncated or corrupt file ({' '.join(str(reason).split()).removesuffix('.')})")
+        return BadFile(
+            self.path,
+            where,
+            expected,
+            f"a truncated or corrupt file ({' '.join(str(reason).split()).removesuffix('.')})",
+        )
 
 
 def open_log(path: str | Path) -> Log:
@@ -59,10 +68,16 @@ def open_log(path: str | Path) -> Log:
 
 
 _BY_SUFFIX = {
-    ".csv": ("tables", "CsvLog"), ".tsv": ("tables", "CsvLog"), ".txt": ("tables", "CsvLog"), ".parquet": ("tables", "ParquetLog"),
-    ".pq": ("tables", "ParquetLog"), ".npz": ("archives", "npz_log"), ".mcap": ("bags", "McapLog"), ".bag": ("bags", "RosLog"),
+    ".csv": ("tables", "CsvLog"),
+    ".tsv": ("tables", "CsvLog"),
+    ".txt": ("tables", "CsvLog"),
+    ".parquet": ("tables", "ParquetLog"),
+    ".pq": ("tables", "ParquetLog"),
+    ".npz": ("archives", "npz_log"),
+    ".mcap": ("bags", "McapLog"),
+    ".bag": ("bags", "RosLog"),
     ".db3": ("bags", "RosLog"),
-}  # fmt: skip
+}
 
 
 def _reader(place: Path) -> tuple[str, str]:
@@ -71,11 +86,26 @@ def _reader(place: Path) -> tuple[str, str]:
             return "episodes", "LeRobotLog"
         if (place / "metadata.yaml").is_file():
             return "bags", "RosLog"
-        if any((place / name).exists() for name in ("data/metadata.json", "metadata.json", "data/main_data.hdf5", "main_data.hdf5")):
+        if any(
+            (place / name).exists()
+            for name in (
+                "data/metadata.json",
+                "metadata.json",
+                "data/main_data.hdf5",
+                "main_data.hdf5",
+            )
+        ):
             return "episodes", "MinariLog"
-        raise BadFile(place, "", "a ROS 2 bag (metadata.yaml), LeRobot episodes (meta/info.json) or a Minari data set", "another folder")
+        raise BadFile(
+            place,
+            "",
+            "a ROS 2 bag (metadata.yaml), LeRobot episodes (meta/info.json) or a Minari data set",
+            "another folder",
+        )
     if place.suffix.lower() not in _BY_SUFFIX:
-        raise BadFile(place, "", f"a log that ends in {', '.join(_BY_SUFFIX)}", f"a file {place.suffix!r}")
+        raise BadFile(
+            place, "", f"a log that ends in {', '.join(_BY_SUFFIX)}", f"a file {place.suffix!r}"
+        )
     return _BY_SUFFIX[place.suffix.lower()]
 
 
@@ -89,11 +119,17 @@ def package(name: str, path: Path, extra: str) -> Any:
 
 
 def expanded(columns: dict[str, NDArray[Any]]) -> Arrays:
-    """Arrays (n,) under their names, and of arrays (n, ...) every column, "name[0]", "name[1]", ..., flattened row by row."""
+    """Arrays (n,) under their names, and of arrays (n, ...) every column, "name[0]", "name[1]",
+    ..., flattened row by row.
+    """
     out: Arrays = {}
     for name, array in columns.items():
         rows = array.reshape(len(array), -1) if array.ndim > 1 else array
-        out |= {name: rows} if rows.ndim == 1 else {f"{name}[{i}]": rows[:, i] for i in range(rows.shape[1])}
+        out |= (
+            {name: rows}
+            if rows.ndim == 1
+            else {f"{name}[{i}]": rows[:, i] for i in range(rows.shape[1])}
+        )
     return out
 
 
@@ -103,4 +139,6 @@ def joined(blocks: Iterable[Arrays], columns: Sequence[str]) -> Arrays:
     for block in blocks:
         for name in columns:
             parts[name].append(block[name])
-    return {name: np.concatenate(arrays) if arrays else np.empty(0) for name, arrays in parts.items()}
+    return {
+        name: np.concatenate(arrays) if arrays else np.empty(0) for name, arrays in parts.items()
+    }

@@ -18,9 +18,11 @@ MAGIC = b"PAR1"
 
 
 class CsvLog(Log):
-    """Text with a row of names, then one row of values a line; separated by commas, semicolons, tabs or blanks.
+    """Text with a row of names, then one row of values a line; separated by commas, semicolons,
+    tabs or blanks.
 
-    An empty cell, "nan" or "null" is no value. Cells may be dates as ISO 8601 writes them; other texts only tell runs apart.
+    An empty cell, "nan" or "null" is no value. Cells may be dates as ISO 8601 writes them; other
+    texts only tell runs apart.
     """
 
     @cached_property
@@ -34,7 +36,10 @@ class CsvLog(Log):
             raise self.broken("a table of text", f"byte {error.start}", "no text") from None
         separator = max(",;\t", key=text.count)
         separator = separator if separator in text else " "
-        names = [name.strip() for name in next(csv.reader([text], delimiter=separator, skipinitialspace=True))]
+        names = [
+            name.strip()
+            for name in next(csv.reader([text], delimiter=separator, skipinitialspace=True))
+        ]
         twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
         if twice is not None:
             raise BadFile(self.path, "line 1", "every column's name once", f"{twice!r} twice")
@@ -49,10 +54,13 @@ class CsvLog(Log):
         with self.path.open("rb") as file:
             return joined(self._blocks(file, columns, progress), columns)
 
-    def _blocks(self, file: IO[bytes], columns: Sequence[str], progress: Report) -> Iterator[Arrays]:
+    def _blocks(
+        self, file: IO[bytes], columns: Sequence[str], progress: Report
+    ) -> Iterator[Arrays]:
         names, separator = self._header
         places = [names.index(name) for name in columns]
-        size, line = self.path.stat().st_size, 2
+        size = self.path.stat().st_size
+        line = 2
         file.readline()
         rows = csv.reader(self._lines(file), delimiter=separator, skipinitialspace=True)
         while block := list(itertools.islice(rows, BLOCK)):
@@ -61,7 +69,10 @@ class CsvLog(Log):
             if wrong is not None:
                 got = f"{len(block[wrong])} cells for {len(names)} columns"
                 raise self.broken("as many cells in every line", f"line {line + wrong}", got)
-            yield {name: self._column([row[i] for row in filled], name, block, line, i) for name, i in zip(columns, places, strict=True)}
+            yield {
+                name: self._column([row[i] for row in filled], name, block, line, i)
+                for name, i in zip(columns, places, strict=True)
+            }
             line += len(block)
             progress(file.tell() / size, f"reading {self.path.name}")
 
@@ -71,10 +82,14 @@ class CsvLog(Log):
             try:
                 yield raw.decode().rstrip(" \r\n") if raw.strip() else "\n"
             except UnicodeDecodeError as error:
-                raise self.broken("a table of text", f"byte {file.tell() - len(raw) + error.start}", "no text") from None
+                raise self.broken(
+                    "a table of text", f"byte {file.tell() - len(raw) + error.start}", "no text"
+                ) from None
             start += len(raw)
 
-    def _column(self, cells: list[str], name: str, block: list[list[str]], line: int, place: int) -> NDArray[Any]:
+    def _column(
+        self, cells: list[str], name: str, block: list[list[str]], line: int, place: int
+    ) -> NDArray[Any]:
         """Numbers, else dates, else texts; a text among numbers is refused with its line."""
         try:
             return np.array([cell if cell else "nan" for cell in cells], dtype=float)
@@ -84,8 +99,15 @@ class CsvLog(Log):
         if any(number is not None for number in numbers):
             if all(number is not None for number in numbers):
                 return np.array(numbers, dtype=float)
-            row = next(i for i, cells in enumerate(block) if cells and _number(cells[place]) is None)
-            raise BadFile(self.path, f"line {line + row}, column {name!r}", "a number", repr(block[row][place]))
+            row = next(
+                i for i, cells in enumerate(block) if cells and _number(cells[place]) is None
+            )
+            raise BadFile(
+                self.path,
+                f"line {line + row}, column {name!r}",
+                "a number",
+                repr(block[row][place]),
+            )
         try:
             return np.array([cell.rstrip("Z") for cell in cells], dtype="datetime64[ns]")
         except ValueError:
@@ -103,7 +125,10 @@ def _number(cell: str) -> float | None:
 
 
 class ParquetLog(Log):
-    """A Parquet file, read one group of rows at a time; needs pyarrow. Columns of lists of fixed length are expanded."""
+    """A Parquet file, read one group of rows at a time; needs pyarrow.
+
+    Columns of lists of fixed length are expanded.
+    """
 
     expected = "a Parquet file"
 
@@ -116,9 +141,13 @@ class ParquetLog(Log):
             file.seek(max(0, size - 4))
             last = file.read(4)
         if first != MAGIC:
-            raise BadFile(self.path, "byte 0", f"a Parquet file, which begins with {MAGIC!r}", repr(first))
+            raise BadFile(
+                self.path, "byte 0", f"a Parquet file, which begins with {MAGIC!r}", repr(first)
+            )
         if last != MAGIC:
-            raise self.broken(self.expected, f"byte {size}", "it ends before the table of its contents")
+            raise self.broken(
+                self.expected, f"byte {size}", "it ends before the table of its contents"
+            )
         try:
             return parquet.ParquetFile(self.path)
         except (OSError, ValueError) as error:
@@ -130,7 +159,9 @@ class ParquetLog(Log):
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
         own = [field.name for field in self._file.schema_arrow]
-        needed = list(dict.fromkeys(name if name in own else name.rsplit("[", 1)[0] for name in columns))
+        needed = list(
+            dict.fromkeys(name if name in own else name.rsplit("[", 1)[0] for name in columns)
+        )
         return joined(self._groups(needed, progress), columns)
 
     def _groups(self, names: list[str], progress: Report) -> Iterator[Arrays]:
@@ -139,14 +170,20 @@ class ParquetLog(Log):
             yield from self._batches(group, names)
             progress((group + 1) / groups, f"reading {self.path.name}")
 
-    def _batches(self, group: int, names: list[str] | None = None, size: int = BLOCK) -> Iterator[Arrays]:
+    def _batches(
+        self, group: int, names: list[str] | None = None, size: int = BLOCK
+    ) -> Iterator[Arrays]:
         """The rows of a group, some at a time."""
         try:
-            for batch in self._file.iter_batches(batch_size=size, row_groups=[group], columns=names):
+            for batch in self._file.iter_batches(
+                batch_size=size, row_groups=[group], columns=names
+            ):
                 yield expanded(_arrays(batch))
         except (OSError, ValueError) as error:
             first = sum(self._file.metadata.row_group(i).num_rows for i in range(group))
-            raise self.broken(self.expected, f"rows from {first} (row group {group})", error) from None
+            raise self.broken(
+                self.expected, f"rows from {first} (row group {group})", error
+            ) from None
 
 
 def _arrays(batch: Any) -> Arrays:

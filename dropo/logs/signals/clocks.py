@@ -1,4 +1,6 @@
-"""Which stamps of a recording are late, by how much, and taken off: sensors beside each other, and clocks beside the log's."""
+"""Which stamps of a recording are late, by how much, and taken off: sensors beside each other, and
+clocks beside the log's.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,9 +21,12 @@ from dropo.logs.signals.velocities import estimate_velocities
 INSTANTS = 20000  # rows that a delay is estimated from at most
 LEAST = 50  # rows that it needs
 APART = 0.5  # [s] to which two clocks, or their first rows, are together
-SURE, WORTH = 3.0, 5e-5  # standard errors, and seconds, from which a delay is taken off
+# standard errors, and seconds, from which a delay is taken off
+SURE = 3.0
+WORTH = 5e-5
 RUNS = 12  # that a constant delay is estimated from at most
-DISAGREE = 9.0  # mean square of their deviations, in standard errors, from which runs have delays of their own
+# mean square of their deviations, in standard errors, from which runs have delays of their own
+DISAGREE = 9.0
 LEAST_ERROR = 1e-6  # [s]
 WINDOW = 0.05  # [s] over which displacements are compared
 EXPLAINED = 0.25  # of a signal's variance, without which a delay means nothing
@@ -29,9 +34,11 @@ EXPLAINED = 0.25  # of a signal's variance, without which a delay means nothing
 
 @dataclass(frozen=True)
 class Lateness:
-    """Stamps of `signal` are too late by seconds + skew (t - origin), against those of `reference`, t on the latter's clock.
+    """Stamps of `signal` are too late by seconds + skew (t - origin), against those of `reference`,
+    t on the latter's clock.
 
-    se, skew_se: standard errors; run: None where one delay was found for all. Only what stands out of its error is taken off.
+    se, skew_se: standard errors; run: None where one delay was found for all. Only what stands out
+    of its error is taken off.
     """
 
     signal: str
@@ -46,36 +53,51 @@ class Lateness:
     @property
     def removed(self) -> bool:
         """Whether an import takes it off."""
-        return abs(self.seconds) > max(SURE * self.se, WORTH) or abs(self.skew) > SURE * self.skew_se > 0
+        return (
+            abs(self.seconds) > max(SURE * self.se, WORTH)
+            or abs(self.skew) > SURE * self.skew_se > 0
+        )
 
     def __str__(self) -> str:
         where = f"{self.run}: " if self.run else ""
         skew = f", and its clock runs {1e6 * self.skew:+.4g} ppm fast" if self.skew else ""
         done = "taken off" if self.removed else "too little to tell, left"
-        return f"{where}{self.signal} is {1e3 * self.seconds:.4g} +- {1e3 * self.se:.2g} ms behind {self.reference}{skew}: {done}."
+        return (
+            f"{where}{self.signal} is {1e3 * self.seconds:.4g} +- {1e3 * self.se:.2g} ms "
+            f"behind {self.reference}{skew}: {done}."
+        )
 
     def off(self, series: Series) -> Series:
         """The series with stamps of the reference's clock."""
         if not self.removed:
             return series
-        return replace(series, time=self.origin + (series.time - self.origin - self.seconds) / (1 + self.skew))
+        return replace(
+            series, time=self.origin + (series.time - self.origin - self.seconds) / (1 + self.skew)
+        )
 
 
 def aligned(runs: Sequence[Run], machine: Machine) -> tuple[list[Run], list[Lateness]]:
     """The runs with the delays taken off, and all that were found.
 
-    A source with a clock of its own is brought to the log's by its velocities or positions, beside the same joint's on the log's
-    clock, or by its commands, beside the forces that the motion needs. A velocity on the log's clock is brought to its position, as
-    late behind it as the model's own velocities are (`Machine.velocity_lag`), which is not counted as a delay.
+    A source with a clock of its own is brought to the log's by its velocities or positions, beside
+    the same joint's on the log's clock, or by its commands, beside the forces that the motion
+    needs. A velocity on the log's clock is brought to its position, as late behind it as the
+    model's own velocities are (`Machine.velocity_lag`), which is not counted as a delay.
     """
     found: list[Lateness] = []
     runs = list(runs)
     for i, run in enumerate(runs):
-        for source in dict.fromkeys(series.channel.source for series in run.series if series.channel.source.own_clock):
+        for source in dict.fromkeys(
+            series.channel.source for series in run.series if series.channel.source.own_clock
+        ):
             late = _clock(run, source, machine)
             if late is not None:
                 found.append(late)
-                run = _taken_off(run, late, [series.label for series in run.series if series.channel.source == source])
+                run = _taken_off(
+                    run,
+                    late,
+                    [series.label for series in run.series if series.channel.source == source],
+                )
         runs[i] = run
     for name in machine.joints:
         delays = _velocity_delays(runs, name, machine)
@@ -87,56 +109,81 @@ def aligned(runs: Sequence[Run], machine: Machine) -> tuple[list[Run], list[Late
 
 
 def _taken_off(run: Run, late: Lateness, labels: list[str]) -> Run:
-    return replace(run, series=tuple(late.off(series) if series.label in labels else series for series in run.series))
+    return replace(
+        run,
+        series=tuple(
+            late.off(series) if series.label in labels else series for series in run.series
+        ),
+    )
 
 
 def _velocity_delays(runs: list[Run], name: str, machine: Machine) -> list[Lateness]:
-    """How much later a measured velocity is than the position: one delay for all runs, or each its own where they disagree."""
+    """How much later a measured velocity is than the position: one delay for all runs, or each its
+    own where they disagree.
+    """
     some = [runs[int(i)] for i in np.linspace(0, len(runs) - 1, min(RUNS, len(runs)))]
     each = [late for run in some if (late := _velocity_delay(run, name, machine)) is not None]
     if not each:
         return []
-    delays, weights = np.array([one.seconds for one in each]), np.array([max(one.se, LEAST_ERROR) ** -2 for one in each])
+    delays = np.array([one.seconds for one in each])
+    weights = np.array([max(one.se, LEAST_ERROR) ** -2 for one in each])
     mean = float(np.sum(weights * delays) / np.sum(weights))
     spread = float(np.sum(weights * (delays - mean) ** 2)) / max(1, len(each) - 1)
     if spread > DISAGREE:
         return [late for run in runs if (late := _velocity_delay(run, name, machine)) is not None]
-    return [replace(each[0], seconds=mean, se=float(np.sqrt(max(1.0, spread) / np.sum(weights))), run=None)]
+    return [
+        replace(
+            each[0], seconds=mean, se=float(np.sqrt(max(1.0, spread) / np.sum(weights))), run=None
+        )
+    ]
 
 
 def _linear(series: Series, joint: Joint) -> Array:
     """The numbers (n, k) of a position or velocity that are no rotations."""
-    return series.values[:, :3] if joint.kind == "free" else series.values[:, :0] if joint.kind == "ball" else series.values
+    return (
+        series.values[:, :3]
+        if joint.kind == "free"
+        else series.values[:, :0]
+        if joint.kind == "ball"
+        else series.values
+    )
 
 
 def _moved(series: Series, machine: Machine) -> tuple[Array, Array]:
-    """Displacements (n, k) of a joint in the WINDOW around each stamp (n,), from its position or velocity, of a part of a long log.
+    """Displacements (n, k) of a joint in the WINDOW around each stamp (n,), from its position or
+    velocity, of a part of a long log.
 
     A velocity is integrated rather than a position differentiated: impacts leave no trace in it.
     """
-    time, values = series.time[:INSTANTS], _linear(series, machine.joints[series.channel.name])[:INSTANTS]
+    time = series.time[:INSTANTS]
+    values = _linear(series, machine.joints[series.channel.name])[:INSTANTS]
     half = max(WINDOW, 5 * float(np.median(np.diff(time)))) / 2
     inside = time[(time >= time[0] + half) & (time <= time[-1] - half)]
     if series.channel.field == "qpos":
         ends = (np.clip(inside + side, time[0], time[-1]) for side in (half, -half))
         later, earlier = (resample(time, values, at) for at in ends)
         return inside, later - earlier
-    time, inside = time - machine.velocity_lag, inside - machine.velocity_lag
+    time = time - machine.velocity_lag
+    inside = inside - machine.velocity_lag
     steps = np.diff(time)[:, None] * (values[1:] + values[:-1]) / 2
-    integral = CubicHermiteSpline(time, np.concatenate([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)]), values)
+    integral = CubicHermiteSpline(
+        time, np.concatenate([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)]), values
+    )
     return inside, integral(inside + half) - integral(inside - half)
 
 
 def _velocity_delay(run: Run, name: str, machine: Machine) -> Lateness | None:
     """How much later a measured velocity is than the position of the same joint, on one clock."""
-    position, velocity = run.of("qpos", name), run.of("qvel", name)
+    position = run.of("qpos", name)
+    velocity = run.of("qvel", name)
     if position is None or velocity is None or machine.joints[name].kind == "ball":
         return None
     (time, reference), (stamps, signal) = _moved(position, machine), _moved(velocity, machine)
     both = (time >= stamps[:1].sum()) & (time <= stamps[-1:].sum())
     if both.sum() < LEAST:
         return None
-    time, reference = time[both], reference[both]
+    time = time[both]
+    reference = reference[both]
     signal = resample(stamps, signal, time)
     moving = (np.ptp(reference, axis=0) > 0) & (np.ptp(signal, axis=0) > 0)
     if not moving.any():
@@ -156,11 +203,22 @@ def _clock(run: Run, source: Source, machine: Machine) -> Lateness | None:
         if not moving.any() or len(stamps) < LEAST:
             continue
         try:
-            found = estimate_clock(time, one[:, moving], stamps - start, other[:, moving], most=APART)
+            found = estimate_clock(
+                time, one[:, moving], stamps - start, other[:, moving], most=APART
+            )
         except BadArgument:
             continue
         if found.explained > EXPLAINED:
-            return Lateness(signal[0], reference[0], found.seconds + start, found.se, found.skew, found.skew_se, found.origin, run.name)
+            return Lateness(
+                signal[0],
+                reference[0],
+                found.seconds + start,
+                found.se,
+                found.skew,
+                found.skew_se,
+                found.origin,
+                run.name,
+            )
     return None
 
 
@@ -169,27 +227,53 @@ Curve = tuple[str, Array, Array]
 
 
 def _pairs(run: Run, source: Source, machine: Machine) -> list[tuple[Curve, Curve]]:
-    """What the log's clock and the source's both saw: displacements of joints, else forces and commands."""
+    """What the log's clock and the source's both saw: displacements of joints, else forces and
+    commands.
+    """
     out = []
     for name, joint in machine.joints.items():
-        own = [s for field in ("qvel", "qpos") if (s := run.of(field, name)) is not None and s.channel.source == source]
-        main = [s for field in ("qpos", "qvel") if (s := run.of(field, name)) is not None and not s.channel.source.own_clock]
+        own = [
+            s
+            for field in ("qvel", "qpos")
+            if (s := run.of(field, name)) is not None and s.channel.source == source
+        ]
+        main = [
+            s
+            for field in ("qpos", "qvel")
+            if (s := run.of(field, name)) is not None and not s.channel.source.own_clock
+        ]
         if own and main and joint.kind != "ball":
-            out.append(((main[0].label, *_moved(main[0], machine)), (own[0].label, *_moved(own[0], machine))))
+            out.append(
+                (
+                    (main[0].label, *_moved(main[0], machine)),
+                    (own[0].label, *_moved(own[0], machine)),
+                )
+            )
     for series in run.series:
         if series.channel.source == source and series.channel.field == "ctrl":
             dof = machine.actuators[series.channel.name].dof
             forces = None if dof is None else _forces(run, machine, dof)
             if forces is not None:
-                held = float(np.median(np.diff(series.time))) / 2 - machine.velocity_lag  # from a row to the middle of its effect
-                out.append((("the forces that the motion needs", *forces), (series.label, series.time + held, series.values)))
+                held = (
+                    float(np.median(np.diff(series.time))) / 2 - machine.velocity_lag
+                )  # from a row to the middle of its effect
+                out.append(
+                    (
+                        ("the forces that the motion needs", *forces),
+                        (series.label, series.time + held, series.values),
+                    )
+                )
     return out
 
 
 def _forces(run: Run, machine: Machine, dof: int) -> tuple[Array, Array] | None:
-    """The generalised force (n, 1) at a dof that the motion needs (mj_inverse), at stamps (n,); None where a position is missing."""
+    """The generalised force (n, 1) at a dof that the motion needs (mj_inverse), at stamps (n,);
+    None where a position is missing.
+    """
     positions = [run.of("qpos", name) for name in machine.joints]
-    if any(s is None or s.channel.source.own_clock for s in positions) or any(joint.quaternion() for joint in machine.joints.values()):
+    if any(s is None or s.channel.source.own_clock for s in positions) or any(
+        joint.quaternion() for joint in machine.joints.values()
+    ):
         return None
     known = [s for s in positions if s is not None]
     time = known[0].time[:INSTANTS]
@@ -199,9 +283,14 @@ def _forces(run: Run, machine: Machine, dof: int) -> tuple[Array, Array] | None:
     qpos = np.hstack([resample(s.time, s.values, time) for s in known])
     moved = estimate_velocities(time, qpos)
     accelerations = np.gradient(moved.velocities, time, axis=0)
-    data, forces = mujoco.MjData(machine.model), np.empty((len(time), 1))
+    data = mujoco.MjData(machine.model)
+    forces = np.empty((len(time), 1))
     for i in range(len(time)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = moved.positions[i], moved.velocities[i], accelerations[i]
+        data.qpos[:], data.qvel[:], data.qacc[:] = (
+            moved.positions[i],
+            moved.velocities[i],
+            accelerations[i],
+        )
         mujoco.mj_inverse(machine.model, data)
         forces[i] = data.qfrc_inverse[dof]
     return time, forces

@@ -26,7 +26,11 @@ def going_on(time: Array) -> NDArray[np.bool_]:
 def gaps(time: Array) -> Ints:
     """The rows of increasing stamps before which there is a gap."""
     steps = np.diff(time)
-    return np.flatnonzero(steps > GAP * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.int64)
+    return (
+        np.flatnonzero(steps > GAP * np.median(steps)) + 1
+        if len(steps)
+        else np.empty(0, dtype=np.int64)
+    )
 
 
 def check_stamps(name: str, time: Array, rows: Ints, run: str | None = None) -> Iterator[Finding]:
@@ -35,22 +39,39 @@ def check_stamps(name: str, time: Array, rows: Ints, run: str | None = None) -> 
         return
     keep = going_on(time)
     steps = np.diff(time)
-    same, back = np.flatnonzero(steps == 0) + 1, np.flatnonzero(steps < 0) + 1
+    same = np.flatnonzero(steps == 0) + 1
+    back = np.flatnonzero(steps < 0) + 1
     if len(same):
-        text = f"{_rows(len(same))} the time stamp of the row before, the first is row {rows[same[0]]} at {time[same[0]]:.6g} s."
+        text = (
+            f"{_rows(len(same))} the time stamp of the row before, the first is row "
+            f"{rows[same[0]]} at {time[same[0]]:.6g} s."
+        )
         yield Finding(
-            "warning", name, text, "An import drops them; see why the logger writes rows twice.", run, *_place(rows, time, same[0])
+            "warning",
+            name,
+            text,
+            "An import drops them; see why the logger writes rows twice.",
+            run,
+            *_place(rows, time, same[0]),
         )
     if len(back):
         lost = float(np.mean(~keep)) - len(same) / len(time)
-        text = (f"time runs backward {_times(len(back))}, first to row {rows[back[0]]} at {time[back[0]]:.6g} s, from "
-                f"{time[back[0] - 1]:.6g} s.")  # fmt: skip
+        text = (
+            f"time runs backward {_times(len(back))}, first to row {rows[back[0]]} at "
+            f"{time[back[0]]:.6g} s, from "
+            f"{time[back[0] - 1]:.6g} s."
+        )
         if lost > BACKWARD:
             advice = "Cut the log there, or map a clock that does not restart."
             yield Finding("error", name, text, advice, run, *_place(rows, time, back[0]))
         else:
             yield Finding(
-                "warning", name, text, "An import drops rows that are not later than all before.", run, *_place(rows, time, back[0])
+                "warning",
+                name,
+                text,
+                "An import drops rows that are not later than all before.",
+                run,
+                *_place(rows, time, back[0]),
             )
     yield from _steps(name, time[keep], rows[keep], run)
 
@@ -59,20 +80,44 @@ def _steps(name: str, time: Array, rows: Ints, run: str | None) -> Iterator[Find
     steps = np.diff(time)
     if len(steps) < 3:
         return
-    typical, cut = float(np.median(steps)), gaps(time)
+    typical = float(np.median(steps))
+    cut = gaps(time)
     if len(cut):
         first = cut[0]
-        text = (f"{len(cut)} {'gap' if len(cut) == 1 else 'gaps'} of more than {GAP:g} steps of {1e3 * typical:.4g} ms, the longest "
-                f"{1e3 * steps.max():.4g} ms, the first before row {rows[first]} at {time[first]:.6g} s.")  # fmt: skip
-        yield Finding("warning", name, text, "An import ends a trajectory there.", run, *_place(rows, time, first))
+        text = (
+            f"{len(cut)} {'gap' if len(cut) == 1 else 'gaps'} of more than {GAP:g} steps "
+            f"of {1e3 * typical:.4g} ms, the longest "
+            f"{1e3 * steps.max():.4g} ms, the first before row {rows[first]} at "
+            f"{time[first]:.6g} s."
+        )
+        yield Finding(
+            "warning",
+            name,
+            text,
+            "An import ends a trajectory there.",
+            run,
+            *_place(rows, time, first),
+        )
     inside = steps[steps <= GAP * typical]
     jitter = float(np.sqrt(np.mean((inside / typical - 1) ** 2)))
     if jitter > JITTER:
         worst = int(np.argmax(np.where(steps <= GAP * typical, np.abs(steps - typical), 0))) + 1
-        text = (f"steps vary by {100 * jitter:.0f} % (rms) around {1e3 * typical:.4g} ms; the farthest is {1e3 * steps[worst - 1]:.4g} ms, "
-                f"before row {rows[worst]} at {time[worst]:.6g} s.")  # fmt: skip
-        yield Finding("information", name, text, "An import resamples; stamps of the sensor itself jitter less than those of the logger.",
-                      run, *_place(rows, time, worst))  # fmt: skip
+        text = (
+            f"steps vary by {100 * jitter:.0f} % (rms) around {1e3 * typical:.4g} ms; the "
+            f"farthest is {1e3 * steps[worst - 1]:.4g} ms, "
+            f"before row {rows[worst]} at {time[worst]:.6g} s."
+        )
+        yield Finding(
+            "information",
+            name,
+            text,
+            (
+                "An import resamples; stamps of the sensor itself jitter less than those of "
+                "the logger."
+            ),
+            run,
+            *_place(rows, time, worst),
+        )
 
 
 def _rows(count: int) -> str:

@@ -1,4 +1,6 @@
-"""States estimated with the model: an extended Kalman filter, and the smoother behind it, for logs that lack velocities or are noisy."""
+"""States estimated with the model: an extended Kalman filter, and the smoother behind it, for logs
+that lack velocities or are noisy.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,22 +18,38 @@ from dropo.core.services.tables import number as written
 from dropo.core.services.validation import Array, float_array, known, require
 
 PASSES = 3  # of linearising at the last pass' states
-ROUNDS, TURNS = 4, 5  # of learning: linearised anew in each round, steps of expectation-maximisation within
-SHARES = (10.0, 5.6, 3.0, 1.8, 1.0, 0.3, 0.1, 0.03)  # of what was learned to be missed, that are tried after each round
-NATS = 2.0  # of log-likelihood: the largest share within so much of the best is taken, since too small a one makes errors look small
+# of learning: linearised anew in each round, steps of expectation-maximisation within
+ROUNDS = 4
+TURNS = 5
+SHARES = (
+    10.0,
+    5.6,
+    3.0,
+    1.8,
+    1.0,
+    0.3,
+    0.1,
+    0.03,
+)  # of what was learned to be missed, that are tried after each round
+# of log-likelihood: the largest share within so much of the best is taken, since too small a one
+# makes errors look small
+NATS = 2.0
 ROWS = 500  # transitions that the noise is learned from
-LEAST, LARGEST = 1e-5, 0.02  # of a signal's spread: the least and the largest step of the differences
+# of a signal's spread: the least and the largest step of the differences
+LEAST = 1e-5
+LARGEST = 0.02
 UNKNOWN = 1e2  # spreads: the standard deviation of a start that was not measured
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateEstimate(Printed):
-    """The trajectories with estimated states in place of the measured ones, and how well they are known.
+    """The trajectories with estimated states in place of the measured ones, and how well they are
+    known.
 
-    covariance: (N, p, p) of the state before each transition; noise: (p,) variance of the measurements, inf where a column
-    was not measured; process: (p, p) covariance of what the model
-    misses in each control step. causal: whether a state was
-    estimated from measurements up to it alone (a filter), or from all (a smoother).
+    covariance: (N, p, p) of the state before each transition; noise: (p,) variance of the
+    measurements, inf where a column was not measured; process: (p, p) covariance of what the model
+    misses in each control step. causal: whether a state was estimated from measurements up to it
+    alone (a filter), or from all (a smoother).
     """
 
     trajectories: Trajectories
@@ -42,11 +60,24 @@ class StateEstimate(Printed):
     signals: tuple[Signal, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Standard deviations by signal: of the measurement (None where there was none), of the state, and of what the model misses."""
-        measured, process = np.sqrt(self.noise), np.sqrt(np.diagonal(self.process))
-        rows = zip(self.signals, measured.tolist(), np.sqrt(self.start_variance).tolist(), process.tolist(), strict=True)
+        """Standard deviations by signal: of the measurement (None where there was none), of the
+        state, and of what the model misses.
+        """
+        measured = np.sqrt(self.noise)
+        process = np.sqrt(np.diagonal(self.process))
+        rows = zip(
+            self.signals,
+            measured.tolist(),
+            np.sqrt(self.start_variance).tolist(),
+            process.tolist(),
+            strict=True,
+        )
         names = ("measured_sd", "state_sd", "missed_a_step_sd")
-        told = {s.name: dict(zip(names, (x if np.isfinite(x) else None, *y), strict=True)) | {"unit": s.unit} for s, x, *y in rows}
+        told = {
+            s.name: dict(zip(names, (x if np.isfinite(x) else None, *y), strict=True))
+            | {"unit": s.unit}
+            for s, x, *y in rows
+        }
         return {"causal": self.causal, "signals": told}
 
     def parts(self) -> list[str | Table]:
@@ -55,67 +86,114 @@ class StateEstimate(Printed):
             (
                 name,
                 told["unit"],
-                *("-" if told[key] is None else written(told[key]) for key in ("measured_sd", "state_sd", "missed_a_step_sd")),
+                *(
+                    "-" if told[key] is None else written(told[key])
+                    for key in ("measured_sd", "state_sd", "missed_a_step_sd")
+                ),
             )
             for name, told in self.to_json()["signals"].items()
         ]
         header = ("signal", "unit", "noise sd", "state sd", "missed in a step")
-        how = "by the measurements up to each (a filter, causal)" if self.causal else "by all measurements (a smoother, not causal)"
-        return [f"{len(self.trajectories)} states estimated with the model, {how}.", Table("", header, tuple(table))]
+        how = (
+            "by the measurements up to each (a filter, causal)"
+            if self.causal
+            else "by all measurements (a smoother, not causal)"
+        )
+        return [
+            f"{len(self.trajectories)} states estimated with the model, {how}.",
+            Table("", header, tuple(table)),
+        ]
 
     @property
     def start_variance(self) -> Array:
-        """(p,) the mean variance of the states that a fit starts from, for its epsilon beside the sensors' own."""
+        """(p,) the mean variance of the states that a fit starts from, for its epsilon beside the
+        sensors' own.
+        """
         return np.asarray(np.mean(np.diagonal(self.covariance, axis1=1, axis2=2), axis=0))
 
 
 def estimate_states(
-    simulator: Simulator, trajectories: Trajectories, values: ArrayLike, *, measured: ArrayLike | None = None,
-    noise: ArrayLike | None = None, causal: bool = False,
-) -> StateEstimate:  # fmt: skip
-    """States of measured trajectories under the simulator with these parameter values (d,), which must observe whole states.
+    simulator: Simulator,
+    trajectories: Trajectories,
+    values: ArrayLike,
+    *,
+    measured: ArrayLike | None = None,
+    noise: ArrayLike | None = None,
+    causal: bool = False,
+) -> StateEstimate:
+    """States of measured trajectories under the simulator with these parameter values (d,), which
+    must observe whole states.
 
-    measured: (p,) bool, which columns were; the others hold a first guess, such as `estimate_velocities` gives, which only says where
-    to linearise. noise: (p,) the measurements' standard deviations; left out, they are learned. causal: by the measurements up to each
-    state alone. What the model misses is learned always, by expectation-maximisation (Shumway and Stoffer 1982), so that a poor model is
-    trusted little. The smoother is the Rauch-Tung-Striebel recursion on central differences at the last pass' states (Bell 1994).
+    measured: (p,) bool, which columns were; the others hold a first guess, such as
+    `estimate_velocities` gives, which only says where to linearise. noise: (p,) the measurements'
+    standard deviations; left out, they are learned. causal: by the measurements up to each state
+    alone. What the model misses is learned always, by expectation-maximisation (Shumway and Stoffer
+    1982), so that a poor model is trusted little. The smoother is the Rauch-Tung-Striebel recursion
+    on central differences at the last pass' states (Bell 1994).
     """
     p = len(simulator.signals)
     if simulator.start_size != p or trajectories.observations.shape[1] != p:
         raise Incompatible(
-            f"States are estimated for simulators that start from what they compare, without rotations: this one has {p} signals,"
-            f" {simulator.start_size} start coordinates, and {trajectories.observations.shape[1]} columns were given."
+            "States are estimated for simulators that start from what they compare, "
+            f"without rotations: this one has {p} signals,"
+            f" {simulator.start_size} start coordinates, and "
+            f"{trajectories.observations.shape[1]} columns were given."
         )
     value = float_array("values", values, (len(simulator.space),), "estimate_states")
     seen = np.ones(p, dtype=bool) if measured is None else np.array(measured, dtype=bool)
-    require(seen.shape == (p,) and bool(seen.any()), "measured", f"({p},) with at least one True", measured, "estimate_states")
+    require(
+        seen.shape == (p,) and bool(seen.any()),
+        "measured",
+        f"({p},) with at least one True",
+        measured,
+        "estimate_states",
+    )
     given = None if noise is None else float_array("noise", noise, (p,), "estimate_states") ** 2
     problem = _Linear(simulator, value, trajectories.head(min(ROWS, len(trajectories))), seen)
     variance, process = _learned(problem, given)
     whole = replace(problem, trajectories=trajectories)
     states, covariance = whole.estimates(variance, process, causal)
     return StateEstimate(
-        _with_states(trajectories, states), covariance[_before(trajectories)], np.where(seen, variance, np.inf), process, causal,
+        _with_states(trajectories, states),
+        covariance[_before(trajectories)],
+        np.where(seen, variance, np.inf),
+        process,
+        causal,
         tuple(simulator.signals),
-    )  # fmt: skip
+    )
 
 
-def with_states(problem: Problem, unmeasured: Sequence[str] = (), *, causal: bool = False) -> tuple[Problem, StateEstimate]:
-    """The problem with states estimated under its nominal parameters in place of the measured ones, and what `estimate_states` says of
-    the data to fit; data held out are estimated by themselves. unmeasured: signals whose data are a guess."""
+def with_states(
+    problem: Problem, unmeasured: Sequence[str] = (), *, causal: bool = False
+) -> tuple[Problem, StateEstimate]:
+    """The problem with states estimated under its nominal parameters in place of the measured ones,
+    and what `estimate_states` says of the data to fit; data held out are estimated by
+    themselves. unmeasured: signals whose data are a guess.
+    """
     if problem.simulator.nominal is None:
-        raise Incompatible(f"States are estimated under a model's nominal parameters, which {type(problem.simulator).__name__} has not.")
+        raise Incompatible(
+            "States are estimated under a model's nominal parameters, which "
+            f"{type(problem.simulator).__name__} has not."
+        )
     names = [signal.name for signal in problem.simulator.signals]
     guessed = {known("signal", name, names) for name in unmeasured}
-    seen, nominal = np.array([name not in guessed for name in names]), np.asarray(problem.simulator.nominal)
+    seen = np.array([name not in guessed for name in names])
+    nominal = np.asarray(problem.simulator.nominal)
     sides = [problem.trajectories, *([] if problem.held_out is None else [problem.held_out])]
-    found = [estimate_states(problem.simulator, side, nominal, measured=seen, causal=causal) for side in sides]
+    found = [
+        estimate_states(problem.simulator, side, nominal, measured=seen, causal=causal)
+        for side in sides
+    ]
     held_out = found[1].trajectories if len(found) > 1 else None
-    return replace(problem, trajectories=found[0].trajectories, held_out=held_out, everything=None), found[0]
+    return replace(
+        problem, trajectories=found[0].trajectories, held_out=held_out, everything=None
+    ), found[0]
 
 
 def _before(trajectories: Trajectories) -> NDArray[np.int64]:
-    """(N,) where the state before each transition stands among all states: each trajectory has one more than transitions."""
+    """(N,) where the state before each transition stands among all states: each trajectory has one
+    more than transitions.
+    """
     return np.arange(len(trajectories)) + trajectories.trajectory
 
 
@@ -125,8 +203,12 @@ def _with_states(trajectories: Trajectories, states: Array) -> Trajectories:
 
 
 def _measurements(trajectories: Trajectories) -> Array:
-    """(N + trajectories, p) every state once: those before the transitions, and the one behind each trajectory's last."""
-    out = np.empty((len(trajectories) + len(trajectories.spans), trajectories.observations.shape[1]))
+    """(N + trajectories, p) every state once: those before the transitions, and the one behind each
+    trajectory's last.
+    """
+    out = np.empty(
+        (len(trajectories) + len(trajectories.spans), trajectories.observations.shape[1])
+    )
     out[_before(trajectories) + 1] = trajectories.next_observations
     out[_before(trajectories)] = trajectories.observations
     return out
@@ -134,7 +216,9 @@ def _measurements(trajectories: Trajectories) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """The simulator at fixed values as a state-space model along trajectories, `seen` (p,) of whose columns were measured."""
+    """The simulator at fixed values as a state-space model along trajectories, `seen` (p,) of whose
+    columns were measured.
+    """
 
     simulator: Simulator
     value: Array
@@ -143,18 +227,26 @@ class _Linear:
 
     def linearised(self, states: Array, step: Array) -> tuple[Array, Array]:
         """f (N, p) and its slopes A (N, p, p) at states (N + trajectories, p)."""
-        at, p = _with_states(self.trajectories, states).segments(1), len(step)
+        at = _with_states(self.trajectories, states).segments(1)
+        p = len(step)
         moves = np.concatenate([np.zeros((1, p)), np.diag(step), -np.diag(step)])
         values = np.repeat(self.value[None], len(moves), axis=0)
-        found = self.simulator.predict(values, at, offsets=np.repeat(moves[:, None], len(at), axis=1))
+        found = self.simulator.predict(
+            values, at, offsets=np.repeat(moves[:, None], len(at), axis=1)
+        )
         if not np.isfinite(found).all():
-            raise SimulationFailed(f"While states were estimated, {describe_failures(found, values, self.simulator.space)}")
+            raise SimulationFailed(
+                "While states were estimated, "
+                f"{describe_failures(found, values, self.simulator.space)}"
+            )
         return found[0], np.moveaxis(found[1 : p + 1] - found[p + 1 :], 0, -1) / (2 * step)
 
     def steps(self, states: Array, noise: Array) -> Array:
         """(p,) half widths of the differences: the noise, within shares of the spread."""
         spread = np.maximum(states.std(axis=0), 1e-9)
-        return np.clip(np.where(self.seen, np.sqrt(noise), LARGEST * spread), LEAST * spread, LARGEST * spread)
+        return np.clip(
+            np.where(self.seen, np.sqrt(noise), LARGEST * spread), LEAST * spread, LARGEST * spread
+        )
 
     def estimates(self, noise: Array, process: Array, causal: bool) -> tuple[Array, Array]:
         """States (N + trajectories, p) and covariances, after a few passes."""
@@ -162,15 +254,20 @@ class _Linear:
         for _ in range(PASSES):
             smooth = _Pass.of(self, measured, states, noise, process)
             states = smooth.states
-        return (smooth.filtered, smooth.filtered_covariance) if causal else (smooth.states, smooth.covariance)
+        return (
+            (smooth.filtered, smooth.filtered_covariance)
+            if causal
+            else (smooth.states, smooth.covariance)
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
     """One filter and smoother, with the log-likelihood of the innovations.
 
-    States (M, p) and covariances (M, p, p), filtered and smoothed; `lagged` (N, p, p), the covariance of the state behind each
-    transition with the one before it; the linear model f (N, p), A (N, p, p) around `at` (M, p).
+    States (M, p) and covariances (M, p, p), filtered and smoothed; `lagged` (N, p, p), the
+    covariance of the state behind each transition with the one before it; the linear model f (N,
+    p), A (N, p, p) around `at` (M, p).
     """
 
     filtered: Array
@@ -184,23 +281,51 @@ class _Pass:
     log_likelihood: float
 
     @staticmethod
-    def of(model: _Linear, measured: Array, at: Array, noise: Array, process: Array, linear: tuple[Array, Array] | None = None) -> "_Pass":
-        data, p = model.trajectories, measured.shape[1]
+    def of(
+        model: _Linear,
+        measured: Array,
+        at: Array,
+        noise: Array,
+        process: Array,
+        linear: tuple[Array, Array] | None = None,
+    ) -> "_Pass":
+        data = model.trajectories
+        p = measured.shape[1]
         follows, slopes = model.linearised(at, model.steps(at, noise)) if linear is None else linear
-        see, wide = np.eye(p)[model.seen], np.where(model.seen, noise, (UNKNOWN * np.maximum(at.std(axis=0), 1e-9)) ** 2)
-        states, cover = np.empty_like(measured), np.empty((len(measured), p, p))
-        smooth, smooth_cover, lagged, total = np.empty_like(measured), np.empty_like(cover), np.empty_like(slopes), 0.0
+        see = np.eye(p)[model.seen]
+        wide = np.where(model.seen, noise, (UNKNOWN * np.maximum(at.std(axis=0), 1e-9)) ** 2)
+        states = np.empty_like(measured)
+        cover = np.empty((len(measured), p, p))
+        smooth = np.empty_like(measured)
+        smooth_cover = np.empty_like(cover)
+        lagged = np.empty_like(slopes)
+        total = 0.0
         for number, (start, stop) in enumerate(data.spans):
             first = start + number
-            states[first], cover[first] = np.where(model.seen, measured[first], at[first]), np.diag(wide)
+            states[first], cover[first] = (
+                np.where(model.seen, measured[first], at[first]),
+                np.diag(wide),
+            )
             ahead = [
-                _step(states, cover, k, k + number, (follows, slopes, at), process, measured, see, noise[model.seen])
+                _step(
+                    states,
+                    cover,
+                    k,
+                    k + number,
+                    (follows, slopes, at),
+                    process,
+                    measured,
+                    see,
+                    noise[model.seen],
+                )
                 for k in range(start, stop)
             ]
-            last, total = stop + number, total + sum(log for _, _, log in ahead)
+            last = stop + number
+            total = total + sum(log for _, _, log in ahead)
             smooth[last], smooth_cover[last] = states[last], cover[last]
             for k in range(stop - 1, start - 1, -1):
-                row, (predicted, known, _) = k + number, ahead[k - start]
+                row = k + number
+                (predicted, known, _) = ahead[k - start]
                 gain = np.linalg.solve(known, slopes[k] @ cover[row]).T
                 smooth[row] = states[row] + gain @ (smooth[row + 1] - predicted)
                 smooth_cover[row] = cover[row] + gain @ (smooth_cover[row + 1] - known) @ gain.T
@@ -210,7 +335,11 @@ class _Pass:
     def missed(self, data: Trajectories) -> Array:
         """(p, p) the expected outer product of what the linear model misses in a step."""
         before = _before(data)
-        gap = self.states[before + 1] - self.follows - np.einsum("nij,nj->ni", self.slopes, self.states[before] - self.at[before])
+        gap = (
+            self.states[before + 1]
+            - self.follows
+            - np.einsum("nij,nj->ni", self.slopes, self.states[before] - self.at[before])
+        )
         turned = self.slopes @ self.covariance[before] @ self.slopes.swapaxes(1, 2)
         mixed = self.slopes @ self.lagged.swapaxes(1, 2)
         spread = self.covariance[before + 1] + turned - mixed - mixed.swapaxes(1, 2)
@@ -228,12 +357,14 @@ def _step(
     see: Array,
     noise: Array,
 ) -> tuple[Array, Array, float]:
-    """Predicts over transition k, and corrects the state at row + 1 by its measurement, in place; returns what was predicted, and the
-    log density of the measurement."""
+    """Predicts over transition k, and corrects the state at row + 1 by its measurement, in place;
+    returns what was predicted, and the log density of the measurement.
+    """
     follows, slopes, at = linear
     predicted = follows[k] + slopes[k] @ (states[row] - at[row])
     known = slopes[k] @ cover[row] @ slopes[k].T + process
-    total, innovation = see @ known @ see.T + np.diag(noise), see @ (measured[row + 1] - predicted)
+    total = see @ known @ see.T + np.diag(noise)
+    innovation = see @ (measured[row + 1] - predicted)
     gain = np.linalg.solve(total, see @ known).T
     states[row + 1] = predicted + gain @ innovation
     rest = np.eye(len(known)) - gain @ see
@@ -243,14 +374,20 @@ def _step(
 
 
 def _learned(model: _Linear, noise: Array | None) -> tuple[Array, Array]:
-    """The measurements' variances (p,), where they are not given, and the process' covariance (p, p), most likely on the first rows."""
+    """The measurements' variances (p,), where they are not given, and the process' covariance (p,
+    p), most likely on the first rows.
+    """
     measured = _measurements(model.trajectories)
     spread = np.maximum(measured.var(axis=0), 1e-18)
-    pushed = np.array([signal.unit.endswith("/s") for signal in model.simulator.signals])  # forces act on velocities
+    pushed = np.array(
+        [signal.unit.endswith("/s") for signal in model.simulator.signals]
+    )  # forces act on velocities
     pushed |= ~pushed.any()
-    floor, block = np.diag(1e-12 * spread), np.outer(pushed, pushed)
+    floor = np.diag(1e-12 * spread)
+    block = np.outer(pushed, pushed)
     variance = 1e-4 * spread if noise is None else noise
-    process, states = np.diag(np.where(pushed, 1e-4, 0) * spread) + floor, measured
+    process = np.diag(np.where(pushed, 1e-4, 0) * spread) + floor
+    states = measured
     for _ in range(ROUNDS):
         at = states
         linear = model.linearised(at, model.steps(at, variance))
@@ -258,10 +395,17 @@ def _learned(model: _Linear, noise: Array | None) -> tuple[Array, Array]:
             found = _Pass.of(model, measured, at, variance, process, linear)
             process = np.where(block, found.missed(model.trajectories), 0.0) + floor
             if noise is None:
-                errors = np.mean((measured - found.states) ** 2 + np.diagonal(found.covariance, axis1=1, axis2=2), axis=0)
+                errors = np.mean(
+                    (measured - found.states) ** 2
+                    + np.diagonal(found.covariance, axis1=1, axis2=2),
+                    axis=0,
+                )
                 variance = np.where(model.seen, np.maximum(errors, 1e-16 * spread), variance)
-        tried = [_Pass.of(model, measured, at, variance, share * process, linear) for share in SHARES]
+        tried = [
+            _Pass.of(model, measured, at, variance, share * process, linear) for share in SHARES
+        ]
         likelihoods = np.array([one.log_likelihood for one in tried])
-        states, process = tried[int(np.argmax(likelihoods))].states, SHARES[int(np.argmax(likelihoods))] * process
+        states = tried[int(np.argmax(likelihoods))].states
+        process = SHARES[int(np.argmax(likelihoods))] * process
     enough = int(np.flatnonzero(likelihoods >= likelihoods.max() - NATS)[0])
     return variance, process * SHARES[enough] / SHARES[int(np.argmax(likelihoods))]

@@ -1,4 +1,6 @@
-"""Velocities from logged positions, with the noise level of both: by a smoother, or by a filter that knows the past alone."""
+"""Velocities from logged positions, with the noise level of both: by a smoother, or by a filter
+that knows the past alone.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,10 +14,20 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array, float_array, require
 from dropo.logs.signals.integrated_noise import Motion, filtered
 
-ORDER = 3  # accelerations are taken as a random walk: of 2, 3 and 4 the one whose stated noise levels are right on most motions
-LEAST, LARGEST, GRID = -30.0, 10.0, 4.0  # of log q / r: the search, in steps of the median time, and its first grid
-BLOCKS, BLOCK = 20, 1000  # rows that the search sees of a long log
-GATE, ABOVE, BELOW = 8.0, 6.5, 1.95  # a jump of the velocity: its score among all, beside its surroundings', above the acceleration's
+# accelerations are taken as a random walk: of 2, 3 and 4 the one whose stated noise levels are
+# right on most motions
+ORDER = 3
+# of log q / r: the search, in steps of the median time, and its first grid
+LEAST = -30.0
+LARGEST = 10.0
+GRID = 4.0
+# rows that the search sees of a long log
+BLOCKS = 20
+BLOCK = 1000
+# a jump of the velocity: its score among all, beside its surroundings', above the acceleration's
+GATE = 8.0
+ABOVE = 6.5
+BELOW = 1.95
 ROUNDS = 5  # of looking for jumps
 PROBES = 8  # columns of random signs that show how much noise comes through (Hutchinson 1990)
 NOTHING: Ints = np.empty(0, dtype=np.int64)
@@ -23,11 +35,13 @@ NOTHING: Ints = np.empty(0, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class Velocities:
-    """Smoothed or filtered positions and their velocities, (n, p) each, and standard deviations (p,) of what is wrong in them.
+    """Smoothed or filtered positions and their velocities, (n, p) each, and standard deviations
+    (p,) of what is wrong in them.
 
-    position_noise: of the measured positions; smoothed_noise: of `positions`; velocity_noise: of `velocities`, whose
-    errors hang together over the width of the smoother. jumps: for each column the rows before which the velocity
-    jumped (an impact), so that nothing was smoothed across. causal: whether only measurements up to a row were used.
+    position_noise: of the measured positions; smoothed_noise: of `positions`; velocity_noise: of
+    `velocities`, whose errors hang together over the width of the smoother. jumps: for each column
+    the rows before which the velocity jumped (an impact), so that nothing was smoothed across.
+    causal: whether only measurements up to a row were used.
     """
 
     positions: Array
@@ -39,36 +53,75 @@ class Velocities:
     causal: bool = False
 
 
-def estimate_velocities(time: ArrayLike, positions: ArrayLike, *, noise: ArrayLike | None = None, causal: bool = False) -> Velocities:
-    """The velocities (n, p) of positions (n, p) measured at `time` (n,) [s], strictly increasing, also unevenly.
+def estimate_velocities(
+    time: ArrayLike, positions: ArrayLike, *, noise: ArrayLike | None = None, causal: bool = False
+) -> Velocities:
+    """The velocities (n, p) of positions (n, p) measured at `time` (n,) [s], strictly increasing,
+    also unevenly.
 
-    Each column's acceleration is taken as a random walk seen through white noise; the noise level and the smoother's
-    bandwidth are the ones of largest likelihood. noise: (p,) the standard deviations, where they are known. A quantised
-    column has at least the noise of its steps, step / sqrt(12). causal: a filter, for what must not know the future, with
-    larger errors, which catches up behind a jump; else a smoother, split at jumps. Angles must be unwrapped.
+    Each column's acceleration is taken as a random walk seen through white noise; the noise level
+    and the smoother's bandwidth are the ones of largest likelihood. noise: (p,) the standard
+    deviations, where they are known. A quantised column has at least the noise of its steps, step /
+    sqrt(12). causal: a filter, for what must not know the future, with larger errors, which catches
+    up behind a jump; else a smoother, split at jumps. Angles must be unwrapped.
     """
     stamps = float_array("time", time, (None,), "estimate_velocities")
     rows = float_array("positions", positions, (len(stamps), None), "estimate_velocities")
-    require(len(stamps) > 2 * ORDER, "positions", f"at least {2 * ORDER + 1} rows", len(stamps), "estimate_velocities")
-    require(bool((np.diff(stamps) > 0).all()), "time", "strictly increasing", "instants that are not", "estimate_velocities")
-    known = None if noise is None else float_array("noise", noise, (rows.shape[1],), "estimate_velocities")
-    require(known is None or bool((known > 0).all()), "noise", "above 0", known, "estimate_velocities")
-    columns = [_Column.of(stamps, column, None if known is None else float(known[i])) for i, column in enumerate(rows.T)]
+    require(
+        len(stamps) > 2 * ORDER,
+        "positions",
+        f"at least {2 * ORDER + 1} rows",
+        len(stamps),
+        "estimate_velocities",
+    )
+    require(
+        bool((np.diff(stamps) > 0).all()),
+        "time",
+        "strictly increasing",
+        "instants that are not",
+        "estimate_velocities",
+    )
+    known = (
+        None
+        if noise is None
+        else float_array("noise", noise, (rows.shape[1],), "estimate_velocities")
+    )
+    require(
+        known is None or bool((known > 0).all()), "noise", "above 0", known, "estimate_velocities"
+    )
+    columns = [
+        _Column.of(stamps, column, None if known is None else float(known[i]))
+        for i, column in enumerate(rows.T)
+    ]
     smooth = [column.smoothed() for column in columns]
-    estimates, errors = [s[0] for s in smooth], [s[1] for s in smooth]
+    estimates = [s[0] for s in smooth]
+    errors = [s[1] for s in smooth]
     if causal:
         later = estimates
-        estimates = list(filtered([column.motion for column in columns], np.array([column.ratio for column in columns]))[:, :, :2])
-        errors = [np.sqrt(e**2 + np.mean((a - b)[2 * ORDER :] ** 2, axis=0)) for e, a, b in zip(errors, estimates, later, strict=True)]
-    found, deviations = np.stack(estimates, axis=2), np.stack(errors, axis=1)  # (n, 2, p), (2, p)
-    levels, jumps = np.array([column.noise for column in columns]), tuple(column.motion.jumps for column in columns)
+        estimates = list(
+            filtered(
+                [column.motion for column in columns],
+                np.array([column.ratio for column in columns]),
+            )[:, :, :2]
+        )
+        errors = [
+            np.sqrt(e**2 + np.mean((a - b)[2 * ORDER :] ** 2, axis=0))
+            for e, a, b in zip(errors, estimates, later, strict=True)
+        ]
+    # (n, 2, p), (2, p)
+    found = np.stack(estimates, axis=2)
+    deviations = np.stack(errors, axis=1)
+    levels = np.array([column.noise for column in columns])
+    jumps = tuple(column.motion.jumps for column in columns)
     return Velocities(found[:, 0], found[:, 1], levels, deviations[1], deviations[0], jumps, causal)
 
 
 def quantum(values: Array) -> float:
     """The step of which all differences of the values (n,) are multiples; 0 where there is none."""
     gaps = np.diff(np.unique(values))
-    gaps = gaps[gaps > 1e-7 * np.abs(values).max()] if len(gaps) else gaps  # below, rounding of single precision
+    gaps = (
+        gaps[gaps > 1e-7 * np.abs(values).max()] if len(gaps) else gaps
+    )  # below, rounding of single precision
     if not len(gaps):
         return 0.0
     step = float(np.mean(gaps[gaps < 1.5 * gaps.min()]))
@@ -78,7 +131,9 @@ def quantum(values: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """One position: its motion, the standard deviation of its noise and q / r of largest likelihood."""
+    """One position: its motion, the standard deviation of its noise and q / r of largest
+    likelihood.
+    """
 
     motion: Motion
     noise: float
@@ -99,15 +154,23 @@ class _Column:
         return column
 
     def smoothed(self) -> tuple[Array, Array]:
-        """Position and velocity (n, 2), and the standard deviations (2,) of their errors: noise that comes through, and lost motion.
+        """Position and velocity (n, 2), and the standard deviations (2,) of their errors: noise
+        that comes through, and lost motion.
 
-        What the smoother takes off its own result stands for the motion that it took off the truth. What stands still has velocity 0.
+        What the smoother takes off its own result stands for the motion that it took off the truth.
+        What stands still has velocity 0.
         """
         if np.ptp(self.motion.measured) == 0:
-            return np.stack([self.motion.measured, np.zeros_like(self.motion.measured)], axis=1), np.zeros(2)
+            return np.stack(
+                [self.motion.measured, np.zeros_like(self.motion.measured)], axis=1
+            ), np.zeros(2)
         states = self.motion.smoothed(self.ratio, self.motion.measured[:, None])[:, :2, 0]
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(states), PROBES))  # always the same: a trace's estimate
-        probes = self.motion.smoothed(self.ratio, np.concatenate([states[:, :1], signs], axis=1))[:, :2]
+        signs = np.random.default_rng(0).choice(
+            [-1.0, 1.0], size=(len(states), PROBES)
+        )  # always the same: a trace's estimate
+        probes = self.motion.smoothed(self.ratio, np.concatenate([states[:, :1], signs], axis=1))[
+            :, :2
+        ]
         lost = np.mean((probes[:, :, 0] - states)[ORDER:-ORDER] ** 2, axis=0)
         through = np.mean(probes[:, :, 1:] ** 2, axis=(0, 2))
         return states, np.sqrt(self.noise**2 * through + lost)
@@ -154,7 +217,9 @@ def _piece(motion: Motion, rows: slice) -> Motion:
 
 
 def _minimum(function: Callable[[float], float]) -> float:
-    """exp of where a function of log q / r is smallest, within the bounds: a grid, then Brent's method."""
+    """exp of where a function of log q / r is smallest, within the bounds: a grid, then Brent's
+    method.
+    """
 
     def guarded(x: float) -> float:
         try:
@@ -165,18 +230,24 @@ def _minimum(function: Callable[[float], float]) -> float:
     grid = np.arange(LEAST, LARGEST + GRID / 2, GRID)
     best = grid[int(np.argmin([guarded(float(x)) for x in grid]))]
     bounds = (max(LEAST, best - GRID), min(LARGEST, best + GRID))
-    return float(np.exp(minimize_scalar(guarded, bounds=bounds, method="bounded", options={"xatol": 0.02}).x))
+    return float(
+        np.exp(minimize_scalar(guarded, bounds=bounds, method="bounded", options={"xatol": 0.02}).x)
+    )
 
 
 def _jumps(column: _Column) -> Ints:
-    """Rows before which the velocity jumps: steps that stand out from all and from their surroundings, more than the acceleration does.
+    """Rows before which the velocity jumps: steps that stand out from all and from their
+    surroundings, more than the acceleration does.
 
-    A jump of the acceleration, as under a switched command, shows first in the acceleration's own scores.
+    A jump of the acceleration, as under a switched command, shows first in the acceleration's own
+    scores.
     """
     scores = np.abs(column.motion.scores(column.ratio))
     scores[column.motion.jumps - 1] = 0.0
     scores = scores[:, 1:] / deviation(scores[:, 1:])  # (n - 1, 2) of velocity and acceleration
-    width = max(2 * ORDER, int(3 * column.ratio ** (-0.5 / ORDER)))  # steps over which the smoother reaches
+    width = max(
+        2 * ORDER, int(3 * column.ratio ** (-0.5 / ORDER))
+    )  # steps over which the smoother reaches
     taken = [0, *(column.motion.jumps - 1).tolist(), len(scores)]
     found: list[int] = []
     for k in np.argsort(-scores[:, 0])[: len(scores) // width].tolist():
@@ -184,7 +255,12 @@ def _jumps(column: _Column) -> Ints:
             break
         if min(abs(k - other) for other in taken) <= width:
             continue
-        around = np.concatenate([scores[max(0, k - 10 * width) : k - width + 1, 0], scores[k + width : k + 10 * width, 0]])
+        around = np.concatenate(
+            [
+                scores[max(0, k - 10 * width) : k - width + 1, 0],
+                scores[k + width : k + 10 * width, 0],
+            ]
+        )
         here = scores[k - width : k + width, 1].max()
         taken.append(k)
         if scores[k, 0] > ABOVE * np.sqrt(np.mean(around**2)) and here < BELOW * scores[k, 0]:
@@ -197,5 +273,11 @@ def _placed(column: _Column, row: int, width: int) -> int:
     first = max(0, row - 10 * width)
     piece = replace(_piece(column.motion, slice(first, row + 10 * width)), jumps=NOTHING)
     options = [row, row - 1, row + 1, row - 2, row + 2]
-    fits = [replace(piece, jumps=np.array([option - first])).fit(column.ratio) for option in options]
-    return options[int(np.argmin([squares / column.noise**2 + determinant for squares, determinant, _ in fits]))]
+    fits = [
+        replace(piece, jumps=np.array([option - first])).fit(column.ratio) for option in options
+    ]
+    return options[
+        int(
+            np.argmin([squares / column.noise**2 + determinant for squares, determinant, _ in fits])
+        )
+    ]

@@ -13,13 +13,17 @@ EDGE = 1e-3  # the coordinates' origin keeps this far from the box' ends, where 
 
 
 class RealLine:
-    """A density over the unit box as one over w in R^d, with u = Phi(origin + scale w): flat on the box is normal in w.
+    """A density over the unit box as one over w in R^d, with u = Phi(origin + scale w): flat on the
+    box is normal in w.
 
-    density: (W, d) -> (W, 1 + d), values and gradients over the box; start, spread: (d,), where |w| is about 1.
+    density: (W, d) -> (W, 1 + d), values and gradients over the box; start, spread: (d,), where |w|
+    is about 1.
     """
 
     def __init__(self, density: Density, start: Array, spread: Array):
-        self.density, self.start, self.spread = density, start, spread
+        self.density = density
+        self.start = start
+        self.spread = spread
         self.origin = ndtri(np.clip(start, EDGE, 1 - EDGE))
         self.scale = np.minimum(spread / _normal(self.origin), 1.0)
 
@@ -29,16 +33,22 @@ class RealLine:
 
     def head(self, rng: np.random.Generator, count: int) -> Array:
         """(W, d) so many positions around the start, where the density is positive."""
-        points, _ = first_positions(lambda u: self.density(u)[:, 0], rng, self.start, self.spread, count)
+        points, _ = first_positions(
+            lambda u: self.density(u)[:, 0], rng, self.start, self.spread, count
+        )
         return (ndtri(np.clip(points, 1e-9, 1 - 1e-9)) - self.origin) / self.scale
 
     def log_density(self, w: Any) -> Any:
-        """(...,) at a tensor w (..., d), up to a constant: log p(u) + log |du/dw|; its gradient is known to autograd."""
+        """(...,) at a tensor w (..., d), up to a constant: log p(u) + log |du/dw|; its gradient is
+        known to autograd.
+        """
         z = self.origin + self.scale * plain(w).reshape(-1, len(self.origin))
         answers = self.density(ndtr(z))
         values = answers[:, 0] - 0.5 * (z**2).sum(axis=1)
         gradients = (answers[:, 1:] * _normal(z) - z) * self.scale
-        tangent = constant(gradients.reshape(w.shape), w) * (w - w.detach())  # 0, with the right derivative
+        tangent = constant(gradients.reshape(w.shape), w) * (
+            w - w.detach()
+        )  # 0, with the right derivative
         return constant(values.reshape(w.shape[:-1]), w) + tangent.sum(-1)
 
 

@@ -1,4 +1,6 @@
-"""Problems by a built-in name or from a YAML file: model, data, columns and parameters, all checked before anything runs."""
+"""Problems by a built-in name or from a YAML file: model, data, columns and parameters, all checked
+before anything runs.
+"""
 
 import importlib
 import inspect
@@ -20,7 +22,14 @@ from dropo.core.services.validation import Array, known
 from dropo.data.checks.check import outside_control_range, verdict
 from dropo.data.reading import MINARI, read
 from dropo.data.reading import inputs_of as beside
-from dropo.mjmodel.fields import PREFIXES, Binding, FieldParameter, element_names, model_fields, option_fields
+from dropo.mjmodel.fields import (
+    PREFIXES,
+    Binding,
+    FieldParameter,
+    element_names,
+    model_fields,
+    option_fields,
+)
 from dropo.mjmodel.motors import motor_of, mount
 from dropo.mjmodel.observation import Layout
 from dropo.problems.file.effect_entries import read_effects
@@ -30,31 +39,56 @@ from dropo.simulators.mujoco.loading import load_model, specification
 from dropo.simulators.mujoco.simulator import MujocoSimulator, action_columns
 
 KEYS = (
-    "model", "frame_skip", "data", "observation", "action", "parameters", "epsilon", "start_noise", "student_t", "lambda", "reset",
-    "held_out", "transitions", "effects", "motors", "task", "input",
-)  # fmt: skip
+    "model",
+    "frame_skip",
+    "data",
+    "observation",
+    "action",
+    "parameters",
+    "epsilon",
+    "start_noise",
+    "student_t",
+    "lambda",
+    "reset",
+    "held_out",
+    "transitions",
+    "effects",
+    "motors",
+    "task",
+    "input",
+)
 PARAMETER_KEYS = ("field", "name", "index", "low", "high", "unit", "target", "derived", "prior")
 MODELS = {"hopper": "dropo.problems.hopper.model:hopper_spec"}
 """Models of built-in problems, by the name that `model:` takes: functions that return an MjSpec."""
 INPUTS = ("commanded", "current")
-"""Of built-in problems that know both: the torque that was asked for, and the one from the motors' current."""
+"""Of built-in problems that know both: the torque that was asked for, and the one from the motors'
+current.
+"""
 RESETS = "'transition', 'start', or {set: [observation items]}"
 
 
-def load(problem: str | Path, *, threads: int = 0, checked: bool = True, input: str | None = None) -> Problem:
-    """A built-in problem by its name, or the one that a YAML file describes; paths in it are relative to it.
+def load(
+    problem: str | Path, *, threads: int = 0, checked: bool = True, input: str | None = None
+) -> Problem:
+    """A built-in problem by its name, or the one that a YAML file describes; paths in it are
+    relative to it.
 
-    threads: of the simulator, 0 for all cores. checked: refuse data in which `dropo.check` finds an error, held-out ones too.
-    input: which of several logged commands drives the model, one of `inputs_of`; None: as the problem says.
-    UnknownName for a name that does not exist; BadFile for what is wrong in the file or its data, with the key, what was expected, what
-    came, and the nearest valid name.
+    threads: of the simulator, 0 for all cores. checked: refuse data in which `dropo.check` finds an
+    error, held-out ones too.
+    input: which of several logged commands drives the model, one of `inputs_of`; None: as the
+    problem says. UnknownName for a name that does not exist; BadFile for what is wrong in the file
+    or its data, with the key, what was expected, what came, and the nearest valid name.
     """
     if is_file(problem):
         return _from_file(Path(problem), threads, checked, input)
     known("problem", str(problem), names("problems"))
     chosen = {} if input is None else {"input": known("input", input, inputs_of(problem))}
     found = cast(Problem, find("problems", str(problem))(threads=threads, **chosen))
-    for key, trajectories in (("data", found.everything or found.trajectories), ("held_out", found.held_out)) if checked else ():
+    for key, trajectories in (
+        (("data", found.everything or found.trajectories), ("held_out", found.held_out))
+        if checked
+        else ()
+    ):
         error = _error(trajectories, found.simulator)
         if error is not None:
             raise BadArgument(f"{problem}: {key}: {error}")
@@ -63,11 +97,15 @@ def load(problem: str | Path, *, threads: int = 0, checked: bool = True, input: 
 
 def is_file(problem: str | Path) -> bool:
     """Whether `problem` means a YAML file rather than a built-in name."""
-    return isinstance(problem, Path) or problem.endswith((".yaml", ".yml")) or Path(problem).is_file()
+    return (
+        isinstance(problem, Path) or problem.endswith((".yaml", ".yml")) or Path(problem).is_file()
+    )
 
 
 def inputs_of(problem: str | Path) -> tuple[str, ...]:
-    """The logged commands of a problem by name, where there are several: `actions.NAME` in its data, or what a built-in one takes."""
+    """The logged commands of a problem by name, where there are several: `actions.NAME` in its
+    data, or what a built-in one takes.
+    """
     if is_file(problem):
         entries = read_yaml(Path(problem), KEYS, "a problem file")
         return beside(next(iter(_sources(entries, "data").values())))
@@ -88,14 +126,27 @@ def _from_file(path: Path, threads: int, checked: bool, input: str | None) -> Pr
         if error is not None:
             raise BadEntry(path, key, error)
     reset, set_columns = _reset(entries, simulator)
-    epsilon, warnings, priors = _epsilon(entries, simulator), _warnings(fitted, simulator), _priors(entries, simulator)
-    start_noise, degrees = _start_noise(entries), _degrees(entries)
+    epsilon = _epsilon(entries, simulator)
+    warnings = _warnings(fitted, simulator)
+    priors = _priors(entries, simulator)
+    start_noise = _start_noise(entries)
+    degrees = _degrees(entries)
     with entries.blaming("lambda"):
         problem = Problem(
-            path.stem, simulator, fitted, length=cast(int, length), reset=reset, set_columns=set_columns,
-            epsilon=epsilon, start_noise=start_noise, noise_degrees=degrees, held_out=held_out, warnings=warnings,
-            priors=priors, task=read_task(entries, simulator, fitted),
-        )  # fmt: skip
+            path.stem,
+            simulator,
+            fitted,
+            length=cast(int, length),
+            reset=reset,
+            set_columns=set_columns,
+            epsilon=epsilon,
+            start_noise=start_noise,
+            noise_degrees=degrees,
+            held_out=held_out,
+            warnings=warnings,
+            priors=priors,
+            task=read_task(entries, simulator, fitted),
+        )
     return with_velocities(problem)
 
 
@@ -108,7 +159,9 @@ def _simulator(entries: Entries, frame_skip: int, threads: int) -> MujocoSimulat
     with entries.blaming("model"):
         model = load_model(source, [p.field for p in parameters])
     _check_parameters(entries, parameters, model)
-    observation = entries.texts("observation", ("qpos", "qvel"), "a list of items such as [qpos, qvel]")
+    observation = entries.texts(
+        "observation", ("qpos", "qvel"), "a list of items such as [qpos, qvel]"
+    )
     action = entries.texts("action", ("ctrl",), "a list of items such as [ctrl]")
     with entries.blaming("observation"):
         layout = Layout(model, observation)
@@ -117,7 +170,14 @@ def _simulator(entries: Entries, frame_skip: int, threads: int) -> MujocoSimulat
         raise entries.bad("observation", "each column once", f"{twice!r} twice")
     with entries.blaming("action"):
         action_columns(model, action)
-    simulator = MujocoSimulator(source, parameters, observation=observation, action=action, frame_skip=frame_skip, threads=threads)
+    simulator = MujocoSimulator(
+        source,
+        parameters,
+        observation=observation,
+        action=action,
+        frame_skip=frame_skip,
+        threads=threads,
+    )
     free, fixed = read_effects(entries, simulator.effect_context)
     return simulator.with_effects(free, fixed) if free or fixed else simulator
 
@@ -136,8 +196,12 @@ def _model(entries: Entries) -> str | mujoco.MjSpec:
 
 
 def _with_motors(entries: Entries, model: str | mujoco.MjSpec) -> mujoco.MjSpec:
-    """The model with the motors that `motors` names by joint, each from the library or with its numbers."""
-    level = entries.level("motors", what="a mapping from joints to motors, such as {shoulder: ak80-6}")
+    """The model with the motors that `motors` names by joint, each from the library or with its
+    numbers.
+    """
+    level = entries.level(
+        "motors", what="a mapping from joints to motors, such as {shoulder: ak80-6}"
+    )
     with entries.blaming("model"):
         spec = specification(model)
     for joint, value in level.content.items():
@@ -148,20 +212,32 @@ def _with_motors(entries: Entries, model: str | mujoco.MjSpec) -> mujoco.MjSpec:
 
 def _parameters(entries: Entries) -> list[FieldParameter]:
     level = entries.level("parameters", what="a mapping from names to parameters")
-    return [_parameter(level.level(name, PARAMETER_KEYS, "a mapping with field, low and high"), name) for name in level.content]
+    return [
+        _parameter(level.level(name, PARAMETER_KEYS, "a mapping with field, low and high"), name)
+        for name in level.content
+    ]
 
 
 def _parameter(entry: Entries, name: str) -> FieldParameter:
     field = entry.text("field", "a field of MjModel or mjOption, such as body_mass")
     element = entry.text("name", "the name of an element") if "name" in entry else None
-    low, high = entry.number("low"), entry.number("high")
+    low = entry.number("low")
+    high = entry.number("high")
     if low >= high:
         raise entry.bad("low", f"a number below high = {high:g}")
     unit = entry.text("unit", "a text, such as kg") if entry.content.get("unit", "") != "" else ""
     relative = entry.choice("target", ("absolute", "relative"), "a known target") == "relative"
     derived = entry.choice("derived", ("follow", "keep"), "what derived constants do") == "follow"
     return FieldParameter(
-        name, low, high, unit, field=field, element=element, index=entry.whole("index", 0, None), relative=relative, derived=derived
+        name,
+        low,
+        high,
+        unit,
+        field=field,
+        element=element,
+        index=entry.whole("index", 0, None),
+        relative=relative,
+        derived=derived,
     )
 
 
@@ -177,7 +253,9 @@ def _priors(entries: Entries, simulator: Simulator) -> dict[str, str]:
     return out
 
 
-def _check_parameters(entries: Entries, parameters: Iterable[FieldParameter], model: mujoco.MjModel) -> None:
+def _check_parameters(
+    entries: Entries, parameters: Iterable[FieldParameter], model: mujoco.MjModel
+) -> None:
     """Every field, element and index must be the model's, and no number of it may be set twice."""
     valid = [*model_fields(model), *option_fields(model)]
     before: list[FieldParameter] = []
@@ -189,7 +267,9 @@ def _check_parameters(entries: Entries, parameters: Iterable[FieldParameter], mo
             Binding(parameter, model)
         same = next((other for other in before if _overlap(parameter, other)), None)
         if same is not None:
-            raise entry.bad("field", "a number that no other parameter sets", f"the one of {same.name!r}")
+            raise entry.bad(
+                "field", "a number that no other parameter sets", f"the one of {same.name!r}"
+            )
         before.append(parameter)
 
 
@@ -209,39 +289,67 @@ def _overlap(one: FieldParameter, other: FieldParameter) -> bool:
 # The data
 
 
-def _data(entries: Entries, simulator: MujocoSimulator, input: str | None) -> tuple[Trajectories, Trajectories | None]:
+def _data(
+    entries: Entries, simulator: MujocoSimulator, input: str | None
+) -> tuple[Trajectories, Trajectories | None]:
     """The trajectories to fit and those held out."""
     everything = _read(entries, "data", simulator, input)
-    fitted, held_out = everything, None
+    fitted = everything
+    held_out = None
     value = entries.content.get("held_out")
-    if isinstance(value, list) and value and all(isinstance(i, int) and not isinstance(i, bool) for i in value):
+    if (
+        isinstance(value, list)
+        and value
+        and all(isinstance(i, int) and not isinstance(i, bool) for i in value)
+    ):
         fitted, held_out = _split(entries, everything, value)
     elif "held_out" in entries:
-        held_out = _read(entries, "held_out", simulator, input, "a list of trajectory numbers, or data as in `data`")
+        held_out = _read(
+            entries,
+            "held_out",
+            simulator,
+            input,
+            "a list of trajectory numbers, or data as in `data`",
+        )
     count = entries.whole("transitions", 1, None)
     return (fitted if count is None else fitted.head(count)), held_out
 
 
-def _sources(entries: Entries, key: str, expected: str = "a file, a folder or a list of them") -> dict[str, str | Path]:
+def _sources(
+    entries: Entries, key: str, expected: str = "a file, a folder or a list of them"
+) -> dict[str, str | Path]:
     """The data that an entry names, as it does, and where they are."""
     value = entries.content.get(key)
     listed: list[Any] = value if isinstance(value, list) else [value]
     if not listed or not all(isinstance(item, str) and item for item in listed):
         raise entries.bad(key, expected)
-    return {item: item if item.startswith(MINARI) else entries.path.parent / item for item in listed}
+    return {
+        item: item if item.startswith(MINARI) else entries.path.parent / item for item in listed
+    }
 
 
-def _read(entries: Entries, key: str, simulator: MujocoSimulator, input: str | None, *expected: str) -> Trajectories:
+def _read(
+    entries: Entries, key: str, simulator: MujocoSimulator, input: str | None, *expected: str
+) -> Trajectories:
     listed = _sources(entries, key, *expected)
     trajectories = read(list(listed.values()), input=input)
-    have = {"observation": trajectories.observations.shape[1], "action": trajectories.actions.shape[1]}
+    have = {
+        "observation": trajectories.observations.shape[1],
+        "action": trajectories.actions.shape[1],
+    }
     for what, want in (("observation", len(simulator.layout)), ("action", len(simulator.controls))):
         if have[what] != want:
-            raise entries.bad(key, f"{want} {what} columns, as the {what} items give", f"{have[what]} in {', '.join(listed)}")
+            raise entries.bad(
+                key,
+                f"{want} {what} columns, as the {what} items give",
+                f"{have[what]} in {', '.join(listed)}",
+            )
     return trajectories
 
 
-def _split(entries: Entries, everything: Trajectories, numbers: list[int]) -> tuple[Trajectories, Trajectories]:
+def _split(
+    entries: Entries, everything: Trajectories, numbers: list[int]
+) -> tuple[Trajectories, Trajectories]:
     last = len(everything.spans) - 1
     wrong = next((i for i in numbers if not 0 <= i <= last), None)
     if wrong is not None:
@@ -253,14 +361,23 @@ def _split(entries: Entries, everything: Trajectories, numbers: list[int]) -> tu
 
 
 def _error(trajectories: Trajectories | None, simulator: Simulator) -> str | None:
-    """Why a fit of the data cannot work, what to do, and how to go on all the same; None where nothing is in its way."""
+    """Why a fit of the data cannot work, what to do, and how to go on all the same; None where
+    nothing is in its way.
+    """
     found = None if trajectories is None else verdict(trajectories, simulator)
     text = "" if found is None else f"{found.signal}: {found.sentence} {found.advice}".strip()
-    return f"{text} If they are right all the same: --unchecked, or load(..., checked=False)." if text else None
+    return (
+        f"{text} If they are right all the same: --unchecked, or load(..., checked=False)."
+        if text
+        else None
+    )
 
 
 def _warnings(trajectories: Trajectories, simulator: Simulator) -> tuple[str, ...]:
-    return tuple(f"{finding.signal}: {finding.sentence}" for finding in outside_control_range(trajectories, simulator))
+    return tuple(
+        f"{finding.signal}: {finding.sentence}"
+        for finding in outside_control_range(trajectories, simulator)
+    )
 
 
 # How segments are cut and compared
@@ -270,7 +387,9 @@ def _reset(entries: Entries, simulator: MujocoSimulator) -> tuple[Reset, Any]:
     """The reset mode, and for `partial` which columns are set."""
     value = entries.content.get("reset", "transition")
     if value == "start" and "lambda" in entries:
-        raise entries.bad("lambda", "none with `reset: start`, where a segment is a whole trajectory")
+        raise entries.bad(
+            "lambda", "none with `reset: start`, where a segment is a whole trajectory"
+        )
     if value in ("transition", "start"):
         return cast(Literal["transition", "start"], value), None
     if not isinstance(value, dict):
@@ -278,7 +397,8 @@ def _reset(entries: Entries, simulator: MujocoSimulator) -> tuple[Reset, Any]:
     level = entries.level("reset", ("set",))
     items = level.texts("set", (), "a list of observation items such as [qpos]")
     with level.blaming("set"):
-        chosen, named = simulator.layout.places_of(items, simulator.model), Layout(simulator.model, items)
+        chosen = simulator.layout.places_of(items, simulator.model)
+        named = Layout(simulator.model, items)
     missing = sorted(set(named.names) - set(simulator.layout.names))
     if missing:
         raise level.bad("set", "columns that the observation holds", ", ".join(missing))
@@ -297,11 +417,19 @@ def _epsilon(entries: Entries, simulator: MujocoSimulator) -> float | Array | No
             level.known(name, name, signals, "a signal")
         missing = [name for name in signals if name not in value]
         if missing:
-            raise entries.bad("epsilon", f"a variance for each of the {len(signals)} signals", f"none for {', '.join(missing)}")
+            raise entries.bad(
+                "epsilon",
+                f"a variance for each of the {len(signals)} signals",
+                f"none for {', '.join(missing)}",
+            )
         return np.array([level.variance(name, value[name]) for name in signals])
     if isinstance(value, list):
         if len(value) != len(signals):
-            raise entries.bad("epsilon", f"one number, or one for each of the {len(signals)} signals", f"{len(value)} numbers")
+            raise entries.bad(
+                "epsilon",
+                f"one number, or one for each of the {len(signals)} signals",
+                f"{len(value)} numbers",
+            )
         return np.array([entries.variance("epsilon", number) for number in value])
     return entries.variance("epsilon", value)
 
@@ -309,7 +437,9 @@ def _epsilon(entries: Entries, simulator: MujocoSimulator) -> float | Array | No
 def _start_noise(entries: Entries) -> bool:
     value = entries.content.get("start_noise", False)
     if not isinstance(value, bool):
-        raise entries.bad("start_noise", "true, where the measured start states carry the noise too, or false")
+        raise entries.bad(
+            "start_noise", "true, where the measured start states carry the noise too, or false"
+        )
     return value
 
 

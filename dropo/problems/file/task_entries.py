@@ -1,4 +1,6 @@
-"""The key `task` of a problem file: what a policy is to do, as Python functions named by module or by file."""
+"""The key `task` of a problem file: what a policy is to do, as Python functions named by module or
+by file.
+"""
 
 import importlib
 import importlib.util
@@ -28,21 +30,36 @@ def read_task(entries: Entries, simulator: MujocoSimulator, data: Trajectories) 
     if isinstance(value, str):
         task = _made(entries, value)
         if not isinstance(task, Task):
-            raise entries.bad("task", "a Task, or a function that returns one", f"a {type(task).__name__}")
+            raise entries.bad(
+                "task", "a Task, or a function that returns one", f"a {type(task).__name__}"
+            )
         return task
     level = entries.level("task", KEYS, f"a mapping with reward, or {EXPECTED}")
-    found = {name: _function(level, name, level.text(name, EXPECTED)) for name in ("reward", "alive", "starts") if name in level}
+    found = {
+        name: _function(level, name, level.text(name, EXPECTED))
+        for name in ("reward", "alive", "starts")
+        if name in level
+    }
     if "reward" not in found:
         raise level.bad("reward", EXPECTED)
-    steps, bonus = level.whole("steps", 1, STEPS), level.number("bonus") if "bonus" in level else 0.0
+    steps = level.whole("steps", 1, STEPS)
+    bonus = level.number("bonus") if "bonus" in level else 0.0
     found.setdefault("starts", measured_starts(simulator, data))
-    source = {**level.content, **{name: _absolute(entries.path, level.content[name]) for name in found if name in level}}
+    source = {
+        **level.content,
+        **{name: _absolute(entries.path, level.content[name]) for name in found if name in level},
+    }
     return Task(**found, steps=steps or STEPS, bonus=bonus, source=source)
 
 
-def measured_starts(simulator: MujocoSimulator, data: Trajectories) -> Callable[[np.random.Generator, int], Array]:
-    """Episodes begin where one of the recordings did; what is not observed, at the model's qpos0 or at rest."""
-    layout, model = simulator.layout, simulator.model
+def measured_starts(
+    simulator: MujocoSimulator, data: Trajectories
+) -> Callable[[np.random.Generator, int], Array]:
+    """Episodes begin where one of the recordings did; what is not observed, at the model's qpos0 or
+    at rest.
+    """
+    layout = simulator.layout
+    model = simulator.model
     rows = data.observations[[first for first, _ in data.spans]]
     states = np.zeros((len(rows), 1 + model.nq + model.nv + model.na))
     states[:, 1 : 1 + model.nq] = model.qpos0
@@ -57,9 +74,16 @@ def _function(entries: Entries, key: str, text: str) -> Any:
     if not (colon and module and name):
         raise entries.bad(key, EXPECTED)
     try:
-        return getattr(_from_file(entries.path.parent / module) if module.endswith(".py") else importlib.import_module(module), name)
+        return getattr(
+            _from_file(entries.path.parent / module)
+            if module.endswith(".py")
+            else importlib.import_module(module),
+            name,
+        )
     except Exception as error:  # whatever the code behind it raises
-        raise BadEntry(entries.path, entries.key(key), f"expected {EXPECTED}; {text!r} cannot be used: {error}") from None
+        raise BadEntry(
+            entries.path, entries.key(key), f"expected {EXPECTED}; {text!r} cannot be used: {error}"
+        ) from None
 
 
 def _made(entries: Entries, text: str) -> Any:

@@ -17,26 +17,40 @@ from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
 def write_problem(problem: Problem, folder: str | Path) -> Path:
-    """Writes problem.yaml, model.xml and data.npz (held_out.npz) into a folder, and says where the first is.
+    """Writes problem.yaml, model.xml and data.npz (held_out.npz) into a folder, and says where the
+    first is.
 
-    Effects that change the model's numbers stand in model.xml, which keeps about six digits; the others under `effects`.
+    Effects that change the model's numbers stand in model.xml, which keeps about six digits; the
+    others under `effects`.
     """
-    simulator, folder = problem.simulator, Path(folder)
+    simulator = problem.simulator
+    folder = Path(folder)
     if not isinstance(simulator, MujocoSimulator):
-        raise Incompatible(f"{type(simulator).__name__} cannot be written as a problem file, which describes a MuJoCo model.")
+        raise Incompatible(
+            f"{type(simulator).__name__} cannot be written as a problem file, which "
+            "describes a MuJoCo model."
+        )
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(model_xml(simulator))
     content: dict[str, Any] = {
-        "model": "model.xml", "frame_skip": simulator.frame_skip, "data": "data.npz", "observation": list(simulator.observation),
-        "action": list(simulator.action), "parameters": {b.parameter.name: _parameter(b.parameter) for b in simulator.bindings},
+        "model": "model.xml",
+        "frame_skip": simulator.frame_skip,
+        "data": "data.npz",
+        "observation": list(simulator.observation),
+        "action": list(simulator.action),
+        "parameters": {b.parameter.name: _parameter(b.parameter) for b in simulator.bindings},
         "lambda": problem.length,
-    }  # fmt: skip
+    }
     if problem.epsilon is not None:
         content["epsilon"] = np.asarray(problem.epsilon, dtype=float).tolist()
     if problem.start_noise:
         content["start_noise"] = True
     beside = [effect_entry(instance) for instance in simulator.effects]
-    beside += [effect_entry(instance, sizes) for instance, sizes in simulator.fixed if instance.model is None or instance.time_profile is not None]
+    beside += [
+        effect_entry(instance, sizes)
+        for instance, sizes in simulator.fixed
+        if instance.model is None or instance.time_profile is not None
+    ]
     if beside:
         content["effects"] = beside
     if problem.task is not None and problem.task.source is not None:
@@ -57,14 +71,20 @@ def _parameter(p: FieldParameter) -> dict[str, Any]:
         entry["index"] = p.index
     if p.unit:
         entry["unit"] = p.unit
-    return entry | ({"target": "relative"} if p.relative else {}) | ({} if p.derived else {"derived": "keep"})
+    return (
+        entry
+        | ({"target": "relative"} if p.relative else {})
+        | ({} if p.derived else {"derived": "keep"})
+    )
 
 
 def _save(data: Trajectories, path: Path) -> None:
     arrays: dict[str, Any] = {
-        "observations": data.observations, "actions": data.actions, "next_observations": data.next_observations,
+        "observations": data.observations,
+        "actions": data.actions,
+        "next_observations": data.next_observations,
         "terminals": data.terminals,
-    }  # fmt: skip
+    }
     arrays |= {} if data.group is None else {"group": data.group}
     arrays |= {} if data.time is None else {"time": data.time}
     with path.open("wb") as file:
@@ -72,7 +92,9 @@ def _save(data: Trajectories, path: Path) -> None:
 
 
 def model_xml(simulator: MujocoSimulator) -> str:
-    """The MJCF of the simulator's model with its fixed effects written in, where they are numbers of the model."""
+    """The MJCF of the simulator's model with its fixed effects written in, where they are numbers
+    of the model.
+    """
     spec = mujoco.MjSpec.from_string(simulator.spec().to_xml())  # angles are in radians then
     spec.compile()
     changed = copy.copy(simulator.model)
@@ -87,7 +109,8 @@ def model_xml(simulator: MujocoSimulator) -> str:
         actuator.biasprm = _filled(actuator.biasprm, changed.actuator_biasprm[actuator.id])
     for name in ("gravity", "wind"):
         setattr(spec.option, name, getattr(changed.opt, name))
-    spec.option.density, spec.option.viscosity = changed.opt.density, changed.opt.viscosity
+    spec.option.density = changed.opt.density
+    spec.option.viscosity = changed.opt.viscosity
     spec.compile()
     return str(spec.to_xml())
 
@@ -103,15 +126,18 @@ def _write_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     for body in spec.bodies:
         if body.id > 0 and model.body_mass[body.id] > 0:
             body.explicitinertial = True
-            body.mass, body.inertia = model.body_mass[body.id], model.body_inertia[body.id]
-            body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
+            body.mass = model.body_mass[body.id]
+            body.inertia = model.body_inertia[body.id]
+            body.ipos = model.body_ipos[body.id]
+            body.iquat = model.body_iquat[body.id]
             body.fullinertia = [np.nan] * 6
 
 
 def _write_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     for joint in spec.joints:
         dof = int(model.jnt_dofadr[joint.id])
-        joint.armature, joint.frictionloss = model.dof_armature[dof], model.dof_frictionloss[dof]
+        joint.armature = model.dof_armature[dof]
+        joint.frictionloss = model.dof_frictionloss[dof]
         joint.damping = _filled(joint.damping, [model.dof_damping[dof]])
         joint.stiffness = _filled(joint.stiffness, [model.jnt_stiffness[joint.id]])
         if model.jnt_limited[joint.id]:
@@ -120,5 +146,6 @@ def _write_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 def _write_contacts(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     for geom in spec.geoms:
-        geom.friction, geom.solref = model.geom_friction[geom.id], model.geom_solref[geom.id]
+        geom.friction = model.geom_friction[geom.id]
+        geom.solref = model.geom_solref[geom.id]
         geom.margin = model.geom_margin[geom.id]

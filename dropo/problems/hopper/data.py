@@ -1,4 +1,6 @@
-"""Hopper transitions like the published ones, in any number: a hopping policy, exploration noise, masses that may vary."""
+"""Hopper transitions like the published ones, in any number: a hopping policy, exploration noise,
+masses that may vary.
+"""
 
 import json
 from collections.abc import Callable
@@ -30,7 +32,8 @@ UPRIGHT = np.array([0, 1.25, *[0] * 10])  # qpos, qvel
 class LinearPolicy:
     """action = clip(weights ((observation - mean) / deviation) + noise, -1, 1).
 
-    weights: (3, 11); mean, deviation: (11,); action_noise: the standard deviation of the noise while it collects data.
+    weights: (3, 11); mean, deviation: (11,); action_noise: the standard deviation of the noise
+    while it collects data.
     """
 
     weights: Array
@@ -47,20 +50,31 @@ class LinearPolicy:
 
 @cache
 def hopper_policy() -> LinearPolicy:
-    """The policy of `hopper_policy.json`, which `python -m dropo.problems.find_hopper_policy` found."""
-    kept: dict[str, Any] = json.loads((files("dropo.problems.hopper") / "hopper_policy.json").read_text())
+    """The policy of `hopper_policy.json`, which `python -m dropo.problems.find_hopper_policy`
+    found.
+    """
+    kept: dict[str, Any] = json.loads(
+        (files("dropo.problems.hopper") / "hopper_policy.json").read_text()
+    )
     shapes = {"weights": (3, 11), "mean": (11,), "deviation": (11,)}
-    arrays = {name: float_array(name, kept[name], shape, "hopper_policy.json") for name, shape in shapes.items()}
+    arrays = {
+        name: float_array(name, kept[name], shape, "hopper_policy.json")
+        for name, shape in shapes.items()
+    }
     return LinearPolicy(**arrays, action_noise=float(kept["action_noise"]))
 
 
 def observe(states: Array) -> Array:
-    """Gymnasium's observation (..., 11), without its clipping, of states (..., 12): all but the distance travelled."""
+    """Gymnasium's observation (..., 11), without its clipping, of states (..., 12): all but the
+    distance travelled.
+    """
     return states[..., 1:]
 
 
 def healthy(states: Array) -> NDArray[np.bool_]:
-    """(m,) which of the states (m, 12) have not fallen: Gymnasium's rule of height [m] and torso angle [rad]."""
+    """(m,) which of the states (m, 12) have not fallen: Gymnasium's rule of height [m] and torso
+    angle [rad].
+    """
     return (states[:, 1] > 0.7) & (np.abs(states[:, 2]) < 0.2)
 
 
@@ -82,31 +96,46 @@ def simulate(
     policy: LinearPolicy | None = None,
     threads: int = 1,
 ) -> tuple[Trajectories, Array]:
-    """Transitions of the hopper under the policy, and the masses [kg] behind each group of them, (G, 4).
+    """Transitions of the hopper under the policy, and the masses [kg] behind each group of them,
+    (G, 4).
 
-    A trajectory that falls ends there, and others are started until there are trajectories * transitions_per_trajectory
-    transitions. masses: None for the true ones; four; (B, 4), one row a block in the order of the trajectories, and from
-    the first again behind the last; or what draws them. block: the control steps of a block, None for whole
-    trajectories; it is a group of the data. As in the thesis, masses change `body_mass` alone, and inertias and derived
-    constants stay. noise_variance: of Gaussian noise on all `next_observations`, and on them only (the thesis' noisy set).
+    A trajectory that falls ends there, and others are started until there are trajectories *
+    transitions_per_trajectory transitions. masses: None for the true ones; four; (B, 4), one row a
+    block in the order of the trajectories, and from the first again behind the last; or what draws
+    them. block: the control steps of a block, None for whole trajectories; it is a group of the
+    data. As in the thesis, masses change `body_mass` alone, and inertias and derived constants
+    stay. noise_variance: of Gaussian noise on all `next_observations`, and on them only (the
+    thesis' noisy set).
     """
     caller = "hopper_data.simulate"
-    require(min(transitions_per_trajectory, trajectories) >= 1, "transitions, trajectories", "at least 1", 0, caller)
+    require(
+        min(transitions_per_trajectory, trajectories) >= 1,
+        "transitions, trajectories",
+        "at least 1",
+        0,
+        caller,
+    )
     require(block is None or block >= 1, "block", "None or at least 1", block, caller)
     require(noise_variance >= 0, "noise_variance", "at least 0", noise_variance, caller)
     motion, noise = np.random.default_rng(rng).spawn(2)
     hold = block or transitions_per_trajectory
     data, drawn = _collect(
         _Hopper(hopper_model(), policy or hopper_policy(), _sampler(masses), hold, threads),
-        transitions_per_trajectory, transitions_per_trajectory * trajectories, motion,
-    )  # fmt: skip
-    noisy = data.next_observations + np.sqrt(noise_variance) * noise.standard_normal(data.next_observations.shape)
+        transitions_per_trajectory,
+        transitions_per_trajectory * trajectories,
+        motion,
+    )
+    noisy = data.next_observations + np.sqrt(noise_variance) * noise.standard_normal(
+        data.next_observations.shape
+    )
     return replace(data, next_observations=noisy), drawn
 
 
 @dataclass(frozen=True, eq=False)
 class _Hopper:
-    """What moves: the model, its policy, what draws masses, and for how many control steps they hold."""
+    """What moves: the model, its policy, what draws masses, and for how many control steps they
+    hold.
+    """
 
     model: mujoco.MjModel
     policy: LinearPolicy
@@ -117,16 +146,32 @@ class _Hopper:
     def run(self, n: int, steps: int, rng: Generator) -> tuple[Runs, Array]:
         """n trajectories of up to so many control steps, and the masses of their blocks (n, B, 4)."""
         blocks = -(-steps // self.hold)
-        masses = float_array("masses", self.masses(rng, n * blocks), (n * blocks, len(BODIES)), "hopper_data.simulate")
-        require(bool((masses > 0).all()), "masses", "positive", masses.min(), "hopper_data.simulate")
+        masses = float_array(
+            "masses",
+            self.masses(rng, n * blocks),
+            (n * blocks, len(BODIES)),
+            "hopper_data.simulate",
+        )
+        require(
+            bool((masses > 0).all()), "masses", "positive", masses.min(), "hopper_data.simulate"
+        )
         masses = masses.reshape(n, blocks, len(BODIES))
         body_mass = np.broadcast_to(self.model.body_mass, (n, blocks, self.model.nbody)).copy()
         body_mass[:, :, [self.model.body(body).id for body in BODIES]] = masses
-        starts, noise = start_states(rng, n), rng.standard_normal((n, steps, self.model.nu))
+        starts = start_states(rng, n)
+        noise = rng.standard_normal((n, steps, self.model.nu))
         act = lambda states, ids, step: self.policy(observe(states), noise[ids, step])
         fields = {"body_mass": body_mass}
         runs = closed_loop(
-            self.model, act, starts, steps, frame_skip=FRAME_SKIP, alive=healthy, fields=fields, hold=self.hold, threads=self.threads
+            self.model,
+            act,
+            starts,
+            steps,
+            frame_skip=FRAME_SKIP,
+            alive=healthy,
+            fields=fields,
+            hold=self.hold,
+            threads=self.threads,
         )
         return runs, masses
 
@@ -140,14 +185,20 @@ def _sampler(masses: Masses | ArrayLike | None) -> Masses:
 
 
 def _collect(hopper: _Hopper, steps: int, total: int, rng: Generator) -> tuple[Trajectories, Array]:
-    """`total` transitions in trajectories of up to so many steps, and the masses of their groups (G, 4)."""
+    """`total` transitions in trajectories of up to so many steps, and the masses of their groups
+    (G, 4).
+    """
     parts: list[tuple[Array, Array, Ints, Array]] = []
     missing = total
     while missing > 0:
         runs, masses = hopper.run(-(-missing // steps), steps, rng)
         if not runs.lengths.any():
-            raise SimulationFailed("The hopper diverges in its first step: are the masses possible ones?")
-        parts += [_part(runs, masses[i], i, hopper.hold) for i in np.flatnonzero(runs.lengths).tolist()]
+            raise SimulationFailed(
+                "The hopper diverges in its first step: are the masses possible ones?"
+            )
+        parts += [
+            _part(runs, masses[i], i, hopper.hold) for i in np.flatnonzero(runs.lengths).tolist()
+        ]
         missing = total - sum(len(part[1]) for part in parts)
     firsts = np.cumsum([0, *(len(part[3]) for part in parts)])
     groups = np.concatenate([first + part[2] for first, part in zip(firsts, parts, strict=False)])
@@ -162,7 +213,9 @@ def _collect(hopper: _Hopper, steps: int, total: int, rng: Generator) -> tuple[T
 
 
 def _part(runs: Runs, masses: Array, i: int, hold: int) -> tuple[Array, Array, Ints, Array]:
-    """One run's states (L + 1, 12), actions (L, 3), blocks (L,) from 0, and their masses (blocks, 4)."""
+    """One run's states (L + 1, 12), actions (L, 3), blocks (L,) from 0, and their masses (blocks,
+    4).
+    """
     length = runs.lengths[i]
     block = np.arange(length) // hold
     return runs.states[i, : length + 1], runs.actions[i, :length], block, masses[: block[-1] + 1]

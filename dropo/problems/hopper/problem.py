@@ -14,20 +14,48 @@ NOISE = 1e-5  # variance of the noisy sets, in each signal's unit squared
 
 
 def hopper_simulator(threads: int = 0) -> MujocoSimulator:
-    """Means in [0.5, 2] x truth (section 6.2.1); the masses alone change, inertias and derived constants stay, as in the thesis."""
+    """Means in [0.5, 2] x truth (section 6.2.1); the masses alone change, inertias and derived
+    constants stay, as in the thesis.
+    """
     masses = [
         FieldParameter(
-            f"{body}_mass", TRUTH[f"{body}_mass"] / 2, 2 * TRUTH[f"{body}_mass"], "kg", field="body_mass", element=body, derived=False
+            f"{body}_mass",
+            TRUTH[f"{body}_mass"] / 2,
+            2 * TRUTH[f"{body}_mass"],
+            "kg",
+            field="body_mass",
+            element=body,
+            derived=False,
         )
         for body in BODIES
     ]
-    return MujocoSimulator(hopper_spec(), masses, observation=["qpos[1:]", "qvel"], frame_skip=FRAME_SKIP, threads=threads)
+    return MujocoSimulator(
+        hopper_spec(),
+        masses,
+        observation=["qpos[1:]", "qvel"],
+        frame_skip=FRAME_SKIP,
+        threads=threads,
+    )
 
 
-def hopper_problem(name: str, data: Trajectories, epsilon: float, threads: int = 0, everything: Trajectories | None = None) -> Problem:
+def hopper_problem(
+    name: str,
+    data: Trajectories,
+    epsilon: float,
+    threads: int = 0,
+    everything: Trajectories | None = None,
+) -> Problem:
     """The thesis' fit of the four masses to hopper transitions."""
     truth = {parameter: TRUTH[parameter] for parameter in TRUTH}
-    return Problem(name, hopper_simulator(threads), data, epsilon=epsilon, truth=truth, everything=everything, task=hopping())
+    return Problem(
+        name,
+        hopper_simulator(threads),
+        data,
+        epsilon=epsilon,
+        truth=truth,
+        everything=everything,
+        task=hopping(),
+    )
 
 
 def hopper(threads: int = 0) -> Problem:

@@ -1,4 +1,6 @@
-"""The hopper transitions published with DROPO: github.com/gabrieletiboni/dropo, MIT licence, (c) 2022 Gabriele Tiboni."""
+"""The hopper transitions published with DROPO: github.com/gabrieletiboni/dropo, MIT licence, (c)
+2022 Gabriele Tiboni.
+"""
 
 import numpy as np
 
@@ -28,27 +30,44 @@ DIGESTS = {
     ),
 }
 """sha256 of the float64 content of observations, actions and next observations."""
-KEYS = {"observations": "observations", "actions": "actions", "next_observations": "nextobservations"}
+KEYS = {
+    "observations": "observations",
+    "actions": "actions",
+    "next_observations": "nextobservations",
+}
 
 
 def published(which: str) -> Trajectories:
-    """All 10,000 transitions of the set "clean" or "noisy-1e-5"; fetched once where they are not at hand."""
+    """All 10,000 transitions of the set "clean" or "noisy-1e-5"; fetched once where they are not at
+    hand.
+    """
     path = find_data(f"hopper-published/{which}.npz")
     if path is not None:
         return read(path)
-    files = {key: (f"{FILES[which]}_{name}.npy", digest) for (key, name), digest in zip(KEYS.items(), DIGESTS[which], strict=True)}
+    files = {
+        key: (f"{FILES[which]}_{name}.npy", digest)
+        for (key, name), digest in zip(KEYS.items(), DIGESTS[which], strict=True)
+    }
     arrays = fetch_arrays(SOURCE, files)
     ends = np.arange(len(arrays["observations"])) % EPISODE == EPISODE - 1
-    return Trajectories(arrays["observations"], arrays["actions"], arrays["next_observations"], ends)
+    return Trajectories(
+        arrays["observations"], arrays["actions"], arrays["next_observations"], ends
+    )
 
 
 def hopper_published(threads: int = 0) -> Problem:
-    """The authors' 10,000 transitions without noise; the first 1000 unless more are asked for (thesis, table 6.1)."""
+    """The authors' 10,000 transitions without noise; the first 1000 unless more are asked for
+    (thesis, table 6.1).
+    """
     data = published("clean")
     return hopper_problem("hopper-published", data.head(FIRST), 1e-8, threads, everything=data)
 
 
 def hopper_published_noisy(threads: int = 0) -> Problem:
-    """The authors' set with noise of variance 1e-5 on the next observations; the first 1000 unless more are asked for."""
+    """The authors' set with noise of variance 1e-5 on the next observations; the first 1000 unless
+    more are asked for.
+    """
     data = published("noisy-1e-5")
-    return hopper_problem("hopper-published-noisy", data.head(FIRST), NOISE, threads, everything=data)
+    return hopper_problem(
+        "hopper-published-noisy", data.head(FIRST), NOISE, threads, everything=data
+    )

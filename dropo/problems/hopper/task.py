@@ -1,4 +1,6 @@
-"""Hopping: what the policies of the thesis are trained for on the hopper (section 6.2.4), as Gymnasium's Hopper-v5 has it."""
+"""Hopping: what the policies of the thesis are trained for on the hopper (section 6.2.4), as
+Gymnasium's Hopper-v5 has it.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,18 @@ FARTHEST = 100.0  # of any number of a sound state, behind the first two positio
 
 
 def hopping() -> Task:
-    """Forward speed [m/s], less 0.001 of the squared commands; a bonus of 1 for each step that ends upright."""
-    return Task(forward, start_states, steps=STEPS, alive=upright, bonus=1.0, observe=shown, source="dropo.problems.hopper.task:hopping")
+    """Forward speed [m/s], less 0.001 of the squared commands; a bonus of 1 for each step that ends
+    upright.
+    """
+    return Task(
+        forward,
+        start_states,
+        steps=STEPS,
+        alive=upright,
+        bonus=1.0,
+        observe=shown,
+        source="dropo.problems.hopper.task:hopping",
+    )
 
 
 def forward(before: Array, actions: Array, after: Array) -> Array:

@@ -12,8 +12,16 @@ from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
 def hopper_v5(threads: int = 0) -> Problem:
-    """The authors' 10,000 transitions against Gymnasium's Hopper-v5, unchanged: nine of its numbers are not those of the data."""
-    simulator = MujocoSimulator(gymnasium_spec(), [], observation=["qpos[1:]", "qvel"], frame_skip=FRAME_SKIP, threads=threads)
+    """The authors' 10,000 transitions against Gymnasium's Hopper-v5, unchanged: nine of its numbers
+    are not those of the data.
+    """
+    simulator = MujocoSimulator(
+        gymnasium_spec(),
+        [],
+        observation=["qpos[1:]", "qvel"],
+        frame_skip=FRAME_SKIP,
+        threads=threads,
+    )
     return Problem("hopper-v5", simulator, published("clean"), task=hopping())
 
 
@@ -24,12 +32,16 @@ def gymnasium_spec() -> mujoco.MjSpec:
 
 
 def differences() -> dict[tuple[str, str | None], float]:
-    """(effect, place) -> what the model that made the data has beside Gymnasium's: masses [kg], inertias (as shares), and the distance at
-    which contacts begin [m]."""
-    own, made = gymnasium_spec().compile(), hopper_model()
+    """(effect, place) -> what the model that made the data has beside Gymnasium's: masses [kg],
+    inertias (as shares), and the distance at which contacts begin [m].
+    """
+    own = gymnasium_spec().compile()
+    made = hopper_model()
     out: dict[tuple[str, str | None], float] = {}
     for body in BODIES:
         out["body_mass", body] = float(made.body(body).mass[0] - own.body(body).mass[0])
-        out["body_inertia", body] = float(made.body(body).inertia.max() / own.body(body).inertia.max() - 1)
+        out["body_inertia", body] = float(
+            made.body(body).inertia.max() / own.body(body).inertia.max() - 1
+        )
     out["contact_stiffness", None] = 2 * MARGIN - 2 * float(own.geom("foot_geom").margin[0])
     return out

@@ -1,4 +1,6 @@
-"""A real double pendulum on two drives (Wiebe et al. 2024, IEEE RA-L 9, the dual-purpose acrobot and pendubot; DFKI; BSD-3)."""
+"""A real double pendulum on two drives (Wiebe et al. 2024, IEEE RA-L 9, the dual-purpose acrobot
+and pendubot; DFKI; BSD-3).
+"""
 
 from pathlib import Path
 
@@ -11,19 +13,28 @@ from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 FRAME_SKIP = 5  # physics steps of 2 ms: 10 ms, several rows of the log
 HORIZON = 10  # control steps: 100 ms
-COMMANDS = {"commanded": "ctrl", "current": "tau"}  # torques; the one from the current explains the runs worse
+COMMANDS = {
+    "commanded": "ctrl",
+    "current": "tau",
+}  # torques; the one from the current explains the runs worse
 LENGTHS = {"A0": (0.3, 0.2), "C0": (0.2, 0.3)}  # [m] of the two links, by design
 MOST = 5e-3  # [kg m^2] about the centre of mass: an even rod of a link's length and mass has 4.5e-3
 PARAMETERS = (
     FieldParameter("upper_mass", 0.2, 2.0, "kg", field="body_mass", element="upper"),
     FieldParameter("lower_mass", 0.2, 2.0, "kg", field="body_mass", element="lower"),
-    FieldParameter("upper_inertia", 1e-4, MOST, "kg m^2", field="body_inertia", element="upper", index=1),
-    FieldParameter("lower_inertia", 1e-4, MOST, "kg m^2", field="body_inertia", element="lower", index=1),
+    FieldParameter(
+        "upper_inertia", 1e-4, MOST, "kg m^2", field="body_inertia", element="upper", index=1
+    ),
+    FieldParameter(
+        "lower_inertia", 1e-4, MOST, "kg m^2", field="body_inertia", element="lower", index=1
+    ),
 )
 
 
 def double_pendulum(threads: int = 0, input: str = "commanded") -> Problem:
-    """Masses and inertias of both links of design A0 (0.3 m and 0.2 m), from excitation and swing-ups, over horizons of 100 ms."""
+    """Masses and inertias of both links of design A0 (0.3 m and 0.2 m), from excitation and
+    swing-ups, over horizons of 100 ms.
+    """
     return _design("double-pendulum", "A0", threads, input)
 
 
@@ -35,7 +46,9 @@ def double_pendulum_c0(threads: int = 0, input: str = "commanded") -> Problem:
 def _design(name: str, design: str, threads: int, input: str) -> Problem:
     runs, model = find_runs("double-pendulum", "model.xml", "the DFKI double pendulum")
     spec = double_pendulum_spec(model, LENGTHS[design])
-    simulator = MujocoSimulator(spec, PARAMETERS, observation=["qpos", "qvel"], frame_skip=FRAME_SKIP, threads=threads)
+    simulator = MujocoSimulator(
+        spec, PARAMETERS, observation=["qpos", "qvel"], frame_skip=FRAME_SKIP, threads=threads
+    )
     return measured(name, simulator, runs.named(design), HORIZON, COMMANDS[input])
 
 

@@ -1,4 +1,6 @@
-"""Where outside data are: the folder that DROPO_DATA names, then ../shared/data, then the user's cache."""
+"""Where outside data are: the folder that DROPO_DATA names, then ../shared/data, then the user's
+cache.
+"""
 
 import hashlib
 import os
@@ -15,7 +17,11 @@ ROOT = Path(__file__).resolve().parents[2]
 def data_folders() -> list[Path]:
     """The folders that are searched, in order."""
     named = os.environ.get("DROPO_DATA")
-    return [*([Path(named)] if named else []), Path("../shared/data").resolve(), ROOT.parent / "shared" / "data"]
+    return [
+        *([Path(named)] if named else []),
+        Path("../shared/data").resolve(),
+        ROOT.parent / "shared" / "data",
+    ]
 
 
 def find_data(name: str) -> Path | None:
@@ -26,11 +32,18 @@ def find_data(name: str) -> Path | None:
 def missing(name: str, source: str) -> BadFile:
     """What is raised where outside data are not at hand."""
     searched = ", ".join(str(folder) for folder in dict.fromkeys(data_folders()))
-    return BadFile(name, "", f"the data of {source} in the folder that DROPO_DATA names", f"no such file in {searched}")
+    return BadFile(
+        name,
+        "",
+        f"the data of {source} in the folder that DROPO_DATA names",
+        f"no such file in {searched}",
+    )
 
 
 def fetch_arrays(base_url: str, files: dict[str, tuple[str, str]]) -> dict[str, Array]:
-    """Arrays from public .npy files, kept in the user's cache: key -> (file, sha256 of the float64 content)."""
+    """Arrays from public .npy files, kept in the user's cache: key -> (file, sha256 of the float64
+    content).
+    """
     out = {}
     for key, (file, digest) in files.items():
         path = _fetched(f"{base_url}/{file}", file.replace("/", "-"))
@@ -47,7 +60,19 @@ def _fetched(url: str, name: str) -> str:
     import pooch
 
     try:
-        return str(pooch.retrieve(url, known_hash=None, path=pooch.os_cache("dropo"), fname=name, progressbar=False))
+        return str(
+            pooch.retrieve(
+                url, known_hash=None, path=pooch.os_cache("dropo"), fname=name, progressbar=False
+            )
+        )
     except (OSError, ValueError) as error:  # no network, or no such address
-        reason = f"{type(error).__name__} while fetching it; there is no copy in {', '.join(map(str, dict.fromkeys(data_folders())))}"
-        raise BadFile(url, "", "a public file that can be fetched, or the data in the folder that DROPO_DATA names", reason) from None
+        reason = (
+            f"{type(error).__name__} while fetching it; there is no copy in "
+            f"{', '.join(map(str, dict.fromkeys(data_folders())))}"
+        )
+        raise BadFile(
+            url,
+            "",
+            "a public file that can be fetched, or the data in the folder that DROPO_DATA names",
+            reason,
+        ) from None

@@ -1,4 +1,6 @@
-"""Logs of real machines as problems: runs on the grid of control steps, and every third run kept from the fit."""
+"""Logs of real machines as problems: runs on the grid of control steps, and every third run kept
+from the fit.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,10 +20,15 @@ from dropo.problems.measured.external_data import find_data, missing
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 HELD_OUT = 3  # every third run is kept from the fit
-WIDTH, ORDER = 5, 3  # of the velocities' smoothing: control steps, and the polynomial (Savitzky and Golay 1964)
+# of the velocities' smoothing: control steps, and the polynomial (Savitzky and Golay 1964)
+WIDTH = 5
+ORDER = 3
 
 Channels = Mapping[str, Array]
-"""The columns of a run by name, (n,) or (n, k), with its `time` (n,) [s]. `velocity`: of the positions, where it was estimated before."""
+"""The columns of a run by name, (n,) or (n, k), with its `time` (n,) [s].
+
+`velocity`: of the positions, where it was estimated before.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +55,12 @@ def find_runs(folder: str, model: str, source: str) -> tuple[Runs, Path]:
 
 
 def gridded(run: Channels, step: float, command: str | None) -> tuple[Array, Array, Array]:
-    """A run every `step` seconds: time (m,), observations (m, 2 n) and actions (m, q) of which each holds until the next row.
+    """A run every `step` seconds: time (m,), observations (m, 2 n) and actions (m, q) of which each
+    holds until the next row.
 
-    Positions by Akima splines, unless their stamps are on the grid; velocities likewise where the run has them, else by a Savitzky-Golay
-    filter over the positions, which is not causal; commands, each held until the next, as means over the step. Stamps that do not increase
-    are left out.
+    Positions by Akima splines, unless their stamps are on the grid; velocities likewise where the
+    run has them, else by a Savitzky-Golay filter over the positions, which is not causal; commands,
+    each held until the next, as means over the step. Stamps that do not increase are left out.
     """
     stamps = np.asarray(run["time"], dtype=float)
     keep = going_on(stamps)
@@ -65,8 +73,16 @@ def gridded(run: Channels, step: float, command: str | None) -> tuple[Array, Arr
         return values if there else resample(stamps, values, time)
 
     positions = on_grid("qpos")
-    velocities = on_grid("velocity") if "velocity" in run else savgol_filter(positions, WIDTH, ORDER, deriv=1, delta=step, axis=0)
-    actions = np.zeros((len(time), 0)) if command is None else held_means(stamps, _columns(run[command])[keep], time, step)
+    velocities = (
+        on_grid("velocity")
+        if "velocity" in run
+        else savgol_filter(positions, WIDTH, ORDER, deriv=1, delta=step, axis=0)
+    )
+    actions = (
+        np.zeros((len(time), 0))
+        if command is None
+        else held_means(stamps, _columns(run[command])[keep], time, step)
+    )
     return time, np.concatenate([positions, velocities], axis=1), actions
 
 
@@ -88,11 +104,26 @@ def trajectories(runs: Sequence[Channels], step: float, command: str | None = No
     )
 
 
-def measured(name: str, simulator: MujocoSimulator, runs: Runs, horizon: int, command: str | None = None) -> Problem:
-    """A problem of which every third run judges and the others fit, over horizons of so many control steps."""
+def measured(
+    name: str, simulator: MujocoSimulator, runs: Runs, horizon: int, command: str | None = None
+) -> Problem:
+    """A problem of which every third run judges and the others fit, over horizons of so many
+    control steps.
+    """
     kept_back = np.arange(len(runs.names)) % HELD_OUT == HELD_OUT - 1
     fitted, held_out = (
-        trajectories([run for run, back in zip(runs.channels, kept_back, strict=True) if back == side], simulator.control_step, command)
+        trajectories(
+            [run for run, back in zip(runs.channels, kept_back, strict=True) if back == side],
+            simulator.control_step,
+            command,
+        )
         for side in (False, True)
     )
-    return Problem(name, simulator, fitted, length=horizon, held_out=held_out, settings={"family": "log_normal"})
+    return Problem(
+        name,
+        simulator,
+        fitted,
+        length=horizon,
+        held_out=held_out,
+        settings={"family": "log_normal"},
+    )

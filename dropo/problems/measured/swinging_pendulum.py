@@ -1,4 +1,6 @@
-"""A real pendulum and double pendulum that swing freely (Kaheman et al. 2023, MultiArm-Pendulum; MIT)."""
+"""A real pendulum and double pendulum that swing freely (Kaheman et al. 2023, MultiArm-Pendulum;
+MIT).
+"""
 
 import mujoco
 
@@ -12,7 +14,9 @@ HORIZON = 50  # control steps: 1 s, about one swing
 
 
 def swinging_pendulum(threads: int = 0) -> Problem:
-    """Mass and inertia of one arm that swings freely, of which the data tell the ratio alone, over horizons of 1 s."""
+    """Mass and inertia of one arm that swings freely, of which the data tell the ratio alone, over
+    horizons of 1 s.
+    """
     return _swinging("swinging-pendulum", "single", 1, 2, threads)
 
 
@@ -27,12 +31,16 @@ def _swinging(name: str, kind: str, arms: int, frame_skip: int, threads: int) ->
     parameters = [parameter for arm in range(1, arms + 1) for parameter in _of(f"arm{arm}")]
     spec = mujoco.MjSpec.from_file(str(model))
     spec.option.timestep = STEP / frame_skip
-    simulator = MujocoSimulator(spec, parameters, observation=["qpos", "qvel"], frame_skip=frame_skip, threads=threads)
+    simulator = MujocoSimulator(
+        spec, parameters, observation=["qpos", "qvel"], frame_skip=frame_skip, threads=threads
+    )
     return measured(name, simulator, runs.named(kind), HORIZON)
 
 
 def _of(arm: str) -> tuple[FieldParameter, FieldParameter]:
     return (
         FieldParameter(f"{arm}_mass", 0.05, 0.5, "kg", field="body_mass", element=arm),
-        FieldParameter(f"{arm}_inertia", 1e-5, 5e-3, "kg m^2", field="body_inertia", element=arm, index=1),
+        FieldParameter(
+            f"{arm}_inertia", 1e-5, 5e-3, "kg m^2", field="body_inertia", element=arm, index=1
+        ),
     )

@@ -13,24 +13,34 @@ from dropo.problems.panda.reaching import joint_path
 from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
 
 HEIGHT = 0.04  # [m] of the pin's tip above the table
-FIRST = np.array([0.1, 0.2, -0.1, -2.6, 0.0, 2.8, 0.0])  # [rad] a bent arm, from which poses are looked for
+FIRST = np.array(
+    [0.1, 0.2, -0.1, -2.6, 0.0, 2.8, 0.0]
+)  # [rad] a bent arm, from which poses are looked for
 PLACE = (0.34, 0.0)  # [m] where the pin starts
 ACCELERATION = 3.0  # [m/s^2] of the pin at most
-JOINT_ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])  # [rad/s^2] the Panda's own limits
+JOINT_ACCELERATION = np.array(
+    [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]
+)  # [rad/s^2] the Panda's own limits
 POWERS = [(i, j) for i in range(5) for j in range(5 - i)]
-X, Y = np.linspace(0.32, 0.76, 12), np.linspace(-0.16, 0.16, 9)  # [m] the part of the table that the pin can reach
+# [m] the part of the table that the pin can reach
+X = np.linspace(0.32, 0.76, 12)
+Y = np.linspace(-0.16, 0.16, 9)
 BOX = 7  # where the box' seven numbers begin in qpos, behind the joints
 
 
 class PushingPolicy(Protocol):
-    """What leads the pins of n arms: wanted velocities (m, 2) [m/s] from boxes (m, 3), x [m], y [m], turn [rad], and pins (m, 2) [m]."""
+    """What leads the pins of n arms: wanted velocities (m, 2) [m/s] from boxes (m, 3), x [m], y
+    [m], turn [rad], and pins (m, 2) [m].
+    """
 
     def __call__(self, boxes: Array, pins: Array, ids: Ints, step: int) -> Array: ...
 
 
 @lru_cache(maxsize=8)
 def _polynomial(model: mujoco.MjModel) -> Array:
-    """(15, 7) coefficients of the joint angles over the table, of fourth order, with the pin upright."""
+    """(15, 7) coefficients of the joint angles over the table, of fourth order, with the pin
+    upright.
+    """
     grid = np.array([(x, y) for i, x in enumerate(X) for y in (Y if i % 2 else Y[::-1])])
     positions = np.column_stack([grid, np.full(len(grid), HEIGHT)])
     upright = np.repeat(np.diag([1.0, -1.0, -1.0])[None], len(grid), axis=0)
@@ -39,7 +49,8 @@ def _polynomial(model: mujoco.MjModel) -> Array:
 
 
 def _terms(places: Array) -> Array:
-    x, y = places[..., 0] - 0.5, places[..., 1]
+    x = places[..., 0] - 0.5
+    y = places[..., 1]
     return np.stack([x**i * y**j for i, j in POWERS], axis=-1)
 
 
@@ -59,35 +70,56 @@ def start_states(model: mujoco.MjModel, boxes: Array) -> Array:
 
 
 class Arms:
-    """What is commanded to n arms: angles (n, 7) [rad], the double integral of joint accelerations within their limits."""
+    """What is commanded to n arms: angles (n, 7) [rad], the double integral of joint accelerations
+    within their limits.
+    """
 
     def __init__(self, model: mujoco.MjModel, count: int, control_step: float):
-        self._model, self._step = model, control_step
-        self.pins, self._pin_speeds = np.tile(PLACE, (count, 1)), np.zeros((count, 2))
-        self.angles, self._speeds = angles_at(model, self.pins), np.zeros((count, 7))
+        self._model = model
+        self._step = control_step
+        self.pins = np.tile(PLACE, (count, 1))
+        self._pin_speeds = np.zeros((count, 2))
+        self.angles = angles_at(model, self.pins)
+        self._speeds = np.zeros((count, 7))
 
     def lead(self, ids: Ints, velocities: Array) -> None:
         """Moves the arms `ids` on by a control step, towards velocities (m, 2) [m/s] of their pins."""
-        change = np.clip(velocities - self._pin_speeds[ids], -ACCELERATION * self._step, ACCELERATION * self._step)
+        change = np.clip(
+            velocities - self._pin_speeds[ids],
+            -ACCELERATION * self._step,
+            ACCELERATION * self._step,
+        )
         self._pin_speeds[ids] += change
         self.pins[ids] += self._step * self._pin_speeds[ids]
         wanted = (angles_at(self._model, self.pins[ids]) - self.angles[ids]) / self._step
         self.accelerate(ids, (wanted - self._speeds[ids]) / self._step)
 
     def accelerate(self, ids: Ints, accelerations: Array) -> None:
-        """Integrates joint accelerations (m, 7) [rad/s^2], cut at the arm's limits, over a control step."""
-        self._speeds[ids] += self._step * np.clip(accelerations, -JOINT_ACCELERATION, JOINT_ACCELERATION)
+        """Integrates joint accelerations (m, 7) [rad/s^2], cut at the arm's limits, over a control
+        step.
+        """
+        self._speeds[ids] += self._step * np.clip(
+            accelerations, -JOINT_ACCELERATION, JOINT_ACCELERATION
+        )
         self.angles[ids] += self._step * self._speeds[ids]
 
 
 def drive(
-    model: mujoco.MjModel, hand: PushingPolicy, boxes: Array, steps: int, *, frame_skip: int, noise: float = 0.0,
-    fields: Mapping[str, Array] | None = None, rng: np.random.Generator,
-) -> Runs:  # fmt: skip
-    """n arms led by a hand for so many control steps, from boxes (n, 3) moved and turned away from the model's own place.
+    model: mujoco.MjModel,
+    hand: PushingPolicy,
+    boxes: Array,
+    steps: int,
+    *,
+    frame_skip: int,
+    noise: float = 0.0,
+    fields: Mapping[str, Array] | None = None,
+    rng: np.random.Generator,
+) -> Runs:
+    """n arms led by a hand for so many control steps, from boxes (n, 3) moved and turned away from
+    the model's own place.
 
-    noise: sd [m, rad] with which the hand sees the boxes; fields: (n, 1, ...) as in `closed_loop`, for the whole run. The runs'
-    actions are the angles commanded.
+    noise: sd [m, rad] with which the hand sees the boxes; fields: (n, 1, ...) as in `closed_loop`,
+    for the whole run. The runs' actions are the angles commanded.
     """
     arms = Arms(model, len(boxes), frame_skip * float(model.opt.timestep))
     errors = noise * rng.standard_normal((steps, len(boxes), 3))
@@ -96,7 +128,15 @@ def drive(
         arms.lead(ids, hand(boxes_of(states) + errors[step, ids], arms.pins[ids], ids, step))
         return arms.angles[ids]
 
-    return closed_loop(model, policy, start_states(model, boxes), steps, frame_skip=frame_skip, fields=fields, hold=steps)
+    return closed_loop(
+        model,
+        policy,
+        start_states(model, boxes),
+        steps,
+        frame_skip=frame_skip,
+        fields=fields,
+        hold=steps,
+    )
 
 
 def boxes_of(states: Array) -> Array:

@@ -1,4 +1,6 @@
-"""Sliding, simulation against simulation: an arm hits a puck so that it stops at a goal (thesis, section 6.3.2)."""
+"""Sliding, simulation against simulation: an arm hits a puck so that it stops at a goal (thesis,
+section 6.3.2).
+"""
 
 from functools import cache
 from importlib.resources import as_file, files
@@ -7,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.contracts.effect import EffectInstance, StepState, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity, StepState
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find
@@ -16,24 +18,50 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.panda.strikes import hits, rest
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
-STEPS, FRAME_SKIP = 375, 2  # control steps of 4 ms: 1.5 s, in which every puck comes to rest
+# control steps of 4 ms: 1.5 s, in which every puck comes to rest
+STEPS = 375
+FRAME_SKIP = 2
 TRAJECTORIES = 5
-DRAWS, EPSILON = 60, 1e-2
+DRAWS = 60
+EPSILON = 1e-2
 """K and epsilon of the thesis."""
-SETTINGS = {"likelihood": "linear", "draws": DRAWS}  # of a fit: for 18 parameters, and K for likelihoods that draw
+SETTINGS = {
+    "likelihood": "linear",
+    "draws": DRAWS,
+}  # of a fit: for 18 parameters, and K for likelihoods that draw
 JOINTS = range(1, 8)
 SEARCHED = (0.5, 2.0)  # of the model's own gains
 TRUTH = {
-    "puck_mass": 0.165, "friction_x": 0.35, "friction_y": 0.25, "contact_time": 0.015,
-    **dict(zip((f"kp{i}" for i in JOINTS), (3200.0, 2000.0, 1900.0, 1150.0, 1000.0, 400.0, 380.0), strict=True)),
-    **dict(zip((f"kd{i}" for i in JOINTS), (95.0, 150.0, 55.0, 90.0, 28.0, 26.0, 9.0), strict=True)),
-}  # fmt: skip
+    "puck_mass": 0.165,
+    "friction_x": 0.35,
+    "friction_y": 0.25,
+    "contact_time": 0.015,
+    **dict(
+        zip(
+            (f"kp{i}" for i in JOINTS),
+            (3200.0, 2000.0, 1900.0, 1150.0, 1000.0, 400.0, 380.0),
+            strict=True,
+        )
+    ),
+    **dict(
+        zip((f"kd{i}" for i in JOINTS), (95.0, 150.0, 55.0, 90.0, 28.0, 26.0, 9.0), strict=True)
+    ),
+}
 """The target's own numbers. It is besides uneven, and its puck is seen late and with noise."""
 DELAY = 0.012  # [s] of the motion capture
-NOISE = np.concatenate([np.full(7, 1e-4), np.full(2, 1e-3), np.full(7, 5e-3), np.full(2, 2e-2)])  # sd: [rad], [m], [rad/s], [m/s]
-WAVES = ((19.0, 7.0, 0.3), (-11.0, 17.0, 2.1), (5.0, -23.0, 4.4), (14.0, 15.0, 5.2))  # [rad/m, rad/m, rad] of the board's surface
+NOISE = np.concatenate(
+    [np.full(7, 1e-4), np.full(2, 1e-3), np.full(7, 5e-3), np.full(2, 2e-2)]
+)  # sd: [rad], [m], [rad/s], [m/s]
+WAVES = (
+    (19.0, 7.0, 0.3),
+    (-11.0, 17.0, 2.1),
+    (5.0, -23.0, 4.4),
+    (14.0, 15.0, 5.2),
+)  # [rad/m, rad/m, rad] of the board's surface
 SLOPE = 0.015  # the largest slope of each wave
-GOALS = np.stack(np.meshgrid(np.array([-0.06, 0.0, 0.06]), np.linspace(0.16, 0.4, 4), indexing="ij"), axis=2).reshape(12, 2)
+GOALS = np.stack(
+    np.meshgrid(np.array([-0.06, 0.0, 0.06]), np.linspace(0.16, 0.4, 4), indexing="ij"), axis=2
+).reshape(12, 2)
 """(12, 2) [m] from where the puck lies, x and y."""
 PUCK = slice(7, 9)  # its place among the signals
 
@@ -45,21 +73,33 @@ def sliding_spec() -> mujoco.MjSpec:
 
 
 def sliding_simulator(threads: int = 0) -> MujocoSimulator:
-    """18 parameters: the puck's mass, two frictions, the time constant of the hit, and 14 gains of the joint position controller.
+    """18 parameters: the puck's mass, two frictions, the time constant of the hit, and 14 gains of
+    the joint position controller.
 
-    Searched in the intervals of table 6.5, but the time constant, which MuJoCo holds above two time steps; gains in half to
-    twice the model's own.
+    Searched in the intervals of table 6.5, but the time constant, which MuJoCo holds above two time
+    steps; gains in half to twice the model's own.
     """
     parameters = [
         FieldParameter("puck_mass", 0.08, 0.2, "kg", field="body_mass", element="puck"),
         FieldParameter("friction_x", 0.2, 0.75, field="pair_friction", element="slide", index=1),
         FieldParameter("friction_y", 0.2, 0.75, field="pair_friction", element="slide", index=0),
-        FieldParameter("contact_time", 0.004, 0.02, "s", lower=0.004, field="pair_solref", element="hit", index=0),
+        FieldParameter(
+            "contact_time",
+            0.004,
+            0.02,
+            "s",
+            lower=0.004,
+            field="pair_solref",
+            element="hit",
+            index=0,
+        ),
         *(_gain("kp", i, "N m/rad") for i in JOINTS),
         *(_gain("kd", i, "N m s/rad") for i in JOINTS),
     ]
     observation = ["qpos[:9]", "qvel[:9]"]
-    return MujocoSimulator(sliding_spec(), parameters, observation=observation, frame_skip=FRAME_SKIP, threads=threads)
+    return MujocoSimulator(
+        sliding_spec(), parameters, observation=observation, frame_skip=FRAME_SKIP, threads=threads
+    )
 
 
 def _gain(kind: str, joint: int, unit: str) -> FieldParameter:
@@ -77,9 +117,18 @@ def _model() -> mujoco.MjModel:
 
 def sliding_target(simulator: MujocoSimulator) -> MujocoSimulator:
     """The other side: the same arm over a board that is not even, its puck seen 12 ms late."""
-    uneven = EffectInstance("uneven_board", None, (Quantity("slope", "1", 0, 1, (SLOPE,)),), force=_downhill)
-    delays = {instance.target: instance for instance in find("effects", "sensor_delay")(simulator.effect_context)}
-    late = [(delays[signal.name], np.array([DELAY])) for signal in simulator.signals if "puck" in signal.name]
+    uneven = EffectInstance(
+        "uneven_board", None, (Quantity("slope", "1", 0, 1, (SLOPE,)),), force=_downhill
+    )
+    delays = {
+        instance.target: instance
+        for instance in find("effects", "sensor_delay")(simulator.effect_context)
+    }
+    late = [
+        (delays[signal.name], np.array([DELAY]))
+        for signal in simulator.signals
+        if "puck" in signal.name
+    ]
     return simulator.with_effects((), [(uneven, np.array([SLOPE])), *late])
 
 
@@ -95,7 +144,9 @@ def _downhill(moment: StepState, sizes: Array) -> Array:
 
 
 def commanded(latents: ArrayLike) -> Trajectories:
-    """Hits (n, 2) as trajectories to be replayed: their commands and the start, and no measurements."""
+    """Hits (n, 2) as trajectories to be replayed: their commands and the start, and no
+    measurements.
+    """
     actions = hits(_model(), latents, STEPS, FRAME_SKIP * float(_model().opt.timestep))
     start = np.concatenate([rest(_model()), np.zeros(11)])
     rows = np.tile(start, (actions.shape[0] * STEPS, 1))
@@ -104,17 +155,23 @@ def commanded(latents: ArrayLike) -> Trajectories:
 
 
 def stops(simulator: MujocoSimulator, values: ArrayLike, latents: ArrayLike) -> Array:
-    """(K, n, 2) [m] where the puck has come after n hits (n, 2), from where it lay, under K parameter vectors (K, d)."""
+    """(K, n, 2) [m] where the puck has come after n hits (n, 2), from where it lay, under K
+    parameter vectors (K, d).
+    """
     segments = commanded(latents).segments(STEPS)
     return simulator.predict(values, segments)[:, :, PUCK]
 
 
 def record(latents: ArrayLike, rng: np.random.Generator, threads: int = 1) -> Trajectories:
-    """What the target's sensors say of hits (n, 2): the start as it is known, every later row with noise."""
+    """What the target's sensors say of hits (n, 2): the start as it is known, every later row with
+    noise.
+    """
     simulator = sliding_simulator(threads)
     data = commanded(latents)
     check_shape("latents", latents, (None, 2), "record")
-    seen = sliding_target(simulator).predict([simulator.space.vector(TRUTH)], data.segments(reset="start"))[0]
+    seen = sliding_target(simulator).predict(
+        [simulator.space.vector(TRUTH)], data.segments(reset="start")
+    )[0]
     seen = seen + NOISE * rng.standard_normal(seen.shape)
     before = np.concatenate([data.observations[:1], seen[:-1]])
     before[np.concatenate([[True], data.terminals[:-1]])] = data.observations[0]
@@ -127,7 +184,11 @@ def reward(distance: Array) -> Array:
 
 
 def sliding(threads: int = 0, seed: int = 0) -> Problem:
-    """18 parameters of an arm with a stick and a puck, from five hits whose latents are standard normal numbers; `start` resets."""
+    """18 parameters of an arm with a stick and a puck, from five hits whose latents are standard
+    normal numbers; `start` resets.
+    """
     latents, noise = np.random.default_rng([65, seed]).spawn(2)
     data = record(latents.standard_normal((TRAJECTORIES, 2)), noise, threads)
-    return Problem("sliding", sliding_simulator(threads), data, reset="start", truth=TRUTH, settings=SETTINGS)
+    return Problem(
+        "sliding", sliding_simulator(threads), data, reset="start", truth=TRUTH, settings=SETTINGS
+    )

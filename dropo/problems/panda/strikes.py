@@ -1,4 +1,6 @@
-"""Hits of an arm with a stick against a puck: joint trajectories from a two-dimensional latent, speed and direction."""
+"""Hits of an arm with a stick against a puck: joint trajectories from a two-dimensional latent,
+speed and direction.
+"""
 
 from functools import lru_cache
 
@@ -10,12 +12,19 @@ from scipy.interpolate import CubicSpline
 from dropo.core.services.validation import Array, check_shape
 from dropo.problems.panda.reaching import joint_path
 
-SPEED, SPREAD = (0.4, 1.04), (-0.35, 0.35)  # [m/s] of the blade where it meets the puck, [rad] its direction from +y
+# [m/s] of the blade where it meets the puck, [rad] its direction from +y
+SPEED = (0.4, 1.04)
+SPREAD = (-0.35, 0.35)
 LIMIT = 2.0  # latents lie within -2 and 2, their middle is 0
 KNOTS = 17  # as in the thesis, whose actions are 17 commands of 7 joints
-RUN_UP, FOLLOW, BRAKE = 0.2, 0.02, 0.08  # [m] the blade moves: until it meets the puck, on at the same speed, and to rest
+# [m] the blade moves: until it meets the puck, on at the same speed, and to rest
+RUN_UP = 0.2
+FOLLOW = 0.02
+BRAKE = 0.08
 RIM = 0.038  # [m] the puck's radius
-FIRST = np.radians([-30.0, -20.0, 0.0, 100.0, 0.0, -60.0, 0.0])  # a bent arm, from which the first pose is looked for
+FIRST = np.radians(
+    [-30.0, -20.0, 0.0, 100.0, 0.0, -60.0, 0.0]
+)  # a bent arm, from which the first pose is looked for
 
 
 def speed_and_direction(latents: ArrayLike) -> tuple[Array, Array]:
@@ -27,13 +36,16 @@ def speed_and_direction(latents: ArrayLike) -> tuple[Array, Array]:
 def hits(model: mujoco.MjModel, latents: ArrayLike, steps: int, control_step: float) -> Array:
     """Commanded joint angles (n, steps, 7) [rad] of n latents (n, 2).
 
-    The blade starts behind the puck, turns into the direction while it speeds up smoothly, meets the puck's place at the speed,
-    brakes and stays. Poses at 17 times are turned into angles, with cubic splines between.
+    The blade starts behind the puck, turns into the direction while it speeds up smoothly, meets
+    the puck's place at the speed, brakes and stays. Poses at 17 times are turned into angles, with
+    cubic splines between.
     """
     latents = np.asarray(latents, dtype=float)
     check_shape("latents", latents, (None, 2), "hits")
     times = control_step * np.arange(1.0, steps + 1)
-    return np.stack([_hit(model, v, turn, times) for v, turn in zip(*speed_and_direction(latents), strict=True)])
+    return np.stack(
+        [_hit(model, v, turn, times) for v, turn in zip(*speed_and_direction(latents), strict=True)]
+    )
 
 
 @lru_cache(maxsize=8)
@@ -46,9 +58,15 @@ def rest(model: mujoco.MjModel) -> Array:
 
 
 def _hit(model: mujoco.MjModel, speed: float, turn: float, times: Array) -> Array:
-    begin, on, end = 2 * RUN_UP / speed, FOLLOW / speed, 2 * BRAKE / speed
+    begin = 2 * RUN_UP / speed
+    on = FOLLOW / speed
+    end = 2 * BRAKE / speed
     knots = np.linspace(0.0, begin + on + end, KNOTS)
-    gone = speed * (_ramp(knots / begin) * begin + np.clip(knots - begin, 0, on) + end * _brake((knots - begin - on) / end))
+    gone = speed * (
+        _ramp(knots / begin) * begin
+        + np.clip(knots - begin, 0, on)
+        + end * _brake((knots - begin - on) / end)
+    )
     turned = turn * _smooth(np.clip(1.4 * knots / begin, 0, 1))
     positions, rotations = _poses(model.body("puck").pos, RUN_UP - gone, turned)
     angles = joint_path(model, "blade", positions, rotations, rest(model))
@@ -72,7 +90,9 @@ def _brake(share: Array) -> Array:
 
 
 def _poses(puck: Array, away: Array, turned: Array) -> tuple[Array, Array]:
-    """The blade's positions (n, 3) and rotations (n, 3, 3), its face `away` (n,) [m] from the puck and turned (n,) [rad] from +y."""
+    """The blade's positions (n, 3) and rotations (n, 3, 3), its face `away` (n,) [m] from the puck
+    and turned (n,) [rad] from +y.
+    """
     zero = np.zeros_like(turned)
     ahead = np.stack([-np.sin(turned), np.cos(turned), zero], axis=1)
     down = np.stack([zero, zero, zero - 1], axis=1)

@@ -1,4 +1,6 @@
-"""A policy in closed loop with MuJoCo: many simulations at once, whose model fields may change as they go."""
+"""A policy in closed loop with MuJoCo: many simulations at once, whose model fields may change as
+they go.
+"""
 
 from collections.abc import Callable, Mapping
 from copy import copy
@@ -15,14 +17,17 @@ from dropo.simulators.mujoco.simulator import HUGE
 from dropo.simulators.mujoco.warnings import quiet
 
 Policy = Callable[[Array, Ints, int], Array]
-"""Actions (m, nu) at a control step, from the states (m, nq + nv) of the simulations `ids` (m,): policy(states, ids, step)."""
+"""Actions (m, nu) at a control step, from the states (m, nq + nv) of the simulations `ids` (m,):
+policy(states, ids, step).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
     """n simulations of up to T control steps; NaN behind a simulation's end.
 
-    states: (n, T + 1, nq + nv), qpos then qvel; actions: (n, T, nu); lengths: (n,) control steps made.
+    states: (n, T + 1, nq + nv), qpos then qvel; actions: (n, T, nu); lengths: (n,) control steps
+    made.
     """
 
     states: Array
@@ -42,17 +47,28 @@ def closed_loop(
     hold: int = 1,
     threads: int = 1,
 ) -> Runs:
-    """Runs n simulations for up to `steps` control steps, each of `frame_skip` physics steps under one action.
+    """Runs n simulations for up to `steps` control steps, each of `frame_skip` physics steps under
+    one action.
 
-    starts: (n, nq + nv). alive: states (m, nq + nv) -> (m,) bool; a simulation ends with the step after which it is
-    False, or before the step in which it diverges. fields: array fields of the model by MjModel's names, (n, B, ...);
-    row b holds during control steps b * hold to (b + 1) * hold - 1, and constants derived from it stay as they are.
-    `model` itself is not changed. The numbers are the same for any number of threads.
+    starts: (n, nq + nv). alive: states (m, nq + nv) -> (m,) bool; a simulation ends with the step
+    after which it is False, or before the step in which it diverges. fields: array fields of the
+    model by MjModel's names, (n, B, ...);
+    row b holds during control steps b * hold to (b + 1) * hold - 1, and constants derived from it
+    stay as they are. `model` itself is not changed. The numbers are the same for any number of
+    threads.
     """
-    require(min(steps, frame_skip, hold) >= 1, "steps, frame_skip, hold", "at least 1", (steps, frame_skip, hold), "closed_loop")
+    require(
+        min(steps, frame_skip, hold) >= 1,
+        "steps, frame_skip, hold",
+        "at least 1",
+        (steps, frame_skip, hold),
+        "closed_loop",
+    )
     check_shape("starts", starts, (None, model.nq + model.nv), "closed_loop")
     batch = Batch(_without_autoreset(model), len(starts), threads)
-    changing = [_expanded(batch, name, values, -(-steps // hold)) for name, values in (fields or {}).items()]
+    changing = [
+        _expanded(batch, name, values, -(-steps // hold)) for name, values in (fields or {}).items()
+    ]
     qpos, qvel, ctrl = (batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
     qpos[:], qvel[:] = np.split(starts, [model.nq], axis=1)
     runs = _empty(starts, steps, model.nu)
@@ -90,14 +106,18 @@ def _expanded(batch: Batch, name: str, values: Array, blocks: int) -> tuple[Arra
 
 
 def _without_autoreset(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy in which a divergent simulation stays so: MuJoCo else puts it back to its initial state and goes on."""
+    """A copy in which a divergent simulation stays so: MuJoCo else puts it back to its initial
+    state and goes on.
+    """
     model = copy(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model
 
 
 def advance(batch: Batch, ids: Ints, steps: int) -> NDArray[np.bool_]:
-    """Makes so many physics steps in some simulations; (m,) in which of them MuJoCo gave up with an error."""
+    """Makes so many physics steps in some simulations; (m,) in which of them MuJoCo gave up with an
+    error.
+    """
     try:
         with quiet():
             batch.step(ids, steps)

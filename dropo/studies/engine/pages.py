@@ -1,4 +1,6 @@
-"""Writes a study into a folder: its text, its numbers, its picture, and its block in the folder's README."""
+"""Writes a study into a folder: its text, its numbers, its picture, and its block in the folder's
+README.
+"""
 
 import json
 import re
@@ -11,11 +13,15 @@ from dropo.studies.engine.study import Study
 
 
 def write(study: Study, folder: Path) -> None:
-    """<study>.md, .json and, where it draws, .svg; and what stands between `<!-- study: <name> -->` and `<!-- end -->` in README.md."""
+    """<study>.md, .json and, where it draws, .svg; and what stands between `<!-- study: <name> -->`
+    and `<!-- end -->` in README.md.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     if study.draw is not None:
         (folder / f"{study.name}.svg").write_text(picture(study.draw))
-    (folder / f"{study.name}.json").write_text(json.dumps(study.to_json(), indent=1, allow_nan=False) + "\n")
+    (folder / f"{study.name}.json").write_text(
+        json.dumps(study.to_json(), indent=1, allow_nan=False) + "\n"
+    )
     (folder / f"{study.name}.md").write_text(f"# {study.name}\n\n{markdown(study)}")
     readme = folder / "README.md"
     if readme.is_file():
@@ -40,7 +46,9 @@ def with_block(text: str, study: Study, path: Path) -> str:
 
 
 def picture(draw: Callable[[Any], None]) -> str:
-    """The figure as SVG; the same text for the same numbers, so without a date and with fixed names inside."""
+    """The figure as SVG; the same text for the same numbers, so without a date and with fixed names
+    inside.
+    """
     import io
 
     import matplotlib as mpl

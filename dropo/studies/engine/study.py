@@ -1,8 +1,8 @@
 """What a study finds: tables to read, the same numbers for machines, remarks, and a picture.
 
-A study is a function `study(work, seeds=None) -> Study`, in the catalogue under "studies". It gives its tasks to
-`work.map(task, items)`, which spreads them over cores and keeps finished ones on disk; `seeds` is how many data sets (or
-repetitions) it takes, None for its own choice.
+A study is a function `study(work, seeds=None) -> Study`, in the catalogue under "studies". It gives
+its tasks to `work.map(task, items)`, which spreads them over cores and keeps finished ones on disk;
+`seeds` is how many data sets (or repetitions) it takes, None for its own choice.
 """
 
 from collections.abc import Callable
@@ -19,9 +19,9 @@ from dropo.core.services.tables import Table as Table
 class Study(Printed):
     """A finished study.
 
-    name: as in the catalogue; title: a line that says what was done, and how often; remarks: sentences that follow from the
-    numbers; data: every number unrounded, by names (dicts, lists, numbers and strings; NaN becomes null); draw:
-    draw(figure) on a matplotlib Figure, or None.
+    name: as in the catalogue; title: a line that says what was done, and how often; remarks:
+    sentences that follow from the numbers; data: every number unrounded, by names (dicts, lists,
+    numbers and strings; NaN becomes null); draw: draw(figure) on a matplotlib Figure, or None.
     """
 
     name: str
@@ -40,7 +40,13 @@ class Study(Printed):
         """The study for machines: name, title, remarks and data."""
         from dropo import __version__
 
-        return {"study": self.name, "version": __version__, "title": self.title, "remarks": list(self.remarks), "data": _plain(self.data)}
+        return {
+            "study": self.name,
+            "version": __version__,
+            "title": self.title,
+            "remarks": list(self.remarks),
+            "data": _plain(self.data),
+        }
 
 
 def _plain(value: Any) -> Any:

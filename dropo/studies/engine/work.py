@@ -1,4 +1,6 @@
-"""Runs a study's tasks: on threads or on any executor, each of them once, and those of an interrupted study not again."""
+"""Runs a study's tasks: on threads or on any executor, each of them once, and those of an
+interrupted study not again.
+"""
 
 import json
 import os
@@ -15,21 +17,34 @@ Task = Callable[[Any], dict[str, Any]]
 
 
 class Work:
-    """Spreads tasks over an executor's workers; without one, over `threads` threads (0: as many as there are cores).
+    """Spreads tasks over an executor's workers; without one, over `threads` threads (0: as many as
+    there are cores).
 
-    path: a file that keeps what finished tasks found, one JSON line each; a study that was interrupted goes on from it.
-    A task's answer depends on its item alone, so results are the same on any executor.
+    path: a file that keeps what finished tasks found, one JSON line each; a study that was
+    interrupted goes on from it. A task's answer depends on its item alone, so results are the same
+    on any executor.
     """
 
-    def __init__(self, executor: Executor | None = None, *, threads: int = 0, progress: Progress = silent, path: Path | None = None):
-        self.executor, self.threads, self.progress, self.path = executor, threads or os.cpu_count() or 1, progress, path
+    def __init__(
+        self,
+        executor: Executor | None = None,
+        *,
+        threads: int = 0,
+        progress: Progress = silent,
+        path: Path | None = None,
+    ):
+        self.executor = executor
+        self.threads = threads or os.cpu_count() or 1
+        self.progress = progress
+        self.path = path
         self._known = _read(path) if path is not None else {}
 
     def map(self, task: Task, items: Iterable[Any]) -> list[dict[str, Any]]:
         """task(item) of every item, in order, as JSON gives it back.
 
-        task: a function of a module (executors send it to other processes by its name), that simulates on one thread
-        and returns a dict of numbers, strings, lists and dicts; items: numbers, strings, or lists of them.
+        task: a function of a module (executors send it to other processes by its name), that
+        simulates on one thread and returns a dict of numbers, strings, lists and dicts; items:
+        numbers, strings, or lists of them.
         """
         questions = [(_key(task, item), item) for item in items]
         missing = [(key, item) for key, item in questions if key not in self._known]
@@ -43,16 +58,26 @@ class Work:
                 pool.shutdown(wait=False, cancel_futures=True)
         return [json.loads(self._known[key]) for key, _ in questions]
 
-    def _run(self, executor: Executor, task: Task, missing: list[tuple[str, Any]], total: int) -> None:
+    def _run(
+        self, executor: Executor, task: Task, missing: list[tuple[str, Any]], total: int
+    ) -> None:
         with threadpool_limits(1, user_api="blas"):
             waiting = {executor.submit(_alone, task, item): key for key, item in missing}
             try:
                 for done, future in enumerate(as_completed(waiting), total - len(missing) + 1):
                     self._keep(waiting[future], future)
-                    self.progress(done / total, f"{task.__name__.strip('_').replace('_', ' ')}, {done} of {total}")
+                    self.progress(
+                        done / total,
+                        f"{task.__name__.strip('_').replace('_', ' ')}, {done} of {total}",
+                    )
             finally:
                 for future, key in waiting.items():
-                    if not future.cancel() and future.done() and key not in self._known and future.exception() is None:
+                    if (
+                        not future.cancel()
+                        and future.done()
+                        and key not in self._known
+                        and future.exception() is None
+                    ):
                         self._keep(key, future)
 
     def _keep(self, key: str, future: Future[dict[str, Any]]) -> None:
@@ -64,7 +89,9 @@ class Work:
 
 
 def _alone(task: Task, item: Any) -> dict[str, Any]:
-    """The task with BLAS on one thread, in whichever process: more threads would change last digits."""
+    """The task with BLAS on one thread, in whichever process: more threads would change last
+    digits.
+    """
     with threadpool_limits(1, user_api="blas"):
         return task(item)
 

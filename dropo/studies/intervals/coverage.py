@@ -1,4 +1,6 @@
-"""How often 95 % intervals hold the truth: under independent, autocorrelated and start-state noise, and with friction left out."""
+"""How often 95 % intervals hold the truth: under independent, autocorrelated and start-state noise,
+and with friction left out.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -24,27 +26,40 @@ RHO = 0.9  # autocorrelation of the autocorrelated noise from one control step t
 NOISE = 5e-3  # standard deviation, in each signal's unit
 DRY = 0.3  # N, the friction that the model leaves out
 BLOCK = np.array([1.5, 0.8])  # kg, N s/m
-FEW, MANY = (2, 500), (25, 40)  # trajectories, control steps of each
+# trajectories, control steps of each
+FEW = (2, 500)
+MANY = (25, 40)
 
 METHODS: dict[str, Callable[[], Estimator]] = {
     "least squares": LeastSquares,
     "dropo": lambda: DROPO(family="point", epsilon="learn"),
 }
 CASES: tuple[tuple[str, str, str, tuple[int, int]], ...] = (
-    ("block", "independent", "least squares", MANY), ("block", "independent", "least squares", FEW),
+    ("block", "independent", "least squares", MANY),
+    ("block", "independent", "least squares", FEW),
     ("block", "independent", "dropo", MANY),
-    ("block", "autocorrelated", "least squares", MANY), ("block", "autocorrelated", "least squares", FEW),
-    ("block", "autocorrelated", "dropo", MANY), ("block", "start", "dropo", MANY), ("block", "start", "dropo", FEW),
-    ("hopper", "independent", "dropo", MANY), ("hopper", "autocorrelated", "dropo", MANY),
-    ("block", "dry friction", "least squares", MANY), ("block", "dry friction", "least squares", FEW),
+    ("block", "autocorrelated", "least squares", MANY),
+    ("block", "autocorrelated", "least squares", FEW),
+    ("block", "autocorrelated", "dropo", MANY),
+    ("block", "start", "dropo", MANY),
+    ("block", "start", "dropo", FEW),
+    ("hopper", "independent", "dropo", MANY),
+    ("hopper", "autocorrelated", "dropo", MANY),
+    ("block", "dry friction", "least squares", MANY),
+    ("block", "dry friction", "least squares", FEW),
     ("block", "dry friction", "dropo", MANY),
-)  # fmt: skip
-"""Robot, noise, method, and the data's size. "dry friction": independent noise, and friction that the model does not have."""
+)
+"""Robot, noise, method, and the data's size.
+
+"dry friction": independent noise, and friction that the model does not have.
+"""
 
 
 class DryBlock(SlidingBlock):
-    """The sliding block with Coulomb friction beside the viscous one, solved exactly: it slides one way until it stops, then stays
-    where the push is weaker than the friction, or slides the other way."""
+    """The sliding block with Coulomb friction beside the viscous one, solved exactly: it slides one
+    way until it stops, then stays where the push is weaker than the friction, or slides the
+    other way.
+    """
 
     def _replay(self, value: Array, starts: Array, actions: Array) -> Array:
         mass, damping = value
@@ -53,12 +68,18 @@ class DryBlock(SlidingBlock):
         for j, u in enumerate(actions[:, :, 0].T):
             final = (u - DRY * np.sign(v)) / damping
             turns = v * final < 0  # it will stop, after this time
-            stop = np.where(turns, mass / damping * np.log1p(np.where(turns, -v / np.where(turns, final, 1.0), 0.0)), np.inf)
+            stop = np.where(
+                turns,
+                mass / damping * np.log1p(np.where(turns, -v / np.where(turns, final, 1.0), 0.0)),
+                np.inf,
+            )
             first = np.where(v == 0, 0.0, np.minimum(stop, self.dt))
             x, v = _slide(x, v, final, mass / damping, first)
             v = np.where(first < self.dt, 0.0, v)
             again = np.sign(u) * np.maximum(np.abs(u) - DRY, 0.0) / damping
-            x, v = _slide(x, v, np.where(first < self.dt, again, v), mass / damping, self.dt - first)
+            x, v = _slide(
+                x, v, np.where(first < self.dt, again, v), mass / damping, self.dt - first
+            )
             out[:, j] = np.stack([x, v], axis=-1)
         return out
 
@@ -69,12 +90,23 @@ def _slide(x: Array, v: Array, final: Array, lag: float, time: Array) -> tuple[A
     return x + final * time + (v - final) * (1 - decay) * lag, final + (v - final) * decay
 
 
-def coverage(work: Work, seeds: int | None = None, *, cases: tuple[tuple[str, str, str, tuple[int, int]], ...] = CASES) -> Study:
-    """The share of data sets whose 95 % intervals hold the truth, and of those where the fit says that its model is wrong."""
+def coverage(
+    work: Work,
+    seeds: int | None = None,
+    *,
+    cases: tuple[tuple[str, str, str, tuple[int, int]], ...] = CASES,
+) -> Study:
+    """The share of data sets whose 95 % intervals hold the truth, and of those where the fit says
+    that its model is wrong.
+    """
     count = REPLICATIONS if seeds is None else seeds
     require(count >= 2, "seeds", "at least 2", count, "coverage")
-    rows, data, remarks = [], {}, []
-    answers = work.map(replication, [[*case[:3], list(case[3]), seed] for case in cases for seed in range(count)])
+    rows = []
+    data = {}
+    remarks = []
+    answers = work.map(
+        replication, [[*case[:3], list(case[3]), seed] for case in cases for seed in range(count)]
+    )
     for i, (robot, noise, method, (trajectories, steps)) in enumerate(cases):
         own = answers[i * count : (i + 1) * count]
         inside = np.array([answer["inside"] for answer in own])
@@ -82,29 +114,60 @@ def coverage(work: Work, seeds: int | None = None, *, cases: tuple[tuple[str, st
         share = inside.mean(axis=0)
         size = f"{trajectories} x {steps}"
         shown = ", ".join(f"{s:.0%} ± {np.sqrt(s * (1 - s) / count):.0%}" for s in share)
-        rows.append((f"{robot}, {noise}", size, method, shown, f"{inside.mean():.1%}", f"{flagged:.0%}"))
+        rows.append(
+            (f"{robot}, {noise}", size, method, shown, f"{inside.mean():.1%}", f"{flagged:.0%}")
+        )
         data[f"{robot}, {noise}, {method}, {size}"] = {
-            "coverage": share, "flagged": flagged, "sentences": sorted({sentence for answer in own for sentence in answer["sentences"]})
-        }  # fmt: skip
+            "coverage": share,
+            "flagged": flagged,
+            "sentences": sorted({sentence for answer in own for sentence in answer["sentences"]}),
+        }
         if noise != "dry friction" and not AIM[0] <= inside.mean() <= AIM[1]:
-            remarks.append(f"{robot}, {noise}, {method}, {size}: {inside.mean():.1%} is not within {AIM[0]:.0%} to {AIM[1]:.0%}.")
-    header = ("data", "trajectories", "method", "coverage of each mean", "of all", "said to be wrong")
+            remarks.append(
+                f"{robot}, {noise}, {method}, {size}: {inside.mean():.1%} is not within "
+                f"{AIM[0]:.0%} to {AIM[1]:.0%}."
+            )
+    header = (
+        "data",
+        "trajectories",
+        "method",
+        "coverage of each mean",
+        "of all",
+        "said to be wrong",
+    )
     table = Table("Intervals of 95 %", header, tuple(rows))
-    remarks.append(f"With a dry friction of {DRY} N left out the intervals cannot hold; the last column is how often the fit says so.")
-    return Study("coverage", f"Coverage of 95 % intervals, {count} data sets each", (table,), tuple(remarks), data)
+    remarks.append(
+        f"With a dry friction of {DRY} N left out the intervals cannot hold; the last "
+        "column is how often the fit says so."
+    )
+    return Study(
+        "coverage",
+        f"Coverage of 95 % intervals, {count} data sets each",
+        (table,),
+        tuple(remarks),
+        data,
+    )
 
 
 def replication(item: list[Any]) -> dict[str, Any]:
-    """One data set and its fit: whether each mean's interval holds the truth, and what the fit says of its model."""
+    """One data set and its fit: whether each mean's interval holds the truth, and what the fit says
+    of its model.
+    """
     robot, noise, method, (count, steps), seed = item
     problem, truth = data_set(robot, noise, count, steps, np.random.default_rng([seed, count]))
     fit = METHODS[method]().fit(problem, rng=seed)
     low, high = fit.interval().T
     told = [text for text in fit.warnings if text.startswith("the model is wrong")]
-    return {"inside": ((low <= truth) & (truth <= high)).tolist(), "flagged": not fit.trusted, "sentences": told}
+    return {
+        "inside": ((low <= truth) & (truth <= high)).tolist(),
+        "flagged": not fit.trusted,
+        "sentences": told,
+    }
 
 
-def data_set(robot: str, noise: str, count: int, steps: int, rng: np.random.Generator) -> tuple[Problem, Array]:
+def data_set(
+    robot: str, noise: str, count: int, steps: int, rng: np.random.Generator
+) -> tuple[Problem, Array]:
     """A problem with `count` trajectories of `steps` control steps, and the true parameters."""
     known = ("independent", "autocorrelated", "start", "dry friction")
     require(noise in known, "noise", f"one of {known}", noise, "data_set")
@@ -118,15 +181,21 @@ def data_set(robot: str, noise: str, count: int, steps: int, rng: np.random.Gene
         model = hopper_simulator(threads=1)
         truth = np.array([TRUTH[name] for name in model.space.names])
         clean, _ = simulate_hopper(steps, count, rng=rng)
-    before, after = clean.observations, clean.next_observations
-    if noise == "start":  # one error for each measured state, that of a step's end and of the next one's start
+    before = clean.observations
+    after = clean.next_observations
+    if (
+        noise == "start"
+    ):  # one error for each measured state, that of a step's end and of the next one's start
         errors = NOISE * rng.standard_normal((count, steps + 1, before.shape[1]))
-        before, after = before + errors[:, :-1].reshape(before.shape), after + errors[:, 1:].reshape(after.shape)
+        before = before + errors[:, :-1].reshape(before.shape)
+        after = after + errors[:, 1:].reshape(after.shape)
     else:
         shape = (count, steps, after.shape[1])
-        after = after + (autocorrelated(shape, rng) if noise == "autocorrelated" else NOISE * rng.standard_normal(shape)).reshape(
-            after.shape
-        )
+        after = after + (
+            autocorrelated(shape, rng)
+            if noise == "autocorrelated"
+            else NOISE * rng.standard_normal(shape)
+        ).reshape(after.shape)
     data = Trajectories(before, clean.actions, after, clean.terminals)
     return Problem(f"{robot}, {noise}", model, data, start_noise=noise == "start"), truth
 

@@ -1,4 +1,6 @@
-"""The related methods on the hopper, and what policies trained under their fits are worth: the tasks of that study."""
+"""The related methods on the hopper, and what policies trained under their fits are worth: the
+tasks of that study.
+"""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -43,10 +45,12 @@ SETTINGS: dict[str, dict[str, Any]] = {
 class Size:
     """How large the study is.
 
-    transitions: of a data set, in two trajectories; seeds: data sets; methods: those compared. published: K, evaluations and the stride
-    between transitions of the published method; droid: its evaluations; settings: those of the other methods, by their names, where they
-    are not the methods' own. updates: of the search for a policy, 0 for none, and then no bayrn; steps: control steps of an
-    episode; episodes: in which a policy is judged; probe: control steps of adr's single episodes.
+    transitions: of a data set, in two trajectories; seeds: data sets; methods: those compared.
+    published: K, evaluations and the stride between transitions of the published method; droid: its
+    evaluations; settings: those of the other methods, by their names, where they are not the
+    methods' own. updates: of the search for a policy, 0 for none, and then no bayrn; steps: control
+    steps of an episode; episodes: in which a policy is judged; probe: control steps of adr's single
+    episodes.
     """
 
     transitions: int = 1000
@@ -70,50 +74,91 @@ def item(table: str, seed: int, size: Size, **more: Any) -> Item:
 
 
 class Machine:
-    """The hopper that the data come from, for callbacks: masses that vary as in a table of the thesis, noise on what is measured."""
+    """The hopper that the data come from, for callbacks: masses that vary as in a table of the
+    thesis, noise on what is measured.
+    """
 
     def __init__(self, table: str, problem: Problem, size: Size):
-        self.problem, self.size, self.spread = problem, size, SPREAD[table]
+        self.problem = problem
+        self.size = size
+        self.spread = SPREAD[table]
         covariance = np.diag(np.maximum(self.spread, SMALLEST) ** 2)
-        self.distribution = distribution(problem, "truth", "full", FullGaussian(problem.space).phi_of(MEAN, covariance))
+        self.distribution = distribution(
+            problem, "truth", "full", FullGaussian(problem.space).phi_of(MEAN, covariance)
+        )
 
     def collect(self, transitions: int) -> Any:
         """The callback of SimOpt: so many transitions under the stored policy, whatever the law."""
 
         def collect(fit: Fit, rng: Generator) -> Trajectories:
-            masses = lambda rng, blocks: MEAN + self.spread * rng.standard_normal((blocks, len(MEAN)))
+            masses = lambda rng, blocks: (
+                MEAN + self.spread * rng.standard_normal((blocks, len(MEAN)))
+            )
             block = BLOCK if self.spread.any() else None
-            return simulate(transitions, 1, rng=rng, masses=masses, block=block, noise_variance=NOISE)[0]
+            return simulate(
+                transitions, 1, rng=rng, masses=masses, block=block, noise_variance=NOISE
+            )[0]
 
         return collect
 
     def evaluate(self, fit: Fit, rng: Generator) -> Answer[float]:
-        """The callback of BayRn: the return here of a policy that a short search finds under the fit."""
+        """The callback of BayRn: the return here of a policy that a short search finds under the
+        fit.
+        """
         returns, control_steps, lengths = self.returns(fit, rng)
-        return Answer(float(np.mean(returns)), transitions=sum(lengths), steps=control_steps * FRAME_SKIP)
+        return Answer(
+            float(np.mean(returns)), transitions=sum(lengths), steps=control_steps * FRAME_SKIP
+        )
 
     def returns(self, fit: Fit, rng: Generator) -> tuple[list[float], int, list[int]]:
-        """Returns here of a policy trained under the fit; the control steps of its training, without its trials; the episodes' lengths."""
+        """Returns here of a policy trained under the fit; the control steps of its training,
+        without its trials; the episodes' lengths.
+        """
         from dropo.training.ars import ARS
         from dropo.training.evaluate import evaluate
         from dropo.training.train import train
 
-        size, (training, playing) = self.size, rng.spawn(2)
-        policy = train(self.problem, fit, ARS(updates=size.updates), noise=0.0, steps=size.steps, rng=training)
-        played = evaluate(policy, self.problem, distribution=self.distribution, episodes=size.episodes, steps=size.steps, noise=0.0, rng=playing)
+        size = self.size
+        (training, playing) = rng.spawn(2)
+        policy = train(
+            self.problem, fit, ARS(updates=size.updates), noise=0.0, steps=size.steps, rng=training
+        )
+        played = evaluate(
+            policy,
+            self.problem,
+            distribution=self.distribution,
+            episodes=size.episodes,
+            steps=size.steps,
+            noise=0.0,
+            rng=playing,
+        )
         return played.returns.tolist(), int(policy.about["control_steps"]), played.lengths.tolist()
 
     def performance(self, values: Array, rng: Generator) -> Answer[float]:
-        """The callback of ADR: 1 where the stored policy does not fall in an episode in simulation, else 0."""
+        """The callback of ADR: 1 where the stored policy does not fall in an episode in simulation,
+        else 0.
+        """
         from dropo.training.distributions import Point
         from dropo.training.evaluate import evaluate
         from dropo.training.policy import LinearPolicy
 
-        kept, limits = hopper_policy(), np.array([[-1.0] * 3, [1.0] * 3])
+        kept = hopper_policy()
+        limits = np.array([[-1.0] * 3, [1.0] * 3])
         policy = LinearPolicy(kept.weights, kept.mean, kept.deviation, limits)
         point = Point(self.problem.space, values)
-        played = evaluate(policy, self.problem, distribution=point, episodes=1, steps=self.size.probe, noise=0.0, rng=rng)
-        return Answer(float(played.lengths[0] == self.size.probe), steps=int(played.lengths.sum()) * FRAME_SKIP)
+        played = evaluate(
+            policy,
+            self.problem,
+            distribution=point,
+            episodes=1,
+            steps=self.size.probe,
+            noise=0.0,
+            rng=rng,
+        )
+        return Answer(
+            float(played.lengths[0] == self.size.probe),
+            steps=int(played.lengths.sum()) * FRAME_SKIP,
+        )
 
 
 def _size(item: Item) -> Size:
@@ -139,23 +184,42 @@ def estimator(method: str, machine: Machine, size: Size) -> Estimator:
 
 def fitted(item: Item) -> dict[str, Any]:
     """The item's method on its data: the law that it finds, and its cost."""
-    size, method = _size(item), item["method"]
+    size = _size(item)
+    method = item["method"]
     problem, _ = data_set(item["table"], "noisy", item["seed"], size.transitions)
     if method == "dropo, published":
         problem = every(size.published[2], problem)
-    fit = estimator(method, Machine(item["table"], problem, size), size).fit(problem, rng=item["seed"])
-    used = 0 if method == "uniform randomization" else fit.details.get("target_transitions", fit.transitions)
+    fit = estimator(method, Machine(item["table"], problem, size), size).fit(
+        problem, rng=item["seed"]
+    )
+    used = (
+        0
+        if method == "uniform randomization"
+        else fit.details.get("target_transitions", fit.transitions)
+    )
     return {
-        "family": fit.family, "phi": fit.phi.tolist(), "mean": fit.mean.tolist(), "sd": fit.sd.tolist(), "steps": fit.simulator_steps,
-        "transitions": used, "status": fit.status.value, "message": fit.message,
-    }  # fmt: skip
+        "family": fit.family,
+        "phi": fit.phi.tolist(),
+        "mean": fit.mean.tolist(),
+        "sd": fit.sd.tolist(),
+        "steps": fit.simulator_steps,
+        "transitions": used,
+        "status": fit.status.value,
+        "message": fit.message,
+    }
 
 
 def returned(item: Item) -> dict[str, Any]:
-    """Returns on the machine of a policy trained under the item's `law` [family, phi], or the machine's own where it has none."""
+    """Returns on the machine of a policy trained under the item's `law` [family, phi], or the
+    machine's own where it has none.
+    """
     size = _size(item)
     problem, _ = data_set(item["table"], "noisy", item["seed"], size.transitions)
     machine = Machine(item["table"], problem, size)
     given = item["law"]
-    fit = machine.distribution if given is None else distribution(problem, "related", given[0], np.array(given[1]))
+    fit = (
+        machine.distribution
+        if given is None
+        else distribution(problem, "related", given[0], np.array(given[1]))
+    )
     return {"returns": machine.returns(fit, np.random.default_rng(item["seed"]))[0]}

@@ -19,16 +19,28 @@ COLORS = {"clean": "tab:orange", "noisy": "tab:red"}
 
 
 def figure_6_2(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
-    """Fitted distributions of the masses that vary, beside those the data were drawn from (thesis, figure 6.2): one data set."""
+    """Fitted distributions of the masses that vary, beside those the data were drawn from (thesis,
+    figure 6.2): one data set.
+    """
     require(seeds in (None, 1), "seeds", "1, as the figure shows one data set", seeds, "figure-6.2")
-    asked = [(table, kind, method) for table in ("6.2", "6.3") for kind in EPSILON for method in METHODS]
-    answers = work.map(fitted, [item(table, kind, 0, size, method=method) for table, kind, method in asked])
+    asked = [
+        (table, kind, method) for table in ("6.2", "6.3") for kind in EPSILON for method in METHODS
+    ]
+    answers = work.map(
+        fitted, [item(table, kind, 0, size, method=method) for table, kind, method in asked]
+    )
     rows = dict(zip(asked, answers, strict=True))
     tables = tuple(_panel(table, i, rows) for table, i in PANELS)
     data: dict[str, Any] = {" ".join(key): row for key, row in rows.items()}
     remarks = (
-        "The law is what the masses were drawn from, the sample the masses drawn; no method can know more than the sample.",
-        "DROID's spread is that of its search; the thesis' DROPO rows give the scale of a Gaussian cut at two of it (sd 0.88 of it).",
+        (
+            "The law is what the masses were drawn from, the sample the masses drawn; no "
+            "method can know more than the sample."
+        ),
+        (
+            "DROID's spread is that of its search; the thesis' DROPO rows give the scale of a "
+            "Gaussian cut at two of it (sd 0.88 of it)."
+        ),
     )
     title = "Figure 6.2: distributions of the masses that vary, data set 0 of tables 6.2 and 6.3"
     return Study("figure-6.2", title, tables, remarks, data, lambda figure: _draw(figure, rows))
@@ -47,16 +59,38 @@ def _panel(table: str, i: int, rows: dict[tuple[str, str, str], dict[str, Any]])
             if (table, kind, method) in THESIS:
                 mean, scale = THESIS[table, kind, method]
                 lines.append((f"  thesis, {method}, {kind}", f"{mean[i]:.3f}", number(scale[i], 3)))
-    return Table(f"{MASSES[i]}, data of table {table}", (MASSES[i], "mean [kg]", "sd [kg]"), tuple(lines))
+    return Table(
+        f"{MASSES[i]}, data of table {table}", (MASSES[i], "mean [kg]", "sd [kg]"), tuple(lines)
+    )
 
 
 def _draw(figure: Any, rows: dict[tuple[str, str, str], dict[str, Any]]) -> None:
     for axes, (table, i) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
         grid = np.linspace(MEAN[i] - 4 * SPREAD[table][i], MEAN[i] + 4 * SPREAD[table][i], 200)
-        axes.fill_between(grid, norm.pdf(grid, MEAN[i], SPREAD[table][i]), alpha=0.2, linewidth=0, label="ground truth")
+        axes.fill_between(
+            grid,
+            norm.pdf(grid, MEAN[i], SPREAD[table][i]),
+            alpha=0.2,
+            linewidth=0,
+            label="ground truth",
+        )
         for kind in EPSILON:
-            color, row, point = COLORS[kind], rows[table, kind, "dropo"], rows[table, kind, "droid"]
-            axes.plot(grid, norm.pdf(grid, row["mean"][i], max(row["sd"][i], 1e-3)), color=color, label=f"DROPO, {kind}")
-            axes.axvline(point["mean"][i], color=color, linestyle="--", linewidth=1, label=f"DROID, {kind}")
-        axes.set(title=MASSES[i], xlabel="mass [kg]", yticks=[], ylim=(0, 2 * norm.pdf(0) / SPREAD[table][i]))
+            color = COLORS[kind]
+            row = rows[table, kind, "dropo"]
+            point = rows[table, kind, "droid"]
+            axes.plot(
+                grid,
+                norm.pdf(grid, row["mean"][i], max(row["sd"][i], 1e-3)),
+                color=color,
+                label=f"DROPO, {kind}",
+            )
+            axes.axvline(
+                point["mean"][i], color=color, linestyle="--", linewidth=1, label=f"DROID, {kind}"
+            )
+        axes.set(
+            title=MASSES[i],
+            xlabel="mass [kg]",
+            yticks=[],
+            ylim=(0, 2 * norm.pdf(0) / SPREAD[table][i]),
+        )
     figure.axes[0].legend(fontsize=6)

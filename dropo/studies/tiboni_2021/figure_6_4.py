@@ -13,27 +13,62 @@ from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, Size
 
 
 def figure_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
-    """Total variance and mean squared error against epsilon, and the one that section 5.3 chooses (thesis, figure 6.4)."""
+    """Total variance and mean squared error against epsilon, and the one that section 5.3 chooses
+    (thesis, figure 6.4).
+    """
     count = seeds or size.seeds
     swept = work.map(tuned, [item("6.1", "noisy", seed, size) for seed in range(count)])
-    columns = {name: np.array([[row[name] for row in one["tuning"]] for one in swept]) for name in ("total_variance", "mse")}
+    columns = {
+        name: np.array([[row[name] for row in one["tuning"]] for one in swept])
+        for name in ("total_variance", "mse")
+    }
     chosen = np.array([one["chosen"] for one in swept])
     shares = [int((chosen == epsilon).sum()) for epsilon in SWEEP]
     lines = [
-        (f"{epsilon:.0e}", *(number(v, 3) for name in columns for v in _spread(columns[name][:, i])), str(shares[i]))
+        (
+            f"{epsilon:.0e}",
+            *(number(v, 3) for name in columns for v in _spread(columns[name][:, i])),
+            str(shares[i]),
+        )
         for i, epsilon in enumerate(SWEEP)
     ]
-    header = ("epsilon", "total variance [kg^2]", "least", "most", "mean squared error", "least", "most", "chosen")
-    title = f"figure 6.4, noise of variance {EPSILON['noisy']:.0e}: median, least and most of {count} data sets"
+    header = (
+        "epsilon",
+        "total variance [kg^2]",
+        "least",
+        "most",
+        "mean squared error",
+        "least",
+        "most",
+        "chosen",
+    )
+    title = (
+        f"figure 6.4, noise of variance {EPSILON['noisy']:.0e}: median, least and most of "
+        f"{count} data sets"
+    )
     remarks = (
-        "Chosen is the smallest epsilon whose mean squared error is at most 1.1 times the least of the sweep; the thesis chooses 1e-5.",
-        f"From epsilon {SWEEP[0]:.0e} to 1e-5 the median mean squared error falls by {_fall(columns['mse']):.3g} times, the median total"
+        (
+            "Chosen is the smallest epsilon whose mean squared error is at most 1.1 times the "
+            "least of the sweep; the thesis chooses 1e-5."
+        ),
+        f"From epsilon {SWEEP[0]:.0e} to 1e-5 the median mean squared error falls by "
+        f"{_fall(columns['mse']):.3g} times, the median total"
         f" variance by {_fall(columns['total_variance']):.3g} times.",
     )
-    data = {"epsilon": list(SWEEP), **columns, "chosen": chosen, "steps": [one["steps"] for one in swept]}
+    data = {
+        "epsilon": list(SWEEP),
+        **columns,
+        "chosen": chosen,
+        "steps": [one["steps"] for one in swept],
+    }
     draw = lambda figure: _draw(figure, columns)
     return Study(
-        "figure-6.4", f"Figure 6.4: the choice of epsilon; {count} data sets", (Table(title, header, tuple(lines)),), remarks, data, draw
+        "figure-6.4",
+        f"Figure 6.4: the choice of epsilon; {count} data sets",
+        (Table(title, header, tuple(lines)),),
+        remarks,
+        data,
+        draw,
     )
 
 
@@ -41,7 +76,12 @@ def tuned(item: Item) -> dict[str, Any]:
     """The sweep over epsilon on one data set, and the epsilon that it chooses."""
     problem, _ = problem_of(item)
     fit = DROPO(epsilon="tune", sweep=SWEEP).fit(problem, rng=0)
-    return {"tuning": fit.details["tuning"], "chosen": float(fit.epsilon[0]), "steps": fit.simulator_steps, "seconds": fit.wall_time_s}
+    return {
+        "tuning": fit.details["tuning"],
+        "chosen": float(fit.epsilon[0]),
+        "steps": fit.simulator_steps,
+        "seconds": fit.wall_time_s,
+    }
 
 
 def _spread(values: np.ndarray) -> tuple[float, float, float]:
@@ -59,4 +99,9 @@ def _draw(figure: Any, columns: dict[str, np.ndarray]) -> None:
         axes.fill_between(SWEEP, values.min(axis=0), values.max(axis=0), alpha=0.2, linewidth=0)
         axes.plot(SWEEP, np.median(values, axis=0), "o-", markersize=4)
         axes.axvline(EPSILON["noisy"], color="gray", linestyle=":", linewidth=1)
-        axes.set(xscale="log", yscale="log", xlabel="epsilon", title=name.replace("_", " ").replace("mse", "mean squared error"))
+        axes.set(
+            xscale="log",
+            yscale="log",
+            xlabel="epsilon",
+            title=name.replace("_", " ").replace("mse", "mean squared error"),
+        )

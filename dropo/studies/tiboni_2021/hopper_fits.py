@@ -1,4 +1,6 @@
-"""Fits of the thesis' hopper data by each method, and laws compared by one likelihood: the tasks of the studies."""
+"""Fits of the thesis' hopper data by each method, and laws compared by one likelihood: the tasks of
+the studies.
+"""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -38,7 +40,11 @@ def problem_of(item: Item) -> tuple[Problem, Array]:
     if item["table"] != AUTHORS:
         return data_set(item["table"], item["kind"], item["seed"], size.transitions)
     made = {"clean": hopper_published, "noisy": hopper_published_noisy}[item["kind"]](threads=1)
-    return made.using(transitions=10 * size.transitions if item.get("method") == "dropo, all data" else size.transitions), MEAN[None]
+    return made.using(
+        transitions=10 * size.transitions
+        if item.get("method") == "dropo, all data"
+        else size.transitions
+    ), MEAN[None]
 
 
 def at_hand() -> bool:
@@ -52,7 +58,13 @@ def at_hand() -> bool:
 def estimator(method: str, size: Size) -> Estimator:
     """The method of that name in the studies' tables, with its defaults."""
     draws, budget, _ = size.published
-    as_published: dict[str, Any] = {"likelihood": "monte-carlo", "optimizer": "cma-es", "start": "middle", "draws": draws, "budget": budget}
+    as_published: dict[str, Any] = {
+        "likelihood": "monte-carlo",
+        "optimizer": "cma-es",
+        "start": "middle",
+        "draws": draws,
+        "budget": budget,
+    }
     methods: dict[str, tuple[Callable[..., Estimator], dict[str, Any]]] = {
         "dropo": (DROPO, {}),
         "dropo, all data": (DROPO, {}),
@@ -68,62 +80,103 @@ def estimator(method: str, size: Size) -> Estimator:
 
 
 def fitted(item: Item) -> dict[str, Any]:
-    """The item's `method` on its data: what the fit found, its cost on one thread, and the mean and sd of the masses drawn."""
+    """The item's `method` on its data: what the fit found, its cost on one thread, and the mean and
+    sd of the masses drawn.
+    """
     (problem, drawn), size = problem_of(item), Size(**item["size"])
     if item["method"] == "dropo, published":
         problem = every(size.published[2], problem)
     fit = estimator(item["method"], size).fit(problem, rng=item.get("start", 0))
-    return {**found(fit), "drawn_mean": drawn.mean(axis=0).tolist(), "drawn_sd": drawn.std(axis=0).tolist()}
+    return {
+        **found(fit),
+        "drawn_mean": drawn.mean(axis=0).tolist(),
+        "drawn_sd": drawn.std(axis=0).tolist(),
+    }
 
 
 def found(fit: Fit) -> dict[str, Any]:
     """What the tables keep of a fit."""
     with np.errstate(invalid="ignore", divide="ignore"):
         sd_se = fit.scale_se * np.where(fit.scale > 0, fit.sd / fit.scale, np.nan)
-    arrays = {"mean": fit.mean, "mean_se": fit.mean_se, "sd": fit.sd, "sd_se": sd_se, "scale": fit.scale, "epsilon": fit.epsilon}
+    arrays = {
+        "mean": fit.mean,
+        "mean_se": fit.mean_se,
+        "sd": fit.sd,
+        "sd_se": sd_se,
+        "scale": fit.scale,
+        "epsilon": fit.epsilon,
+    }
     return {
-        **{name: array.tolist() for name, array in arrays.items()}, "log_likelihood": fit.log_likelihood, "mse": fit.mse,
-        "steps": fit.simulator_steps, "evaluations": fit.objective_evaluations, "seconds": fit.wall_time_s, "status": fit.status.value,
+        **{name: array.tolist() for name, array in arrays.items()},
+        "log_likelihood": fit.log_likelihood,
+        "mse": fit.mse,
+        "steps": fit.simulator_steps,
+        "evaluations": fit.objective_evaluations,
+        "seconds": fit.wall_time_s,
+        "status": fit.status.value,
         "certified": fit.details.get("certified", []),
-    }  # fmt: skip
+    }
 
 
 def compared(item: Item) -> dict[str, Any]:
-    """Log-likelihoods [nats] of `laws` {name: [mean, sd]} on the item's data, by the emulator around the first of them.
+    """Log-likelihoods [nats] of `laws` {name: [mean, sd]} on the item's data, by the emulator
+    around the first of them.
 
-    exact: of the emulator, without sampling; simulator, emulator: both at the same `draws` draws of the law.
+    exact: of the emulator, without sampling; simulator, emulator: both at the same `draws` draws of
+    the law.
     """
     problem, _ = problem_of(item)
-    family, rng = TruncatedGaussian(problem.space), np.random.default_rng(0)
-    members = {name: distribution(family, *map(np.array, values)) for name, values in item["laws"].items()}
+    family = TruncatedGaussian(problem.space)
+    rng = np.random.default_rng(0)
+    members = {
+        name: distribution(family, *map(np.array, values)) for name, values in item["laws"].items()
+    }
     phis = list(members.values())
     centre = family.mean(phis[0])
     reach = [np.maximum(family.scale(phi), np.abs(family.mean(phi) - centre)) for phi in phis]
     width = np.clip(np.max(reach, axis=0), 5e-5 * (problem.space.high - problem.space.low), None)
     assert problem.epsilon is not None
-    local = Emulated().linearize_at(problem.simulator, problem.segments, family, problem.epsilon, centre, width, rng)
+    local = Emulated().linearize_at(
+        problem.simulator, problem.segments, family, problem.epsilon, centre, width, rng
+    )
     base = family.base(Size(**item["size"]).draws, rng)
-    targets, gaussian = problem.simulator.targets(problem.segments), Gaussian(base.shape[1])
+    targets = problem.simulator.targets(problem.segments)
+    gaussian = Gaussian(base.shape[1])
     out = {}
     for name, phi in members.items():
         values = family.draw(phi, base)
-        both = {"simulator": problem.simulator.predict(values, problem.segments), "emulator": local.predict(values)}
-        sampled = {way: float(gaussian.log_density(made, targets, problem.epsilon).sum()) for way, made in both.items()}
+        both = {
+            "simulator": problem.simulator.predict(values, problem.segments),
+            "emulator": local.predict(values),
+        }
+        sampled = {
+            way: float(gaussian.log_density(made, targets, problem.epsilon).sum())
+            for way, made in both.items()
+        }
         out[name] = {"exact": float(local(phi)), **sampled}
     return out
 
 
 def distribution(family: TruncatedGaussian, mean: Array, sd: Array) -> Array:
-    """phi of the truncated Gaussian of that mean and standard deviation; the least scale where it is below."""
+    """phi of the truncated Gaussian of that mean and standard deviation; the least scale where it
+    is below.
+    """
     share = family.sd(family.phi(mean, family.unknowns.high[4:])) / family.unknowns.high[4:]
     return family.phi(mean, sd / share)
 
 
 def judged(item: Item) -> dict[str, Any]:
-    """The thesis' log-likelihood [nats] of `laws` {name: [mean, sd]} on the item's data: each from `draws` simulations."""
+    """The thesis' log-likelihood [nats] of `laws` {name: [mean, sd]} on the item's data: each from
+    `draws` simulations.
+    """
     problem, _ = problem_of(item)
     family = TruncatedGaussian(problem.space)
     assert problem.epsilon is not None
     gaussian = Gaussian(Size(**item["size"]).draws)
-    objective = gaussian.bind(problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0))
-    return {name: objective(distribution(family, *map(np.array, values))) for name, values in item["laws"].items()}
+    objective = gaussian.bind(
+        problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0)
+    )
+    return {
+        name: objective(distribution(family, *map(np.array, values)))
+        for name, values in item["laws"].items()
+    }

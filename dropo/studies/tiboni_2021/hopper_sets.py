@@ -1,4 +1,6 @@
-"""The data sets of the thesis' tables 6.1 to 6.3, drawn anew from a seed, and what the thesis found on its own."""
+"""The data sets of the thesis' tables 6.1 to 6.3, drawn anew from a seed, and what the thesis found
+on its own.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -12,7 +14,11 @@ from dropo.problems.hopper.problem import NOISE, hopper_problem
 
 MASSES = ("m1", "m2", "m3", "m4")  # torso, thigh, leg, foot
 MEAN = np.array(list(TRUTH.values()))  # [kg]
-SPREAD = {"6.1": np.zeros(4), "6.2": np.array([0.5, 1e-5, 1e-5, 1e-5]), "6.3": np.array([1e-5, 0.25, 0.25, 0.25])}  # [kg]
+SPREAD = {
+    "6.1": np.zeros(4),
+    "6.2": np.array([0.5, 1e-5, 1e-5, 1e-5]),
+    "6.3": np.array([1e-5, 0.25, 0.25, 0.25]),
+}  # [kg]
 EPSILON = {"clean": 1e-8, "noisy": NOISE}
 BLOCK = 10  # transitions under one draw of the masses
 PUBLISHED_STEPS = 5000 * 100 * 1000 * 4  # evaluations x K x transitions x physics steps
@@ -23,13 +29,28 @@ THESIS: dict[tuple[str, str, str], tuple[tuple[float, ...], tuple[float, ...]]] 
     ("6.1", "noisy", "dropo"): ((3.534, 3.927, 2.714, 5.089), (1.0e-5,) * 4),
     ("6.1", "noisy", "droid"): ((3.534, 3.927, 2.714, 5.089), (1.2e-12, 2.4e-11, 2.0e-12, 1.2e-12)),
     ("6.2", "clean", "dropo"): ((3.524, 3.927, 2.714, 5.090), (0.478, 3.1e-4, 3.4e-4, 1.1e-5)),
-    ("6.2", "clean", "droid"): ((3.465, 3.925, 2.715, 5.097), (4.91e-10, 4.59e-10, 9.36e-10, 2.97e-10)),
-    ("6.2", "noisy", "dropo"): ((3.652, 3.926, 2.719, 5.096), (2.32e-12, 1.19e-11, 3.96e-11, 1.16e-11)),
-    ("6.2", "noisy", "droid"): ((3.664, 3.942, 2.722, 5.101), (6.07e-11, 5.99e-11, 2.51e-10, 4.74e-11)),
+    ("6.2", "clean", "droid"): (
+        (3.465, 3.925, 2.715, 5.097),
+        (4.91e-10, 4.59e-10, 9.36e-10, 2.97e-10),
+    ),
+    ("6.2", "noisy", "dropo"): (
+        (3.652, 3.926, 2.719, 5.096),
+        (2.32e-12, 1.19e-11, 3.96e-11, 1.16e-11),
+    ),
+    ("6.2", "noisy", "droid"): (
+        (3.664, 3.942, 2.722, 5.101),
+        (6.07e-11, 5.99e-11, 2.51e-10, 4.74e-11),
+    ),
     ("6.3", "clean", "dropo"): ((3.534, 3.873, 2.704, 5.083), (0.0004, 0.280, 0.259, 0.226)),
-    ("6.3", "clean", "droid"): ((3.531, 3.843, 2.741, 5.145), (4.91e-10, 4.59e-10, 9.36e-10, 2.97e-10)),
+    ("6.3", "clean", "droid"): (
+        (3.531, 3.843, 2.741, 5.145),
+        (4.91e-10, 4.59e-10, 9.36e-10, 2.97e-10),
+    ),
     ("6.3", "noisy", "dropo"): ((3.537, 3.912, 2.721, 5.105), (0.005, 0.242, 0.216, 0.237)),
-    ("6.3", "noisy", "droid"): ((3.544, 3.901, 2.711, 5.124), (1.01e-10, 2.52e-10, 4.04e-10, 6.93e-11)),
+    ("6.3", "noisy", "droid"): (
+        (3.544, 3.901, 2.711, 5.124),
+        (1.01e-10, 2.52e-10, 4.04e-10, 6.93e-11),
+    ),
 }
 """(table, data, method) -> the means and the scales [kg] that it prints."""
 
@@ -38,9 +59,10 @@ THESIS: dict[tuple[str, str, str], tuple[tuple[float, ...], tuple[float, ...]]] 
 class Size:
     """How large a study is; the defaults are the thesis' own, and what its text asks for.
 
-    transitions: of a data set, in two trajectories; seeds: data sets; starts: random starts of one fit; droid: evaluations;
-    draws: simulations of a law to compare likelihoods with; published: K, evaluations and the stride between transitions at
-    which the published method is run.
+    transitions: of a data set, in two trajectories; seeds: data sets; starts: random starts of one
+    fit; droid: evaluations;
+    draws: simulations of a law to compare likelihoods with; published: K, evaluations and the
+    stride between transitions at which the published method is run.
     """
 
     transitions: int = 1000
@@ -55,14 +77,22 @@ FULL = Size()
 
 
 def data_set(table: str, kind: str, seed: int, transitions: int = 1000) -> tuple[Problem, Array]:
-    """The problem, and the masses (B, 4) [kg] behind its data: other ones every 10 transitions, or the truth in table 6.1."""
+    """The problem, and the masses (B, 4) [kg] behind its data: other ones every 10 transitions, or
+    the truth in table 6.1.
+    """
     noise = NOISE if kind == "noisy" else 0.0
     masses = lambda rng, blocks: MEAN + SPREAD[table] * rng.standard_normal((blocks, 4))
     drawn = {} if table == "6.1" else {"masses": masses, "block": BLOCK}
     data, sample = simulate(transitions // 2, 2, rng=seed, noise_variance=noise, **drawn)  # type: ignore[arg-type]
-    return hopper_problem(f"table {table}, {kind}, data set {seed}", data, EPSILON[kind], threads=1), sample
+    return hopper_problem(
+        f"table {table}, {kind}, data set {seed}", data, EPSILON[kind], threads=1
+    ), sample
 
 
 def every(stride: int, problem: Problem) -> Problem:
     """The problem with every so-many-th transition alone."""
-    return replace(problem, trajectories=problem.trajectories.rows(np.arange(0, len(problem.trajectories), stride)), everything=None)
+    return replace(
+        problem,
+        trajectories=problem.trajectories.rows(np.arange(0, len(problem.trajectories), stride)),
+        everything=None,
+    )

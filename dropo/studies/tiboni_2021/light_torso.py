@@ -1,4 +1,6 @@
-"""Laws of the hopper's masses found with a torso 1 kg too light, and policies trained under them: the tasks of figure 6.3."""
+"""Laws of the hopper's masses found with a torso 1 kg too light, and policies trained under them:
+the tasks of figure 6.3.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,8 +24,12 @@ from dropo.studies.tiboni_2021 import hopper_fits
 from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size
 from dropo.studies.tiboni_2021.table_6_4 import EPSILONS, THESIS, light_torso
 
-TRUTH, EXTENDED, AS_IT_IS, UNIFORM = "the truth", "diagnosed and extended", "other masses true", "uniform randomization"
-PUBLISHED, TUNED = "dropo, epsilon 1e-03", "dropo, tuned epsilon"
+TRUTH = "the truth"
+EXTENDED = "diagnosed and extended"
+AS_IT_IS = "other masses true"
+UNIFORM = "uniform randomization"
+PUBLISHED = "dropo, epsilon 1e-03"
+TUNED = "dropo, tuned epsilon"
 FITTED = (PUBLISHED, TUNED, "droid", "least squares")
 LAWS = (TRUTH, EXTENDED, *FITTED, *THESIS, AS_IT_IS, UNIFORM)
 BOUNDS_SEED = 63
@@ -32,7 +38,9 @@ Item = dict[str, Any]
 
 @dataclass(frozen=True)
 class Training:
-    """updates: of augmented random search; episodes: in which a policy is judged on the target; steps: of an episode."""
+    """updates: of augmented random search; episodes: in which a policy is judged on the target;
+    steps: of an episode.
+    """
 
     updates: int = 100
     episodes: int = 100
@@ -51,9 +59,11 @@ def estimator(method: str, droid: int) -> Estimator:
 
 
 def found(item: Item) -> dict[str, Any]:
-    """The `law` by its name: family and phi, mean and sd of the masses [kg], what a diagnosis added, and what all that cost.
+    """The `law` by its name: family and phi, mean and sd of the masses [kg], what a diagnosis
+    added, and what all that cost.
 
-    Of the data ("authors' data" or "6.1") the first `transitions` are fitted; droid: its evaluations; number: of the uniform bounds.
+    Of the data ("authors' data" or "6.1") the first `transitions` are fitted; droid: its
+    evaluations; number: of the uniform bounds.
     """
     name = item["law"]
     if name == TRUTH:
@@ -66,14 +76,20 @@ def found(item: Item) -> dict[str, Any]:
         return {"law": name, **_kept(estimator(name, item["droid"]).fit(light, rng=0))}
     if name == UNIFORM:
         low, high = random_bounds(light, item["number"] + 1, np.random.default_rng(BOUNDS_SEED))[-1]
-        return {"law": name, "number": item["number"], **_laid_down(light, "uniform", (low + high) / 2, (high - low) / 2)}
+        return {
+            "law": name,
+            "number": item["number"],
+            **_laid_down(light, "uniform", (low + high) / 2, (high - low) / 2),
+        }
     if name == AS_IT_IS:
         return {"law": name, **_laid_down(light, "point", MEAN[1:])}
     mean, scale = (np.array(values) for values in THESIS[name])
     return {"law": name, **_laid_down(light, "truncated_gaussian", mean, scale)}
 
 
-def _laid_down(problem: Problem, family: str, mean: Array, scale: Array | None = None) -> dict[str, Any]:
+def _laid_down(
+    problem: Problem, family: str, mean: Array, scale: Array | None = None
+) -> dict[str, Any]:
     """A law that is not fitted."""
     phi = mean if scale is None else find("families", family)(problem.space).phi(mean, scale)
     return _kept(distribution(problem, "given", family, phi))
@@ -81,9 +97,14 @@ def _laid_down(problem: Problem, family: str, mean: Array, scale: Array | None =
 
 def _kept(fit: Any, more: int = 0) -> dict[str, Any]:
     return {
-        "family": fit.family, "phi": fit.phi.tolist(), "mean": fit.mean.tolist(), "sd": fit.sd.tolist(), "effects": [],
-        "epsilon": float(np.max(fit.epsilon)), "steps": fit.simulator_steps + more,
-    }  # fmt: skip
+        "family": fit.family,
+        "phi": fit.phi.tolist(),
+        "mean": fit.mean.tolist(),
+        "sd": fit.sd.tolist(),
+        "effects": [],
+        "epsilon": float(np.max(fit.epsilon)),
+        "steps": fit.simulator_steps + more,
+    }
 
 
 def _extended(light: Problem) -> dict[str, Any]:
@@ -92,9 +113,16 @@ def _extended(light: Problem) -> dict[str, Any]:
     fit = DROPO(epsilon="learn").fit(diagnosis.problem, rng=0)
     simulator = diagnosis.problem.simulator
     assert isinstance(simulator, MujocoSimulator)
-    effects = [[instance.effect, instance.label, sizes.tolist()] for instance, sizes in simulator.fixed]
+    effects = [
+        [instance.effect, instance.label, sizes.tolist()] for instance, sizes in simulator.fixed
+    ]
     kept = _kept(fit, diagnosis.simulator_steps)
-    return {**kept, "effects": effects, "verdict": diagnosis.verdict, "causes": [cause.sentence for cause in diagnosis.causes]}
+    return {
+        **kept,
+        "effects": effects,
+        "verdict": diagnosis.verdict,
+        "causes": [cause.sentence for cause in diagnosis.causes],
+    }
 
 
 def whole() -> Problem:
@@ -103,31 +131,53 @@ def whole() -> Problem:
 
 
 def machine(effects: list[list[Any]]) -> Problem:
-    """The model with the torso too light, and with the effects that a diagnosis added: [effect, label, sizes] of each."""
+    """The model with the torso too light, and with the effects that a diagnosis added: [effect,
+    label, sizes] of each.
+    """
     light = light_torso(hopper_fits.item("6.1", "clean", 0, Size(transitions=2)))
     simulator = light.simulator
     assert isinstance(simulator, MujocoSimulator)
-    instances = [{instance.label: instance for instance in find("effects", effect)(simulator.effect_context)}[label] for effect, label, _ in effects]
-    fixed = [(instance, np.array(sizes)) for instance, (_, _, sizes) in zip(instances, effects, strict=True)]
+    instances = [
+        {
+            instance.label: instance
+            for instance in find("effects", effect)(simulator.effect_context)
+        }[label]
+        for effect, label, _ in effects
+    ]
+    fixed = [
+        (instance, np.array(sizes))
+        for instance, (_, _, sizes) in zip(instances, effects, strict=True)
+    ]
     return replace(light, simulator=simulator.with_effects((), fixed))
 
 
 def trained(item: Item) -> dict[str, Any]:
-    """A policy trained from the item's seed under its `law`, and its returns on the target; no noise on what policies see.
+    """A policy trained from the item's seed under its `law`, and its returns on the target; no
+    noise on what policies see.
 
-    Policies of the same seed share their search directions and, all of them, the target's starts. in_training: the best trial's mean return
-    under the law itself; upright: the share of the target's episodes that do not end early.
+    Policies of the same seed share their search directions and, all of them, the target's starts.
+    in_training: the best trial's mean return under the law itself; upright: the share of the
+    target's episodes that do not end early.
     """
     from dropo import ARS, evaluate, train
 
-    size, target = Training(**item["training"]), whole()
+    size = Training(**item["training"])
+    target = whole()
     model = target if item["law"] == TRUTH else machine(item["effects"])
     drawn = distribution(model, item["law"], item["family"], np.array(item["phi"]))
-    policy = train(model, drawn, ARS(updates=size.updates), noise=0.0, steps=size.steps, rng=item["seed"])
+    policy = train(
+        model, drawn, ARS(updates=size.updates), noise=0.0, steps=size.steps, rng=item["seed"]
+    )
     played = evaluate(policy, target, episodes=size.episodes, steps=size.steps, noise=0.0, rng=0)
     trials = np.array(policy.about["history"])[:, 2]
     return {
-        "law": item["law"], "number": item["number"], "seed": item["seed"], "return": played.mean, "error": played.standard_error,
-        "upright": float(np.mean(played.lengths == played.steps)), "in_training": float(trials.max()),
-        "control_steps": policy.about["control_steps"], "broken": policy.about["failed_simulations"],
-    }  # fmt: skip
+        "law": item["law"],
+        "number": item["number"],
+        "seed": item["seed"],
+        "return": played.mean,
+        "error": played.standard_error,
+        "upright": float(np.mean(played.lengths == played.steps)),
+        "in_training": float(trials.max()),
+        "control_steps": policy.about["control_steps"],
+        "broken": policy.about["failed_simulations"],
+    }

@@ -1,4 +1,6 @@
-"""Pushing: policies that push a box to a goal, for the distributions that each method finds, on a target that is another simulation."""
+"""Pushing: policies that push a box to a goal, for the distributions that each method finds, on a
+target that is another simulation.
+"""
 
 import time
 from dataclasses import asdict, dataclass
@@ -33,24 +35,42 @@ from dropo.studies.tiboni_2021.transfer import (
     cost,
     data_set,
     differences,
+    distribution,
     draw,
     estimator,
     found,
     items,
-    distribution,
     verdict,
 )
 
-NEAR, SHIFT = 0.02, 0.005  # [m]
+# [m]
+NEAR = 0.02
+SHIFT = 0.005
 THESIS = {
-    "thesis, dropo": {"box_mass": "1.065", "friction_x": "0.387", "friction_y": "0.921", "com_x": "0.012", "com_y": "-0.032"},
-    "thesis, droid": {"box_mass": "0.826", "friction_x": "0.444", "friction_y": "0.665", "com_x": "-0.028", "com_y": "-0.028"},
+    "thesis, dropo": {
+        "box_mass": "1.065",
+        "friction_x": "0.387",
+        "friction_y": "0.921",
+        "com_x": "0.012",
+        "com_y": "-0.032",
+    },
+    "thesis, droid": {
+        "box_mass": "0.826",
+        "friction_x": "0.444",
+        "friction_y": "0.665",
+        "com_x": "-0.028",
+        "com_y": "-0.028",
+    },
 }
 """Table 6.6: means on its real robot, whose bolts were on the other side."""
-POLICY = ParameterSpace((
-    Parameter("aim", -0.05, 0.05, "m"), Parameter("by_turn", -0.3, 0.3, "m"), Parameter("by_side", -1.5, 1.5),
-    Parameter("short", -0.02, 0.02, "m"),
-))  # fmt: skip
+POLICY = ParameterSpace(
+    (
+        Parameter("aim", -0.05, 0.05, "m"),
+        Parameter("by_turn", -0.3, 0.3, "m"),
+        Parameter("by_side", -1.5, 1.5),
+        Parameter("short", -0.02, 0.02, "m"),
+    )
+)
 STARTS = np.array([0.005, 0.005, 0.05])  # sd [m, m, rad] of where the box stands at first
 SEEN = 1e-3  # [m, rad] sd of the noise with which a policy sees the box
 STEPS = 300  # control steps of 10 ms
@@ -58,9 +78,11 @@ STEPS = 300  # control steps of 10 ms
 
 @dataclass(frozen=True)
 class Size:
-    """transitions: of a data set; fits: data sets, and so fits of each method; bounds: runs of uniform randomization, which take its
-    ten bounds in turn; droid, published: evaluations of DROID and of the method as published; draws: of a distribution in each
-    evaluation of a policy; evaluations: of policies in a search; trials: of each policy on the target."""
+    """transitions: of a data set; fits: data sets, and so fits of each method; bounds: runs of
+    uniform randomization, which take its ten bounds in turn; droid, published: evaluations of
+    DROID and of the method as published; draws: of a distribution in each evaluation of a
+    policy; evaluations: of policies in a search; trials: of each policy on the target.
+    """
 
     transitions: int = 1050
     fits: int = 5
@@ -75,33 +97,61 @@ class Size:
 FULL = Size()
 
 
-def pushing_study(work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL) -> Study:
-    """Table 6.6 and figure 6.10, simulation against simulation: a box' centre of mass found, and the box pushed 24 cm on the target."""
+def pushing_study(
+    work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
+) -> Study:
+    """Table 6.6 and figure 6.10, simulation against simulation: a box' centre of mass found, and
+    the box pushed 24 cm on the target.
+    """
     fits = size.fits if seeds is None else seeds
     runs = work.map(pushed, items(fits, size.bounds, asdict(size), published=published))
-    tables = (comparison(runs, NEAR, rewards=False), differences(runs), found(runs, pushing(1), THESIS), cost(runs))
+    tables = (
+        comparison(runs, NEAR, rewards=False),
+        differences(runs),
+        found(runs, pushing(1), THESIS),
+        cost(runs),
+    )
     remarks = (
         *verdict(runs, NEAR),
         _centre(runs),
-        f"A run is a fit and its policy, tried {size.trials} times from boxes that stand a little elsewhere; a policy's actions are joint"
-        " accelerations, and its four numbers are those of least expected distance over the distribution, by CMA-ES.",
-        "The target's bolts move its box' centre of mass by 3 cm; besides, they change its inertia and its height, the arm's gains are"
+        f"A run is a fit and its policy, tried {size.trials} times from boxes that stand a "
+        "little elsewhere; a policy's actions are joint"
+        " accelerations, and its four numbers are those of least expected distance over "
+        "the distribution, by CMA-ES.",
+        "The target's bolts move its box' centre of mass by 3 cm; besides, they change its "
+        "inertia and its height, the arm's gains are"
         " others, and its sensors have noise, which no model here has.",
-        *([f"As published: K = {DRAWS}, epsilon {EPSILON:.0e}, CMA-ES with {size.published} evaluations."] if published else []),
+        *(
+            [
+                (
+                    f"As published: K = {DRAWS}, epsilon {EPSILON:.0e}, CMA-ES with "
+                    f"{size.published} evaluations."
+                )
+            ]
+            if published
+            else []
+        ),
     )
     title = f"Pushing: a box pushed {100 * GOAL:.0f} cm ahead, {fits} data sets"
-    return Study("pushing", title, tables, remarks, {"runs": runs}, lambda figure: draw(figure, runs))
+    return Study(
+        "pushing", title, tables, remarks, {"runs": runs}, lambda figure: draw(figure, runs)
+    )
 
 
 def _centre(runs: list[dict[str, Any]]) -> str:
     place = list(TRUTH).index("com_y")
     errors = np.abs(by_method(runs, "mean")["dropo"][:, place] - TRUTH["com_y"])
     within = "within" if errors.max() <= SHIFT else "not within"
-    return f"DROPO finds the centre of mass, {1000 * TRUTH['com_y']:.0f} mm aside, to {1000 * errors.max():.2g} mm at worst: {within} 5 mm."
+    return (
+        f"DROPO finds the centre of mass, {1000 * TRUTH['com_y']:.0f} mm aside, to "
+        f"{1000 * errors.max():.2g} mm at worst: {within} 5 mm."
+    )
 
 
 def pushed(item: Item) -> dict[str, Any]:
-    """The item's distribution, its policy, and how far from the goal the target's box stops in every trial."""
+    """The item's distribution, its policy, and how far from the goal the target's box stops in
+    every trial.
+    """
     size = Size(**item["size"])
     problem = pushing(1, data_set(item)).using(transitions=size.transitions)
     values, kept = distribution(item, problem, estimator(item, DRAWS, EPSILON), size.draws)
@@ -112,33 +162,62 @@ def pushed(item: Item) -> dict[str, Any]:
     trials = np.tile(numbers, (size.trials, 1))
     distances = ends(target_model(), trials, {}, np.random.default_rng([8, item["number"]]))
     return {
-        "method": item["method"], "number": item["number"], **kept, "policy": numbers.tolist(), "distances": distances.tolist(),
-        "policy_steps": steps, "policy_seconds": seconds,
-    }  # fmt: skip
+        "method": item["method"],
+        "number": item["number"],
+        **kept,
+        "policy": numbers.tolist(),
+        "distances": distances.tolist(),
+        "policy_steps": steps,
+        "policy_seconds": seconds,
+    }
 
 
 def policy(values: Array, size: Size, rng: np.random.Generator) -> tuple[Array, int]:
-    """The policy's numbers (4,) of least expected distance under parameter vectors (K, d), and the simulator steps that it took."""
+    """The policy's numbers (4,) of least expected distance under parameter vectors (K, d), and the
+    simulator steps that it took.
+    """
     own = values[np.arange(size.draws) % len(values)]
     model, fields = fields_of(pushing_simulator(1), own)
     randomness, search = rng.spawn(2)
     seed = int(randomness.integers(2**63))  # every policy meets the same starts and the same noise
-    optimizer, made = find("optimizers", "cma-es")(len(POLICY), search, restarts=0), 0
+    optimizer = find("optimizers", "cma-es")(len(POLICY), search, restarts=0)
+    made = 0
     while made < size.evaluations:
         points = optimizer.ask()
         numbers = np.repeat(POLICY.from_unit(points), size.draws, axis=0)
-        each = {name: np.tile(array, (len(points), *(1,) * (array.ndim - 1))) for name, array in fields.items()}
+        each = {
+            name: np.tile(array, (len(points), *(1,) * (array.ndim - 1)))
+            for name, array in fields.items()
+        }
         distances = ends(model, numbers, each, np.random.default_rng(seed), same=size.draws)
         optimizer.tell(points, distances.reshape(len(points), -1).mean(axis=1))
         made += len(points)
     return POLICY.from_unit(optimizer.best[0]), made * size.draws * STEPS * FRAME_SKIP
 
 
-def ends(model: mujoco.MjModel, numbers: Array, fields: dict[str, Array], rng: np.random.Generator, *, same: int | None = None) -> Array:
-    """(n,) distances [m] of boxes to the goal after policies (n, 4); 1 m where a simulation diverged. same: starts repeat after so many."""
+def ends(
+    model: mujoco.MjModel,
+    numbers: Array,
+    fields: dict[str, Array],
+    rng: np.random.Generator,
+    *,
+    same: int | None = None,
+) -> Array:
+    """(n,) distances [m] of boxes to the goal after policies (n, 4); 1 m where a simulation
+    diverged. same: starts repeat after so many.
+    """
     count = len(numbers)
     starts = np.resize(STARTS * rng.standard_normal((same or count, 3)), (count, 3))
     place = model.body("box").pos[:2]
-    runs = drive(model, Pusher(numbers, place), starts, STEPS, frame_skip=FRAME_SKIP, noise=SEEN, fields=fields, rng=rng)
+    runs = drive(
+        model,
+        Pusher(numbers, place),
+        starts,
+        STEPS,
+        frame_skip=FRAME_SKIP,
+        noise=SEEN,
+        fields=fields,
+        rng=rng,
+    )
     last = boxes_of(runs.states[:, -1])
     return np.nan_to_num(np.hypot(last[:, 0] - place[0] - GOAL, last[:, 1] - place[1]), nan=1.0)

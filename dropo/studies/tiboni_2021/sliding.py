@@ -1,4 +1,6 @@
-"""Sliding: policies that hit a puck to goals, for the distributions that each method finds, on a target that is another simulation."""
+"""Sliding: policies that hit a puck to goals, for the distributions that each method finds, on a
+target that is another simulation.
+"""
 
 import time
 from dataclasses import asdict, dataclass
@@ -8,7 +10,18 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from dropo.core.services.validation import Array
-from dropo.problems.panda.sliding import DRAWS, EPSILON, GOALS, STEPS, TRUTH, reward, sliding, sliding_simulator, sliding_target, stops
+from dropo.problems.panda.sliding import (
+    DRAWS,
+    EPSILON,
+    GOALS,
+    STEPS,
+    TRUTH,
+    reward,
+    sliding,
+    sliding_simulator,
+    sliding_target,
+    stops,
+)
 from dropo.problems.panda.strikes import LIMIT
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.engine.study import Study
@@ -20,27 +33,39 @@ from dropo.studies.tiboni_2021.transfer import (
     cost,
     data_set,
     differences,
+    distribution,
     draw,
     estimator,
     found,
     items,
-    distribution,
     verdict,
 )
 
 NEAR = 0.05  # [m]
 THESIS = {
-    "thesis, dropo": {"puck_mass": "0.111", "friction_x": "0.349", "friction_y": "0.231", "contact_time": "0.019"},
-    "thesis, droid": {"puck_mass": "0.100", "friction_x": "0.334", "friction_y": "0.226", "contact_time": "0.019"},
+    "thesis, dropo": {
+        "puck_mass": "0.111",
+        "friction_x": "0.349",
+        "friction_y": "0.231",
+        "contact_time": "0.019",
+    },
+    "thesis, droid": {
+        "puck_mass": "0.100",
+        "friction_x": "0.334",
+        "friction_y": "0.226",
+        "contact_time": "0.019",
+    },
 }
 """Table 6.5: means on its real robot."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """transitions: of a data set, 375 a hit; fits: data sets, and so fits of each method; bounds: of uniform randomization; droid,
-    published: evaluations of DROID and of the method as published; draws: of a distribution for its policy; grid: latents along
-    each axis that it is looked for on."""
+    """transitions: of a data set, 375 a hit; fits: data sets, and so fits of each method; bounds:
+    of uniform randomization; droid, published: evaluations of DROID and of the method as
+    published; draws: of a distribution for its policy; grid: latents along each axis that it is
+    looked for on.
+    """
 
     transitions: int = 5 * STEPS
     fits: int = 3
@@ -54,21 +79,43 @@ class Size:
 FULL = Size()
 
 
-def sliding_study(work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL) -> Study:
-    """Table 6.5 and figure 6.9, simulation against simulation: 18 parameters fitted, and goals that a puck is hit to on the target."""
+def sliding_study(
+    work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
+) -> Study:
+    """Table 6.5 and figure 6.9, simulation against simulation: 18 parameters fitted, and goals that
+    a puck is hit to on the target.
+    """
     fits = size.fits if seeds is None else seeds
     runs = work.map(slid, items(fits, size.bounds, asdict(size), published=published))
-    tables = (comparison(runs, NEAR), differences(runs), found(runs, sliding(1), THESIS), cost(runs))
+    tables = (
+        comparison(runs, NEAR),
+        differences(runs),
+        found(runs, sliding(1), THESIS),
+        cost(runs),
+    )
     remarks = (
         *verdict(runs, NEAR),
-        f"A run is a fit and its policy, over {len(GOALS)} goals; a policy is the hit, speed and direction, whose expected reward over the"
+        f"A run is a fit and its policy, over {len(GOALS)} goals; a policy is the hit, "
+        "speed and direction, whose expected reward over the"
         " distribution is highest, for each goal.",
-        "The target has numbers of its own for all 18 parameters; besides, its board is uneven, its puck is seen 12 ms late, and its"
+        "The target has numbers of its own for all 18 parameters; besides, its board is "
+        "uneven, its puck is seen 12 ms late, and its"
         " sensors have noise, which no model here has.",
-        *([f"As published: K = {DRAWS}, epsilon {EPSILON:.0e}, CMA-ES with {size.published} evaluations."] if published else []),
+        *(
+            [
+                (
+                    f"As published: K = {DRAWS}, epsilon {EPSILON:.0e}, CMA-ES with "
+                    f"{size.published} evaluations."
+                )
+            ]
+            if published
+            else []
+        ),
     )
     title = f"Sliding: a puck hit to {len(GOALS)} goals, {fits} data sets"
-    return Study("sliding", title, tables, remarks, {"runs": runs}, lambda figure: draw(figure, runs))
+    return Study(
+        "sliding", title, tables, remarks, {"runs": runs}, lambda figure: draw(figure, runs)
+    )
 
 
 def slid(item: Item) -> dict[str, Any]:
@@ -82,21 +129,38 @@ def slid(item: Item) -> dict[str, Any]:
     seconds = time.perf_counter() - begun
     distances = on_target(latents, GOALS)
     return {
-        "method": item["method"], "number": item["number"], **kept, "latents": latents.tolist(), "distances": distances.tolist(),
-        "rewards": reward(distances).tolist(), "policy_steps": simulator.steps, "policy_seconds": seconds,
-    }  # fmt: skip
+        "method": item["method"],
+        "number": item["number"],
+        **kept,
+        "latents": latents.tolist(),
+        "distances": distances.tolist(),
+        "rewards": reward(distances).tolist(),
+        "policy_steps": simulator.steps,
+        "policy_seconds": seconds,
+    }
 
 
 def policy(simulator: MujocoSimulator, values: Array, goals: Array, grid: int) -> Array:
-    """The latents (g, 2) of highest expected reward for goals (g, 2), under parameter vectors (K, d).
+    """The latents (g, 2) of highest expected reward for goals (g, 2), under parameter vectors (K,
+    d).
 
-    Where the puck stops is simulated on a grid of latents for each vector, with cubic splines between.
+    Where the puck stops is simulated on a grid of latents for each vector, with cubic splines
+    between.
     """
-    axis, fine = np.linspace(-LIMIT, LIMIT, grid), np.linspace(-LIMIT, LIMIT, 161)
+    axis = np.linspace(-LIMIT, LIMIT, grid)
+    fine = np.linspace(-LIMIT, LIMIT, 161)
     rough = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=2)
     ends = stops(simulator, values, rough.reshape(-1, 2)).reshape(len(values), grid, grid, 2)
-    between = np.array([[RectBivariateSpline(axis, axis, end[:, :, i])(fine, fine) for i in range(2)] for end in ends])
-    best = [np.unravel_index(np.argmax(_expected(between, goal)), (len(fine), len(fine))) for goal in goals]
+    between = np.array(
+        [
+            [RectBivariateSpline(axis, axis, end[:, :, i])(fine, fine) for i in range(2)]
+            for end in ends
+        ]
+    )
+    best = [
+        np.unravel_index(np.argmax(_expected(between, goal)), (len(fine), len(fine)))
+        for goal in goals
+    ]
     return fine[np.array(best)]
 
 

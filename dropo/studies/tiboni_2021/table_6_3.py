@@ -6,6 +6,10 @@ from dropo.studies.tiboni_2021.distribution_recovery import recovered
 from dropo.studies.tiboni_2021.hopper_sets import FULL, Size
 
 
-def table_6_3(work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL) -> Study:
-    """The spread of three masses recovered from 1000 transitions, without and with noise (thesis, table 6.3)."""
+def table_6_3(
+    work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
+) -> Study:
+    """The spread of three masses recovered from 1000 transitions, without and with noise (thesis,
+    table 6.3).
+    """
     return recovered("table-6.3", "6.3", work, seeds, published, size)
