@@ -9,9 +9,10 @@ import numpy as np
 from scipy import stats
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.dependence import Units, unit_sums, variance_of_sum
 from dropo.core.numerics.ridge_regression import ridge
 from dropo.core.numerics.robust_statistics import deviation
-from dropo.core.records.dependence import Units, unit_sums, units_of, variance_of_sum
+from dropo.core.records.independent_units import units_of
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.evaluation.features import Features, features_of

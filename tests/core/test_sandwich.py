@@ -5,8 +5,7 @@ each other.
 import numpy as np
 import pytest
 
-from dropo.core.numerics.robust_covariance import sandwich
-from dropo.core.records.dependence import (
+from dropo.core.numerics.dependence import (
     MANY,
     Units,
     independent,
@@ -14,6 +13,7 @@ from dropo.core.records.dependence import (
     units_of,
     variance_of_sum,
 )
+from dropo.core.numerics.robust_covariance import sandwich
 from dropo.core.records.trajectories import Trajectories
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.dependence import independent
+from dropo.core.numerics.dependence import independent
 from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, BadFile

@@ -10,7 +10,8 @@ import numpy as np
 
 from dropo.core.records.parameters import Parameter
 from dropo.core.records.trajectories import Segments
-from dropo.core.services.validation import Array
+from dropo.core.services.registry import find
+from dropo.core.services.validation import Array, known
 
 Model = Any  # a mujoco.MjModel
 
@@ -167,3 +168,16 @@ def magnitudes_of(
         np.arange(len(instances)), [len(instance.quantities) for instance in instances]
     )
     return [(instances[i], values[owner == i]) for i in np.unique(owner[values != 0]).tolist()]
+
+
+def instances_of(context: EffectContext, effect: str, place: str = "") -> list[EffectInstance]:
+    """An effect's atoms on a robot, at every place or at one.
+
+    Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
+    """
+    found = list(find("effects", effect)(context))
+    if not place:
+        return found
+    places = [instance.label.partition(":")[2] for instance in found]
+    known(f"place for {effect}", place, sorted({p for p in places if p}))
+    return [instance for instance, own in zip(found, places, strict=True) if own == place]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dropo.core.records.dependence import Units, variance_of_sum
+from dropo.core.numerics.dependence import Units, variance_of_sum
 from dropo.core.services.validation import Array
 
 SINGULAR = 1e-14  # of the largest eigenvalue of the scaled information

@@ -11,7 +11,6 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from dropo.core.contracts.effect import EffectContext, EffectInstance
 from dropo.core.services.validation import known
 
 _EFFECTS = (
@@ -181,16 +180,3 @@ def _outside(kind: str) -> dict[str, Any]:
 
 def _singular(kind: str) -> str:
     return {"families": "family", "studies": "study"}.get(kind, kind.removesuffix("s"))
-
-
-def instances_of(context: EffectContext, effect: str, place: str = "") -> list[EffectInstance]:
-    """An effect's atoms on a robot, at every place or at one.
-
-    Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
-    """
-    found = list(find("effects", effect)(context))
-    if not place:
-        return found
-    places = [instance.label.partition(":")[2] for instance in found]
-    known(f"place for {effect}", place, sorted({p for p in places if p}))
-    return [instance for instance, own in zip(found, places, strict=True) if own == place]

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.stats import norm
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.numerics.dependence import Units
 from dropo.core.numerics.robust_covariance import sandwich
-from dropo.core.records.dependence import Units
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.experiment import experiment

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.effect import EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.core.services.registry import instances_of, names
+from dropo.core.services.registry import names
 
 
 def instances_for(

@@ -12,10 +12,11 @@ from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LogLikelihood
 from dropo.core.contracts.local_likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.dependence import independent
 from dropo.core.numerics.linear_gaussian import scores_and_information
 from dropo.core.numerics.robust_covariance import sandwich
-from dropo.core.records.dependence import independent, units_of
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.independent_units import units_of
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.effect import EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadArgument
-from dropo.core.services.registry import instances_of
 from dropo.core.services.validation import Array, known, require
 from dropo.problems.hopper.problem import hopper_problem
 from dropo.problems.simulated.robots import MACHINES, machine, masses, problem_of

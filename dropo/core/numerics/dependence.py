@@ -1,13 +1,12 @@
-"""Which compared rows depend on each other, and how much a sum over them varies."""
+"""How much a sum over rows varies that depend on each other."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
 
-MANY = 20  # trajectories or groups from which their number is enough for errors clustered by them
 NEAR_ONE = (
     0.97  # the largest autoregression that is taken out before smoothing (Andrews and Monahan 1992)
 )
@@ -20,9 +19,9 @@ class Units:
     (R,) the rows by unit, then time; kind: their name.
     """
 
-    label: Ints
+    label: NDArray[np.int64]
     serial: bool
-    order: Ints
+    order: NDArray[np.int64]
     kind: str
 
     @property
@@ -34,39 +33,6 @@ class Units:
 def independent(rows: int) -> Units:
     """Every row a unit of its own."""
     return Units(np.arange(rows), False, np.arange(rows), "rows")
-
-
-def units_of(segments: Segments) -> Units:
-    """The units of the compared rows: trajectories that share no group, trajectories, or groups,
-    the first of them that are many; else the trajectories as series in time.
-    """
-    segment, step = segments.rows
-    trajectory = segments.trajectory[segment]
-    group = segments.group[segment]
-    named = segments.trajectories.group is not None
-    choices = [("trajectories", _joined(trajectory, group))] if named else []
-    choices += [("trajectories", trajectory)] + ([("groups", group)] if named else [])
-    time = segments.steps[segment, step]
-    for kind, label in choices:
-        dense = np.unique(label, return_inverse=True)[1]
-        if int(dense.max()) + 1 >= MANY:
-            return Units(dense, False, np.lexsort((time, dense)), kind)
-    dense = np.unique(trajectory, return_inverse=True)[1]
-    return Units(dense, True, np.lexsort((time, dense)), "time")
-
-
-def _joined(trajectory: Ints, group: Ints) -> Ints:
-    """(R,) the parts of the data that neither a trajectory nor a group crosses."""
-    label = np.unique(trajectory, return_inverse=True)[1]
-    while True:
-        by_group = np.full(int(group.max()) + 1, len(label))
-        np.minimum.at(by_group, group, label)
-        by_trajectory = np.full(int(trajectory.max()) + 1, len(label))
-        np.minimum.at(by_trajectory, trajectory, by_group[group])
-        new = by_trajectory[trajectory]
-        if np.array_equal(new, label):
-            return label
-        label = new
 
 
 def unit_sums(values: Array, units: Units) -> Array:
@@ -90,7 +56,7 @@ def variance_of_sum(values: Array, units: Units) -> tuple[Array, Array]:
     return sums.T @ sums * count / max(count - 1, 1), np.full(values.shape[1], max(count - 1, 1.0))
 
 
-def long_run(values: Array, series: Ints) -> tuple[Array, Array]:
+def long_run(values: Array, series: NDArray[np.int64]) -> tuple[Array, Array]:
     """The covariance of the sum of serially dependent rows (R, m) in time order, never across
     series (R,); and its degrees (m,).
 
@@ -121,7 +87,7 @@ def long_run(values: Array, series: Ints) -> tuple[Array, Array]:
     return smooth * np.outer(recolour, recolour), np.maximum(2 / relative, 1.0)
 
 
-def _autoregression(values: Array, follows: Ints) -> Array:
+def _autoregression(values: Array, follows: NDArray[np.int64]) -> Array:
     """(m,) first-order coefficients, corrected for their bias -(1 + 3 r) / R (Kendall 1954)."""
     now = values[follows]
     before = values[follows - 1]
@@ -130,7 +96,7 @@ def _autoregression(values: Array, follows: Ints) -> Array:
     return rho + (1 + 3 * rho) / len(follows)
 
 
-def _bandwidth(white: Array, follows: Ints, rows: int) -> float:
+def _bandwidth(white: Array, follows: NDArray[np.int64], rows: int) -> float:
     """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5) for the quadratic spectral kernel, alpha
     from autoregressions.
     """
