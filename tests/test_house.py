@@ -51,7 +51,7 @@ MAY_IMPORT = {
     },
     "training": {"core", "simulators", "problems", "data", ""},
     "plots": {"core"},
-    "report": {"core", "plots", ""},
+    "report": {"core", "diagnosis", "plots", ""},
     "cli": {
         "analysis",
         "core",

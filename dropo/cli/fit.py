@@ -112,6 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.cli.record import keep_for_report, run_record
     from dropo.core.contracts.fit_by_name import estimator_for
     from dropo.core.records.fit import Status
+    from dropo.core.records.fit_choices import ExcludedSpan, ExcludedSpans
     from dropo.core.services.evaluation_log import Journal
     from dropo.estimators.support.segment_length import ChooseHorizon
     from dropo.evaluation.predictions import predict
@@ -128,11 +129,9 @@ def run(arguments: argparse.Namespace) -> int:
     check_folder(arguments.out, record)
     journal = Journal(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
     fit = _fit(arguments, estimator, problem, journal)
-    fit = (
-        replace(fit, details={**fit.details, "disturbances": [span.to_json() for span in spans]})
-        if spans
-        else fit
-    )
+    if spans:
+        excluded = tuple(ExcludedSpan.from_json(span.to_json()) for span in spans)
+        fit = replace(fit, excluded=ExcludedSpans(excluded))
     if arguments.out:
         _save(arguments.out, fit, record)
         keep_for_report(arguments, predict(problem, fit))

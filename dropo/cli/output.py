@@ -88,10 +88,10 @@ def _draw(result: object) -> None:
     """
     from rich.console import Console
 
-    from dropo.core.services.tables import Printed, Table
+    from dropo.core.services.tables import Report, Table
 
     console = Console(file=sys.stdout)
-    for part in result.parts() if isinstance(result, Printed) else str(result).splitlines():
+    for part in result.parts() if isinstance(result, Report) else str(result).splitlines():
         if isinstance(part, Table):
             console.print(_rich(part))
         else:

@@ -9,12 +9,12 @@ import numpy as np
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Signal, Trajectories
-from dropo.core.services.tables import Printed, Table, number
+from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array, require
 
 
 @dataclass(frozen=True, repr=False)
-class Description(Printed):
+class Description(Report):
     """Numbers of the data: a table as text, and a dictionary."""
 
     transitions: int

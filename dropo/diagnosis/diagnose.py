@@ -15,14 +15,14 @@ from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.findings.causes import causes, suspects
-from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
-from dropo.diagnosis.findings.figures import pictures
+from dropo.diagnosis.findings.disturbances import LeftOut, left_out, outlier_runs
+from dropo.diagnosis.findings.figures import figure_data
 from dropo.diagnosis.findings.horizons import horizons
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.unexplained_forces import impulses
-from dropo.diagnosis.result import Diagnosis
+from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.library import instances_for
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.review import Review, review, together
@@ -119,7 +119,7 @@ class Diagnose:
         progress(0.0, "fitting the model as it is")
         first, last, reviews = _search(problem, library, selection, train, test, free)
         progress(0.9, "what remains")
-        rest = remaining(problem, library, last, selection.floor, generator)
+        rest, forces = remaining(problem, library, last, selection.floor, generator)
         fixed = [
             (instance, last.theta[library.places[instance.label]]) for instance in last.accepted
         ]
@@ -135,40 +135,36 @@ class Diagnose:
         chance = generator.spawn(1)[0]
         nominal, before, after = horizons(problem, library, thetas, last, chance)
         progress(0.95, "what the pictures show")
-        shown = pictures(library, selection, first, last, reviews, rest.force, len(instances))
+        wrong = not rest.calibrated
+        figures = figure_data(library, selection, first, last, reviews, forces, len(instances))
         moved = motion(problem, library, first, last)
+        steps = spent + library.simulator.steps
+        excluded: LeftOut | None = None
+        if quiet is not None:
+            excluded = left_out(quiet, horizons(whole, library, thetas, last, chance, [length]))
+        names = [signal.name for signal in simulator.signals]
         return Diagnosis(
-            problem.name,
-            _verdict(bool(found), rest.wrong or any(cause.acts_like for cause in found)),
-            found,
-            suspects(selection, last, len(instances)),
-            per_step(first),
-            per_step(last),
-            before,
-            after,
-            rest.to_json(),
-            extended,
-            dict(
-                zip(
-                    [s.name for s in simulator.signals],
-                    last.train.whiten.sigma.tolist(),
-                    strict=True,
-                )
-            ),
-            simulator_steps=spent + library.simulator.steps,
-            warnings=problem.warnings,
-            details={"window_steps": length},
-            nominal=nominal if len(free) else (),
-            undetermined=undetermined(library, last),
-            pictures=shown,
-            motion=moved,
+            name=problem.name,
+            verdict=_verdict(bool(found), wrong or any(cause.acts_like for cause in found)),
+            causes=found,
+            suspects=suspects(selection, last, len(instances)),
+            baseline=HeldOut(per_step(first), tuple(before)),
+            extended=HeldOut(per_step(last), tuple(after)),
+            remaining=rest,
+            problem=extended,
+            noise=dict(zip(names, last.train.whiten.sigma.tolist(), strict=True)),
+            window_steps=length,
+            nominal=tuple(nominal) if len(free) else (),
             parameters=dict(zip(problem.space.names, declared.tolist(), strict=True)),
-            disturbances=None
-            if quiet is None
-            else left_out(quiet, horizons(whole, library, thetas, last, chance, [length])),
+            undetermined=undetermined(library, last),
+            disturbances=excluded,
             outlier_runs=outlier_runs(problem, extended, declared)
-            if self.disturbances and rest.wrong
+            if self.disturbances and wrong
             else (),
+            figures=figures,
+            motion=moved,
+            warnings=problem.warnings,
+            simulator_steps=steps,
         )
 
     def baseline(self, problem: Problem) -> float:

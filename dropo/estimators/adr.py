@@ -14,9 +14,10 @@ from dropo.core.contracts.interactive_estimator import (
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.search_records import IntervalHistory
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
-from dropo.estimators.support.distribution_fit import judged
+from dropo.estimators.support.distribution_fit import evaluate_fit
 
 SIGNATURE = "(values, rng) -> float"
 
@@ -91,10 +92,9 @@ class ADR(InteractiveEstimator):
             family.phi((low + high) / 2, (high - low) / 2),
             status=status,
             message=message,
-            arrays={"bounds": np.array(history)},
-            details={"target_transitions": calls.transitions},
+            search_record=IntervalHistory(np.array(history), target_transitions=calls.transitions),
         )
-        return judged(problem, run, fit, self.draws, run.rng.spawn(1)[0])
+        return evaluate_fit(problem, run, fit, self.draws, run.rng.spawn(1)[0])
 
     def _performance(self, calls: Callbacks, values: Array) -> float:
         assert self.performance is not None

@@ -15,11 +15,12 @@ from dropo.core.contracts.interactive_estimator import (
 )
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.search_records import ReturnSearch
 from dropo.core.services.isolated_torch import alone
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
-from dropo.estimators.support.distribution_fit import judged
+from dropo.estimators.support.distribution_fit import evaluate_fit
 
 SIGNATURE = "(fit, rng) -> float"
 # of the search for the acquisition's highest point: starts, and candidates that they are taken from
@@ -38,7 +39,7 @@ class BayRn(InteractiveEstimator):
     expected improvement of a Gaussian process (BoTorch; extra `bo`). The fit is the tried law of
     the highest posterior mean, so that a lucky return does not win. It says nothing about which
     parameters the target has, only which law trained well. The problem's trajectories are not
-    fitted; draws: for their log-likelihood. Laws tried and returns are in `arrays`.
+    fitted; draws: for their log-likelihood. Distributions tried and returns are in `search_record`.
     """
 
     evaluate: Evaluate | None = None
@@ -96,10 +97,15 @@ class BayRn(InteractiveEstimator):
             distributions[int(expected.argmax())],
             status=status,
             message=message,
-            arrays={"laws": distributions, "returns": np.array(returns), "expected": expected},
-            details={"target_transitions": calls.transitions, "return": float(expected.max())},
+            search_record=ReturnSearch(
+                distributions,
+                np.array(returns),
+                expected,
+                float(expected.max()),
+                target_transitions=calls.transitions,
+            ),
         )
-        return judged(problem, run, fit, self.draws, run.rng.spawn(1)[0])
+        return evaluate_fit(problem, run, fit, self.draws, run.rng.spawn(1)[0])
 
     def _return(self, problem: Problem, calls: Callbacks, phi: Array) -> float:
         assert self.evaluate is not None

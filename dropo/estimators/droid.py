@@ -8,10 +8,12 @@ from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.maximize import maximize
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
+from dropo.core.records.search_records import DistanceSearch
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
-from dropo.estimators.support.summary import rounding, summarize
+from dropo.estimators.support.standard_errors import rounding
+from dropo.estimators.support.summary import summarize
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,5 +78,5 @@ class DROID(Estimator):
             mean_prediction=predicted,
             message=result.reason,
             status=result.status,
-            details={"squared_distance": -result.value},
+            search_record=DistanceSearch(-result.value),
         )

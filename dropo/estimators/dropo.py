@@ -1,6 +1,5 @@
-"""DROPO: the distribution of the parameters with the highest likelihood of the measured segments."""
+"""DROPO: the distribution of the parameters that makes the measured segments most likely."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,6 +15,7 @@ from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
 from dropo.core.records.fit import Fit
+from dropo.core.records.fit_parts import EmulatorCheck, StartFilter
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible, SimulationFailed
@@ -26,7 +26,7 @@ from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
 from dropo.estimators.support.filtered_starts import from_filtered_starts
 from dropo.estimators.support.sobol_start import best_sobol_point
 from dropo.estimators.support.summary import summarize
-from dropo.estimators.support.trust_region import Rounds
+from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
 from dropo.evaluation.emulator_check import certified_scales, paired_check
 
 SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
@@ -34,22 +34,47 @@ SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
 
 @dataclass(frozen=True, kw_only=True)
 class DROPO(Estimator):
-    """Maximises the log-likelihood of the segments over a family of distributions (Tiboni 2021,
-    chapter 5).
+    """Maximise the log-likelihood of the segments over a family of distributions.
 
-    As published: likelihood "monte-carlo" (K = `draws` = 100), family "truncated_gaussian",
-    optimizer "cma-es", `budget` of 5000 evaluations, start "middle". likelihood, family, optimizer:
-    names, or a Likelihood object; without an optimizer, Fisher scoring where the likelihood knows
-    its information, else "cma-es". epsilon: the noise variance, one or for each signal; "learn",
-    one for each signal found with the rest (sampled likelihoods: one factor on the variances that
-    least squares leaves); "tune", section 5.3: the smallest of `sweep` whose fit has a mean squared
-    error of at most `mse_threshold`; None, the problem's own where it names one, else "learn".
-    start_noise: whether the measured start states carry the noise too; degrees: of freedom of a
-    Student t in the Gaussian's place; None, as the problem says. start: the first mean, a
-    least-squares estimate, the middle of the box, or drawn from it (uniformly, in logarithms where
-    a parameter is searched so). starts: segments start from the measured states, or (local
-    likelihoods; noise on all measurements) from states that a Kalman filter makes of the
-    measurements up to them.
+    As published (Tiboni 2021, chapter 5): likelihood "monte-carlo" with 100 draws, family
+    "truncated_gaussian", optimizer "cma-es", a budget of 5000 evaluations, start "middle".
+
+    Attributes
+    ----------
+    likelihood : str or Likelihood
+        A name, or one with settings of its own.
+    family : str
+        The family of distributions.
+    optimizer : str or None
+        None: Fisher scoring where the likelihood knows its information, else "cma-es".
+    epsilon : float, tuple of float, "learn", "tune" or None
+        The noise variance, one or for each signal [signal unit^2]. "learn": one for each signal,
+        found with the rest (sampled likelihoods: one factor on the variances that least squares
+        leaves). "tune": the smallest of `sweep` whose fit has a mean squared error of at most
+        `mse_threshold` (section 5.3). None: the problem's own where it names one, else "learn".
+    draws : int or None
+        Of a sampled likelihood, for each transition in one evaluation.
+    budget : int
+        Evaluations of one search.
+    start : {"middle", "least-squares", "random"}
+        The first mean: the middle of the box, a least-squares estimate, or drawn from the box
+        (uniformly, in logarithms where a parameter is searched so).
+    sweep : tuple of float
+        The noise variances that "tune" tries.
+    mse_threshold : float or None
+        The largest mean squared error that "tune" accepts; None: 1.1 times the least of the sweep.
+    start_noise : bool or None
+        Whether the measured start states carry the noise too; None: as the problem says.
+    starts : {"measured", "filtered"}
+        Segments start from the measured states, or (local likelihoods; noise on all measurements)
+        from states that a Kalman filter makes of the measurements up to them.
+    degrees : float or None
+        The degrees of freedom of a Student t in the Gaussian's place; None: as the problem says.
+
+    References
+    ----------
+    G. Tiboni, "Towards safe and efficient transfer of robot policies from simulation to real
+    world", thesis, Politecnico di Torino, 2021.
     """
 
     likelihood: str | Likelihood = "emulated"
@@ -72,13 +97,8 @@ class DROPO(Estimator):
         if isinstance(self.epsilon, str):
             known("epsilon", self.epsilon, ("learn", "tune"))
         require(self.budget >= 1, "budget", "at least 1", self.budget, "DROPO")
-        require(
-            self.degrees is None or self.degrees > 2,
-            "degrees",
-            "above 2, to have a variance",
-            self.degrees,
-            "DROPO",
-        )
+        tails = self.degrees is None or self.degrees > 2
+        require(tails, "degrees", "above 2, to have a variance", self.degrees, "DROPO")
         require(
             self.draws is None or isinstance(self.likelihood, str),
             "draws",
@@ -86,43 +106,28 @@ class DROPO(Estimator):
             self.draws,
             "DROPO",
         )
-        self._likelihood()
+        self._make_likelihood()  # so that a wrong name is refused at once
 
-    def _likelihood(self) -> Likelihood:
+    # --- what is fitted: the likelihood, the noise, the first mean
+
+    def _make_likelihood(self) -> Likelihood:
+        """The likelihood that the settings name."""
         if not isinstance(self.likelihood, str):
             return self.likelihood
-        made = find("likelihoods", self.likelihood)
-        if self.draws is not None and "draws" not in getattr(made, "__dataclass_fields__", {}):
+        kind = find("likelihoods", self.likelihood)
+        if self.draws is None:
+            return kind()
+        if "draws" not in getattr(kind, "__dataclass_fields__", {}):
             raise Incompatible(
-                f"The likelihood {self.likelihood!r} draws nothing. Leave draws out, or "
-                "use 'monte-carlo'."
+                f"The likelihood {self.likelihood!r} draws nothing. Leave draws out, or use"
+                " 'monte-carlo'."
             )
-        return made() if self.draws is None else made(draws=self.draws)
+        return kind(draws=self.draws)
 
-    def _fit(self, problem: Problem, run: Run) -> Fit:
-        seeds = run.rng.integers(2**63, size=3)
-        if self.epsilon == "tune":
-            return tune(
-                lambda e: self._fit_with(problem, run, self._noise(problem, e), seeds),
-                self.sweep,
-                self.mse_threshold,
-                problem,
-                run,
-            )
-        given = problem.epsilon if self.epsilon is None else self.epsilon
-        if given is not None and not isinstance(given, str):
-            return self._fit_with(problem, run, self._noise(problem, given), seeds)
-        if isinstance(self._likelihood(), LocalLikelihood):
-            return self._fit_with(
-                problem, run, self._noise(problem, noise_scale(problem, run), "each"), seeds
-            )
-        return self._fit_with(
-            problem, run, self._noise(problem, noise_shape(problem, run), "factor"), seeds
-        )
-
-    def _noise(
+    def _make_noise(
         self, problem: Problem, variance: Any, learned: Literal["factor", "each"] | None = None
     ) -> Noise:
+        """The noise of that variance, or of learned factors on it."""
         start = problem.start_noise if self.start_noise is None else self.start_noise
         degrees = problem.noise_degrees if self.degrees is None else self.degrees
         return Noise(
@@ -132,39 +137,62 @@ class DROPO(Estimator):
             degrees=degrees,
         )
 
-    def _fit_with(self, problem: Problem, run: Run, noise: Noise, seeds: Ints) -> Fit:
-        family = find("families", self.family)(problem.space)
-        randomness, search, place = (np.random.default_rng(int(seed)) for seed in seeds)
-        likelihood = self._likelihood()
-        centre = self._centre(problem, run, place)
-        if isinstance(likelihood, LocalLikelihood):
-            return self._fit_locally(problem, run, family, likelihood, noise, centre, randomness)
-        if self.starts == "filtered":
-            raise Incompatible(
-                f"{self.likelihood!r} takes no filtered starts. Use 'emulated', 'linear' "
-                "or 'unscented'."
-            )
-        objective = likelihood.bind(problem.simulator, problem.segments, family, noise, randomness)
-        start = first_member(family, objective.unknowns, centre)
-        check_start(problem, run, family, start)
-        unit = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
-        optimizer = find("optimizers", self.optimizer or "cma-es")(
-            len(unit), search, start=unit, budget=self.budget
-        )
-        return self._summary(
-            problem, run, family, objective, maximize(objective, objective.unknowns, optimizer, run)
-        )
-
-    def _centre(self, problem: Problem, run: Run, rng: np.random.Generator) -> Array:
-        """(d,) the first mean."""
+    def _first_mean(self, problem: Problem, run: Run, rng: np.random.Generator) -> Array:
+        """(d,) where the search begins."""
+        space = problem.space
         if self.start == "least-squares":
             return estimate(problem, run).value
-        space = problem.space
-        return (
-            space.from_unit(rng.random(len(space)))
-            if self.start == "random"
-            else (space.low + space.high) / 2
+        if self.start == "random":
+            return space.from_unit(rng.random(len(space)))
+        return (space.low + space.high) / 2
+
+    # --- the fit
+
+    def _fit(self, problem: Problem, run: Run) -> Fit:
+        """With the noise that the settings ask for: swept, given, or learned with the rest."""
+        seeds = run.rng.integers(2**63, size=3)
+        if self.epsilon == "tune":
+
+            def fit_at(variance: float) -> Fit:
+                noise = self._make_noise(problem, variance)
+                return self._fit_with_noise(problem, run, noise, seeds)
+
+            return tune(fit_at, self.sweep, self.mse_threshold, problem, run)
+
+        given = problem.epsilon if self.epsilon is None else self.epsilon
+        if given is not None and not isinstance(given, str):
+            noise = self._make_noise(problem, given)
+        elif isinstance(self._make_likelihood(), LocalLikelihood):
+            noise = self._make_noise(problem, noise_scale(problem, run), "each")
+        else:
+            noise = self._make_noise(problem, noise_shape(problem, run), "factor")
+        return self._fit_with_noise(problem, run, noise, seeds)
+
+    def _fit_with_noise(self, problem: Problem, run: Run, noise: Noise, seeds: Ints) -> Fit:
+        """One fit; seeds: of the likelihood, of the optimizer, of a random start."""
+        likelihood_rng, optimizer_rng, start_rng = (np.random.default_rng(int(s)) for s in seeds)
+        family = find("families", self.family)(problem.space)
+        likelihood = self._make_likelihood()
+        mean = self._first_mean(problem, run, start_rng)
+        if isinstance(likelihood, LocalLikelihood):
+            return self._fit_locally(problem, run, family, likelihood, noise, mean, likelihood_rng)
+
+        # A sampled likelihood is searched as it is, over the whole box.
+        if self.starts == "filtered":
+            raise Incompatible(
+                f"{self.likelihood!r} takes no filtered starts. Use 'emulated', 'linear' or"
+                " 'unscented'."
+            )
+        objective = likelihood.bind(
+            problem.simulator, problem.segments, family, noise, likelihood_rng
         )
+        start = first_member(family, objective.unknowns, mean)
+        check_start(problem, run, family, start)
+        unit = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
+        kind = find("optimizers", self.optimizer or "cma-es")
+        optimizer = kind(len(unit), optimizer_rng, start=unit, budget=self.budget)
+        found = maximize(objective, objective.unknowns, optimizer, run)
+        return self._summarise(problem, run, family, objective, found)
 
     def _fit_locally(
         self,
@@ -173,50 +201,74 @@ class DROPO(Estimator):
         family: Family,
         likelihood: LocalLikelihood,
         noise: Noise,
-        centre: Array,
+        mean: Array,
         rng: np.random.Generator,
     ) -> Fit:
+        """The fit by a local likelihood, which is built again wherever its maximum is found."""
+        make_optimizer = self._local_optimizer(rng) if self.optimizer else None
+
+        def search(
+            problem: Problem, noise: Noise, mean: Array, width: Array | None = None
+        ) -> tuple[LocalLogLikelihood, SearchResult]:
+            iterations = OuterIterations(
+                problem, run, family, likelihood, noise, rng, make_optimizer
+            )
+            return iterations.fit(mean, width)
+
+        # Search from the first mean, or, where simulations around it diverge (most of the box may
+        # explode), from the point of the box that follows the measurements best.
+        try:
+            objective, found = search(problem, noise, mean)
+        except SimulationFailed:
+            objective, found = search(problem, noise, best_sobol_point(problem, run))
+
+        # Filter the start states at the estimate, and fit from there.
+        start_filter: StartFilter | None = None
+        if self.starts == "filtered":
+            problem, objective, found, start_filter = from_filtered_starts(
+                search, problem, run, family, noise, objective, found
+            )
+
+        # Hold the local model against the simulator at the fit.
+        checked, warnings = paired_check(problem, run, family, objective, found.point, rng)
+        return self._summarise(
+            problem,
+            run,
+            family,
+            objective,
+            found,
+            warnings=warnings,
+            emulator_check=EmulatorCheck.from_json(checked, {}),
+            start_filter=start_filter,
+            constant_parameters=tuple(certified_scales(family, objective, found.point)),
+        )
+
+    def _local_optimizer(self, rng: np.random.Generator) -> MakeOptimizer:
+        """What makes the optimizer inside each outer iteration."""
+        kind = find("optimizers", self.optimizer or "")
+
         def make(dimension: int, start: Array) -> Optimizer:
-            made: Optimizer = find("optimizers", self.optimizer or "")(
+            made: Optimizer = kind(
                 dimension, rng.spawn(1)[0], start=start, step=0.1, budget=self.budget
             )
             return made
 
-        optimizer = make if self.optimizer else None
-        seen = problem
-        details = dict[str, Any]()
-        try:
-            objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(
-                centre
-            )
-        except SimulationFailed:  # even on a narrow design: most of the box may explode
-            objective, found = Rounds(problem, run, family, likelihood, noise, rng, optimizer).fit(
-                best_sobol_point(problem, run)
-            )
-        if self.starts == "filtered":
-            refit = lambda seen, noise, centre, width: Rounds(
-                seen, run, family, likelihood, noise, rng, optimizer
-            ).fit(centre, width)
-            seen, objective, found, details = from_filtered_starts(
-                refit, problem, run, family, noise, objective, found
-            )
-        checked, warnings = paired_check(seen, run, family, objective, found.point, rng)
-        checked |= details
-        checked["certified"] = certified_scales(family, objective, found.point)
-        return self._summary(problem, run, family, objective, found, checked, warnings)
+        return make
 
-    def _summary(
+    def _summarise(
         self,
         problem: Problem,
         run: Run,
         family: Family,
         objective: LogLikelihood,
         found: SearchResult,
-        checked: dict[str, Any] | None = None,
-        warnings: Sequence[str] = (),
+        **further: Any,
     ) -> Fit:
+        """The fit at a maximum; further: what else `summarise` takes."""
+        local = isinstance(objective, LocalLogLikelihood)
+        named = isinstance(self.likelihood, str)
         with run.counting():
-            mean = objective.mean(found.point)
+            mean_prediction = objective.mean(found.point)
         return summarize(
             problem,
             run,
@@ -226,33 +278,53 @@ class DROPO(Estimator):
             phi=found.point,
             epsilon=objective.epsilon(found.point),
             log_likelihood=found.value,
-            mean_prediction=mean,
+            mean_prediction=mean_prediction,
             status=found.status,
             message=found.reason,
             objective=objective,
-            details={**self._parts(objective), **(checked or {})},
-            warnings=warnings,
+            likelihood=self.likelihood if named else type(self.likelihood).__name__,
+            optimizer=self.optimizer or ("fisher-scoring" if local else "cma-es"),
+            **further,
         )
 
-    def _parts(self, objective: LogLikelihood) -> dict[str, str]:
-        default = "fisher-scoring" if isinstance(objective, LocalLogLikelihood) else "cma-es"
-        named = (
-            self.likelihood if isinstance(self.likelihood, str) else type(self.likelihood).__name__
-        )
-        return {"likelihood": named, "optimizer": self.optimizer or default}
 
+def first_member(family: Family, unknowns: ParameterSpace, mean: Array) -> Array:
+    """Find the member of a family where a search begins.
 
-def first_member(family: Family, unknowns: ParameterSpace, centre: Array) -> Array:
-    """phi (m,) of that mean, the rest in its middle; the first steps are the optimizer's own, a
-    quarter of the unit box (the thesis' 1 in [0, 4]).
+    Parameters
+    ----------
+    family : Family
+    unknowns : ParameterSpace
+        The family's, and behind them the likelihood's own.
+    mean : (d,) array
+
+    Returns
+    -------
+    (m,) array
+        phi of that mean, the rest in its middle. The first steps are the optimizer's own, a
+        quarter of the unit box (the thesis' 1 in [0, 4]).
     """
     start = unknowns.from_unit(np.full(len(unknowns), 0.5))
-    start[: len(family.unknowns)] = family.phi(centre)
+    start[: len(family.unknowns)] = family.phi(mean)
     return start
 
 
 def check_start(problem: Problem, run: Run, family: Family, phi: Array) -> None:
-    """Refuses to search where the simulator diverges at the start's mean already."""
+    """Refuse to search where the simulator diverges at the start's mean already.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+    family : Family
+    phi : (m,) array
+        The member where the search would begin.
+
+    Raises
+    ------
+    SimulationFailed
+        Where a prediction is not finite.
+    """
     values = family.mean(phi[: len(family.unknowns)])[None]
     with run.counting():
         predictions = problem.simulator.predict(values, problem.segments)

@@ -13,6 +13,7 @@ from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.prior import LogPrior
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.search_records import ParticlePosterior
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, require
 from dropo.estimators.support.distribution_fit import point_likelihood, posterior_fit
@@ -35,8 +36,8 @@ class EPOpt(Estimator):
     that grows from round to round as far as it leaves the share `least` of the particles effective,
     (sum w)^2 / sum w^2, until it is 1 (Del Moral, Doucet, Jasra 2012); in the paper
     (arXiv:1610.01283) it is 1 throughout: `tempered` False. rounds: at most; the last one's
-    particles, drawn again by weight, are `arrays["draws"]`. The prior is the problem's own, else
-    uniform on the box.
+    particles, drawn again by weight, are `search_record.draws`. The prior is the problem's own,
+    else uniform on the box.
     epsilon: the noise variance, one or for each signal; None, the problem's own, else the variance
     that least squares leaves.
     """
@@ -168,12 +169,9 @@ class EPOpt(Estimator):
                 f"{message} The likelihood counts to the power {powers[-1]:.2g} alone: take "
                 "more rounds."
             ),
-            arrays={
-                "particles": problem.space.from_unit(points),
-                "weights": weights,
-                "powers": np.array(powers),
-            },
-            details={"effective_sample_size": effective},
+            search_record=ParticlePosterior(
+                draws, problem.space.from_unit(points), weights, np.array(powers), effective
+            ),
             warnings=tuple(warnings),
         )
 

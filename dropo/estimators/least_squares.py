@@ -13,7 +13,8 @@ from dropo.core.records.fit import Fit, Status
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, float_array, known, require
-from dropo.estimators.support.summary import STEPS, rounding, summarize
+from dropo.estimators.support.standard_errors import DIFFERENCES, rounding
+from dropo.estimators.support.summary import summarize
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def estimate(
             else float_array("weights", weights, (p,), "LeastSquares")
         )
     first = _solve(
-        problem, run, given, middle, budget, (STEPS[1] if step is None else step) * width
+        problem, run, given, middle, budget, (DIFFERENCES.largest if step is None else step) * width
     )
     if weights == "noise":
         given = np.maximum(
@@ -130,8 +131,8 @@ def estimate(
 
 
 def plain_errors(found: PointEstimate, width: Array) -> Array:
-    """(d,) standard errors of a point estimate with independent noise, kept between `STEPS` of the
-    intervals (d,).
+    """(d,) standard errors of a point estimate with independent noise, kept between `DIFFERENCES`
+    of the intervals (d,).
     """
     white = (found.jacobian * width / np.sqrt(np.maximum(found.noise, 1e-300))[:, None]).reshape(
         -1, len(width)
@@ -140,7 +141,7 @@ def plain_errors(found: PointEstimate, width: Array) -> Array:
     errors = np.sqrt(
         np.sum(vectors**2 / np.maximum(values, 1e-14 * max(float(values[-1]), 1.0)), axis=1)
     )
-    return np.asarray(np.clip(errors, *STEPS) * width)
+    return np.asarray(np.clip(errors, DIFFERENCES.least, DIFFERENCES.largest) * width)
 
 
 def misfit(problem: Problem, run: Run) -> Array:

@@ -14,6 +14,7 @@ from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.prior import LogPrior
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.search_records import NeuralPosterior
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.isolated_torch import alone
 from dropo.core.services.optional_dependencies import need
@@ -50,9 +51,9 @@ class NPE(Estimator):
     summary: "slopes", the residuals projected on the simulator's slopes in the middle of the box, a
     number for each parameter, which loses nothing where the simulator is linear; "moments", as in
     BayesSim: each signal's mean and variance, and its products with the actions, of the residuals
-    from the box's middle. draws: of the posterior, kept in `arrays["draws"]`; the problem's priors
-    weigh them. epsilon: the noise variance, one or for each signal; None, the problem's own, else
-    what least squares leaves.
+    from the box's middle. draws: of the posterior, kept in `search_record.draws`; the problem's
+    priors weigh them. epsilon: the noise variance, one or for each signal; None, the problem's own,
+    else what least squares leaves.
     """
 
     density: str = "mdn"
@@ -101,16 +102,17 @@ class NPE(Estimator):
             if settled
             else "each cut the box: take more of them, or more simulations"
         )
+        parameters = problem.space.from_unit(draws)
+        bounds = problem.space.from_unit(np.array(boxes[: done + 1]))
         return posterior_fit(
             problem,
             run,
             self.name,
-            problem.space.from_unit(draws),
+            parameters,
             target,
             status=Status.CONVERGED if settled else Status.OUT_OF_BUDGET,
             message=f"{done + 1} rounds of {self.simulations} simulations; {end}.",
-            arrays={"boxes": problem.space.from_unit(np.array(boxes[: done + 1]))},
-            details={"density": self.density, "summary": self.summary},
+            search_record=NeuralPosterior(parameters, bounds, self.density, self.summary),
         )
 
     def _round(self, problem: Problem, run: Run, target: PointLikelihood, box: Array) -> Array:

@@ -18,6 +18,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.sampler import Density, Sampler
 from dropo.core.records.draws import ChainTooShort, Draws
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fit_parts import PosteriorDiagnostics, PosteriorDraws
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
@@ -227,8 +228,8 @@ class Posterior(Estimator):
             value = float(target.many(centre[None])[0])
             predicted = target.mean(centre)
         targets = problem.simulator.targets(problem.segments)
-        judged, diagnostics = judge(draws)
-        notes = [*draws.notes, *judged, *notes]
+        doubts, diagnostics = evaluate_draws(draws)
+        notes = [*draws.notes, *doubts, *notes]
         return Fit(
             method=self.name,
             problem=problem.name,
@@ -251,8 +252,16 @@ class Posterior(Estimator):
             status=Status.OUT_OF_BUDGET if notes else Status.CONVERGED,
             message=f"{len(flat)} draws: {'see the warnings.' if notes else 'the walkers agree.'}",
             warnings=(*problem.warnings, *notes, *at_bounds(family.unknowns, phi)),
-            arrays={**_arrays(draws, target, len(targets)), "observed": targets},
-            details={"over": self.over, "unknowns": list(draws.names), "posterior": diagnostics},
+            posterior=PosteriorDraws(
+                over=self.over,
+                unknowns=tuple(draws.names),
+                diagnostics=diagnostics,
+                chain=draws.chain,
+                log_density=draws.log_density,
+                observed=targets,
+                diverging=draws.diverging,
+                row_log_likelihood=_row_log_likelihood(draws, target, len(targets)),
+            ),
         )
 
 
@@ -271,17 +280,12 @@ def _sample(
     )
 
 
-def _arrays(draws: Draws, target: Target, rows: int) -> dict[str, Array]:
-    """What a fit keeps of the draws; the rows' log-likelihoods (S, W, R) where a local model gives
-    them and they are few.
-    """
-    out: dict[str, Any] = {"chain": draws.chain, "log_density": draws.log_density}
-    if draws.diverging is not None:
-        out["diverging"] = draws.diverging
+def _row_log_likelihood(draws: Draws, target: Target, rows: int) -> Array | None:
+    """(S, W, R), where a local model gives it and it is small enough to keep."""
     count = draws.log_density.size
-    if isinstance(target, Local) and count <= KEPT[0] and count * rows <= KEPT[1]:
-        out["row_log_likelihood"] = target.rows(draws.flat()).reshape(*draws.log_density.shape, -1)
-    return out
+    if not isinstance(target, Local) or count > KEPT[0] or count * rows > KEPT[1]:
+        return None
+    return target.rows(draws.flat()).reshape(*draws.log_density.shape, -1)
 
 
 class _Evaluate:
@@ -328,7 +332,7 @@ def _gaussian(family: Any, values: Array) -> tuple[Array, Array]:
     return phi, mean
 
 
-def judge(draws: Draws) -> tuple[list[str], dict[str, dict[str, float | None]]]:
+def evaluate_draws(draws: Draws) -> tuple[list[str], PosteriorDiagnostics]:
     """What speaks against using the draws, a sentence each; and the diagnostics of each unknown by
     name.
     """
@@ -350,11 +354,9 @@ def judge(draws: Draws) -> tuple[list[str], dict[str, dict[str, float | None]]]:
     if (ess < ESS).any():
         named = ", ".join(f"{n} {e:.0f}" for n, e in zip(draws.names, ess, strict=True) if e < ESS)
         notes.append(f"the effective sample size is below {ESS} ({named}): take more steps")
-    columns = {"autocorrelation_time": times, "split_r_hat": r_hat, "effective_sample_size": ess}
-    numbers = {
-        key: [float(v) if np.isfinite(v) else None for v in values]
-        for key, values in columns.items()
-    }
-    return notes, {
-        key: dict(zip(draws.names, values, strict=True)) for key, values in numbers.items()
-    }
+    found = PosteriorDiagnostics(
+        autocorrelation_time=dict(zip(draws.names, times.tolist(), strict=True)),
+        split_r_hat=dict(zip(draws.names, r_hat.tolist(), strict=True)),
+        effective_sample_size=dict(zip(draws.names, ess.tolist(), strict=True)),
+    )
+    return notes, found

@@ -15,6 +15,7 @@ from dropo.core.contracts.likelihood import LogLikelihood
 from dropo.core.contracts.maximize import SearchResult
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
+from dropo.core.records.fit_parts import GroupEffects, VarianceComponentTests, VarianceTest
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table
 from dropo.core.services.validation import Array, known
@@ -35,10 +36,9 @@ class RandomEffects(Estimator):
 
     The likelihood "random-effects" is maximised as DROPO's are. The Fit is the population: sd is
     the spread to train under, mean_se the ignorance of its mean, which more groups would shrink.
-    Arrays: "group" (G,) its number, "group_mean" (G, d) and "group_covariance" (G, d, d) of its
-    parameters given all data, with the ignorance of the mean (Henderson 1975, Biometrics 31), not
-    that of the spread. details: "groups"; "groups_differ", the tests of `spread_tests`;
-    "predictive_sd" of a new group, sqrt(sd^2 + mean_se^2).
+    `groups` of the fit holds each group's own parameters given all data, with the ignorance of the
+    mean (Henderson 1975, Biometrics 31), not that of the spread; whether the groups differ; and the
+    standard deviation of a new group, sqrt(sd^2 + mean_se^2).
 
     Maximum likelihood takes the mean as known: with G groups its variances are (G - 1) / G of an
     unbiased estimate. family: "truncated_gaussian", whose spreads need 2 groups, however many
@@ -92,43 +92,30 @@ class _Population(DROPO):
 
     name = "random-effects"
 
-    def _summary(
+    def _summarise(
         self,
         problem: Problem,
         run: Run,
         family: Family,
         objective: LogLikelihood,
         found: SearchResult,
-        checked: dict[str, Any] | None = None,
-        warnings: Sequence[str] = (),
+        **further: Any,
     ) -> Fit:
+        """The population's fit, with each group's own parameters and whether the groups differ."""
         assert isinstance(objective, GroupedLogLikelihood)
-        fit = super()._summary(problem, run, family, objective, found, checked, warnings)
+        fit = super()._summarise(problem, run, family, objective, found, **further)
         groups = objective.groups(found.point)
         information = objective.value_score_information(found.point)[2]
         d = len(fit.mean)
-        kept, covariance = _posterior(
-            groups, fit.correlation * np.outer(fit.sd, fit.sd), information[:d, :d]
+        spread = fit.correlation * np.outer(fit.sd, fit.sd)
+        kept, covariance = _posterior(groups, spread, information[:d, :d])
+        tests = VarianceComponentTests.from_json(
+            spread_tests(objective, problem.space.names, found.point, run.rng)
         )
-        tests = spread_tests(objective, problem.space.names, found.point, run.rng)
-        record = _record(problem, groups, kept, covariance)
-        details = {
-            "groups": record,
-            "groups_differ": tests,
-            "predictive_sd": _numbers(fit.space.names, np.hypot(fit.sd, fit.mean_se)),
-        }
-        fit = replace(
-            fit,
-            arrays={
-                **fit.arrays,
-                "group": groups.label.astype(float),
-                "group_mean": groups.mean,
-                "group_covariance": covariance,
-            },
-            details={**fit.details, **details},
-            warnings=(*fit.warnings, *_doubts(groups, fit)),
-        )
-        return replace(fit, message=f"{fit.message} {_sentence(tests)}\n{_table(fit)}")
+        effects = _effects(problem, fit, groups, kept, covariance, tests)
+        message = f"{fit.message} {_sentence(tests)}\n{_table(fit, effects)}"
+        warnings = (*fit.warnings, *_doubts(groups, fit))
+        return replace(fit, groups=effects, warnings=warnings, message=message)
 
 
 def _posterior(groups: Groups, spread: Array, information: Array) -> tuple[Array, Array]:
@@ -146,27 +133,35 @@ def _posterior(groups: Groups, spread: Array, information: Array) -> tuple[Array
     return kept, covariance
 
 
-def _record(problem: Problem, groups: Groups, kept: Array, covariance: Array) -> dict[str, Any]:
-    """What fit.json says of the groups. shrinkage: the share of a group's own deviation that is not
-    believed, on average.
-    """
-    named = problem.segments.trajectories.group is not None
+def _effects(
+    problem: Problem,
+    fit: Fit,
+    groups: Groups,
+    kept: Array,
+    covariance: Array,
+    tests: VarianceComponentTests,
+) -> GroupEffects:
+    """The groups' part of the fit."""
     sd = np.median(np.sqrt(np.einsum("gdd->gd", covariance)), axis=0)
-    return {
-        "of": "groups" if named else "trajectories",
-        "count": len(groups),
-        "fewest_rows": int(groups.rows.min()),
-        "most_rows": int(groups.rows.max()),
-        "shrinkage": _numbers(problem.space.names, np.einsum("gdd->gd", kept).mean(axis=0)),
-        "median_sd": _numbers(problem.space.names, sd),
-    }
+    named = problem.segments.trajectories.group is not None
+    names = problem.space.names
+    return GroupEffects(
+        kind="groups" if named else "trajectories",
+        fewest_rows=int(groups.rows.min()),
+        most_rows=int(groups.rows.max()),
+        shrinkage=_by_name(names, np.einsum("gdd->gd", kept).mean(axis=0)),
+        median_sd=_by_name(names, sd),
+        predictive_sd=_by_name(names, np.hypot(fit.sd, fit.mean_se)),
+        tests=tests,
+        number=groups.label.astype(float),
+        mean=groups.mean,
+        covariance=covariance,
+    )
 
 
-def _numbers(names: Sequence[str], values: Array) -> dict[str, float | None]:
-    return {
-        name: float(value) if np.isfinite(value) else None
-        for name, value in zip(names, values, strict=True)
-    }
+def _by_name(names: Sequence[str], values: Array) -> dict[str, float]:
+    """The values (d,) by parameter."""
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _doubts(groups: Groups, fit: Fit) -> list[str]:
@@ -203,27 +198,28 @@ def _doubts(groups: Groups, fit: Fit) -> list[str]:
     return out
 
 
-def _sentence(tests: dict[str, Any]) -> str:
+def _sentence(tests: VarianceComponentTests) -> str:
     """What the tests say."""
-    if tests["p_value"] >= LEVEL:
-        return f"No difference between recordings is found ({_p(tests)})."
-    parameters = tests["parameters"].items()
-    differ = [f"{name} ({_p(test)})" for name, test in parameters if test["p_value"] < LEVEL]
-    same = [f"{name} ({_p(test)})" for name, test in parameters if test["p_value"] >= LEVEL]
+    overall = _p(tests.overall)
+    if tests.overall.p_value >= LEVEL:
+        return f"No difference between recordings is found ({overall})."
+    parameters = tests.parameters.items()
+    differ = [f"{name} ({_p(test)})" for name, test in parameters if test.p_value < LEVEL]
+    same = [f"{name} ({_p(test)})" for name, test in parameters if test.p_value >= LEVEL]
     if not differ:
-        return f"Recordings differ ({_p(tests)}), in which parameter the data do not tell."
+        return f"Recordings differ ({overall}), in which parameter the data do not tell."
     return f"Recordings differ in {', '.join(differ)}" + (
         f"; no difference is found in {', '.join(same)}." if same else "."
     )
 
 
-def _p(test: dict[str, float]) -> str:
-    return f"p = {test['p_value']:.1g}" if test["p_value"] > 0 else "p < 1e-300"
+def _p(test: VarianceTest) -> str:
+    """The p-value in words."""
+    return f"p = {test.p_value:.1g}" if test.p_value > 0 else "p < 1e-300"
 
 
-def _table(fit: Fit) -> str:
+def _table(fit: Fit, groups: GroupEffects) -> str:
     """The spread to train under beside what is not known."""
-    groups = fit.details["groups"]
     header = [
         "",
         "spread to train under",
@@ -234,21 +230,15 @@ def _table(fit: Fit) -> str:
     ]
     rows = []
     for i, name in enumerate(fit.space.names):
-        told = [
-            groups["median_sd"][name],
-            fit.details["predictive_sd"][name],
-            groups["shrinkage"][name],
+        values = [
+            fit.sd[i],
+            fit.mean_se[i],
+            groups.median_sd[name],
+            groups.predictive_sd[name],
+            groups.shrinkage[name],
         ]
-        rows.append(
-            [
-                name,
-                *(
-                    number(np.nan if x is None else float(x), 4)
-                    for x in (fit.sd[i], fit.mean_se[i], *told)
-                ),
-            ]
-        )
-    few = groups["fewest_rows"]
-    many = groups["most_rows"]
-    sizes = f"{few}" if few == many else f"{few} to {many}"
-    return f"{groups['count']} {groups['of']} of {sizes} rows, standard deviations:\n{text_table(header, rows)}"
+        rows.append([name, *(number(float(value), 4) for value in values)])
+    sizes = f"{groups.fewest_rows}"
+    if groups.fewest_rows < groups.most_rows:
+        sizes += f" to {groups.most_rows}"
+    return f"{len(groups)} {groups.kind} of {sizes} rows, standard deviations:\n{text_table(header, rows)}"

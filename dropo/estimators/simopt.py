@@ -16,11 +16,12 @@ from dropo.core.contracts.interactive_estimator import (
 )
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.search_records import GaussianHistory
 from dropo.core.records.trajectories import Segments, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
-from dropo.estimators.support.distribution_fit import judged
+from dropo.estimators.support.distribution_fit import evaluate_fit
 from dropo.estimators.support.summary import at_bounds
 
 TEMPERATURES = np.geomspace(1e-6, 1e6, 241)  # eta, in units of the costs' spread
@@ -128,10 +129,11 @@ class SimOpt(InteractiveEstimator):
             status=status,
             message=message,
             warnings=tuple(at_bounds(family.unknowns, phi)),
-            arrays={"means": np.array(means), "covariances": np.array(covariances)},
-            details={"target_transitions": calls.transitions},
+            search_record=GaussianHistory(
+                np.array(means), np.array(covariances), target_transitions=calls.transitions
+            ),
         )
-        return judged(everything, run, fit, self.draws, run.rng.spawn(1)[0])
+        return evaluate_fit(everything, run, fit, self.draws, run.rng.spawn(1)[0])
 
     def _collect(self, problem: Problem, calls: Callbacks, phi: Array) -> Trajectories:
         assert self.collect is not None

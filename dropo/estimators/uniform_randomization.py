@@ -7,6 +7,7 @@ import numpy as np
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.search_records import IntervalHistory
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
 from dropo.estimators.support.summary import summarize
@@ -17,7 +18,7 @@ class UniformRandomization(Estimator):
     """Uniform distributions on `count` bounds drawn at random from the search space (thesis,
     section 6.1); fits nothing.
 
-    The fit is the one number `which` of them; all are in `arrays["bounds"]` (count, 2, d). Its
+    The fit is the one number `which` of them; all are in `search_record.bounds` (count, 2, d). Its
     log-likelihood, at the problem's epsilon or else the residuals' variance, is that of `draws`
     draws.
     """
@@ -68,7 +69,7 @@ class UniformRandomization(Estimator):
             mean_prediction=mean,
             status=Status.DONE,
             message="Bounds drawn at random; nothing was fitted.",
-            arrays={"bounds": bounds},
+            search_record=IntervalHistory(bounds),
         )
 
 

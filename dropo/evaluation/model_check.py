@@ -2,9 +2,6 @@
 model cannot leave.
 """
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from scipy import stats
 
@@ -12,6 +9,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import Units, unit_sums, variance_of_sum
 from dropo.core.numerics.ridge_regression import ridge
 from dropo.core.numerics.robust_statistics import deviation
+from dropo.core.records.fit_parts import ModelCheck, ResidualSize, ResidualStructure
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -33,21 +31,6 @@ ROUNDING = 1e-7
 FAINT = 1e-2
 
 
-@dataclass(frozen=True)
-class ModelCheck:
-    """sentences: what speaks against the model, none where nothing does; found: the tests' numbers,
-    for fit.json.
-    """
-
-    sentences: tuple[str, ...]
-    found: dict[str, Any]
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing speaks against the model."""
-        return not self.sentences
-
-
 def check_model(
     problem: Problem,
     predicted: Array,
@@ -66,9 +49,10 @@ def check_model(
     residual = problem.simulator.targets(problem.segments) - predicted
     units = units_of(problem.segments)
     sentences: list[str] = []
-    found: dict[str, Any] = {}
+    size: ResidualSize | None = None
+    structure: ResidualStructure | None = None
     if whitened is not None and not learned:
-        found["size"], sentence = _size(whitened, units)
+        size, sentence = _size(whitened, units)
         sentences += sentence
     label = _groups(problem, residual.shape[1], jacobian.shape[2])
     scale = np.sqrt(np.mean(residual**2, axis=0))
@@ -89,12 +73,12 @@ def check_model(
                 rest * scale[told], stated, names, len(slopes) / max(len(slopes) - 1, 1)
             )
         features = features_of(problem, predicted, np.random.default_rng(0))
-        found["structure"], sentence = _structure(_cut(rest), slopes, label, units, features, names)
+        structure, sentence = _structure(_cut(rest), slopes, label, units, features, names)
         sentences += sentence
-    return ModelCheck(tuple(sentences), {"passed": not sentences, **found})
+    return ModelCheck(not sentences, size, structure, tuple(sentences))
 
 
-def _size(whitened: Array, units: Units) -> tuple[dict[str, float], list[str]]:
+def _size(whitened: Array, units: Units) -> tuple[ResidualSize, list[str]]:
     """Mean square of the whitened residuals, its standard error, and a sentence where it is above
     1.
     """
@@ -107,9 +91,7 @@ def _size(whitened: Array, units: Units) -> tuple[dict[str, float], list[str]]:
         f"the model is wrong or epsilon too small: residuals are {np.sqrt(mean):.3g} times as "
         "large as the fit allows"
     )
-    return {"mean_square": mean, "standard_error": error}, [
-        text
-    ] if mean > LARGE and p < LEVEL else []
+    return ResidualSize(mean, error), [text] if mean > LARGE and p < LEVEL else []
 
 
 def _noise(rest: Array, stated: Array, names: list[str], factor: float) -> list[str]:
@@ -162,7 +144,7 @@ def _cut(rest: Array) -> Array:
 
 def _structure(
     rest: Array, slopes: Array, label: Ints, units: Units, features: Features, names: list[str]
-) -> tuple[dict[str, Any], list[str]]:
+) -> tuple[ResidualStructure, list[str]]:
     """The strongest dependence of a signal's residuals (R, p) on one feature, and on all of them in
     held-out data.
     """
@@ -171,13 +153,13 @@ def _structure(
     strongest = float(scores[signal, feature])
     predicted = _held_out(rest[features.rows], features, units)  # (p,)
     best = int(predicted.argmax())
-    found = {
-        "signal": names[signal],
-        "feature": features.names[feature],
-        "z": strongest,
-        "held_out_signal": names[best],
-        "held_out_z": float(predicted[best]),
-    }
+    found = ResidualStructure(
+        signal=names[signal],
+        feature=features.names[feature],
+        z=strongest,
+        held_out_signal=names[best],
+        held_out_z=float(predicted[best]),
+    )
     if stats.norm.sf(abs(strongest)) * 2 * scores.size < LEVEL:
         what = (
             f"residuals of {names[signal]} follow {features.names[feature]} (z "

@@ -35,11 +35,7 @@ def predict(
     those held out, where the problem has such.
     """
     generator = np.random.default_rng(rng)
-    problem = problem.using(
-        length=next(
-            (row["lambda"] for row in fit.details.get("lambda_choice", ()) if row["chosen"]), None
-        )
-    )
+    problem = problem.using(length=_horizon(fit))
     data = problem.trajectories if problem.held_out is None else problem.held_out
     name, value = _known_before(problem)
     box = problem.space.from_unit(generator.random((DRAWS, len(problem.space))))
@@ -73,6 +69,11 @@ def predict(
         problem.held_out is not None,
         *sides,
     )
+
+
+def _horizon(fit: Fit) -> int | None:
+    """The horizon that the fit chose [control steps]; None where it chose none."""
+    return None if fit.horizon_choice is None else fit.horizon_choice.chosen
 
 
 def _known_before(problem: Problem) -> tuple[str, Array]:

@@ -155,7 +155,7 @@ def _around(
     rng: np.random.Generator,
 ) -> LocalLogLikelihood:
     if likelihood is None:
-        own = fit.details.get("likelihood", "emulated")
+        own = fit.likelihood or "emulated"
         likelihood = find("likelihoods", own)()
     if not isinstance(likelihood, LocalLikelihood):
         raise Incompatible(

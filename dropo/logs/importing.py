@@ -15,7 +15,7 @@ import yaml
 
 from dropo import __version__
 from dropo.core.services.errors import BadArgument, BadFile
-from dropo.core.services.tables import Printed, Table, number
+from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding
 from dropo.logs.grids import (
@@ -31,7 +31,7 @@ from dropo.logs.log_checks import check_runs
 from dropo.logs.mapping import Mapping, read_mapping
 from dropo.logs.model_joints import Machine, load_machine
 from dropo.logs.preparing import Noise, cleaned, with_velocities
-from dropo.logs.readers.reader import Report
+from dropo.logs.readers.reader import Progress
 from dropo.logs.recordings import Run, read_runs
 from dropo.logs.signals.clocks import Lateness, aligned
 
@@ -46,7 +46,7 @@ HEAD = """# Written by `dropo data import`. `dropo fit` needs parameters; noise 
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Import(Printed):
+class Import(Report):
     """What an import made of the logs: the arrays of data.npz, and all that import.json says.
 
     rows: by run, read, resampled and dropped; trajectories: rows of each; noise: by signal.
@@ -134,7 +134,7 @@ def import_logs(
     model: str | Path,
     out: str | Path,
     *,
-    progress: Report = lambda share, text: None,
+    progress: Progress = lambda share, text: None,
 ) -> Import:
     """Reads logs by a mapping file, and writes the data, problem.yaml and import.json beside it;
     nothing where something is refused.
@@ -157,7 +157,7 @@ def prepare(
     mapping: Mapping,
     machine: Machine,
     *,
-    progress: Report = lambda share, text: None,
+    progress: Progress = lambda share, text: None,
 ) -> Import:
     """What `import_logs` writes, without writing it."""
     raw = read_runs(logs, mapping, lambda share, text: progress(0.5 * share, text))

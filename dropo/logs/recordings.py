@@ -16,7 +16,7 @@ from dropo.core.services.errors import BadFile
 from dropo.core.services.strict_yaml import named, shown
 from dropo.core.services.validation import Array
 from dropo.logs.mapping import Channel, Mapping, Source
-from dropo.logs.readers.reader import Arrays, Log, Report, open_log
+from dropo.logs.readers.reader import Arrays, Log, Progress, open_log
 from dropo.logs.units import seconds
 
 FAR = 1e6
@@ -87,7 +87,7 @@ class Run:
         )
 
 
-def read_runs(logs: Sequence[str | Path], mapping: Mapping, progress: Report) -> list[Run]:
+def read_runs(logs: Sequence[str | Path], mapping: Mapping, progress: Progress) -> list[Run]:
     """The runs of all logs, in order, where the mapping says `only` those it names."""
     runs = []
     for i, path in enumerate(logs):
@@ -114,7 +114,7 @@ class _Table:
     run: NDArray[Any] | None
 
 
-def _runs(log: Log, mapping: Mapping, progress: Report) -> Iterator[Run]:
+def _runs(log: Log, mapping: Mapping, progress: Progress) -> Iterator[Run]:
     by_source: dict[Source, list[Channel]] = {}
     for channel in mapping.channels:
         by_source.setdefault(channel.source, []).append(channel)
@@ -151,7 +151,7 @@ def _word(name: Any) -> str:
 
 
 def _table(
-    log: Log, source: Source, channels: list[Channel], mapping: Mapping, progress: Report
+    log: Log, source: Source, channels: list[Channel], mapping: Mapping, progress: Progress
 ) -> _Table:
     """Reads the columns of one source."""
     if source.file is not None:

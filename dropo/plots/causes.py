@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.records.figure_data import Bar, Pictures
+from dropo.core.records.figure_data import Bar, FigureData
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array, require
 from dropo.plots.distribution import squares
@@ -28,13 +28,13 @@ BRIDGE = 1.36  # the largest departure of a Brownian bridge, exceeded once in tw
 BINS = 8
 
 
-def pictures_of(result: Any) -> Pictures:
-    """Pictures themselves, or those of a diagnosis."""
-    found = getattr(result, "pictures", result)
+def figure_data_of(result: Any) -> FigureData:
+    """Figure data themselves, or those of a diagnosis."""
+    found = getattr(result, "figures", result)
     require(
-        isinstance(found, Pictures),
+        isinstance(found, FigureData),
         "result",
-        "Pictures, or a Diagnosis that has such",
+        "FigureData, or a Diagnosis that has such",
         type(result).__name__,
         "dropo.plots",
     )
@@ -63,9 +63,9 @@ def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
     The accepted one is blue; a bracket joins it with those that the data cannot tell from it.
     found: the round, 0 for the first cause.
     """
-    pictures = pictures_of(result)
+    data = figure_data_of(result)
     ax = axes_of(ax)
-    bars = in_order(pictures.rounds[found]) if found < len(pictures.rounds) else []
+    bars = in_order(data.rounds[found]) if found < len(data.rounds) else []
     if not bars:
         return empty(ax, "No effect looked likely enough to be fitted.")
     place = -np.arange(len(bars), dtype=float)
@@ -84,7 +84,7 @@ def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
         np.zeros(len(bars)), place - 0.4, place, color=INK, lw=0.8
     )  # beside the bars alone, so that no word is crossed out
     ax.vlines(
-        np.full(len(bars), pictures.needed), place - 0.4, place, color=GREY, lw=0.9, ls=(0, (2, 2))
+        np.full(len(bars), data.needed), place - 0.4, place, color=GREY, lw=0.9, ls=(0, (2, 2))
     )
     left, right = ax.get_xlim()
     indent = left + 0.012 * (right - left)
@@ -155,11 +155,11 @@ def residuals(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
     """The errors at the end of each window held out over what the effect acts on, without the
     effect and with it; means of eighths of the data with 95 % intervals.
     """
-    pictures = pictures_of(result)
+    data = figure_data_of(result)
     ax = axes_of(ax)
-    if found >= len(pictures.axes):
+    if found >= len(data.axes):
         return empty(ax, "No cause was found.")
-    shown = pictures.axes[found]
+    shown = data.axes[found]
     x = np.array(shown.x)
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     inside = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
@@ -198,11 +198,11 @@ def sizes(result: Any, ax: Axes | None = None, *, found: int = 0, unit: str = ""
     cause, sloped for what only acts like it. found: which of the pictures' `sizes`; unit: of the
     variable by which these are quarters, for the axis.
     """
-    pictures = pictures_of(result)
+    data = figure_data_of(result)
     ax = axes_of(ax)
-    if found >= len(pictures.sizes):
+    if found >= len(data.sizes):
         return empty(ax, "No cause was found.")
-    shown = pictures.sizes[found]
+    shown = data.sizes[found]
     size = 100 * np.array(shown.size)
     half = 196 * np.array(shown.error)
     ax.axhline(100, color=GREY, lw=1, ls=(0, (2, 2)))
@@ -233,7 +233,7 @@ def forces(result: Any, ax: Axes | None = None) -> Axes:
     """The random forces that would explain what is left at each degree of freedom, before and
     after; open where they may be nothing.
     """
-    shown = pictures_of(result).forces
+    shown = figure_data_of(result).forces
     ax = axes_of(ax)
     place = -np.arange(len(shown.names), dtype=float)
     for values, there, color, name, up in (
@@ -261,7 +261,7 @@ def similarity(result: Any, ax: Axes | None = None) -> Axes:
     """|cosine| between the responses of the effects that looked most likely at first: near 1 the
     data cannot tell them apart.
     """
-    shown = pictures_of(result).similarity
+    shown = figure_data_of(result).similarity
     names = tuple(words(label) for label in shown.labels)
     return squares(
         np.array(shown.cosines), names, axes_of(ax), "Fewer than two effects move the predictions."
@@ -272,11 +272,11 @@ def changes(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
     """A cause's scores summed over the data held out, in order: a peak beyond the dashed lines is a
     size that changes there.
     """
-    pictures = pictures_of(result)
+    data = figure_data_of(result)
     ax = axes_of(ax)
-    if found >= len(pictures.sums):
+    if found >= len(data.sums):
         return empty(ax, "No cause was found.")
-    shown = pictures.sums[found]
+    shown = data.sums[found]
     ax.step(
         [0.0, *(100 * np.array(shown.time))], [0.0, *shown.score], where="post", color=AFTER, lw=1.5
     )

@@ -65,7 +65,7 @@ def parameters(fit: Fit, ax: Axes | None = None, *, priors: dict[str, Prior] | N
     )
     ax.hlines(place, *interval, color=AFTER, lw=2.2)
     ax.plot(spread[1], place, "|", color=AFTER, ms=11, mew=2, label="mean, 95 % interval")
-    truth = fit.details.get("truth", {})
+    truth = fit.truth
     if truth:
         values = np.array([truth.get(name, np.nan) for name in fit.space.names])
         ax.plot(fit.space.to_unit(values), place, "D", color=BEFORE, ms=3.6, label="truth")
@@ -93,8 +93,8 @@ def _draw_prior(ax: Axes, space: ParameterSpace, i: int, prior: Prior, base: flo
 
 def draws_of(fit: Fit) -> Array:
     """(K, d) the draws of a posterior over the parameters, else draws from the fitted distribution."""
-    if fit.details.get("over") == "parameters" and "chain" in fit.arrays:
-        chain = fit.arrays["chain"]
+    if fit.posterior is not None and fit.parameters_are_constant:
+        chain = fit.posterior.chain
         return np.asarray(chain.reshape(-1, chain.shape[2])[:, : len(fit.space)])
     return fit.sample(DRAWS, 0)
 
@@ -149,7 +149,7 @@ def _near(fit: Fit, i: int) -> _Unit:
     power = power if narrow or not -3 < power < 4 else 0
     name = folded(parameter.name) + (f"\n− {base:.{max(0, -power)}f}" if narrow else "")
     unit = f"1e{power} {parameter.unit}".rstrip() if power else parameter.unit
-    truth = fit.details.get("truth", {}).get(parameter.name)
+    truth = fit.truth.get(parameter.name)
     return _Unit(
         f"{name}\n[{unit}]" if unit else name,
         base,
@@ -223,9 +223,7 @@ def _padded(centres: Array) -> Array:
 
 def correlation(fit: Fit, ax: Axes | None = None) -> Axes:
     """The correlations between the parameters, as numbers on squares: blue above 0, orange below."""
-    matrix = (
-        np.corrcoef(draws_of(fit).T) if fit.details.get("over") == "parameters" else fit.correlation
-    )
+    matrix = np.corrcoef(draws_of(fit).T) if fit.parameters_are_constant else fit.correlation
     return squares(
         np.atleast_2d(matrix), fit.space.names, axes_of(ax), "Only one parameter was fitted."
     )

@@ -78,9 +78,9 @@ def moves(after_round: ArrayLike, fit: Fit, ax: Axes | None = None) -> Axes:
 def trace(fit: Fit, ax: Axes | None = None) -> Axes:
     """The log density of a posterior's walkers, step by step: level and alike where they agree."""
     ax = axes_of(ax)
-    if "log_density" not in fit.arrays:
+    if fit.posterior is None:
         return empty(ax, "Nothing was drawn.")
-    density = fit.arrays["log_density"]
+    density = fit.posterior.log_density
     every = max(1, len(density) // 200)
     ax.plot(
         np.arange(len(density))[::every], density[::every, :MOST], color=AFTER, lw=0.6, alpha=0.6
@@ -97,21 +97,16 @@ def tuning(fit: Fit, ax: Axes | None = None) -> Axes:
     distribution, with the one chosen.
     """
     ax = axes_of(ax)
-    table = fit.details.get("tuning")
-    if not table:
+    if fit.noise_tuning is None:
         return empty(ax, "Epsilon was not tuned.")
-    epsilon, mse, variance = (
-        np.array([row[key] for row in table]) for key in ("epsilon", "mse", "total_variance")
-    )
+    trials = fit.noise_tuning.trials
+    epsilon = [trial.epsilon for trial in trials]
+    mse = [trial.mse for trial in trials]
+    variance = [trial.total_variance for trial in trials]
     ax.plot(epsilon, mse, color=BEFORE, marker="o", ms=4, label="mean squared error")
     ax.plot(epsilon, variance, color=AFTER, marker="s", ms=4, label="variance of the distribution")
-    ax.axhline(
-        fit.details["mse_threshold"],
-        color=GREY,
-        lw=1,
-        ls=(0, (2, 2)),
-        label="largest error accepted",
-    )
+    threshold = fit.noise_tuning.mse_threshold
+    ax.axhline(threshold, color=GREY, lw=1, ls=(0, (2, 2)), label="largest error accepted")
     ax.axvline(float(fit.epsilon[0]), color=GREY, lw=1, label="chosen")
     ax.set(xscale="log", yscale="log", xlabel="epsilon")
     legend(ax, room=0.35, loc="upper right")

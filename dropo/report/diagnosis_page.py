@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from dropo import plots
-from dropo.core.records.figure_data import Pictures
+from dropo.core.records.figure_data import FigureData
+from dropo.core.records.fit_choices import ExcludedSpan
+from dropo.diagnosis.parts import Alternative, Cause, Suspect, effect_in_words
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
 from dropo.report.folder import Result
@@ -35,7 +37,7 @@ GOOD = {"consistent": "good", "explained": "good", "partly": "bad", "unexplained
 def diagnosis_page(result: Result) -> str:
     """The file's text."""
     content = result.content
-    found = result.pictures
+    found = result.figures
     units = (
         {}
         if result.predictions is None
@@ -67,7 +69,7 @@ def _cards(content: dict[str, Any]) -> list[tuple[str, str, str]]:
         content["extended"]["held_out_log_likelihood"]
         - content["baseline"]["held_out_log_likelihood"]
     )
-    causes = ", ".join(words(_label(cause)) for cause in content["causes"]) or "none"
+    causes = ", ".join(words(_label(cause)) for cause in _causes_of(content)) or "none"
     return [
         ("verdict", content["verdict"], GOOD.get(content["verdict"], "")),
         ("cause", causes, ""),
@@ -77,15 +79,19 @@ def _cards(content: dict[str, Any]) -> list[tuple[str, str, str]]:
     ]
 
 
-def _label(cause: dict[str, Any]) -> str:
-    return (
-        cause["effect"]
-        + (f":{cause['target']}" if cause["target"] else "")
-        + (f".{cause['variant']}" if cause.get("variant") else "")
-    )
+def _causes_of(content: dict[str, Any]) -> list[Cause]:
+    """The causes that diagnosis.json holds."""
+    return [Cause.from_json(saved) for saved in content["causes"]]
 
 
-def _searched(found: Pictures) -> Section:
+def _label(cause: Cause) -> str:
+    """ "joint_damping:elbow", "contact_stiffness.margin"."""
+    target = f":{cause.target}" if cause.target else ""
+    variant = f".{cause.variant}" if cause.variant else ""
+    return f"{cause.effect}{target}{variant}"
+
+
+def _searched(found: FigureData) -> Section:
     """The candidates of every round, which say the cause in one look, and what they cannot be told
     from.
     """
@@ -149,21 +155,21 @@ def _searched(found: Pictures) -> Section:
 
 
 def _causes(content: dict[str, Any]) -> Section:
+    causes = _causes_of(content)
     rows = []
-    for cause in content["causes"]:
-        for name, e in cause["estimate"].items():
-            error = np.nan if e["se"] is None else e["se"]
+    for cause in causes:
+        for name, found in cause.estimate.items():
             rows.append(
                 [
                     Cell(words(_label(cause))),
                     Cell(name),
-                    Cell(f"{e['value']:+.4g}", e["value"]),
-                    Cell(plain(error, 2), error),
-                    Cell(e["unit"]),
-                    Cell("–" if e.get("model") is None else plain(e["model"])),
-                    Cell(plain(cause["held_out_gain"], 3), cause["held_out_gain"]),
-                    Cell(plain(cause["held_out_gain_se"], 2)),
-                    Cell(_p_value(cause["p_value"]), cause["p_value"]),
+                    Cell(f"{found.value:+.4g}", found.value),
+                    Cell(plain(found.se, 2), found.se),
+                    Cell(found.unit),
+                    Cell("–" if found.model is None else plain(found.model)),
+                    Cell(plain(cause.held_out_gain, 3), cause.held_out_gain),
+                    Cell(plain(cause.held_out_gain_se, 2)),
+                    Cell(_p_value(cause.p_value), cause.p_value),
                 ]
             )
     header = [
@@ -177,21 +183,19 @@ def _causes(content: dict[str, Any]) -> Section:
         "standard error",
         "p-value",
     ]
-    told = [
-        _confused(cause, other) for cause in content["causes"] for other in cause["confused_with"]
+    said = [_confused(cause, other) for cause in causes for other in cause.confused_with]
+    said += [
+        f"{words(_label(cause))} only acts like the cause: its size differs with {cause.acts_like}."
+        for cause in causes
+        if cause.acts_like
     ]
-    told += [
-        f"{words(_label(c))} only acts like the cause: its size differs with {c['acts_like']}."
-        for c in content["causes"]
-        if c.get("acts_like")
-    ]
-    body = (
-        table(header, rows) if rows else paragraph("No effect was confirmed on the data held out.")
-    )
+    body = paragraph("No effect was confirmed on the data held out.")
+    if rows:
+        body = table(header, rows)
     return Section(
         "Causes",
         "What was added to the model, and what it gains on data held out." if rows else "",
-        body + (notes(told) if told else ""),
+        body + (notes(said) if said else ""),
     )
 
 
@@ -257,16 +261,11 @@ def _errors(content: dict[str, Any]) -> str:
     )
 
 
-def _pushed(span: dict[str, Any]) -> str:
+def _pushed(span: ExcludedSpan) -> str:
     """A span that was left out."""
-    where = (
-        f"{'held-out ' * span['held_out']}run {span['run']}, {span['from']:.2f} to "
-        f"{span['to']:.2f} s"
-    )
-    return (
-        f"Left out: {where}, where {span['signal']} is {plain(span['off'], 3)} {span['unit']} "
-        f"off after {plain(span['after'], 3)} s."
-    )
+    where = f"{'held-out ' * span.held_out}run {span.run}, {span.start:.2f} to {span.end:.2f} s"
+    error = f"{plain(span.error, 3)} {span.unit}"
+    return f"Left out: {where}, where {span.signal} is {error} off after {plain(span.after, 3)} s."
 
 
 def _odd(run: dict[str, Any]) -> str:
@@ -283,16 +282,14 @@ def _p_value(value: float) -> str:
     return "< 1e-300" if value < 1e-300 else f"{value:.1g}"
 
 
-def _confused(cause: dict[str, Any], other: dict[str, Any]) -> str:
-    place = f" at {other['target']}" if other.get("target") else ""
-    more = f" To tell: {other['to_tell']}." if other.get("to_tell") else ""
-    return (
-        f"{words(_label(cause))} may as well be {other['effect'].replace('_', ' ')}{place}: "
-        f"{other['why']}.{more}"
-    )
+def _confused(cause: Cause, other: Alternative) -> str:
+    """What the data cannot tell from a cause."""
+    place = effect_in_words(other.effect, other.target, "")
+    more = f" To tell: {other.to_tell}." if other.to_tell else ""
+    return f"{words(_label(cause))} may as well be {place}: {other.why}.{more}"
 
 
-def _evidence(found: Pictures, units: dict[str, str]) -> Section | None:
+def _evidence(found: FigureData, units: dict[str, str]) -> Section | None:
     """For every cause: its residuals, its size by regime, its size over time."""
     shown = []
     for i, one in enumerate(found.axes):
@@ -343,15 +340,13 @@ def _evidence(found: Pictures, units: dict[str, str]) -> Section | None:
     )
 
 
-def _remaining(content: dict[str, Any], found: Pictures | None) -> Section:
-    left = content["remaining"]
-    told = [f"It shows in {where}." for where in left["where"]]
-    told += [
-        f"{words(_label(one | {'variant': ''}))} looked likely and was not confirmed."
-        for one in content["suspects"]
-    ]
+def _remaining(content: dict[str, Any], found: FigureData | None) -> Section:
+    suspects = [Suspect.from_json(saved) for saved in content["suspects"]]
+    told = [f"It shows in {where}." for where in content["remaining"]["where"]]
+    told += [f"{words(one.label)} looked likely and was not confirmed." for one in suspects]
     told += [_odd(run) for run in content.get("odd_runs", [])]
-    told += [_pushed(span) for span in (content.get("disturbances") or {}).get("spans", [])]
+    excluded = (content.get("disturbances") or {}).get("spans", [])
+    told += [_pushed(ExcludedSpan.from_json(span)) for span in excluded]
     told += [*content.get("undetermined", []), *content.get("warnings", [])]
     body = notes(told) if told else paragraph("Nothing that these data could show.")
     if found is not None:

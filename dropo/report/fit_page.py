@@ -4,7 +4,9 @@ import numpy as np
 
 from dropo import plots
 from dropo.core.contracts.prior import Prior
-from dropo.core.records.fit import Fit, Status, span
+from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fit_parts import PosteriorDraws
+from dropo.core.records.fit_report import span
 from dropo.core.services.tables import estimate
 from dropo.plots.distribution import MOST
 from dropo.report import parts
@@ -82,7 +84,7 @@ def headline(fit: Fit, result: Result) -> str:
         before = percent(found.before.by_horizon[-1])
         after = percent(found.after.by_horizon[-1])
         begun += f": the error {ahead} goes from {before} to {after} of the motion's spread"
-    told = CHECKED[fit.trusted if "model_check" in fit.details else None]
+    told = CHECKED[None if fit.model_check is None else fit.trusted]
     ended = {
         Status.INTERRUPTED: " The search was interrupted: this is the best so far.",
         Status.OUT_OF_BUDGET: " The search ran out of budget.",
@@ -97,7 +99,7 @@ def _cards(fit: Fit, result: Result) -> list[tuple[str, str, str]]:
     ]
     return [
         ("status", fit.status.value.replace("_", " "), good),
-        *(checked if "model_check" in fit.details else []),
+        *(checked if fit.model_check is not None else []),
         ("method", fit.method, ""),
         ("transitions", f"{fit.transitions:,}", ""),
         ("nats per transition", plain(fit.log_likelihood / fit.transitions), ""),
@@ -107,7 +109,7 @@ def _cards(fit: Fit, result: Result) -> list[tuple[str, str, str]]:
 
 
 def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
-    truth = fit.details.get("truth", {})
+    truth = fit.truth
     intervals = fit.interval()
     header = [
         "parameter",
@@ -146,11 +148,7 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
         f"Bars: each parameter in its search interval. {said}.",
         size=svg_rows(len(fit.space), ROW, HEAD),
     )
-    lead = (
-        SPREAD
-        if fit.details.get("over") != "parameters" and fit.method not in POSTERIORS
-        else KNOWN
-    )
+    lead = KNOWN if fit.parameters_are_constant or fit.method in POSTERIORS else SPREAD
     caption = "Grey is what was searched, pale blue the distribution, the line the mean."
     return Section(
         "Parameters",
@@ -180,7 +178,7 @@ def _joint(fit: Fit) -> list[str]:
             ),
             "Joint distribution",
             f"Contours hold half and 90 % of the draws. {strongest}"
-            + (" Orange: the truth." if fit.details.get("truth") else ""),
+            + (" Orange: the truth." if fit.truth else ""),
         )
     ]
     if len(fit.space) > 2 and np.any(np.abs(fit.correlation - np.eye(len(fit.space))) > 0):
@@ -208,7 +206,7 @@ def _strongest(fit: Fit) -> str:
 def _noise(fit: Fit, result: Result) -> list[str]:
     """How epsilon was found, and what it is beside the errors that are left."""
     shown = []
-    if fit.details.get("tuning"):
+    if fit.noise_tuning is not None:
         text = f"The smallest epsilon whose error is acceptable is {fit.epsilon[0]:.3g}."
         shown.append(
             figure(
@@ -249,10 +247,9 @@ def _search(fit: Fit, result: Result) -> Section:
     history = result.history
     shown = _noise(fit, result)
     diagnostics = ""
-    several = bool(
-        {"tuning", "lambda_choice"} & set(fit.details)
-    )  # fits, of which the journal holds all
-    if "log_density" in fit.arrays:
+    # Of several fits the journal holds all.
+    several = fit.noise_tuning is not None or fit.horizon_choice is not None
+    if fit.posterior is not None:
         shown.append(
             figure(
                 picture(lambda ax: plots.trace(fit, ax), "Log density of the walkers by step."),
@@ -260,7 +257,7 @@ def _search(fit: Fit, result: Result) -> Section:
                 LEVEL,
             )
         )
-        diagnostics = _posterior(fit)
+        diagnostics = _posterior(fit.posterior)
     elif several:
         diagnostics = _lengths(fit)
     elif history is not None and history.means is not None and len(history.means) > 1:
@@ -292,46 +289,43 @@ def _search(fit: Fit, result: Result) -> Section:
 
 def _lengths(fit: Fit) -> str:
     """The table of the lengths of segments that were tried, where one was chosen."""
-    tried = fit.details.get("lambda_choice", [])
+    if fit.horizon_choice is None:
+        return ""
     rows = [
         [
-            _number(row["lambda"], 6),
-            _number(np.nan if row["below_best"] is None else row["below_best"], 4),
-            _number(row["paired_error"], 3),
-            Cell("chosen" if row["chosen"] else ""),
+            _number(trial.horizon, 6),
+            _number(trial.below_best, 4),
+            _number(trial.paired_error, 3),
+            Cell("chosen" if trial.chosen else ""),
         ]
-        for row in tried
+        for trial in fit.horizon_choice.trials
     ]
-    return (
-        table(["lambda", "nats below the best on data held out", "standard error", ""], rows)
-        if rows
-        else ""
-    )
+    return table(["lambda", "nats below the best on data held out", "standard error", ""], rows)
 
 
-def _posterior(fit: Fit) -> str:
-    columns = fit.details.get("posterior", {})
-    names = list(next(iter(columns.values()), {}))
+def _posterior(draws: PosteriorDraws) -> str:
+    """The table of the diagnostics of each unknown."""
+    found = draws.diagnostics
     rows = [
         [
             Cell(name),
-            *(_number(np.nan if v[name] is None else v[name], 4) for v in columns.values()),
+            _number(found.autocorrelation_time[name], 4),
+            _number(found.split_r_hat[name], 4),
+            _number(found.effective_sample_size[name], 4),
         ]
-        for name in names
+        for name in draws.unknowns
     ]
-    return table(
-        ["unknown", *(column.replace("_", " ").replace("r hat", "R-hat") for column in columns)],
-        rows,
-    )
+    header = ["unknown", "autocorrelation time", "split R-hat", "effective sample size"]
+    return table(header, rows)
 
 
 def _remaining(fit: Fit, result: Result) -> Section:
-    told = [*fit.details.get("identifiability", ()), *fit.warnings]
+    told = [*(fit.identifiability or ()), *fit.warnings]
     if fit.failed_simulations:
         told.append(f"{fit.failed_simulations:,} simulations did not reach their end.")
     if result.predictions is not None and parts.too_sure(result.predictions):
         told.append(parts.calibrated(result.predictions))
-    if "model_check" not in fit.details:
+    if fit.model_check is None:
         told.append(CHECKED[None])
     body = (
         notes(told)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dropo import __version__
-from dropo.core.records.figure_data import Pictures
+from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit import Fit
 from dropo.core.records.predictions import FILE, Predictions
 from dropo.core.services.errors import BadFile
@@ -30,7 +30,7 @@ class Result:
     record: dict[str, Any]
     made: dict[str, Any]
     fit: Fit | None = None
-    pictures: Pictures | None = None
+    figures: FigureData | None = None
     predictions: Predictions | None = None
     history: History | None = None
 
@@ -70,7 +70,7 @@ def read_result(folder: str | Path) -> Result:
             content,
             record,
             made,
-            pictures=_pictures(folder, kept) if kept else None,
+            figures=_figures(folder, kept) if kept else None,
             predictions=predictions,
         )
     journal = folder / JOURNAL
@@ -119,9 +119,9 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in parts if part.isdigit())
 
 
-def _pictures(folder: Path, kept: dict[str, Any]) -> Pictures:
+def _figures(folder: Path, kept: dict[str, Any]) -> FigureData:
     try:
-        return Pictures.from_json(kept)
+        return FigureData.from_json(kept)
     except (KeyError, TypeError) as error:
         raise BadFile(
             folder / "diagnosis.json",

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.random import Generator
 
+from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.validation import Array, float_array, require
 
@@ -151,4 +152,4 @@ def places_of(distribution: ParameterDistribution) -> dict[str, dict[str, Any]]:
     if isinstance(distribution, Curriculum):
         return places_of(distribution.distribution)
     own = {p.name: place for p in distribution.space if (place := p.place)}
-    return {**getattr(distribution, "details", {}).get("places", {}), **own}
+    return {**(distribution.places if isinstance(distribution, Fit) else {}), **own}

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
-from dropo.core.services.tables import Printed, Table, number
+from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array, require
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.distributions import ParameterDistribution, Point, full
@@ -22,7 +22,7 @@ TOGETHER = 32
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Returns(Printed):
+class Returns(Report):
     """Returns (n,) of n independent episodes, their mean and its standard error, sd / sqrt(n);
     lengths: (n,) in steps.
 
@@ -70,7 +70,7 @@ class Returns(Printed):
 
 
 @dataclass(frozen=True, repr=False)
-class Compared(Printed):
+class Compared(Report):
     """Returns by what they are of; warnings: what else is to be said, a sentence each."""
 
     found: dict[str, Returns]

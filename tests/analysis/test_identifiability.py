@@ -75,15 +75,10 @@ def test_gear_and_inertia_of_a_motor():
     """
     balanced, heavy = (driven(arm(bob)) for bob in ("", BOB))
     fit = LeastSquares().fit(balanced)
-    assert (
-        "only gear / inertia is determined by the data, not each of them"
-        in fit.details["identifiability"]
-    )
+    assert "only gear / inertia is determined by the data, not each of them" in fit.identifiability
     assert np.isnan(fit.mean_se).all()
     fit = LeastSquares().fit(heavy)
-    assert not any(
-        "gear" in sentence or "inertia" in sentence for sentence in fit.details["identifiability"]
-    )
+    assert not any("gear" in sentence or "inertia" in sentence for sentence in fit.identifiability)
     np.testing.assert_allclose(fit.mean, [2.0, 0.05], rtol=0.02)
     assert np.isfinite(fit.mean_se).all()
 

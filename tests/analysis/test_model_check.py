@@ -78,12 +78,8 @@ def test_epsilon_that_is_too_small_is_told():
         fitted("independent", 0, estimator=estimator(v))[0] for v in (2.5e-5, 2.5e-5 / 4)
     )
     assert right.trusted
-    assert right.details["model_check"]["size"]["mean_square"] == pytest.approx(
-        1, abs=4.5 * np.sqrt(1 / 1000)
-    )
-    assert wrong.details["model_check"]["size"]["mean_square"] == pytest.approx(
-        4, abs=4 * 4.5 * np.sqrt(1 / 1000)
-    )
+    assert right.model_check.size.mean_square == pytest.approx(1, abs=4.5 * np.sqrt(1 / 1000))
+    assert wrong.model_check.size.mean_square == pytest.approx(4, abs=4 * 4.5 * np.sqrt(1 / 1000))
     assert any(
         text.startswith("the model is wrong or epsilon too small: residuals are ")
         for text in wrong.warnings
@@ -113,7 +109,7 @@ def test_signals_that_do_not_move_and_single_trajectories():
     )
     fit = LeastSquares().fit(Problem("half blind", simulator, data))
     assert fit.trusted
-    assert "y1 does not move" in fit.details["identifiability"]
+    assert "y1 does not move" in fit.identifiability
 
 
 def test_perfect_data_are_no_evidence():

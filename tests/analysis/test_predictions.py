@@ -8,6 +8,7 @@ from scipy import stats
 
 from dropo import LeastSquares
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit_choices import HorizonChoice, HorizonTrial
 from dropo.core.records.predictions import LEVEL
 from dropo.evaluation.predictions import REACH, predict
 from dropo.problems.simulated.slide import NOISE, slide
@@ -114,13 +115,8 @@ def test_single_transitions_and_whole_trajectories():
 def test_a_length_that_was_chosen_is_taken(fitted):
     """The rows that a fit compares are as far ahead as its own."""
     one, fit, found = fitted
-    chosen = replace(
-        fit,
-        details={
-            **fit.details,
-            "lambda_choice": [{"lambda": 2, "chosen": False}, {"lambda": 5, "chosen": True}],
-        },
-    )
+    trials = tuple(HorizonTrial(n, 0.0, 0.0, n == 5, (), ()) for n in (2, 5))
+    chosen = replace(fit, horizon_choice=HorizonChoice(trials))
     assert (found.rows_after, predict(one, chosen).rows_after) == (1, 5)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from dropo.cli.main import _parser, main
 from dropo.cli.output import Progress, show, time_left
-from dropo.core.services.tables import Printed, Table
+from dropo.core.services.tables import Report, Table
 
 FURTHER = {"--threads", "--seed", "--json", "--quiet"}
 
@@ -28,7 +28,7 @@ def _same_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
 
 
-class _Result(Printed):
+class _Result(Report):
     def parts(self) -> list[str | Table]:
         return [
             "a [bold]robot[/bold]",

@@ -8,8 +8,8 @@ import pytest
 from dropo.core.records.figure_data import (
     AgainstAxis,
     Bar,
+    FigureData,
     Forces,
-    Pictures,
     Similarity,
     Sizes,
     Sums,
@@ -86,7 +86,7 @@ def test_other_files_are_refused(tmp_path):
 
 def test_pictures_come_back():
     """From JSON as from memory, to seven digits."""
-    kept = Pictures(
+    kept = FigureData(
         9.1,
         ((Bar("a:x", 20.0, 2.0, True, True), Bar("b", None, None, False, False)),),
         (AgainstAxis("a:x", "v", "m/s", "x", "m", (1.0, 2.0), (0.1, 0.2), (0.0, 0.0)),),
@@ -95,4 +95,4 @@ def test_pictures_come_back():
         Similarity(("a:x", "b"), ((1.0, 0.9), (0.9, 1.0))),
         (Sums("a:x", (0.5, 1.0), (0.3, 0.0)),),
     )
-    assert Pictures.from_json(kept.to_json()) == kept
+    assert FigureData.from_json(kept.to_json()) == kept

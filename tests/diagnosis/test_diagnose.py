@@ -84,13 +84,15 @@ def test_hidden_damping_is_named_with_its_size(damped):
     (cause,) = damped.causes
     assert (cause.effect, cause.target, cause.acts_like) == ("joint_damping", "elbow", None)
     told = cause.estimate["damping"]
-    assert abs(told["value"] - 0.05) < 4 * told["se"] < 0.02 * 0.05 * 4
-    assert told["model"] == 0.05
-    assert damped.extended_log_likelihood - damped.baseline_log_likelihood == pytest.approx(
-        cause.held_out_gain, rel=1e-6
-    )
+    assert abs(told.value - 0.05) < 4 * told.se < 0.02 * 0.05 * 4
+    assert told.model == 0.05
+    assert damped.gain == pytest.approx(cause.held_out_gain, rel=1e-6)
     assert cause.rmse_after < 0.5 * cause.rmse_before
-    assert damped.after[1].rmse < 1.5 * damped.after[1].noise < damped.before[1].rmse
+    assert (
+        damped.extended.horizons[1].rmse
+        < 1.5 * damped.extended.horizons[1].noise
+        < damped.baseline.horizons[1].rmse
+    )
     np.testing.assert_allclose(list(damped.noise.values()), 1e-3, rtol=0.25)
 
 
@@ -158,14 +160,14 @@ def test_data_without_noise():
     assert FAST.run(problem([], sigma=0.0)).verdict == "consistent"
     found = FAST.run(problem([("joint_damping:elbow", [1e-4])], sigma=0.0))
     assert [(c.effect, c.target) for c in found.causes] == [("joint_damping", "elbow")]
-    assert found.causes[0].estimate["damping"]["value"] == pytest.approx(1e-4, rel=1e-3)
+    assert found.causes[0].estimate["damping"].value == pytest.approx(1e-4, rel=1e-3)
 
 
 def test_masses_fitted_at_the_same_time():
     """A declared mass that is off by a fifth is fitted, and the damping hidden beside it is named."""
     found = FAST.run(problem([("joint_damping:elbow", [0.05])], parameters=[UPPER], truth=[1.2]))
     assert [(c.effect, c.target) for c in found.causes] == [("joint_damping", "elbow")]
-    assert found.causes[0].estimate["damping"]["value"] == pytest.approx(0.05, rel=0.05)
+    assert found.causes[0].estimate["damping"].value == pytest.approx(0.05, rel=0.05)
 
 
 def test_declared_parameter_that_is_off_is_no_missing_effect():
@@ -194,13 +196,13 @@ def test_white_torque_noise_is_said_to_be_forces():
     noise = EffectInstance("white", None, (Quantity("sd", "1", 0, 1, (0.1,)),), actuation=push)
     found = FAST.run(problem([(noise, [0.1])]))
     assert (found.verdict, found.causes) == ("unexplained", ())
-    assert "forces of" in " ".join(found.remaining["where"])
+    assert "forces of" in " ".join(found.remaining.where)
     expected = {
         "shoulder [N m]": 0.8 / 2,
         "elbow [N m]": 0.4 / 2,
     }  # gear times sd, the mean of four physics steps
     for name, sd in expected.items():
-        assert found.remaining["forces"][name] == pytest.approx(sd, rel=0.3)
+        assert found.remaining.forces[name] == pytest.approx(sd, rel=0.3)
 
 
 def test_true_cause_left_out_of_the_search():
@@ -215,8 +217,8 @@ def test_delay_stands_for_sensors_too():
     """A delay of all commands and one of all sensors are the same in recorded data, and it is said."""
     found = FAST.run(problem([("actuator_delay", [0.01])]))
     assert (found.causes[0].effect, found.causes[0].target) == ("actuator_delay", None)
-    assert found.causes[0].estimate["delay"]["value"] == pytest.approx(0.01, rel=0.02)
-    assert any(c["effect"] == "sensor_delay" for c in found.causes[0].confused_with)
+    assert found.causes[0].estimate["delay"].value == pytest.approx(0.01, rel=0.02)
+    assert any(c.effect == "sensor_delay" for c in found.causes[0].confused_with)
 
 
 # What is refused

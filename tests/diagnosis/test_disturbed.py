@@ -46,9 +46,11 @@ def test_pushes_are_listed_and_left_out(smooth, tmp_path):
     for span, (_, first, last) in zip(spans, STRONG, strict=True):
         assert span.start - 0.3 < first * STEP < span.start + 0.2
         assert span.end - 0.2 < last * STEP < span.end + 0.3
-    friction = next(cause for cause in found.causes if cause.effect == "joint_friction").estimate[
-        "frictionloss"
-    ]["value"]
+    friction = (
+        next(cause for cause in found.causes if cause.effect == "joint_friction")
+        .estimate["frictionloss"]
+        .value
+    )
     assert abs(friction - 0.15) < 0.02
     assert len(found.problem.trajectories) == len(data) - sum(
         span.last - span.first for span in spans
@@ -59,7 +61,7 @@ def test_pushes_are_listed_and_left_out(smooth, tmp_path):
     told = json.loads((tmp_path / "diagnosis.json").read_text())["disturbances"]
     assert [(one["run"], one["held_out"]) for one in told["spans"]] == [(0, False), (2, False)]
     assert all(one["seconds"] == one["to"] - one["from"] for one in told["spans"])
-    without = next(h.units["rad/s"][0] for h in found.after if h.steps == 10)
+    without = next(h.units["rad/s"][0] for h in found.extended.horizons if h.steps == 10)
     assert told["errors_with_them"]["extended"]["units"]["rad/s"]["rmse"] > without
     off = diagnosed(smooth, data, disturbances=False)
     assert off.disturbances is None

@@ -97,7 +97,7 @@ def test_delay_of_a_fast_joints_velocity_is_named(monkeypatch, delay):
     assert [(cause.effect, cause.target) for cause in found.causes] == [
         ("sensor_delay", "qvel.elbow")
     ]
-    assert abs(size["value"] - delay) < 4 * size["se"] < 4e-3 * delay
+    assert abs(size.value - delay) < 4 * size.se < 4e-3 * delay
     assert found.verdict == "explained"
     monkeypatch.setattr(MujocoSimulator, "extra_start_sd", Simulator.extra_start_sd)
-    assert diagnose(late, effects).causes[0].estimate["delay"]["se"] > 5 * size["se"]
+    assert diagnose(late, effects).causes[0].estimate["delay"].se > 5 * size.se

@@ -41,7 +41,7 @@ def test_hidden_effect_is_found(name, declared):
     told = estimate(search.library, last, last.accepted[0], standard_errors(search.library, last))[
         "size"
     ]
-    assert abs(told["value"] - SIZES[name]) < 4 * told["se"] < 0.5 * abs(SIZES[name])
+    assert abs(told.value - SIZES[name]) < 4 * told.se < 0.5 * abs(SIZES[name])
     assert gain_of(first.test, last.test)[0] > 20
 
 

@@ -23,12 +23,12 @@ def test_bounds_end_where_the_policy_fails():
     """
     step = 0.02 * (slide().space.high - slide().space.low)
     fit = ADR(performance=succeeds, budget=1200, buffer=3).fit(slide(), rng=0)
-    ends = fit.arrays["bounds"][-1]
+    ends = fit.search_record.bounds[-1]
     assert (np.abs(ends - [LOW, HIGH]) <= step + 1e-12).all()
     assert (np.abs(ends - [LOW + 2 * step, HIGH - 2 * step]) > step + 1e-12).all()
     assert fit.family == "uniform"
     np.testing.assert_allclose([fit.mean - fit.scale, fit.mean + fit.scale], ends)
-    assert fit.details["target_transitions"] == 0
+    assert fit.search_record.target_transitions == 0
 
 
 def test_a_policy_that_never_succeeds_leaves_a_point():
@@ -37,8 +37,10 @@ def test_a_policy_that_never_succeeds_leaves_a_point():
         ADR(performance=lambda v, rng, p=p: p, budget=1000, buffer=2, step=0.1).fit(slide())
         for p in (0.0, 1.0)
     )
-    np.testing.assert_array_equal(*never.arrays["bounds"][-1])
-    np.testing.assert_allclose(always.arrays["bounds"][-1], [slide().space.low, slide().space.high])
+    np.testing.assert_array_equal(*never.search_record.bounds[-1])
+    np.testing.assert_allclose(
+        always.search_record.bounds[-1], [slide().space.low, slide().space.high]
+    )
 
 
 def test_bounds_come_back():
@@ -55,7 +57,7 @@ def test_bounds_come_back():
             return 1.0 if len(asked) <= 200 else late
 
         fit = ADR(performance=performance, budget=400, buffer=1).fit(slide())
-        width = np.ptp(fit.arrays["bounds"], axis=1) / (space.high - space.low)
+        width = np.ptp(fit.search_record.bounds, axis=1) / (space.high - space.low)
         found[late] = width[200].mean(), width[-1].mean()
     assert found[0.5][0] == pytest.approx(found[0.5][1])
     assert found[0.0][1] < 0.5 * found[0.0][0]
@@ -72,7 +74,7 @@ def test_values_lie_on_a_bound():
         return 1.0
 
     fit = ADR(performance=performance, budget=300, buffer=3).fit(slide())
-    bounds = fit.arrays["bounds"][:-1]  # those in force at each call
+    bounds = fit.search_record.bounds[:-1]  # those in force at each call
     values = np.array(asked)[:, None]
     on = (values == bounds)[200:]  # by now no two bounds are the same
     assert on.any(axis=(1, 2)).all()
@@ -85,8 +87,8 @@ def test_same_seed_same_bounds():
     one, same, other = (
         ADR(performance=noisy, budget=100, buffer=1).fit(slide(), rng=seed) for seed in (1, 1, 2)
     )
-    np.testing.assert_array_equal(one.arrays["bounds"], same.arrays["bounds"])
-    assert (one.arrays["bounds"] != other.arrays["bounds"]).any()
+    np.testing.assert_array_equal(one.search_record.bounds, same.search_record.bounds)
+    assert (one.search_record.bounds != other.search_record.bounds).any()
 
 
 def test_interrupted_it_keeps_its_bounds():

@@ -48,10 +48,12 @@ def test_the_target_s_cost_is_counted(fit):
     """16 policies were tried: their target transitions, and their training beside the simulations
     that judge the law at the end.
     """
-    assert fit.details["target_transitions"] == 16 * 500
+    assert fit.search_record.target_transitions == 16 * 500
     assert fit.simulator_steps == 16 * 1000 + 100 * 1000
-    assert fit.arrays["returns"].shape == (16,)
-    np.testing.assert_array_equal(fit.phi, fit.arrays["laws"][fit.arrays["expected"].argmax()])
+    assert fit.search_record.returns.shape == (16,)
+    np.testing.assert_array_equal(
+        fit.phi, fit.search_record.distributions[fit.search_record.expected.argmax()]
+    )
 
 
 def test_a_lucky_return_does_not_win():

@@ -18,7 +18,7 @@ def test_mean_is_that_of_least_squares():
     np.testing.assert_allclose(fit.mean, LeastSquares(weights="equal").fit(slide()).mean, rtol=1e-4)
     assert np.abs(fit.mean - LeastSquares().fit(slide()).mean).max() > 1e-4
     assert fit.family == "full"
-    assert fit.details["squared_distance"] == pytest.approx(fit.mse * 2000, rel=1e-9)
+    assert fit.search_record.squared_distance == pytest.approx(fit.mse * 2000, rel=1e-9)
 
 
 def test_its_covariance_is_how_far_the_search_had_converged():

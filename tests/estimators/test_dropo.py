@@ -132,7 +132,7 @@ def test_every_optimizer_finds_the_same_maximum(optimizer):
     fit = DROPO(optimizer=optimizer, budget=BUDGETS.get(optimizer, 400)).fit(slide())
     assert fit.log_likelihood == pytest.approx(slide_fit().log_likelihood, abs=0.01)
     np.testing.assert_allclose(fit.mean, slide_fit().mean, atol=0.02 * slide_fit().mean_se.min())
-    assert fit.details["optimizer"] == optimizer
+    assert fit.optimizer == optimizer
 
 
 @pytest.mark.parametrize("family", ["full", "uniform", "log_normal", "point"])
@@ -175,7 +175,7 @@ def test_draws_agree_with_the_emulator(optimizer, budget):
     assert (np.abs(z_of_mean(fit, slide_fit().mean)) < 1).all(), str(fit)
     assert (np.abs(z_of_sd(fit, slide_fit().sd)) < 1).all(), str(fit)
     assert abs(z_of_mean(fit, np.array([1.6, 0.8]))[0]) > 4.5
-    assert fit.details["likelihood"] == "monte-carlo"
+    assert fit.likelihood == "monte-carlo"
 
 
 def test_least_squares_as_a_start_ends_at_the_same_place():
@@ -192,7 +192,7 @@ def test_random_starts_end_at_the_same_place(seed):
     fit = DROPO(start="random").fit(hopper(), rng=seed)
     assert fit.status is Status.CONVERGED
     np.testing.assert_allclose(fit.mean, MASSES, atol=1e-7)
-    assert fit.details["certified"] == list(TRUTH)
+    assert fit.constant_parameters == tuple(TRUTH)
     assert fit.simulator_steps < 1.2e5
 
 
@@ -203,7 +203,7 @@ def test_random_starts_are_drawn_from_the_box():
     problem.simulator.space = space
     drawn = np.array(
         [
-            DROPO(start="random")._centre(problem, None, np.random.default_rng(seed))
+            DROPO(start="random")._first_mean(problem, None, np.random.default_rng(seed))
             for seed in range(400)
         ]
     )
@@ -214,10 +214,10 @@ def test_random_starts_are_drawn_from_the_box():
 
 def test_scales_are_certified_where_the_score_says_so():
     """None of `slide`, whose parameters vary; both of clean pushes of one block."""
-    assert slide_fit().details["certified"] == []
-    assert DROPO().fit(pushes(3, sd=0.0, noise=0.0, count=10, epsilon=1e-8)).details[
-        "certified"
-    ] == ["mass", "damping"]
+    assert slide_fit().constant_parameters == ()
+    assert DROPO().fit(
+        pushes(3, sd=0.0, noise=0.0, count=10, epsilon=1e-8)
+    ).constant_parameters == ("mass", "damping")
 
 
 # --- noise
@@ -358,27 +358,29 @@ def test_tuning_epsilon_has_the_shape_of_figure_6_4():
     """As epsilon rises to the noise, the total variance falls to none and the mean squared error to
     its least.
     """
-    table = tuned().details["tuning"]
-    assert [row["epsilon"] for row in table] == [10.0**k for k in range(-8, -1)]
-    variance, error = (np.array([row[key] for row in table]) for key in ("total_variance", "mse"))
+    table = tuned().noise_tuning.trials
+    assert [row.epsilon for row in table] == [10.0**k for k in range(-8, -1)]
+    variance, error = (
+        np.array([getattr(row, key) for row in table]) for key in ("total_variance", "mse")
+    )
     assert (np.diff(variance[:4]) < 0).all()
     assert variance[0] > 0.5
     assert (variance[3:] < 1e-6).all()
     assert (np.diff(error[:4]) < 0).all()
     assert error[0] > 100 * error[3]
     assert error[3] == pytest.approx(1e-5, rel=4.5 * np.sqrt(2 / 400))
-    assert int(np.argmax([row["log_likelihood"] for row in table])) == 3
+    assert int(np.argmax([row.log_likelihood for row in table])) == 3
 
 
 def test_tuning_takes_the_smallest_acceptable_epsilon():
     """At most 1.1 times the least error without a threshold; the given threshold; and the least
     error where none reaches it.
     """
-    table = tuned().details["tuning"]
-    threshold = tuned().details["mse_threshold"]
-    least = min(row["mse"] for row in table)
+    table = tuned().noise_tuning.trials
+    threshold = tuned().noise_tuning.mse_threshold
+    least = min(row.mse for row in table)
     assert threshold == pytest.approx(1.1 * least, rel=1e-3)
-    assert tuned().epsilon[0] == min(row["epsilon"] for row in table if row["mse"] <= threshold)
+    assert tuned().epsilon[0] == min(row.epsilon for row in table if row.mse <= threshold)
     strict = tuned(mse_threshold=1.001 * least)
     assert strict.epsilon.tolist() == [1e-5, 1e-5]
     assert strict.warnings == ()

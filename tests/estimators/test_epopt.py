@@ -40,9 +40,9 @@ def conjugate(problem, prior_mean=0.0, prior_precision=0.0):
 
 def away(fit, mean, covariance):
     """How far off the weighted mean is, in standard errors of the effective particles."""
-    found = fit.arrays["weights"] @ fit.arrays["particles"]
+    found = fit.search_record.weights @ fit.search_record.particles
     return np.abs(found - mean) / np.sqrt(
-        np.diagonal(covariance) / fit.details["effective_sample_size"]
+        np.diagonal(covariance) / fit.search_record.effective_sample_size
     )
 
 
@@ -56,7 +56,7 @@ def test_the_posterior_is_the_conjugate_one():
     sd = np.sqrt(np.diagonal(covariance))
     assert (away(fit, mean, covariance) < 4.5).all()
     assert (away(fit, mean + 0.5 * sd, covariance) > 4.5).all()
-    size = fit.details["effective_sample_size"]
+    size = fit.search_record.effective_sample_size
     assert fit.sd == pytest.approx(sd, rel=4.5 / np.sqrt(2 * size))
     assert fit.correlation[0, 1] == pytest.approx(
         covariance[0, 1] / sd.prod(), abs=4.5 / np.sqrt(size)
@@ -85,9 +85,9 @@ def test_without_tempering_one_particle_is_left():
     bare, tempered = (
         EPOpt(tempered=tempered).fit(problem(epsilon=NOISE)) for tempered in (False, True)
     )
-    assert bare.details["effective_sample_size"] < 3
+    assert bare.search_record.effective_sample_size < 3
     assert any("particles are effective" in text for text in bare.warnings)
-    assert tempered.details["effective_sample_size"] > 80
+    assert tempered.search_record.effective_sample_size > 80
     assert not tempered.warnings
 
 
@@ -112,7 +112,7 @@ def test_same_seed_same_fit_and_saved_whole(tmp_path):
     )
     assert one.mean.tolist() == same.mean.tolist() != other.mean.tolist()
     one.save(tmp_path)
-    np.testing.assert_array_equal(Fit.load(tmp_path).arrays["draws"], one.arrays["draws"])
+    np.testing.assert_array_equal(Fit.load(tmp_path).search_record.draws, one.search_record.draws)
 
 
 def test_on_the_command_line(tmp_path, capsys):

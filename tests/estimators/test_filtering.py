@@ -110,9 +110,9 @@ def test_errors_shrink():
     state.
     """
     assert (fits("filtered").mean_se < 0.25 * fits("measured").mean_se).all()
-    turns = fits("filtered").details["filter"]["moves"]
+    turns = fits("filtered").start_filter.moves
     assert turns[-1] < 0.05
-    assert fits("filtered").details["filter"]["resets"] == 0
+    assert fits("filtered").start_filter.resets == 0
 
 
 @pytest.mark.parametrize("length", [1, 4])

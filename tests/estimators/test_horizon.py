@@ -43,19 +43,19 @@ def test_longer_segments_win_where_starts_are_noisy():
     """
     fit = chosen()
     one = DROPO().fit(measured_pushes())
-    table = fit.details["lambda_choice"]
-    assert [row["lambda"] for row in table] == [1, 2, 5, 10, 20][: len(table)]
-    taken = next(row for row in table if row["chosen"])
-    assert taken["lambda"] > 1
+    table = fit.horizon_choice.trials
+    assert [row.horizon for row in table] == [1, 2, 5, 10, 20][: len(table)]
+    taken = next(row for row in table if row.chosen)
+    assert taken.horizon > 1
     assert (fit.mean_se < 0.7 * one.mean_se).all()
     assert (np.abs(z_of_mean(fit, MEAN)) < 4.5).all(), str(fit)
-    assert f"lambda = {taken['lambda']} predicts held-out data best" in fit.message
+    assert f"lambda = {taken.horizon} predicts held-out data best" in fit.message
 
 
 def test_the_fit_is_that_of_the_lambda_on_all_data():
     """Found by the same method on everything; the log-likelihood within 0.01 nat."""
-    table = chosen().details["lambda_choice"]
-    length = next(row["lambda"] for row in table if row["chosen"])
+    table = chosen().horizon_choice.trials
+    length = next(row.horizon for row in table if row.chosen)
     again = DROPO().fit(measured_pushes().using(length=length))
     assert chosen().log_likelihood == pytest.approx(again.log_likelihood, abs=0.01)
     assert chosen().transitions == again.transitions
@@ -84,9 +84,9 @@ def test_close_scores_are_settled_by_standard_errors():
     far = made(5, -2.0 + 0.1 * wobble, 0.001)
     assert choose([sure, near, far])[0] is near
     assert choose([sure, far])[0] is sure
-    rows = choose([sure, near, far])[1]
-    assert [row["chosen"] for row in rows] == [False, True, False]
-    assert rows[2]["below_best"] == pytest.approx(16.0, abs=1e-9)
+    rows = choose([sure, near, far])[1].trials
+    assert [row.chosen for row in rows] == [False, True, False]
+    assert rows[2].below_best == pytest.approx(16.0, abs=1e-9)
 
 
 def test_what_is_held_out():

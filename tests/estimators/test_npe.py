@@ -59,14 +59,14 @@ def test_the_posterior_is_near_the_conjugate_one(fit):
     assert not near(fit.mean, 3 * fit.sd)
     assert fit.correlation[0, 1] < -0.2  # -0.45 in truth
     assert fit.status is Status.CONVERGED
-    assert fit.arrays["draws"].shape == (500, 2)
+    assert fit.search_record.draws.shape == (500, 2)
 
 
 def test_boxes_close_in(fit):
     """Each round's box lies in the one before and holds the truth; the last is a hundredth of the
     first.
     """
-    boxes = fit.arrays["boxes"]
+    boxes = fit.search_record.boxes
     assert (boxes[1:, 0] >= boxes[:-1, 0]).all()
     assert (boxes[1:, 1] <= boxes[:-1, 1]).all()
     assert ((boxes[:, 0] < TRUTH) & (boxes[:, 1] > TRUTH)).all()

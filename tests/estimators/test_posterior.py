@@ -13,7 +13,7 @@ from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
 from dropo.core.services.evaluation_log import Journal
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.posterior import PointLikelihood, Posterior, judge
+from dropo.estimators.posterior import PointLikelihood, Posterior, evaluate_draws
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.optimizers.samplers.pyro_nuts import PyroNuts
 from dropo.optimizers.samplers.pyro_svi import PyroSvi
@@ -50,7 +50,7 @@ def conjugate(problem, prior_mean=0.0, prior_precision=0.0):
 
 def z_of_means(fit, mean, covariance):
     size = np.array(
-        [fit.details["posterior"]["effective_sample_size"][name] for name in ("x0", "x1")]
+        [fit.posterior.diagnostics.effective_sample_size[name] for name in ("x0", "x1")]
     )
     return np.abs(fit.mean - mean) / np.sqrt(np.diagonal(covariance) / size)
 
@@ -78,7 +78,7 @@ def test_a_learned_epsilon_is_the_noise():
     """
     fit = Posterior(sampler=Emcee(steps=1000, burn_in=500)).fit(problem(), rng=1)
     assert fit.epsilon == pytest.approx([NOISE, NOISE], rel=4.5 * np.sqrt(2 / 30))
-    assert fit.arrays["chain"].shape == (1000, 32, 3)
+    assert fit.posterior.chain.shape == (1000, 32, 3)
 
 
 def test_log_density_by_hand():
@@ -126,16 +126,18 @@ def test_too_few_steps_are_told():
 
 def test_independent_draws_raise_no_objection():
     rng = np.random.default_rng(1)
-    notes, numbers = judge(Draws(rng.standard_normal((1000, 8, 1)), np.zeros((1000, 8)), ("x",)))
+    notes, numbers = evaluate_draws(
+        Draws(rng.standard_normal((1000, 8, 1)), np.zeros((1000, 8)), ("x",))
+    )
     assert notes == []
-    assert numbers["split_r_hat"]["x"] == pytest.approx(1, abs=0.01)
+    assert numbers.split_r_hat["x"] == pytest.approx(1, abs=0.01)
 
 
 def test_same_seed_same_draws_and_a_killed_run_resumes(tmp_path):
     settings = Posterior(sampler=Emcee(steps=60, burn_in=20))
     whole = settings.fit(problem(epsilon=NOISE), rng=3)
     assert np.array_equal(
-        whole.arrays["chain"], settings.fit(problem(epsilon=NOISE), rng=3).arrays["chain"]
+        whole.posterior.chain, settings.fit(problem(epsilon=NOISE), rng=3).posterior.chain
     )
 
     class Killed(RuntimeError):
@@ -152,7 +154,7 @@ def test_same_seed_same_draws_and_a_killed_run_resumes(tmp_path):
     journal = Journal(tmp_path / "journal")
     assert journal.replayed > 40
     resumed = settings.fit(problem(epsilon=NOISE), rng=3, journal=journal)
-    assert np.array_equal(resumed.arrays["chain"], whole.arrays["chain"])
+    assert np.array_equal(resumed.posterior.chain, whole.posterior.chain)
     assert resumed.simulator_steps == whole.simulator_steps
 
 
@@ -160,7 +162,7 @@ def test_fit_is_saved_whole_and_drawn_from(tmp_path):
     fit = Posterior(sampler=Emcee(steps=60, burn_in=20)).fit(problem(epsilon=NOISE), rng=3)
     fit.save(tmp_path)
     back = Fit.load(tmp_path)
-    assert np.array_equal(back.arrays["chain"], fit.arrays["chain"])
+    assert np.array_equal(back.posterior.chain, fit.posterior.chain)
     assert json.loads((tmp_path / "fit.json").read_text())["posterior"]["split_r_hat"].keys() == {
         "x0",
         "x1",
@@ -281,8 +283,8 @@ def test_a_distribution_by_nuts_with_learned_noise():
         epsilon="learn",
         sampler=PyroNuts(draws=60, warmup=60, chains=1),
     ).fit(one, rng=2)
-    draws = fit.arrays["chain"].reshape(-1, 7)
-    names = fit.details["unknowns"]
+    draws = fit.posterior.chain.reshape(-1, 7)
+    names = fit.posterior.unknowns
     assert names[-2:] == ["epsilon[0]", "epsilon[1]"]
     true = [*TRUTH, 0.3, 0.3, 0.6]
     assert (np.abs(draws[:, :5].mean(axis=0) - true) < 4.5 * draws[:, :5].std(axis=0)).all()
@@ -290,7 +292,7 @@ def test_a_distribution_by_nuts_with_learned_noise():
         np.abs(draws[:, :4].mean(axis=0)) > 4.5 * draws[:, :4].std(axis=0)
     ).all()  # the control: they are not 0
     assert fit.epsilon == pytest.approx([0.01, 0.01], rel=0.5)
-    assert fit.arrays["row_log_likelihood"].shape == (60, 1, 75)
+    assert fit.posterior.row_log_likelihood.shape == (60, 1, 75)
 
 
 def test_draws_that_reach_the_edge_of_a_local_model_are_told():
@@ -323,10 +325,10 @@ def test_inference_data_of_a_fit(tmp_path):
         }
         assert dict(data.posterior.sizes) == {"chain": 8, "draw": 30}
         assert {"method": "posterior", "seed": 3}.items() <= data.attrs.items()
-        np.testing.assert_array_equal(data.posterior["x1"].values, fit.arrays["chain"][..., 1].T)
+        np.testing.assert_array_equal(data.posterior["x1"].values, fit.posterior.chain[..., 1].T)
         np.testing.assert_allclose(
             data.log_likelihood["measured"].sum("measured_dim_0"),
-            fit.arrays["log_density"].T,
+            fit.posterior.log_density.T,
             rtol=1e-9,
         )
         np.testing.assert_allclose(

@@ -70,24 +70,22 @@ def test_a_balanced_one_way_layout_has_its_closed_form(epsilon):
     )
     kept = within / ROWS / total
     np.testing.assert_allclose(
-        fit.arrays["group_mean"][:, 0], y.mean() + (1 - kept) * (means - y.mean()), rtol=1e-5
+        fit.groups.mean[:, 0], y.mean() + (1 - kept) * (means - y.mean()), rtol=1e-5
     )
     np.testing.assert_allclose(
-        fit.arrays["group_covariance"][:, 0, 0],
-        variance * kept + kept**2 * total / groups,
-        rtol=1e-4,
+        fit.groups.covariance[:, 0, 0], variance * kept + kept**2 * total / groups, rtol=1e-4
     )
-    assert fit.details["groups"]["shrinkage"]["x0"] == pytest.approx(kept, rel=1e-4)
+    assert fit.groups.shrinkage["x0"] == pytest.approx(kept, rel=1e-4)
     alone = stats.norm.logpdf(y, y.mean(), np.sqrt(none)).sum()
     gain = (
         fit.log_likelihood - alone + 0.5 * np.log(ROWS * total / none)
     )  # the means integrated out
-    found = fit.details["groups_differ"]
-    assert found["statistic"] == pytest.approx(2 * gain, rel=1e-4)
-    assert found["p_value"] == pytest.approx(
+    found = fit.groups.tests
+    assert found.overall.statistic == pytest.approx(2 * gain, rel=1e-4)
+    assert found.overall.p_value == pytest.approx(
         0.5 * stats.chi2.sf(2 * gain, 1), rel=0.06
     )  # the weight is a share of 4000 draws
-    assert found["parameters"]["x0"]["p_value"] == pytest.approx(
+    assert found.parameters["x0"].p_value == pytest.approx(
         0.5 * stats.chi2.sf(2 * gain, 1), rel=1e-2
     )
 
@@ -139,9 +137,7 @@ def test_more_groups_shrink_the_ignorance_and_not_the_spread():
     assert abs(few.sd[0] / many.sd[0] - 1) < 4 / np.sqrt(2 * 20)
     for fit in (few, many):
         assert abs(fit.mean[0] - 1) < 4 * fit.mean_se[0]
-        assert fit.details["predictive_sd"]["x0"] == pytest.approx(
-            np.hypot(fit.sd[0], fit.mean_se[0])
-        )
+        assert fit.groups.predictive_sd["x0"] == pytest.approx(np.hypot(fit.sd[0], fit.mean_se[0]))
 
 
 def p_values(rng, sd):
@@ -217,33 +213,21 @@ def test_what_differs_is_said(family, tmp_path):
         "ignorance of a group",
     ):
         assert text in str(fit)
-    assert (
-        fit.details["groups"]["shrinkage"]["x0"]
-        < 0.1
-        < 0.5
-        < fit.details["groups"]["shrinkage"]["x1"]
-    )
+    assert fit.groups.shrinkage["x0"] < 0.1 < 0.5 < fit.groups.shrinkage["x1"]
     fit.save(tmp_path)
     again = Fit.load(tmp_path)
-    assert again.details == fit.details
-    for name, shape in (
-        ("group", (12,)),
-        ("group_mean", (12, 2)),
-        ("group_covariance", (12, 2, 2)),
-    ):
-        assert again.arrays[name].shape == shape
-        np.testing.assert_array_equal(again.arrays[name], fit.arrays[name])
+    assert again.to_json() == fit.to_json()
+    for name, shape in (("number", (12,)), ("mean", (12, 2)), ("covariance", (12, 2, 2))):
+        assert getattr(again.groups, name).shape == shape
+        np.testing.assert_array_equal(getattr(again.groups, name), getattr(fit.groups, name))
 
 
 def test_no_difference_is_said():
     """Without spread: one sentence, all shrunk onto the mean, whose ignorance each group then has."""
     fit = RandomEffects().fit(two_way(np.random.default_rng(1), [0.0, 0.0]), rng=0)
-    assert fit.details["groups_differ"]["p_value"] > 0.05
+    assert fit.groups.tests.overall.p_value > 0.05
     assert "No difference between recordings is found (p = " in fit.message
-    assert (
-        np.sqrt(np.einsum("gdd->gd", fit.arrays["group_covariance"])).min()
-        > 0.5 * fit.mean_se.min()
-    )
+    assert np.sqrt(np.einsum("gdd->gd", fit.groups.covariance)).min() > 0.5 * fit.mean_se.min()
 
 
 def test_noise_of_the_start_states_reaches_the_fit():
@@ -299,9 +283,9 @@ def test_groups_that_say_nothing_of_a_parameter(telling, text):
     data = toy_trajectories(simulator, draws, actions, np.zeros(2), noise_variance=NOISE, rng=rng)
     fit = RandomEffects().fit(Problem("silent", simulator, data, epsilon=NOISE), rng=0)
     assert any(text in warning for warning in fit.warnings)
-    np.testing.assert_allclose(fit.arrays["group_mean"][telling:, 1], fit.mean[1], rtol=1e-6)
-    assert not np.isclose(fit.arrays["group_mean"][:telling, 0], fit.mean[0]).any()
-    assert (fit.arrays["group_covariance"][telling:, 1, 1] >= fit.sd[1] ** 2 * (1 - 1e-9)).all()
+    np.testing.assert_allclose(fit.groups.mean[telling:, 1], fit.mean[1], rtol=1e-6)
+    assert not np.isclose(fit.groups.mean[:telling, 0], fit.mean[0]).any()
+    assert (fit.groups.covariance[telling:, 1, 1] >= fit.sd[1] ** 2 * (1 - 1e-9)).all()
 
 
 def test_other_laws_are_refused():
@@ -328,7 +312,7 @@ def test_masses_that_vary_are_recovered_to_a_gram(table):
     np.testing.assert_allclose(fit.mean[varies], drawn.mean(axis=0)[varies], atol=1e-3)
     np.testing.assert_allclose(fit.sd[varies], drawn.std(axis=0)[varies], atol=1e-3)
     assert (fit.sd[~varies] < 1e-3).all()
-    p = np.array([test["p_value"] for test in fit.details["groups_differ"]["parameters"].values()])
+    p = np.array([test.p_value for test in fit.groups.tests.parameters.values()])
     assert (p[varies] < 1e-6).all()
     assert (p[~varies] > 0.05).all()
     assert np.abs(DROPO().fit(problem, rng=0).mean - drawn.mean(axis=0)).max() > 0.01

@@ -85,7 +85,9 @@ def test_every_update_keeps_the_bound():
         fit = SimOpt(collect=lambda fit, rng: data(rng), iterations=1, updates=3, bound=bound).fit(
             problem()
         )
-        distributions = list(zip(fit.arrays["means"], fit.arrays["covariances"], strict=True))
+        distributions = list(
+            zip(fit.search_record.means, fit.search_record.covariances, strict=True)
+        )
         assert len(distributions) == 4
         assert (
             max(divergence(distributions[i + 1], distributions[i]) for i in range(3)) <= 0.3
@@ -103,7 +105,7 @@ def test_it_goes_where_the_target_is():
         )
         assert np.abs(fit.mean - truth).max() < 0.1
         assert np.abs(fit.mean + truth).max() > 0.1
-        assert (fit.transitions, fit.details["target_transitions"]) == (120, 120)
+        assert (fit.transitions, fit.search_record.target_transitions) == (120, 120)
         assert fit.objective_evaluations == 4 + 1 + 4 * 5 * 100 + 1
     slow = SimOpt(collect=lambda fit, rng: data(rng), iterations=2, updates=2, bound=0.05).fit(
         problem(), rng=1
@@ -149,7 +151,7 @@ def test_same_seed_same_fit_and_a_journal_that_resumes(tmp_path):
         problem(), rng=1, journal=Journal(tmp_path / "j.jsonl")
     )
     assert whole.mean.tolist() == resumed.mean.tolist() == fits[0].mean.tolist()
-    assert resumed.details["target_transitions"] == 60
+    assert resumed.search_record.target_transitions == 60
 
 
 def test_interrupted_it_keeps_its_law():

@@ -14,12 +14,13 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import independent
 from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.records.search_records import SearchRecord
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.core.services.registry import names
 from dropo.core.services.tables import estimate
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
-from dropo.estimators.support import summary
+from dropo.estimators.support import standard_errors
 from dropo.estimators.support.summary import at_bounds
 from dropo.estimators.uniform_randomization import UniformRandomization
 from dropo.problems.simulated.slide import slide
@@ -57,7 +58,9 @@ def test_standard_errors_of_means_are_right(estimator):
 @pytest.mark.parametrize("estimator", [LeastSquares(), DROPO()], ids=["least-squares", "dropo"])
 def test_dependent_rows_taken_as_independent_have_errors_that_are_too_small(estimator, monkeypatch):
     """The control: where every row counts as a unit of its own, the mean square is beyond 3."""
-    monkeypatch.setattr(summary, "units_of", lambda segments: independent(len(segments.rows[0])))
+    monkeypatch.setattr(
+        standard_errors, "units_of", lambda segments: independent(len(segments.rows[0]))
+    )
     assert mean_squares(estimator, 10)[0] > 3
 
 
@@ -176,6 +179,10 @@ def same(one, other):
     if isinstance(one, dict) and any(isinstance(value, np.ndarray) for value in one.values()):
         return one.keys() == other.keys() and all(
             np.array_equal(one[key], other[key]) for key in one
+        )
+    if isinstance(one, SearchRecord):
+        return type(one) is type(other) and all(
+            same(vars(one)[name], vars(other)[name]) for name in vars(one)
         )
     return one == other or (one != one and other != other)
 

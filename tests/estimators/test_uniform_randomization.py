@@ -12,7 +12,7 @@ from dropo.problems.simulated.slide import slide
 def test_ten_bounds_inside_the_box():
     """The lower one first, all in the search interval, no two alike."""
     fit = UniformRandomization().fit(slide())
-    bounds = fit.arrays["bounds"]
+    bounds = fit.search_record.bounds
     assert bounds.shape == (10, 2, 2)
     assert (bounds[:, 0] < bounds[:, 1]).all()
     assert (bounds >= fit.space.low).all()
@@ -40,7 +40,7 @@ def test_bounds_are_ordered_pairs_of_uniform_points():
 def test_the_fit_is_one_of_them(which):
     """Uniform on the chosen bounds: draws stay inside and reach their ends."""
     fit = UniformRandomization(which=which).fit(slide(), rng=3)
-    low, high = fit.arrays["bounds"][which]
+    low, high = fit.search_record.bounds[which]
     draws = fit.sample(4000, 0)
     assert fit.family == "uniform"
     np.testing.assert_allclose(fit.mean, (low + high) / 2, rtol=1e-12)
@@ -56,8 +56,8 @@ def test_same_seed_same_bounds():
     one, same, other = (
         UniformRandomization(which=w).fit(slide(), rng=seed) for w, seed in ((0, 1), (4, 1), (0, 2))
     )
-    np.testing.assert_array_equal(one.arrays["bounds"], same.arrays["bounds"])
-    assert (one.arrays["bounds"] != other.arrays["bounds"]).all()
+    np.testing.assert_array_equal(one.search_record.bounds, same.search_record.bounds)
+    assert (one.search_record.bounds != other.search_record.bounds).all()
 
 
 def test_refusals():

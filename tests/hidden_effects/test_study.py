@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dropo.core.services.registry import find
+from dropo.diagnosis.parts import Alternative, Estimate
 from dropo.problems.simulated.robots import MACHINES, machine
 from dropo.studies.engine.work import Work
 from dropo.studies.hidden_effects.study import CASES, draw, hidden_effects, interval, judge, run
@@ -151,7 +152,7 @@ def test_judging():
             self.variant = ""
             self.acts_like = None
             self.confused_with = confused
-            self.estimate = {"damping": {"value": 0.11}}
+            self.estimate = {"damping": Estimate(0.11, 0.01, "N m s/rad")}
 
     class Diagnosis:
         verdict = "explained"
@@ -176,7 +177,11 @@ def test_judging():
     other = judge(
         "one",
         hidden,
-        Diagnosis(Found("joint_friction", ({"effect": "joint_damping", "target": "elbow"},))),
+        Diagnosis(
+            Found(
+                "joint_friction", (Alternative("joint_damping", "elbow", "", "similarity 0.998"),)
+            )
+        ),
     )
     assert (other["right"], other["among"], other["extra"]) == (False, True, True)
     assert not judge("nothing", [], Diagnosis(Found("joint_damping")))["right"]

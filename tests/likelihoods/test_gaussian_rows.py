@@ -15,7 +15,7 @@ from dropo.core.contracts.noise import Noise, NoiseModel
 from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
 from dropo.core.services.registry import find
-from dropo.estimators.support.trust_region import Rounds
+from dropo.estimators.support.trust_region import OuterIterations, TrustRegionSettings
 from dropo.families.full_gaussian import FullGaussian
 from dropo.families.point import Point
 from dropo.families.truncated_gaussian import TruncatedGaussian
@@ -482,8 +482,10 @@ def hopper_fitted(noise, seed=2):
     problem = hopper_problem("both ends", data, variance)
     family = TruncatedGaussian(problem.space)
     run = Run(problem, np.random.default_rng(0))
-    rounds = Rounds(problem, run, family, Linear(), noise, np.random.default_rng(0), most=15)
-    local, found = rounds.fit((problem.space.low + problem.space.high) / 2)
+    settings = TrustRegionSettings(max_iterations=15)
+    rng = np.random.default_rng(0)
+    search = OuterIterations(problem, run, family, Linear(), noise, rng, settings=settings)
+    local, found = search.fit((problem.space.low + problem.space.high) / 2)
     return local, found.point, np.array(list(TRUTH.values()))
 
 

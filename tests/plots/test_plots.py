@@ -17,12 +17,14 @@ from dropo import LeastSquares, plots
 from dropo.core.records.figure_data import (
     AgainstAxis,
     Bar,
+    FigureData,
     Forces,
-    Pictures,
     Similarity,
     Sizes,
     Sums,
 )
+from dropo.core.records.fit_choices import NoiseTrial, NoiseTuning
+from dropo.core.records.fit_parts import PosteriorDiagnostics, PosteriorDraws
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.evaluation.predictions import predict
 from dropo.plots.causes import in_order, words
@@ -36,7 +38,7 @@ BARS = (
     Bar("actuator_lag", 18.0, 3.0, False, False),
     Bar("actuator_delay", None, None, False, False),
 )
-PICTURES = Pictures(
+FIGURE_DATA = FigureData(
     9.1,
     (BARS, ()),
     (
@@ -73,12 +75,18 @@ def predictions(fit):
 @pytest.fixture(scope="module")
 def figures(fit, predictions):
     """Every figure as a function of the axes."""
-    sweep = [
-        {"epsilon": e, "mse": m, "total_variance": v}
-        for e, m, v in ((1e-4, 1.0, 2.0), (1e-3, 0.5, 1.0))
-    ]
-    tuned = replace(fit, details={**fit.details, "tuning": sweep, "mse_threshold": 0.6})
-    drawn = replace(fit, arrays={"log_density": np.zeros((50, 4))})
+    trials = (NoiseTrial(1e-4, 2.0, 1.0, 3.0), NoiseTrial(1e-3, 1.0, 0.5, 4.0))
+    tuned = replace(fit, noise_tuning=NoiseTuning(trials, 0.6))
+    diagnostics = PosteriorDiagnostics({"mass": 1.0}, {"mass": 1.0}, {"mass": 200.0})
+    draws = PosteriorDraws(
+        "distribution",
+        ("mass",),
+        diagnostics,
+        np.ones((50, 4, 1)),
+        np.zeros((50, 4)),
+        np.zeros((2, 2)),
+    )
+    drawn = replace(fit, posterior=draws)
     return {
         "trajectory": lambda ax: plots.trajectory(predictions, "velocity", ax),
         "horizon": lambda ax: plots.horizon(predictions, ax),
@@ -92,7 +100,7 @@ def figures(fit, predictions):
         "trace": lambda ax: plots.trace(drawn, ax),
         "tuning": lambda ax: plots.tuning(tuned, ax),
         **{
-            name: partial(getattr(plots, name), PICTURES)
+            name: partial(getattr(plots, name), FIGURE_DATA)
             for name in ("candidates", "residuals", "sizes", "forces", "similarity", "changes")
         },
     }
@@ -155,10 +163,12 @@ def test_candidates_begin_with_the_accepted_one():
     ]
 
     def lines(bars):
-        return len(plots.candidates(replace(PICTURES, rounds=(bars,)), Figure().subplots()).lines)
+        return len(
+            plots.candidates(replace(FIGURE_DATA, rounds=(bars,)), Figure().subplots()).lines
+        )
 
     assert lines(BARS) == 1 + lines(tuple(bar for bar in BARS if bar.told))
-    shown = [text.get_text() for text in plots.candidates(PICTURES, Figure().subplots()).texts]
+    shown = [text.get_text() for text in plots.candidates(FIGURE_DATA, Figure().subplots()).texts]
     assert shown[:2] == ["joint damping at knee", "+20"]
 
 
@@ -202,9 +212,9 @@ def test_one_model_alone_is_drawn_once(predictions):
 def test_nothing_to_draw_is_said(fit):
     """An empty round, a fit that was not tuned, one parameter: a sentence in place of a figure."""
     axes = [Figure().subplots() for _ in range(4)]
-    plots.candidates(PICTURES, axes[0], found=1)
+    plots.candidates(FIGURE_DATA, axes[0], found=1)
     plots.tuning(fit, axes[1])
-    plots.residuals(PICTURES, axes[2], found=5)
+    plots.residuals(FIGURE_DATA, axes[2], found=5)
     plots.convergence([], [], axes[3])
     assert all(len(ax.texts) == 1 and not ax.axison for ax in axes)
 
@@ -213,7 +223,7 @@ def test_wrong_results_are_refused(fit, predictions):
     """By type and by name."""
     with pytest.raises(BadArgument, match="Predictions, or a Diagnosis"):
         plots.horizon(fit)
-    with pytest.raises(BadArgument, match="Pictures, or a Diagnosis"):
+    with pytest.raises(BadArgument, match="FigureData, or a Diagnosis"):
         plots.candidates(predictions)
     with pytest.raises(UnknownName, match="Did you mean 'velocity'"):
         plots.trajectory(predictions, "velocit")

@@ -36,7 +36,11 @@ FRICTION = ("joint_friction", "joint_armature", "actuator_bias")
 
 def errors(found, unit, steps):
     """The held-out errors of the model as it came, with its parameters fitted, and extended."""
-    sides = (found.nominal or found.before, found.before, found.after)
+    sides = (
+        found.nominal or found.baseline.horizons,
+        found.baseline.horizons,
+        found.extended.horizons,
+    )
     return [next(h.units[unit][0] for h in side if h.steps == steps) for side in sides]
 
 
@@ -143,7 +147,7 @@ def test_cube_toss_shows_friction():
         load("cube-toss", threads=1)
     )
     assert [effect for effect, _ in named(found)] == ["contact_friction"]
-    assert 0.15 < 1 + named(found)[0][1]["value"] < 0.24
+    assert 0.15 < 1 + named(found)[0][1].value < 0.24
     before, _, after = errors(found, "m", 15)
     assert before > 0.02
     assert after < 0.2 * before
@@ -166,7 +170,7 @@ def test_cube_toss_is_fitted():
     fit = DROPO(likelihood=Emulated(order=2), family="point").fit(few)
     assert abs(fit.mean[0] - 0.2) < 0.06
     assert fit.log_likelihood > 0
-    assert fit.details["held_out"]["rmse"]["m"] < 0.5 * fit.details["held_out"]["rmse_nominal"]["m"]
+    assert fit.held_out.rmse["m"] < 0.5 * fit.held_out.rmse_nominal["m"]
 
 
 @outside
@@ -179,7 +183,7 @@ def test_cube_toss_shows_friction_then_stiffness():
     effects = [effect for effect, _ in named(found)]
     assert effects[:2] == ["contact_friction", "contact_stiffness"]
     assert "body_inertia" not in effects
-    assert abs(1 + named(found)[0][1]["value"] - 0.19) < 0.03
+    assert abs(1 + named(found)[0][1].value - 0.19) < 0.03
     before, _, after = errors(found, "m", 15)
     assert before > 25e-3
     assert after <= 4.5e-3
@@ -236,7 +240,7 @@ def assert_pendulum_is_pushed(found):
     """
     effect, size = named(found)[0]
     assert effect == "joint_friction"
-    assert abs(size["value"] - 0.18) < 0.04
+    assert abs(size.value - 0.18) < 0.04
     pulled = [
         span
         for span in found.disturbances.spans
@@ -340,4 +344,4 @@ def test_from_raw_logs_to_a_cause(name, tmp_path):
         load(tmp_path / "problem.yaml", threads=1)
     )
     assert [cause.effect for cause in found.causes][:1] == [effect]
-    assert found.after[-1].rmse < found.before[-1].rmse
+    assert found.extended.horizons[-1].rmse < found.baseline.horizons[-1].rmse

@@ -62,7 +62,7 @@ def test_tuning_epsilon_on_noisy_data_chooses_the_noise():
     acceptable error is 1e-5.
     """
     fit = DROPO(epsilon="tune").fit(find("problems", "hopper-noisy")(), rng=0)
-    table = fit.details["tuning"]
+    table = fit.noise_tuning.to_json()["tuning"]
     print(*table, sep="\n")
     assert [row["epsilon"] for row in table] == [10.0**k for k in range(-8, -1)]
     assert fit.epsilon.tolist() == [1e-5] * 11
@@ -96,7 +96,7 @@ def test_the_published_hopper_from_20_random_starts(random_starts):
     assert {fit.status for fit in fits} == {Status.CONVERGED}
     if which == "clean":
         np.testing.assert_allclose(means, np.tile(truth, (20, 1)), atol=1e-7, rtol=0)
-        assert all(fit.details["certified"] == list(problem.space.names) for fit in fits)
+        assert all(fit.constant_parameters == problem.space.names for fit in fits)
         assert max(fit.simulator_steps for fit in fits) < 1.2e5
         return
     np.testing.assert_allclose([fit.log_likelihood for fit in fits], 47716.1, atol=0.5)

@@ -163,20 +163,6 @@ def _by_chain(values: NDArray[Any]) -> NDArray[Any]:
     return np.swapaxes(values, 0, 1)
 
 
-def from_chains(
-    arrays: Mapping[str, Any], names: Sequence[str], attributes: Mapping[str, Any]
-) -> Any:
-    """arviz.InferenceData from what a posterior's Fit keeps of its draws: its arrays, and the names
-    of its unknowns.
-    """
-    draws = Draws(arrays["chain"], arrays["log_density"], tuple(names), arrays.get("diverging"))
-    return draws.to_inference_data(
-        log_likelihood=arrays.get("row_log_likelihood"),
-        observed=arrays.get("observed"),
-        attributes=attributes,
-    )
-
-
 def from_sample(sample: Array, names: Sequence[str], attributes: Mapping[str, Any]) -> Any:
     """arviz.InferenceData from independent draws (K, d): one chain."""
     arviz = _arviz()

@@ -90,7 +90,7 @@ class Sums:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class FigureData:
     """Everything but the motion itself, which `Predictions` keep. needed: the nats that confirm an
     effect.
     """
@@ -110,7 +110,7 @@ class Pictures:
         return found
 
     @classmethod
-    def from_json(cls, kept: dict[str, Any]) -> "Pictures":
+    def from_json(cls, kept: dict[str, Any]) -> "FigureData":
         """What `to_json` gave."""
         kinds: dict[str, Any] = {"axes": AgainstAxis, "sizes": Sizes, "sums": Sums}
         lists = {

@@ -1,6 +1,6 @@
-"""What every estimator returns: printed, saved as JSON and NPZ, and drawn from."""
+"""What every estimator returns: a distribution of the parameters, and what it cost to find."""
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from importlib import import_module
@@ -10,10 +10,19 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from dropo.core.records.parameters import Parameter, ParameterSpace
-from dropo.core.services.errors import BadFile
+from dropo.core.records.fit_choices import ExcludedSpans, HorizonChoice, NoiseTuning
+from dropo.core.records.fit_parts import (
+    EmulatorCheck,
+    GroupEffects,
+    HeldOutErrors,
+    ModelCheck,
+    PosteriorDraws,
+    StartFilter,
+)
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.search_records import SearchRecord
 from dropo.core.services.registry import find
-from dropo.core.services.tables import Printed, Table, estimate, number
+from dropo.core.services.tables import Report, Table
 from dropo.core.services.validation import Array, require
 
 
@@ -27,20 +36,79 @@ class Status(str, Enum):
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Fit(Printed):
-    """A distribution over the parameters, and what it cost to find.
+class Fit(Report):
+    """A distribution over the d parameters, and what it cost to find.
 
-    method, problem: their names; space: the d parameters; family: the name of the law, phi: (m,)
-    its member; mean, scale, sd: (d,) in the parameters' units, scale the family's own and sd the
-    distribution's; mean_se, scale_se: (d,) standard errors, NaN where there is none; degrees: (d,)
-    of freedom of the Student t behind the means' intervals, None: normal; correlation: (d, d) of
-    the law;
-    epsilon: (p,) noise variances [signal unit^2]. log_likelihood: [nats] of all rows, as the method
-    has it; mse: the mean square of (mean prediction - measured) over rows and signals. transitions:
-    those fitted; simulator_steps, failed_simulations, objective_evaluations, wall_time_s [s], seed:
-    what it cost, and the seed where `rng` was one. status, message: how it ended;
-    warnings: what speaks against it, a sentence each. arrays: whatever else an estimator found, by
-    name; details: further entries of fit.json.
+    Attributes
+    ----------
+    method, problem : str
+        Their names.
+    space : ParameterSpace
+        The parameters.
+    family : str
+        The name of the family of distributions.
+    phi : (m,) array
+        Its member.
+    mean, scale, sd : (d,) array
+        In the parameters' units: the family's own scale, and the distribution's standard deviation.
+    mean_se, scale_se : (d,) array
+        Standard errors, NaN where there is none.
+    correlation : (d, d) array
+        Of the distribution.
+    epsilon : (p,) array
+        The noise variances [signal unit^2].
+    log_likelihood : float
+        Of all rows, as the method has it [nats].
+    mse : float
+        The mean square of (mean prediction - measured) over rows and signals.
+    transitions : int
+        Those fitted.
+    simulator_steps, failed_simulations, objective_evaluations : int
+        What the fit cost.
+    status : Status
+        How it ended, and `message` in words.
+    message : str
+        How it ended, in a sentence or two.
+    warnings : tuple of str
+        What speaks against the fit, a sentence each.
+    wall_time_s : float
+        How long it took [s].
+    seed : int or None
+        Where `rng` was one.
+    degrees : (d,) array or None
+        Degrees of freedom of the Student t behind the means' intervals; None: normal.
+    places : mapping of str to dict
+        Where in a model each parameter is, of a fit that was loaded; see `model_places`.
+    likelihood, optimizer : str
+        The names of these parts of the method; empty where it has none.
+    emulator_check : EmulatorCheck or None
+        The simulator beside its emulator at the fit.
+    start_filter : StartFilter or None
+        How filtered start states settled.
+    constant_parameters : tuple of str, or None
+        Those of which the likelihood itself says that they do not vary.
+    search_record : SearchRecord or None
+        What other methods than maximum likelihood record of their search.
+    posterior : PosteriorDraws or None
+        The draws of a posterior.
+    identifiability : tuple of str, or None
+        What the data do not determine, a sentence each; None where that was not tested.
+    model_check : ModelCheck or None
+        Whether the model can be right; None where that was not tested.
+    truth : mapping of str to float
+        The parameters that the data were simulated with, where they are known.
+    held_out : HeldOutErrors or None
+        Errors on trajectories that no fit has seen.
+    groups : GroupEffects or None
+        Each group's own parameters, and whether the groups differ.
+    noise_tuning : NoiseTuning or None
+        The sweep over the noise variance.
+    horizon_choice : HorizonChoice or None
+        The horizons that were tried.
+    excluded : ExcludedSpans or None
+        Spans of time that were left out.
+    arrays, details : dict
+        What outside methods found beside: arrays of fit.npz, and entries of fit.json.
     """
 
     method: str
@@ -67,68 +135,137 @@ class Fit(Printed):
     wall_time_s: float = 0.0
     seed: int | None = None
     degrees: Array | None = None
+    places: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    likelihood: str = ""
+    optimizer: str = ""
+    emulator_check: EmulatorCheck | None = None
+    start_filter: StartFilter | None = None
+    constant_parameters: tuple[str, ...] | None = None
+    search_record: SearchRecord | None = None
+    posterior: PosteriorDraws | None = None
+    identifiability: tuple[str, ...] | None = None
+    model_check: ModelCheck | None = None
+    truth: Mapping[str, float] = field(default_factory=dict)
+    held_out: HeldOutErrors | None = None
+    groups: GroupEffects | None = None
+    noise_tuning: NoiseTuning | None = None
+    horizon_choice: HorizonChoice | None = None
+    excluded: ExcludedSpans | None = None
     arrays: dict[str, Array] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
 
     def sample(self, draws: int, rng: np.random.Generator | int | None = None) -> Array:
-        """Parameter vectors (K, d) from the fitted distribution, K = `draws`, all physically
-        possible; without `rng` new ones each time.
+        """Draw parameter vectors from the fitted distribution.
+
+        Parameters
+        ----------
+        draws : int
+            How many, K.
+        rng : numpy.random.Generator or int, optional
+            Without it, new ones each time.
+
+        Returns
+        -------
+        (K, d) array
+            All physically possible, in the parameters' units.
+
+        Raises
+        ------
+        BadArgument
+            For a negative number of draws.
         """
         require(draws >= 0, "draws", "0 or more", draws, "Fit.sample")
         family = find("families", self.family)(self.space)
         return family.sample(self.phi, draws, np.random.default_rng(rng))
 
     def randomize(self, target: Any, count: int | None = None, **options: Any) -> Any:
-        """A Gymnasium environment that draws its parameters from the fit at the start of every
-        episode.
+        """Make an environment that draws its parameters from the fit at the start of every episode.
 
-        target: the id of a Gymnasium MuJoCo environment ("Hopper-v5"), such an environment, or a
-        Problem with a task. count: so many of them as a gymnasium.vector.VectorEnv, simulated
-        together; None: one gymnasium.Env. The observations carry the noise that the fit learned.
-        options: those of `dropo.randomize`.
+        Parameters
+        ----------
+        target : str, gymnasium.Env or Problem
+            The id of a Gymnasium MuJoCo environment ("Hopper-v5"), such an environment, or a
+            problem with a task.
+        count : int, optional
+            So many of them as one vector environment, simulated together.
+        **options
+            Those of `dropo.randomize`.
+
+        Returns
+        -------
+        gymnasium.Env or gymnasium.vector.VectorEnv
+            Its observations carry the noise that the fit learned.
         """
-        return import_module("dropo.training.environments").randomize(
-            target, self, count, **options
-        )
+        module = import_module("dropo.training.environments")
+        return module.randomize(target, self, count, **options)
 
     def interval(self, level: float = 0.95) -> Array:
-        """(d, 2) confidence intervals of the means at a level in (0, 1), mean -+ t mean_se, cut at
-        the search interval.
+        """Confidence intervals of the means, cut at the search interval.
 
-        NaN without a standard error, as on a bound, where the data speak against one side alone.
-        They cover where `trusted`.
+        They are mean -+ t mean_se, and cover where the fit is `trusted`.
+
+        Parameters
+        ----------
+        level : float
+            The confidence, in (0, 1).
+
+        Returns
+        -------
+        (d, 2) array
+            In the parameters' units; NaN without a standard error, as on a bound, where the data
+            speak against one side alone.
+
+        Raises
+        ------
+        BadArgument
+            For a level that is not between 0 and 1.
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.interval")
-        degrees = (
-            np.full(len(self.mean), np.inf)
-            if self.degrees is None
-            else np.nan_to_num(self.degrees, nan=np.inf)
-        )
+        degrees = np.full(len(self.mean), np.inf)
+        if self.degrees is not None:
+            degrees = np.nan_to_num(self.degrees, nan=np.inf)
         half = stats.t.ppf((1 + level) / 2, degrees) * self.mean_se
-        cut = np.clip(
-            np.stack([self.mean - half, self.mean + half]), self.space.low, self.space.high
-        )
-        return np.asarray(cut.T)
+        ends = np.stack([self.mean - half, self.mean + half])
+        return np.asarray(np.clip(ends, self.space.low, self.space.high).T)
 
     @property
     def trusted(self) -> bool:
-        """Whether nothing was found that speaks against the model, on which standard errors and
-        intervals rest.
-        """
-        return bool(self.details.get("model_check", {}).get("passed", True))
+        """Whether nothing speaks against the model, on which errors and intervals rest."""
+        return self.model_check is None or self.model_check.passed
+
+    @property
+    def parameters_are_constant(self) -> bool:
+        """Whether the distribution is a posterior of parameters that are the same in all data."""
+        return self.posterior is not None and self.posterior.over == "parameters"
+
+    @property
+    def model_places(self) -> dict[str, dict[str, Any]]:
+        """Where in a model each parameter is; others than a model's fields have no place."""
+        return {**self.places, **{p.name: p.place for p in self.space if p.place}}
 
     def to_inference_data(
         self, draws: int = 4000, rng: np.random.Generator | int | None = None
     ) -> Any:
-        """The fit as arviz.InferenceData: of `Posterior` its chains, with sample_stats,
-        observed_data, and log_likelihood where kept.
+        """The fit as arviz.InferenceData.
 
-        Of every other method so many draws from the fitted distribution, as one chain of the group
+        Of `Posterior` its chains, with sample_stats, observed_data, and log_likelihood where kept.
+        Of every other method draws from the fitted distribution, as one chain of the group
         posterior: its attribute `draws_of` says so. They show the spread to train under, and not
         how well it is known. Needs the extra `posterior`.
+
+        Parameters
+        ----------
+        draws : int
+            How many, of other methods than `Posterior`.
+        rng : numpy.random.Generator or int, optional
+            For these draws.
+
+        Returns
+        -------
+        arviz.InferenceData
         """
         from dropo import __version__
-        from dropo.core.records.draws import from_chains, from_sample
+        from dropo.core.records.draws import Draws, from_sample
 
         about = {
             "method": self.method,
@@ -137,17 +274,21 @@ class Fit(Printed):
             "version": __version__,
         }
         known = {name: value for name, value in about.items() if value is not None}
-        if "chain" in self.arrays:
-            return from_chains(self.arrays, self.details.get("unknowns", ()), known)
-        return from_sample(
-            self.sample(draws, rng),
-            self.space.names,
-            known | {"draws_of": "the fitted distribution"},
+        found = self.posterior
+        if found is None:
+            sample = self.sample(draws, rng)
+            return from_sample(
+                sample, self.space.names, known | {"draws_of": "the fitted distribution"}
+            )
+        chains = Draws(found.chain, found.log_density, found.unknowns, found.diverging)
+        return chains.to_inference_data(
+            log_likelihood=found.row_log_likelihood, observed=found.observed, attributes=known
         )
 
     def to_pandas(self) -> Any:
-        """A pandas.DataFrame with a row for each parameter: mean, errors, 95 % interval, scale, sd,
-        unit, search interval.
+        """A pandas.DataFrame with a row for each parameter.
+
+        Its columns are mean, errors, 95 % interval, scale, sd, unit and search interval.
         """
         from dropo.core.services.data_frames import frame
 
@@ -172,230 +313,37 @@ class Fit(Printed):
 
     def to_json(self) -> dict[str, Any]:
         """The content of fit.json; numbers that do not exist are null."""
-        from dropo import __version__
+        from dropo.core.records.fit_files import content_of
 
-        columns = {
-            "mean": self.mean,
-            "scale": self.scale,
-            "sd": self.sd,
-            "mean_se": self.mean_se,
-            "scale_se": self.scale_se,
-        }
-        columns["degrees"] = (
-            np.full(len(self.mean), np.inf) if self.degrees is None else self.degrees
-        )
-        intervals = self.interval()
-        places = {p.name: p.place for p in self.space if p.place}
-        parameters = {
-            p.name: {
-                **{key: _number(values[i]) for key, values in columns.items()},
-                "mean_interval": [_number(end) for end in intervals[i]],
-                "unit": p.unit,
-                "low": p.low,
-                "high": p.high,
-                "lower": _number(p.lower),
-                "upper": _number(p.upper),
-                "search_scale": p.scale,
-            }
-            for i, p in enumerate(self.space)
-        }
-        return {
-            "method": self.method,
-            "problem": self.problem,
-            "seed": self.seed,
-            "version": __version__,
-            "parameters": parameters,
-            "correlation": self.correlation.tolist(),
-            "family": self.family,
-            "phi": self.phi.tolist(),
-            "epsilon": self.epsilon.tolist(),
-            "log_likelihood": _number(self.log_likelihood),
-            "log_likelihood_per_transition": _number(self.log_likelihood / self.transitions),
-            "mse": _number(self.mse),
-            "transitions": self.transitions,
-            "simulator_steps": self.simulator_steps,
-            "failed_simulations": self.failed_simulations,
-            "objective_evaluations": self.objective_evaluations,
-            "wall_time_s": round(self.wall_time_s, 3),
-            "status": self.status.value,
-            "message": self.message,
-            "warnings": list(self.warnings),
-            **({"places": places} if places else {}),
-            **self.details,
-        }
+        return content_of(self)
 
     def save(self, folder: str | Path) -> None:
-        """Writes fit.json and fit.npz into a folder, which is made where it is missing; each
-        appears whole or not at all.
+        """Write fit.json and fit.npz into a folder, each whole or not at all.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made where it is missing.
         """
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        whole = folder / ".fit.npz"
-        with whole.open("wb") as file:
-            own: dict[str, Any] = {
-                "phi": self.phi,
-                "correlation": self.correlation,
-                "epsilon": self.epsilon,
-            }
-            np.savez(file, **{**own, **self.arrays})
-        whole.replace(folder / "fit.npz")
-        text = folder / ".fit.json"
-        text.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
-        text.replace(folder / "fit.json")
+        from dropo.core.records.fit_files import save_fit
+
+        save_fit(self, Path(folder))
 
     @classmethod
     def load(cls, folder: str | Path) -> "Fit":
-        """The fit that `save` wrote into a folder; BadFile where there is none, or one that cannot
-        be read.
+        """Read the fit that `save` wrote into a folder.
+
+        Raises
+        ------
+        BadFile
+            Where there is none, or one that cannot be read.
         """
-        path = Path(folder) / "fit.json"
-        if not path.is_file():
-            raise BadFile(path, "", "a fit written by `dropo fit --out`", "no such file")
-        try:
-            content = json.loads(path.read_text())
-            return _from_json(
-                cls, content, dict(np.load(Path(folder) / "fit.npz", allow_pickle=False))
-            )
-        except (json.JSONDecodeError, KeyError, OSError) as error:
-            raise BadFile(
-                path, "", "a fit written by `dropo fit --out`", f"{type(error).__name__}: {error}"
-            ) from None
+        from dropo.core.records.fit_files import load_fit
+
+        return load_fit(Path(folder))
 
     def parts(self) -> list[str | Table]:
         """The fit as a table, with what it cost beneath."""
-        return fit_parts(self)
+        from dropo.core.records.fit_report import fit_report
 
-
-_SAVED = (
-    "method",
-    "problem",
-    "family",
-    "mse",
-    "transitions",
-    "simulator_steps",
-    "failed_simulations",
-    "objective_evaluations",
-    "message",
-    "wall_time_s",
-    "seed",
-)
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _value(saved: float | None, missing: float = np.nan) -> float:
-    return missing if saved is None else float(saved)
-
-
-def _parameter(name: str, row: dict[str, Any]) -> Parameter:
-    lower = _value(row["lower"], -np.inf)
-    upper = _value(row["upper"], np.inf)
-    return Parameter(
-        name,
-        row["low"],
-        row["high"],
-        row["unit"],
-        lower=lower,
-        upper=upper,
-        scale=row["search_scale"],
-    )
-
-
-def _from_json(cls: type[Fit], content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
-    rows = content["parameters"]
-    columns = {
-        key: np.array([_value(row[key]) for row in rows.values()])
-        for key in ("mean", "scale", "sd", "mean_se", "scale_se")
-    }
-    degrees = np.array([_value(row.get("degrees"), np.inf) for row in rows.values()])
-    columns["degrees"] = np.where(np.isfinite(columns["mean_se"]), degrees, np.nan)
-    own = {key: arrays.pop(key) for key in ("phi", "correlation", "epsilon")}
-    known = {
-        "version",
-        "parameters",
-        "log_likelihood",
-        "log_likelihood_per_transition",
-        "status",
-        "warnings",
-        *own,
-        *_SAVED,
-    }
-    saved: dict[str, Any] = (
-        {key: content[key] for key in _SAVED} | {"mse": _value(content["mse"])} | columns | own
-    )
-    return cls(
-        space=ParameterSpace(tuple(_parameter(name, row) for name, row in rows.items())),
-        log_likelihood=_value(content["log_likelihood"]),
-        status=Status(content["status"]),
-        warnings=tuple(content["warnings"]),
-        arrays=arrays,
-        details={key: value for key, value in content.items() if key not in known},
-        **saved,
-    )
-
-
-def held_out_lines(found: dict[str, Any] | None) -> list[str]:
-    """One line on the held-out errors, by unit, with the nominal model's before the arrow."""
-    if found is None:
-        return []
-    before = found.get("rmse_nominal", {})
-    shown = [
-        (f"{number(_value(before[unit]), 3)} -> " if unit in before else "")
-        + f"{number(_value(value), 3)} {unit}"
-        for unit, value in found["rmse"].items()
-    ]
-    return [
-        (
-            f"held-out error after {found['steps']} steps (RMS, {found['rows']} rows): "
-            f"{', '.join(shown)}"
-        )
-    ]
-
-
-def span(low: float, high: float) -> str:
-    """An interval, with as many digits as its width deserves; a dash where there is none."""
-    if not (np.isfinite(low) and np.isfinite(high)):
-        return "-"
-    size = max(abs(low), abs(high), 1e-300)
-    digits = 3 if high <= low else int(np.clip(np.ceil(np.log10(size / (high - low))) + 2, 3, 12))
-    return f"{low:.{digits}g} .. {high:.{digits}g}"
-
-
-def fit_parts(fit: Fit) -> list[str | Table]:
-    """The fit as a table, with what it cost beneath."""
-    truth = fit.details.get("truth", {})
-    ends = "95 % interval" if fit.trusted else "(95 % if the model were right)"
-    header = ("parameter", "unit", "mean", "se", ends, "scale", "sd", *(["truth"] if truth else []))
-    intervals = fit.interval()
-    rows = tuple(
-        (
-            p.name,
-            p.unit,
-            estimate(fit.mean[i], fit.mean_se[i]),
-            number(fit.mean_se[i], 2),
-            span(*intervals[i]),
-            number(fit.scale[i], 4),
-            number(fit.sd[i], 4),
-            *([number(truth[p.name], 7)] if truth else []),
-        )
-        for i, p in enumerate(fit.space)
-    )
-    likelihood = (
-        f"log-likelihood {fit.log_likelihood:.6g} ({fit.log_likelihood / fit.transitions:.4g} "
-        "a transition)"
-    )
-    return [
-        f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
-        Table("", header, rows),
-        *fit.details.get("identifiability", ()),
-        f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
-        *held_out_lines(fit.details.get("held_out")),
-        (
-            f"{fit.simulator_steps:,} simulator steps, {fit.objective_evaluations} "
-            f"evaluations, {fit.wall_time_s:.1f} s"
-        ),
-        *f"{fit.status.value}: {fit.message}".split("\n", 1),  # a method's own table stands alone
-        *(f"warning: {text}" for text in fit.warnings),
-    ]
+        return fit_report(self)

@@ -1,4 +1,4 @@
-"""Tables of text, and results that print themselves."""
+"""Tables of text, and reports: results that print themselves."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ def _html_row(tag: str, cells: tuple[str, ...]) -> str:
     return f"<tr>{''.join(shown)}</tr>"
 
 
-class Printed(ABC):
+class Report(ABC):
     """A result that prints itself: as text, in a notebook as HTML, and on a terminal as the command
     line draws it.
     """

@@ -12,7 +12,7 @@ from scipy.stats import t as student_t
 
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints, Segments, Trajectories
-from dropo.core.services.tables import Printed, Table, number
+from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array, require
 from dropo.data.outliers.disturbances import cut, robust_values
 
@@ -22,7 +22,7 @@ SURE = 2.5  # standard errors of the gain from which one is called better
 
 
 @dataclass(frozen=True, repr=False)
-class InputChoice(Printed):
+class InputChoice(Report):
     """The candidates, best first. gain, se: of the best over each, in nats per window held out (0
     for the best itself), with the standard error; rmse: of each, by signal, over the windows;
     values: of the parameters, fitted under each.

@@ -1,9 +1,8 @@
-"""What is told of each accepted effect: its size with error, what it gained, what it cannot be told
+"""Summary of each accepted effect: its size with error, what it gained, what it cannot be told
 from.
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from scipy.stats import norm
@@ -14,7 +13,7 @@ from dropo.core.numerics.robust_covariance import sandwich
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.experiment import experiment
-from dropo.diagnosis.result import Cause
+from dropo.diagnosis.parts import Alternative, Cause, Estimate, Suspect
 from dropo.diagnosis.search.invariance import invariance, standing_out
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.refit import NEAR
@@ -55,17 +54,17 @@ def _cause(
     blocks = by_block(found.without.test, last.test)
     held = invariance(library, last.test, instance)
     return Cause(
-        instance.effect,
-        instance.target,
-        instance.variant,
-        estimate(library, last, instance, errors),
-        p_of(gain, count),
-        gain / steps,
-        float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
-        _rmse(library, found.without),
-        _rmse(library, last),
-        _confused(library, last, instance, found),
-        _shape(last, instance) if held.constant else held.variable,
+        effect=instance.effect,
+        target=instance.target,
+        variant=instance.variant,
+        estimate=estimate(library, last, instance, errors),
+        p_value=p_of(gain, count),
+        held_out_gain=gain / steps,
+        held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
+        rmse_before=_rmse(library, found.without),
+        rmse_after=_rmse(library, last),
+        confused_with=_alternatives(library, last, instance, found),
+        acts_like=_shape(last, instance) if held.constant else held.variable,
     )
 
 
@@ -105,39 +104,25 @@ def p_of(gain: float, count: int, z: float | None = None) -> float:
     return max(p, LEAST_P, 0.0 if z is None else float(norm.sf(z)))
 
 
-def _confused(
+def _alternatives(
     library: Library, last: State, instance: EffectInstance, found: Review
-) -> tuple[dict[str, Any], ...]:
-    """The other effects that the data cannot tell from it, with why, and where in the data the
-    difference is largest.
-    """
-    told = []
+) -> tuple[Alternative, ...]:
+    """The other effects that the data cannot tell from it, why, and what to record to tell them."""
+    alternatives = []
     for i, (own, other, why) in enumerate(ambiguity(last, instance, found)):
-        told.append(
-            {
-                "effect": other.instance.effect,
-                "target": other.instance.target,
-                "variant": other.instance.variant,
-                "why": why,
-            }
-        )
-        tried = (
-            experiment(library, last, instance, other.instance, other.sizes)
-            if i < TOLD_APART
-            else None
-        )
+        tried = None
+        if i < TOLD_APART:
+            tried = experiment(library, last, instance, other.instance, other.sizes)
         regime = _difference(library, found.origin.before, own, other) if found.origin else None
+        to_tell: str | None = None
         if tried is not None and tried.seconds < PATIENCE:
-            told[-1]["to_tell"] = f"record {number(tried.seconds, 2)} s of {tried}"
+            to_tell = f"record {number(tried.seconds, 2)} s of {tried}"
         elif regime:
-            told[-1]["to_tell"] = f"record more {regime}"
-    return (
-        *told,
-        *(
-            {"effect": name, "target": None, "variant": "", "why": "the same in any recorded data"}
-            for name in instance.alike
-        ),
-    )
+            to_tell = f"record more {regime}"
+        effect = other.instance
+        alternatives.append(Alternative(effect.effect, effect.target, effect.variant, why, to_tell))
+    always = "the same in any recorded data"
+    return (*alternatives, *(Alternative(name, None, "", always) for name in instance.alike))
 
 
 def _difference(library: Library, before: State, one: Candidate, two: Candidate) -> str | None:
@@ -150,17 +135,13 @@ def _difference(library: Library, before: State, one: Candidate, two: Candidate)
 
 def estimate(
     library: Library, last: State, instance: EffectInstance, errors: Array
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Estimate]:
     """By quantity: what is added, its standard error, the model's own number."""
     out = {}
     for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
         error = float(errors[int(np.flatnonzero(last.free == place)[0])])
-        out[quantity.name] = {
-            "value": float(last.theta[place]),
-            "se": error if np.isfinite(error) else None,
-            "unit": quantity.unit,
-            "model": quantity.base,
-        }
+        value = float(last.theta[place])
+        out[quantity.name] = Estimate(value, error, quantity.unit, quantity.base)
     return out
 
 
@@ -188,17 +169,17 @@ def _sandwich(library: Library, last: State, share: float) -> Array:
     return np.sqrt(np.diagonal(sandwich(scores, information, units)[0]))
 
 
-def suspects(selection: Selection, last: State, count: int) -> tuple[dict[str, Any], ...]:
+def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ...]:
     """Effects of the last round that seemed to help and were not confirmed."""
     taken = {instance.label for instance in last.accepted}
     trials = selection.rounds[-1].trials if selection.rounds else []
     return tuple(
-        {
-            "effect": trial.candidate.instance.effect,
-            "target": trial.candidate.instance.target,
-            "p_value": p_of(trial.held_out, count, trial.z),
-            "held_out_gain": trial.held_out / last.test.windows.steps,
-        }
+        Suspect(
+            effect=trial.candidate.instance.effect,
+            target=trial.candidate.instance.target,
+            p_value=p_of(trial.held_out, count, trial.z),
+            held_out_gain=trial.held_out / last.test.windows.steps,
+        )
         for trial in trials
         if trial.held_out > 0 and trial.candidate.instance.label not in taken
     )

@@ -10,8 +10,8 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.figure_data import (
     AgainstAxis,
     Bar,
+    FigureData,
     Forces,
-    Pictures,
     Similarity,
     Sizes,
     Sums,
@@ -41,7 +41,7 @@ COMMAND = (
 LATE = ("actuator_delay", "actuator_lag")
 
 
-def pictures(
+def figure_data(
     library: Library,
     selection: Selection,
     first: State,
@@ -49,7 +49,7 @@ def pictures(
     reviews: Mapping[str, Review],
     rest: Unexplained,
     count: int,
-) -> Pictures:
+) -> FigureData:
     """rest: the forces that remain unexplained; count: how many effects were looked for."""
     before = (
         rest
@@ -62,7 +62,7 @@ def pictures(
     responses = [
         (instance, response_of(library, last.test, instance)) for instance in last.accepted
     ]
-    return Pictures(
+    return FigureData(
         float(np.log(count / FALSE_ALARM)),
         tuple(_bars(tried, last, chosen) for tried in selection.rounds),
         tuple(

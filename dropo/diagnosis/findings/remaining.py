@@ -3,8 +3,6 @@ regime.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import norm
@@ -13,6 +11,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.omnibus import omnibus
 from dropo.diagnosis.findings.unexplained_forces import Unexplained, unexplained_force
+from dropo.diagnosis.parts import Remaining
 from dropo.diagnosis.search.invariance import drifting, standing_out
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import State, gain_of
@@ -22,35 +21,30 @@ from dropo.diagnosis.search.selection import State, gain_of
 SURPRISE = 3.5
 
 
-@dataclass(frozen=True)
-class Remaining:
-    """wrong: whether something is; p_value: of the stronger of the tests for forces and for
-    structure; where: in words.
-    """
-
-    wrong: bool
-    p_value: float
-    where: tuple[str, ...]
-    forces: dict[str, float]
-    force: Unexplained
-
-    def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it; forces: the sd of what nothing explains, by joint, each control
-        step anew.
-        """
-        return {
-            "calibrated": not self.wrong,
-            "p_value": self.p_value,
-            "where": list(self.where),
-            "forces": self.forces,
-        }
-
-
 def remaining(
     problem: Problem, library: Library, last: State, floor: Array, rng: np.random.Generator
-) -> Remaining:
-    """The tests that follow a search: random forces in every step, structure in state and command,
-    noise beyond what was stated, declared parameters that change.
+) -> tuple[Remaining, Unexplained]:
+    """Test what a search left unexplained.
+
+    Tested are random forces in every step, structure in state and command, noise beyond what was
+    stated, and declared parameters that change.
+
+    Parameters
+    ----------
+    problem : Problem
+    library : Library
+    last : State
+        The model with all that was found.
+    floor : (p,) array
+        The least noise of each signal.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Remaining
+        What is still wrong, in words.
+    Unexplained
+        The forces that nothing explains.
     """
     force = unexplained_force(library, last.train, last.test, floor, gain_of)
     rest = omnibus(last.train, last.test, rng)
@@ -82,7 +76,7 @@ def remaining(
         if force.present
         else {}
     )
-    return Remaining(bool(where), p_value, tuple(where), forces, force)
+    return Remaining(not where, p_value, tuple(where), forces), force
 
 
 def force_names(library: Library) -> Sequence[tuple[str, str]]:

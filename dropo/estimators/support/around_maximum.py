@@ -1,6 +1,6 @@
 """A local likelihood around its own maximum, wide enough for the posterior."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,20 +17,48 @@ from dropo.core.services.validation import Array
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.support.posterior_targets import Local
 
-REACH = 3.0  # a model is as wide as so many standard errors, and trusted to twice its width
-# widths as shares of the box: the least, the largest at first, and at all
-NARROWEST = 1e-4
-FIRST = 1 / 6
-WIDEST = 1 / 4
-# more than 1 % of the draws in the last 2.5 % of a trusted interval: the model is too narrow
-EDGE = 0.025
-FEW = 0.01
+
+@dataclass(frozen=True)
+class WidthSettings:
+    """How wide a local model is, which is trusted to twice its width.
+
+    Attributes
+    ----------
+    errors : float
+        So many standard errors of the means.
+    least, first, largest : float
+        The least width, the largest one at first, and the largest one at all, as fractions of the
+        search interval.
+    edge, crowded : float
+        A model is too narrow where more than the fraction `crowded` of the draws lies in the last
+        fraction `edge` of a trusted interval.
+    """
+
+    errors: float = 3.0
+    least: float = 1e-4
+    first: float = 1 / 6
+    largest: float = 1 / 4
+    edge: float = 0.025
+    crowded: float = 0.01
 
 
 @dataclass
 class AroundMaximum:
-    """Builds the local likelihood, where DROPO finds its maximum; `space` is what the unknowns are
-    called in, without spread.
+    """What builds the local likelihood where DROPO finds its maximum.
+
+    Attributes
+    ----------
+    problem : Problem
+    run : Run
+    family : Family
+        The distributions to choose from, named `family_name`.
+    family_name : str
+    likelihood : LocalLikelihood
+        What builds the local likelihoods.
+    noise : Noise
+    space : ParameterSpace, optional
+        What the unknowns are called in, where they have no spread.
+    settings : WidthSettings
     """
 
     problem: Problem
@@ -40,75 +68,95 @@ class AroundMaximum:
     likelihood: LocalLikelihood
     noise: Noise
     space: ParameterSpace | None = None
+    settings: WidthSettings = field(default_factory=WidthSettings)
 
     def __post_init__(self) -> None:
         self.box = self.problem.space.high - self.problem.space.low
 
     def head(self) -> Local:
-        """Around the maximum; as wide as the law and `REACH` standard errors of its means, by the
-        Fisher information.
+        """Build the likelihood around its maximum.
+
+        Returns
+        -------
+        Local
+            As wide as the distribution and some standard errors of its means, by the Fisher
+            information.
         """
         found = self._maximum()
-        self.centre, self.best = (
-            found.mean,
-            np.concatenate([found.phi, self._factors(found.epsilon)]),
-        )
-        self.width = self._limited(np.maximum(2 * found.sd, REACH * np.nan_to_num(found.mean_se)))
-        self.width = self._limited(
-            np.maximum(2 * found.sd, REACH * self._errors(self._build().bound))
-        )
+        self.centre = found.mean
+        self.best = np.concatenate([found.phi, self._noise_factors(found.epsilon)])
+        # Once by the fit's own errors, then by those that the likelihood has there.
+        self.width = self._first_width(found.sd, np.nan_to_num(found.mean_se))
+        self.width = self._first_width(found.sd, self._standard_errors(self._build().bound))
         return self._build()
 
     def wider(self, draws: Draws, edges: list[str]) -> Local:
-        """Around the draws' means, twice as wide in the parameters whose draws met an edge."""
+        """Build the likelihood around draws that met the edge of the last one.
+
+        Parameters
+        ----------
+        draws : Draws
+            From the last one.
+        edges : list of str
+            The unknowns that met it.
+
+        Returns
+        -------
+        Local
+            Twice as wide in the parameters of these unknowns.
+        """
         flat = draws.flat()
         names = self.problem.space.names
         self.best = flat[int(draws.log_density.argmax())]
-        means = flat[
-            :, [draws.names.index(name if self.space else f"mean.{name}") for name in names]
-        ]
-        met = np.array(
-            [
-                any(edge in (name, f"mean.{name}", f"scale.{name}") for edge in edges)
-                for name in names
-            ]
-        )
-        self.centre, self.width = (
-            means.mean(axis=0),
-            np.minimum(np.where(met, 2, 1) * self.width, WIDEST * self.box),
-        )
+        columns = [draws.names.index(name if self.space else f"mean.{name}") for name in names]
+        self.centre = flat[:, columns].mean(axis=0)
+        met = [bool({name, f"mean.{name}", f"scale.{name}"}.intersection(edges)) for name in names]
+        growth = np.where(met, 2, 1)
+        self.width = np.minimum(growth * self.width, self.settings.largest * self.box)
         return self._build()
 
     def edges(self, draws: Draws, target: Local) -> list[str]:
-        """The unknowns of which more than `FEW` draws lie at an end of where the model is trusted,
-        that is not the search's own.
+        """Name the unknowns whose draws crowd at an end of where the model is trusted.
+
+        Parameters
+        ----------
+        draws : Draws
+        target : Local
+            The likelihood that they were drawn from.
+
+        Returns
+        -------
+        list of str
+            Ends of the search itself do not count.
         """
-        own = self.family.unknowns
         trusted = target.unknowns
-        share = (draws.flat() - trusted.low) / (trusted.high - trusted.low)
-        out = []
-        for i, p in enumerate(own):
-            low = (share[:, i] < EDGE).mean() if trusted.low[i] > p.low else 0.0
-            high = (share[:, i] > 1 - EDGE).mean() if trusted.high[i] < p.high else 0.0
-            out += [trusted.names[i]] if low + high > FEW else []
-        return out
+        place = (draws.flat() - trusted.low) / (trusted.high - trusted.low)
+        edge = self.settings.edge
+        crowded = []
+        for i, own in enumerate(self.family.unknowns):
+            low = (place[:, i] < edge).mean() if trusted.low[i] > own.low else 0.0
+            high = (place[:, i] > 1 - edge).mean() if trusted.high[i] < own.high else 0.0
+            if low + high > self.settings.crowded:
+                crowded.append(trusted.names[i])
+        return crowded
 
     def _maximum(self) -> Fit:
-        noise = self.noise
-        count = len(self.problem.simulator.signals)
-        epsilon: Any = (
-            "learn" if noise.learned else tuple(np.broadcast_to(noise.variance, count).tolist())
-        )
-        settings = DROPO(
+        """DROPO's fit."""
+        epsilon: Any = "learn"
+        if not self.noise.learned:
+            count = len(self.problem.simulator.signals)
+            epsilon = tuple(np.broadcast_to(self.noise.variance, count).tolist())
+        estimator = DROPO(
             likelihood=self.likelihood,
             family=self.family_name,
             epsilon=epsilon,
-            start_noise=noise.start,
-            degrees=noise.degrees,
+            start_noise=self.noise.start,
+            degrees=self.noise.degrees,
         )
-        return settings._fit(self.problem, self.run)
+        return estimator._fit(self.problem, self.run)
 
     def _build(self) -> Local:
+        """The likelihood around the centre."""
         with self.run.counting(evaluations=1):
             bound = self.likelihood.linearize_at(
                 self.problem.simulator,
@@ -124,39 +172,44 @@ class AroundMaximum:
             local.rename(self.space)
         return local
 
-    def _errors(self, bound: LocalLogLikelihood) -> Array:
-        """(d,) standard errors of the means, with a flat prior's information on the box added."""
+    def _standard_errors(self, bound: LocalLogLikelihood) -> Array:
+        """(d,) of the means, with a flat prior's information on the box added."""
         d = len(self.box)
-        information = bound.value_score_information(
-            np.clip(self.best, bound.unknowns.low, bound.unknowns.high)
-        )[2][:d, :d]
-        return np.sqrt(np.abs(np.diagonal(np.linalg.inv(information + np.diag(12 / self.box**2)))))
+        best = np.clip(self.best, bound.unknowns.low, bound.unknowns.high)
+        information = bound.value_score_information(best)[2][:d, :d] + np.diag(12 / self.box**2)
+        return np.sqrt(np.abs(np.diagonal(np.linalg.inv(information))))
 
-    def _limited(self, width: Array) -> Array:
-        return np.clip(width, NARROWEST * self.box, FIRST * self.box)
+    def _first_width(self, sd: Array, errors: Array) -> Array:
+        """(d,) the width for a distribution's standard deviations and its means' errors."""
+        settings = self.settings
+        wanted = np.maximum(2 * sd, settings.errors * errors)
+        return np.clip(wanted, settings.least * self.box, settings.first * self.box)
 
-    def _factors(self, epsilon: Array) -> Array:
-        """The likelihood's own unknowns at the noise variances that were found (p,)."""
+    def _noise_factors(self, epsilon: Array) -> Array:
+        """The likelihood's own unknowns at the noise variances (p,) that were found."""
         model = NoiseModel(self.noise, len(epsilon))
         unknowns = ParameterSpace(model.unknowns)
         factors = epsilon / model.shape
-        own = (
-            factors
-            if len(unknowns) == len(factors)
-            else np.full(len(unknowns), np.exp(np.log(factors).mean()))
-        )
-        return np.clip(own, unknowns.low, unknowns.high)
+        if len(unknowns) != len(factors):
+            factors = np.full(len(unknowns), np.exp(np.log(factors).mean()))
+        return np.clip(factors, unknowns.low, unknowns.high)
 
 
 def unit_spread(target: Local) -> Array:
-    """(m,) widths in the unit box by the Fisher information at the best point, each with the other
-    unknowns held fixed.
+    """Find the widths of a likelihood's maximum, each with the other unknowns held fixed.
+
+    Parameters
+    ----------
+    target : Local
+
+    Returns
+    -------
+    (m,) array
+        In the unit box, by the Fisher information.
     """
     space = target.unknowns
-    best = target.best
     with np.errstate(divide="ignore"):
-        error = 1 / np.sqrt(np.diagonal(target.bound.value_score_information(best)[2]))
-    above, below = (
-        space.to_unit(np.clip(best + sign * error, space.low, space.high)) for sign in (1, -1)
-    )
+        error = 1 / np.sqrt(np.diagonal(target.bound.value_score_information(target.best)[2]))
+    above = space.to_unit(np.clip(target.best + error, space.low, space.high))
+    below = space.to_unit(np.clip(target.best - error, space.low, space.high))
     return np.clip((above - below) / 2, 1e-9, 0.1)

@@ -1,6 +1,4 @@
-"""What the problem's data say about a law that was not found by its likelihood: by draws of it, or
-of a posterior.
-"""
+"""The problem's data under a distribution that its method did not find by their likelihood."""
 
 from dataclasses import replace
 from typing import Any
@@ -11,6 +9,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.interactive_estimator import distribution
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.search_records import SearchRecord
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
@@ -22,48 +21,73 @@ from dropo.evaluation.fit_errors import held_out_errors
 ROUNDING = 1e-12  # of an interval: the standard deviation of draws that are all the same
 
 
-def judged(problem: Problem, run: Run, fit: Fit, draws: int, rng: np.random.Generator) -> Fit:
-    """The fit with log-likelihood and errors of so many draws of its law; no standard errors, as
-    its method has none.
+def evaluate_fit(problem: Problem, run: Run, fit: Fit, draws: int, rng: np.random.Generator) -> Fit:
+    """Add what the problem's data say about a fit's distribution.
 
-    The noise variance is the problem's own, else that of what the draws' mean leaves.
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+    fit : Fit
+        Its method has no likelihood, and so no standard errors.
+    draws : int
+        From its distribution, by which the log-likelihood is estimated.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Fit
+        With log-likelihood, mean squared error and held-out errors. The noise variance is the
+        problem's own, else that of what the draws' mean leaves.
     """
     targets = problem.simulator.targets(problem.segments)
     with run.counting(evaluations=1):
         predictions = problem.simulator.predict(fit.sample(draws, rng), problem.segments)
     residual = np.mean((predictions.mean(axis=0) - targets) ** 2, axis=0)
-    epsilon = (
-        residual
-        if problem.epsilon is None
-        else np.broadcast_to(np.asarray(problem.epsilon, dtype=float), targets.shape[1:])
-    )
-    rows = find("likelihoods", "monte-carlo")(draws=draws).log_density(
-        predictions, targets, epsilon
-    )
+    epsilon = residual
+    if problem.epsilon is not None:
+        epsilon = np.broadcast_to(np.asarray(problem.epsilon, dtype=float), targets.shape[1:])
+    likelihood = find("likelihoods", "monte-carlo")(draws=draws)
+    rows = likelihood.log_density(predictions, targets, epsilon)
     return replace(
         fit,
         epsilon=epsilon,
         log_likelihood=float(rows.sum()) if np.isfinite(rows).all() else -np.inf,
         mse=float(residual.mean()),
-        **_told(problem, run, fit),
+        **_of_every_fit(problem, run, fit),
     )
 
 
 def point_likelihood(
     problem: Problem, run: Run, method: str, epsilon: float | tuple[float, ...] | None
 ) -> PointLikelihood:
-    """The likelihood of parameters that are the same in all rows; epsilon: None, the problem's own,
-    else what least squares leaves.
+    """Make the likelihood of parameters that are the same in all rows.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+    method : str
+        The name of the method that asks, for the refusal.
+    epsilon : float or tuple of float, optional
+        The noise variances; None: the problem's own, else what least squares leaves.
+
+    Returns
+    -------
+    PointLikelihood
+
+    Raises
+    ------
+    Incompatible
+        Where the problem has other noise than a Gaussian one on the compared rows.
     """
     if problem.start_noise or problem.noise_degrees is not None:
         raise Incompatible(
-            f"Method {method!r} knows Gaussian noise on the compared rows alone, and the "
-            f"problem {problem.name!r} has other noise too."
-            " Use method 'posterior' or 'dropo'."
+            f"Method {method!r} knows Gaussian noise on the compared rows alone, and the problem"
+            f" {problem.name!r} has other noise too. Use method 'posterior' or 'dropo'."
         )
-    return PointLikelihood(
-        problem, noise_shape(problem, run) if epsilon is None else np.asarray(epsilon, dtype=float)
-    )
+    variances = noise_shape(problem, run) if epsilon is None else np.asarray(epsilon, dtype=float)
+    return PointLikelihood(problem, variances)
 
 
 def posterior_fit(
@@ -75,19 +99,42 @@ def posterior_fit(
     *,
     status: Status,
     message: str,
-    arrays: dict[str, Array],
-    details: dict[str, Any],
+    search_record: SearchRecord,
     warnings: tuple[str, ...] = (),
 ) -> Fit:
-    """The Gaussian with the mean and covariance of a posterior's draws (K, d) of the parameters,
-    which are its standard errors too.
+    """Make a fit of the draws of a posterior of the parameters.
 
-    log_likelihood and mse are those of the mean; the draws are kept in `arrays["draws"]`.
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+    method : str
+        Its name.
+    draws : (K, d) array
+        Of the posterior.
+    target : PointLikelihood
+        The likelihood, for the value at the draws' mean.
+    status : Status
+        How the method ended.
+    message : str
+        The same in words.
+    search_record : SearchRecord
+        What the method keeps.
+    warnings : tuple of str
+        What speaks against the draws.
+
+    Returns
+    -------
+    Fit
+        The Gaussian with the draws' mean and covariance; its standard deviations are the means'
+        standard errors too. log_likelihood and mse are those of the mean.
     """
+    # Draws that are all the same are given the width of rounding.
     d = len(problem.space)
     family = find("families", "full")(problem.space)
     rounding = np.diag((ROUNDING * (problem.space.high - problem.space.low)) ** 2)
     phi = family.phi_of(draws.mean(axis=0), np.cov(draws.T).reshape(d, d) + rounding)
+
     mean = family.mean(phi)
     with run.counting(evaluations=1):
         value = float(target.many(mean[None])[0])
@@ -103,17 +150,16 @@ def posterior_fit(
         mse=float(np.mean((predicted - target.targets) ** 2)),
         status=status,
         message=message,
-        arrays={"draws": draws, **arrays},
-        details=details,
+        search_record=search_record,
         warnings=(*warnings, *at_bounds(family.unknowns, phi)),
     )
-    return replace(fit, **_told(problem, run, fit))
+    return replace(fit, **_of_every_fit(problem, run, fit))
 
 
-def _told(problem: Problem, run: Run, fit: Fit) -> dict[str, Any]:
-    """Warnings and details that every fit has."""
-    truth = {"truth": dict(problem.truth)} if problem.truth else {}
+def _of_every_fit(problem: Problem, run: Run, fit: Fit) -> dict[str, Any]:
+    """The fields that every fit has of its problem."""
     return {
         "warnings": (*problem.warnings, *fit.warnings),
-        "details": {**fit.details, **truth, **held_out_errors(problem, run, fit.mean)},
+        "truth": dict(problem.truth or {}),
+        "held_out": held_out_errors(problem, run, fit.mean),
     }

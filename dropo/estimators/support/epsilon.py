@@ -11,6 +11,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.diverged_simulations import flat
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fit_choices import NoiseTrial, NoiseTuning
 from dropo.core.services.validation import Array
 from dropo.estimators.least_squares import estimate, misfit
 
@@ -53,8 +54,8 @@ def tune(
     """The fit at the smallest epsilon of the sweep with an acceptable mean squared error (thesis,
     section 5.3, figure 6.4).
 
-    Without a threshold, acceptable is at most 1.1 times the least of the sweep. Its table is in
-    `details["tuning"]`.
+    Without a threshold, acceptable is at most 1.1 times the least of the sweep. Its table is the
+    fit's `noise_tuning`.
     """
     fits: list[Fit] = []
     report = run.progress
@@ -73,15 +74,10 @@ def tune(
         else threshold
     )
     accepted = [fit for fit in fits if fit.mse <= limit]
-    table = [
-        {
-            "epsilon": float(f.epsilon[0]),
-            "total_variance": float(np.sum(f.sd**2)),
-            "mse": f.mse,
-            "log_likelihood": f.log_likelihood,
-        }
-        for f in fits
-    ]
+    trials = tuple(
+        NoiseTrial(float(fit.epsilon[0]), float(np.sum(fit.sd**2)), fit.mse, fit.log_likelihood)
+        for fit in fits
+    )
     best = accepted[0] if accepted else min(fits, key=lambda fit: fit.mse)
     note = (
         ()
@@ -93,8 +89,4 @@ def tune(
             ),
         )
     )
-    return replace(
-        best,
-        warnings=(*best.warnings, *note),
-        details={**best.details, "tuning": table, "mse_threshold": limit},
-    )
+    return replace(best, warnings=(*best.warnings, *note), noise_tuning=NoiseTuning(trials, limit))

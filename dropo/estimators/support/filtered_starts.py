@@ -4,7 +4,6 @@ the one at a segment's start.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -17,6 +16,7 @@ from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import STEP, Simulator, describe_failures
 from dropo.core.records.fit import Status
+from dropo.core.records.fit_parts import StartFilter
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array
@@ -226,13 +226,13 @@ def from_filtered_starts(
     noise: Noise,
     objective: LocalLogLikelihood,
     found: SearchResult,
-) -> tuple[Problem, LocalLogLikelihood, SearchResult, dict[str, Any]]:
+) -> tuple[Problem, LocalLogLikelihood, SearchResult, StartFilter]:
     """Filters at the estimate and fits from there, in turn, until the means move by less than a
     twentieth of their errors.
 
     The start is the fit that propagates the noise of the starts. Returns the last problem,
-    likelihood and maximum, and for fit.json how far the means moved at each turn, in standard
-    errors, and how often the filter began anew.
+    likelihood and maximum, and how far the means moved at each turn, in standard errors, and how
+    often the filter began anew.
     """
     seen = problem
     resets = 0
@@ -264,4 +264,4 @@ def from_filtered_starts(
         resets = states.resets
         if moves[-1] < STILL:
             break
-    return seen, objective, found, {"filter": {"moves": moves, "resets": resets}}
+    return seen, objective, found, StartFilter(tuple(moves), resets)

@@ -4,13 +4,13 @@ data that it has not seen.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fit_choices import HorizonChoice, HorizonTrial
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, require
@@ -43,7 +43,7 @@ class ChooseHorizon(Estimator):
     are the problem's own such data, else every third trajectory, else the last third. Of the
     lambdas whose score is within one standard error of the best one's, paired by units of time of
     the longest length, that with the smallest standard errors is taken (their product).
-    `details["lambda_choice"]` has the table.
+    `horizon_choice` of the fit has the table.
     """
 
     estimator: Estimator
@@ -101,7 +101,7 @@ class ChooseHorizon(Estimator):
                 candidates.append(
                     _Candidate(n, fit, held_out_scores(training, unseen, fit, lengths))
                 )
-        best, table = choose(candidates)
+        best, choice = choose(candidates)
         fit = self._part(
             problem.using(length=best.length),
             run,
@@ -113,7 +113,7 @@ class ChooseHorizon(Estimator):
             f"{fit.message} lambda = {best.length} predicts held-out data best, of "
             f"{', '.join(map(str, lengths))}."
         )
-        return replace(fit, message=message, details={**fit.details, "lambda_choice": table})
+        return replace(fit, message=message, horizon_choice=choice)
 
     def _part(self, problem: Problem, run: Run, seed: int, done: float, what: str) -> Fit:
         share = 1 / (len(self.lengths) + 1)
@@ -181,8 +181,8 @@ def held_out_scores(training: Problem, unseen: Trajectories, fit: Fit, lengths: 
     return scores
 
 
-def choose(candidates: list[_Candidate]) -> tuple[_Candidate, list[dict[str, Any]]]:
-    """The candidate to take, and the table for fit.json."""
+def choose(candidates: list[_Candidate]) -> tuple[_Candidate, HorizonChoice]:
+    """The candidate to take, and the table of all."""
     best = max(candidates, key=lambda c: c.scores.sum())
     rows = []
     for c in candidates:
@@ -204,18 +204,18 @@ def choose(candidates: list[_Candidate]) -> tuple[_Candidate, list[dict[str, Any
             np.sum(np.log(np.nan_to_num(c.fit.mean_se, nan=np.inf, posinf=np.inf)))
         ),
     )
-    table = [
-        {
-            "lambda": c.length,
-            "below_best": gap if np.isfinite(gap) else None,
-            "paired_error": error,
-            "chosen": c is chosen,
-            "mean": c.fit.mean.tolist(),
-            "mean_se": [float(x) if np.isfinite(x) else None for x in c.fit.mean_se],
-        }
+    trials = tuple(
+        HorizonTrial(
+            horizon=c.length,
+            below_best=gap if np.isfinite(gap) else np.nan,
+            paired_error=error,
+            chosen=c is chosen,
+            mean=tuple(c.fit.mean.tolist()),
+            mean_se=tuple(c.fit.mean_se.tolist()),
+        )
         for c, gap, error in rows
-    ]
-    return chosen, table
+    )
+    return chosen, HorizonChoice(trials)
 
 
 def _count(data: Trajectories, length: int) -> int:

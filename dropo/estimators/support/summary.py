@@ -1,6 +1,4 @@
-"""From a member of a family to a Fit: moments, standard errors, whether the model can be right,
-what the data cannot tell.
-"""
+"""From a member of a family to a fit: moments, standard errors, and what speaks against them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,24 +10,21 @@ from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LogLikelihood
 from dropo.core.contracts.local_likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
-from dropo.core.numerics.dependence import independent
-from dropo.core.numerics.linear_gaussian import scores_and_information
-from dropo.core.numerics.robust_covariance import sandwich
 from dropo.core.records.fit import Fit, Status
-from dropo.core.records.independent_units import units_of
+from dropo.core.records.fit_parts import ModelCheck
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
+from dropo.estimators.support.standard_errors import (
+    StandardErrors,
+    local_standard_errors,
+    standard_errors,
+)
 from dropo.evaluation.fit_errors import held_out_errors
 from dropo.evaluation.identifiability import blind_spots, determined, null_directions
-from dropo.evaluation.model_check import ModelCheck, check_model
+from dropo.evaluation.model_check import check_model
 
-EDGE = 1e-6  # of an unknown's interval: nearer to its bound it is on it
-STEPS = (
-    1e-3,
-    1e-2,
-)  # least and largest half width of a simulator's differences, as a share of a parameter's interval
-FINE = 1e-6  # likewise of a local model's, which is smooth
+NEAR = 1e-3  # of an unknown's interval: an estimate so near to its bound is warned of
 
 
 def summarize(
@@ -48,40 +43,69 @@ def summarize(
     objective: LogLikelihood | None = None,
     weighted_by: Array | None = None,
     warnings: Sequence[str] = (),
-    arrays: dict[str, Array] | None = None,
-    details: dict[str, Any] | None = None,
+    **further: Any,
 ) -> Fit:
-    """A Fit for the member phi of the family, with sandwich errors from the objective's own scores
-    where it has them, else from the linear-Gaussian model; weighted_by: (p,) the noise variances
-    that the estimate took for its weights, epsilon by default.
+    """Make the fit of a member of a family.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+    method, family_name : str
+        Their names.
+    family : Family
+    phi : (m,) array
+        The member; behind the family's own unknowns may stand the likelihood's.
+    epsilon : (p,) array
+        The noise variances [signal unit^2].
+    log_likelihood : float
+        Of all rows [nats].
+    mean_prediction : (R, p) array
+        Under the member.
+    status : Status
+        How the method ended.
+    message : str
+        The same in words.
+    objective : LogLikelihood, optional
+        That phi maximises. A local one has scores of its own, by which standard errors are found;
+        else they are those of the linear-Gaussian model.
+    weighted_by : (p,) array, optional
+        The noise variances that the estimate took for its weights; epsilon by default.
+    warnings : sequence of str
+        What the method has to say against it.
+    **further
+        Further fields of the fit: its typed parts, or an outside method's `arrays` and `details`.
+
+    Returns
+    -------
+    Fit
+        With standard errors, held-out errors, what the data do not determine, and whether the
+        model can be right. What it cost is filled in by `Estimator.fit`.
     """
-    own = phi[: len(family.unknowns)]  # behind it stand the likelihood's unknowns
+    own = phi[: len(family.unknowns)]
     mean = family.mean(own)
-    scale = family.scale(own)
     sd = family.sd(own)
     correlation = family.correlation(own)
     notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, own)]
-    found = dict(details or {})
-    mean_se = scale_se = degrees = np.full(len(mean), np.nan)
+    unknown = np.full(len(mean), np.nan)
+    found: dict[str, Any] = {"mean_se": unknown, "scale_se": unknown, "degrees": unknown}
     try:
-        with run.counting():
-            if isinstance(objective, LocalLogLikelihood):
-                mean_se, scale_se, degrees = local_standard_errors(problem, family, objective, phi)
-                jacobian = local_jacobian(objective, mean, problem.space)
-            else:
-                noise = epsilon if weighted_by is None else weighted_by
-                mean_se, scale_se, degrees, jacobian = standard_errors(
-                    problem, mean, sd, correlation, noise
-                )
-        unknown = null_directions(problem.space, jacobian, epsilon)
-        found["identifiability"] = blind_spots(problem, mean, jacobian, unknown)
-        mean_se = np.where(determined(problem.space, unknown), mean_se, np.nan)
-        if status in (Status.CONVERGED, Status.OUT_OF_BUDGET):
-            check = _check(problem, family, objective, phi, mean_prediction, jacobian, epsilon)
-            found["model_check"] = check.found
-            notes += check.sentences
+        errors = _standard_errors(problem, run, family, objective, phi, epsilon, weighted_by)
     except SimulationFailed as error:
         notes.append(f"no standard errors: {error}")
+    else:
+        # What the data do not determine has no standard error.
+        null = null_directions(problem.space, errors.jacobian, epsilon)
+        mean_se = np.where(determined(problem.space, null), errors.mean, np.nan)
+        found = {"mean_se": mean_se, "scale_se": errors.scale, "degrees": errors.degrees}
+        found["identifiability"] = tuple(blind_spots(problem, mean, errors.jacobian, null))
+
+        # Whether the model can be right, where a search came to an end.
+        if status in (Status.CONVERGED, Status.OUT_OF_BUDGET):
+            check = _check_model(problem, family, objective, phi, mean_prediction, errors, epsilon)
+            found["model_check"] = check
+            notes += check.sentences
+
     misfit = mean_prediction - problem.simulator.targets(problem.segments)
     return Fit(
         method=method,
@@ -90,11 +114,8 @@ def summarize(
         family=family_name,
         phi=own,
         mean=mean,
-        scale=scale,
+        scale=family.scale(own),
         sd=sd,
-        mean_se=mean_se,
-        scale_se=scale_se,
-        degrees=degrees,
         correlation=correlation,
         epsilon=epsilon,
         log_likelihood=log_likelihood,
@@ -106,162 +127,77 @@ def summarize(
         status=status,
         message=message,
         warnings=tuple(notes),
-        arrays=arrays or {},
-        details={
-            **found,
-            **({"truth": dict(problem.truth)} if problem.truth else {}),
-            **held_out_errors(problem, run, mean),
-        },
+        truth=dict(problem.truth or {}),
+        held_out=held_out_errors(problem, run, mean),
+        **found,
+        **further,
     )
 
 
-def standard_errors(
-    problem: Problem, mean: Array, sd: Array, correlation: Array, noise: Array
-) -> tuple[Array, Array, Array, Array]:
-    """(d,) standard errors of the means and of the scales, the degrees of freedom of the first, and
-    the sensitivities (R, p, d).
-
-    NaN where the data do not tell, for a mean on its bound, and for a scale of about 0.
-    Sensitivities are differences over a hundredth of the interval, then over one standard error as
-    they give it, but no less than a thousandth: a contact that switches inside a step gives slopes
-    without bound as differences shrink.
-    """
-    space = problem.space
-    width = problem.space.high - problem.space.low
-    free = _inside(space, mean)
-    step = STEPS[1] * width
-    for _ in range(2):
-        errors, scale_se, degrees, jacobian = _errors_with(
-            problem, mean, sd, correlation, noise, free, step
-        )
-        step = np.clip(
-            np.where(np.isfinite(errors), errors, step), STEPS[0] * width, STEPS[1] * width
-        )
-    return errors, scale_se, degrees, jacobian
-
-
-def _errors_with(
+def _standard_errors(
     problem: Problem,
-    mean: Array,
-    sd: Array,
-    correlation: Array,
-    noise: Array,
-    free: np.ndarray,
-    step: Array,
-) -> tuple[Array, Array, Array, Array]:
-    segments = problem.segments
-    d = len(mean)
-    predicted, jacobian = problem.simulator.linearize(mean, segments, step=step)
-    residuals = problem.simulator.targets(segments) - predicted
-    known = np.maximum(np.where(noise > 0, noise, np.mean(residuals**2, axis=0)), rounding(problem))
-    scores, information = scores_and_information(
-        residuals, jacobian, correlation * np.outer(sd, sd), known
-    )
-    kept = np.tile(free, 2)
-    covariance, counted = sandwich(
-        scores[:, kept], information[np.ix_(kept, kept)], units_of(segments)
-    )
-    variance, degrees = np.full((2, 2 * d), np.nan)
-    variance[kept], degrees[kept] = np.diagonal(covariance), counted
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale_se = np.where(sd > 0, np.sqrt(variance[d:]) / (2 * sd), np.nan)
-    scale_se[~(scale_se < sd)] = np.nan  # a spread that may be 0 has no symmetric error
-    return np.sqrt(variance[:d]), scale_se, degrees[:d], jacobian
+    run: Run,
+    family: Family,
+    objective: LogLikelihood | None,
+    phi: Array,
+    epsilon: Array,
+    weighted_by: Array | None,
+) -> StandardErrors:
+    """Standard errors, from the objective's own scores where it has such."""
+    with run.counting():
+        if isinstance(objective, LocalLogLikelihood):
+            return local_standard_errors(problem, family, objective, phi)
+        own = phi[: len(family.unknowns)]
+        noise = epsilon if weighted_by is None else weighted_by
+        mean = family.mean(own)
+        return standard_errors(problem, mean, family.sd(own), family.correlation(own), noise)
 
 
-def local_standard_errors(
-    problem: Problem, family: Family, objective: LocalLogLikelihood, phi: Array
-) -> tuple[Array, Array, Array]:
-    """The first three of `standard_errors`, from a local likelihood's scores; unknowns on a bound
-    of phi are held fixed.
-    """
-    n = len(family.unknowns)
-    _, scores, information = objective.value_score_information(phi)
-    units = units_of(problem.segments)
-    units = (
-        units if len(units.label) == len(scores) else independent(len(scores))
-    )  # scores of groups are independent as they are
-    free = np.concatenate([_inside(family.unknowns, phi[:n]), np.ones(len(phi) - n, dtype=bool)])
-    errors, degrees = np.full((2, len(phi)), np.nan)
-    covariance, degrees[free] = sandwich(scores[:, free], information[np.ix_(free, free)], units)
-    errors[free] = np.sqrt(np.diagonal(covariance))
-    names = objective.unknowns.names
-    means = [names.index(f"mean.{name}") for name in family.space.names]
-    scale_se = np.array(
-        [
-            errors[names.index(f"scale.{name}")] if f"scale.{name}" in names else np.nan
-            for name in family.space.names
-        ]
-    )
-    scale_se[~(scale_se < family.scale(phi[:n]))] = np.nan
-    return errors[means], scale_se, degrees[means]
-
-
-def local_jacobian(objective: LocalLogLikelihood, mean: Array, space: ParameterSpace) -> Array:
-    """(R, p, d) slopes of the local model at the mean."""
-    half = FINE * np.diag(space.high - space.low)
-    predictions = objective.predict(np.concatenate([mean + half, mean - half]))
-    slopes = (predictions[: len(mean)] - predictions[len(mean) :]) / (2 * np.diagonal(half))[
-        :, None, None
-    ]
-    return np.moveaxis(slopes, 0, -1)
-
-
-def _check(
+def _check_model(
     problem: Problem,
     family: Family,
     objective: LogLikelihood | None,
     phi: Array,
     mean_prediction: Array,
-    jacobian: Array,
+    errors: StandardErrors,
     epsilon: Array,
 ) -> ModelCheck:
-    """The model check; a likelihood that knows the covariance of the measurements has their
-    whitened residuals.
-    """
+    """The model check, by whitened residuals where the measurements' covariance is known."""
     learned = objective is None or len(objective.unknowns) > len(family.unknowns)
     moments = getattr(objective, "moments", None)
     whitened = None
     if moments is not None and not learned and problem.noise_degrees is None:
         mean, covariance = moments(phi)
         residual = problem.simulator.targets(problem.segments) - mean
-        whitened = np.linalg.solve(np.linalg.cholesky(covariance), residual[:, :, None])[:, :, 0]
+        root = np.linalg.cholesky(covariance)
+        whitened = np.linalg.solve(root, residual[:, :, None])[:, :, 0]
     return check_model(
-        problem, mean_prediction, jacobian, epsilon, whitened=whitened, learned=learned
-    )
-
-
-def _inside(space: ParameterSpace, values: Array) -> np.ndarray:
-    unit = space.to_unit(values)
-    return np.asarray((unit > EDGE) & (unit < 1 - EDGE))
-
-
-def rounding(problem: Problem) -> Array:
-    """(p,) the variance of rounding in each signal, below which a residual says nothing: (1e-12 of
-    its size)^2.
-    """
-    return np.maximum(1e-24 * np.mean(problem.segments.targets**2), 1e-60) * np.ones(
-        len(problem.simulator.signals)
+        problem, mean_prediction, errors.jacobian, epsilon, whitened=whitened, learned=learned
     )
 
 
 def at_bounds(space: ParameterSpace, phi: Array) -> list[str]:
-    """A sentence for every mean on its bound, and for a scale on its upper one: the search wanted
-    to go on.
+    """Name the means on a bound, and the scales on their upper one: the search wanted to go on.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        The unknowns.
+    phi : (m,) array
+        Their values.
+
+    Returns
+    -------
+    list of str
+        A sentence each.
     """
-    unit = space.to_unit(phi)
-    out = []
-    for name, u, low, high in zip(space.names, unit, space.low, space.high, strict=True):
+    advice = "widen it, or the model cannot explain the data"
+    sentences = []
+    for i, (name, unit) in enumerate(zip(space.names, space.to_unit(phi), strict=True)):
         if name.startswith("partial."):  # of no meaning between parameters that do not vary
             continue
-        if u > 1 - 1e-3:
-            out.append(
-                f"{name} ends on its upper bound {high:.6g}: widen it, or the model cannot "
-                "explain the data"
-            )
-        elif u < 1e-3 and name.startswith("mean."):
-            out.append(
-                f"{name} ends on its lower bound {low:.6g}: widen it, or the model cannot "
-                "explain the data"
-            )
-    return out
+        if unit > 1 - NEAR:
+            sentences.append(f"{name} ends on its upper bound {space.high[i]:.6g}: {advice}")
+        elif unit < NEAR and name.startswith("mean."):
+            sentences.append(f"{name} ends on its lower bound {space.low[i]:.6g}: {advice}")
+    return sentences

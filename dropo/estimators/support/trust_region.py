@@ -1,9 +1,12 @@
-"""Fitting with a local likelihood: build it, maximise it, move it to where its maximum was, until
-nothing moves.
+"""Fitting with a local likelihood: build it in a trust region, maximise it, move the region there.
+
+A local likelihood is sound near where it was built alone. Each outer iteration builds one in the
+trust region, searches it for its maximum, and centres the next region there, as wide as the
+estimate is uncertain. The iterations end where the region stays as it is.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,42 +19,92 @@ from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Status
+from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.evaluation_log import Journal
 from dropo.core.services.validation import Array
 
-FIRST = 1 / 6  # first width as a share of the box
-# a first, rough look: 60 segments, or 5 for each parameter, in up to 6 rounds
-COARSE = 60
-EACH = 5
-EARLY = 6
-# a width follows 0.7 of the last move; rounds end when widths change by less than 15 %
-MOVED = 0.7
-SETTLED = 0.15
-NARROW = 5e-5  # the least width, as a share of the box
-# a width changes by at most these factors in a round, and stays within the first one
-SHRINK = 20.0
-GROW = 4.0
-STALLED = 5  # full rounds without a better likelihood, after which the best one is taken
-
 UNSETTLED = (
     "The estimate still moved after {} rounds: look at parameters that the data cannot tell."
 )
-SETTLED_IN = "The estimate stopped moving after {} rounds."
+SETTLED = "The estimate stopped moving after {} rounds."
 CUT_SHORT = (
-    "The estimate stopped moving, but the search within the last round did not come to its "
-    "end: raise its budget."
+    "The estimate stopped moving, but the search within the last round did not come to its end:"
+    " raise its budget."
 )
-STOPPED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
+STALLED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
+INTERRUPTED = "Interrupted: this is the best so far."
 
 MakeOptimizer = Callable[[int, Array], Optimizer]
+"""From the number of unknowns and a start (m,) in the unit box to the inner optimizer."""
 
 
 @dataclass(frozen=True)
-class _Region:
-    """Where a local likelihood is built: centre and width (d,), and whether it is a rough one from
-    some of the segments.
+class TrustRegionSettings:
+    """What decides how trust regions move and when the outer iterations end.
+
+    Attributes
+    ----------
+    max_iterations : int
+        Outer iterations at most.
+    first_width, least_width : float
+        The first and largest width of a region, and the least one, as fractions of the search
+        interval.
+    coarse_segments, coarse_segments_per_parameter : int
+        The first iterations see so many segments, or so many for each parameter if that is more.
+    coarse_iterations : int
+        They end after so many iterations, or once the estimate is settled.
+    followed_move : float
+        A region is at least as wide as this fraction of the last move of the mean.
+    most_shrink, most_growth : float
+        The factors by which a width changes at most from one iteration to the next.
+    settled_width : float
+        The estimate is settled when widths change by less than this fraction, and ...
+    settled_sd, settled_error, settled_least : float
+        ... the mean moves by less than these fractions of the distribution's standard deviation,
+        or of its own standard error, or of the least width.
+    patience : int
+        Iterations on all segments without a better likelihood, after which the best is taken.
+    retries : int
+        How often a width is halved where the simulations of a design diverge.
+    first_noise, first_scale : float
+        The first search begins with this factor of learned noise, and scales of this fraction of
+        the width.
+    least_start_scale : float
+        Later searches begin with scales of at least this fraction of the width.
+    """
+
+    max_iterations: int = 25
+    first_width: float = 1 / 6
+    least_width: float = 5e-5
+    coarse_segments: int = 60
+    coarse_segments_per_parameter: int = 5
+    coarse_iterations: int = 6
+    followed_move: float = 0.7
+    most_shrink: float = 20.0
+    most_growth: float = 4.0
+    settled_width: float = 0.15
+    settled_sd: float = 0.02
+    settled_error: float = 0.1
+    settled_least: float = 0.05
+    patience: int = 5
+    retries: int = 5
+    first_noise: float = 0.1
+    first_scale: float = 0.5
+    least_start_scale: float = 0.05
+
+
+@dataclass(frozen=True)
+class TrustRegion:
+    """Where a local likelihood is built.
+
+    Attributes
+    ----------
+    centre, width : (d,) array
+        In the parameters' units.
+    coarse : bool
+        Whether some of the segments are enough.
     """
 
     centre: Array
@@ -60,22 +113,48 @@ class _Region:
 
 
 @dataclass(frozen=True)
-class _Outcome:
-    """A round's maximum phi (m,) with its value, the standard errors (d,) of its means, and whether
-    the search for it came to its own end.
+class IterationResult:
+    """What an outer iteration found.
+
+    Attributes
+    ----------
+    region : TrustRegion
+        Where the likelihood was built.
+    phi : (m,) array
+        The maximum.
+    value : float
+        The log-likelihood there [nats].
+    errors : (d,) array
+        The standard errors of the means.
+    converged : bool
+        Whether the search within the iteration came to its own end.
     """
 
-    region: _Region
+    region: TrustRegion
     phi: Array
     value: float
     errors: Array
-    finished: bool
+    converged: bool
 
 
 @dataclass
-class Rounds:
-    """One fit. make_optimizer: a function of (dimension, start) to the inner optimizer, or None for
-    Fisher scoring.
+class OuterIterations:
+    """One fit by a local likelihood in trust regions.
+
+    Attributes
+    ----------
+    problem : Problem
+    run : Run
+    family : Family
+        The distributions to choose from.
+    likelihood : LocalLikelihood
+        What builds the local likelihoods.
+    epsilon : Epsilon
+        The noise.
+    rng : numpy.random.Generator
+    make_optimizer : function, optional
+        Makes the optimizer of each iteration; without it, Fisher scoring.
+    settings : TrustRegionSettings
     """
 
     problem: Problem
@@ -85,102 +164,163 @@ class Rounds:
     epsilon: Epsilon
     rng: np.random.Generator
     make_optimizer: MakeOptimizer | None = None
-    most: int = 25
+    settings: TrustRegionSettings = field(default_factory=TrustRegionSettings)
 
     def __post_init__(self) -> None:
         self.box = self.problem.space.high - self.problem.space.low
-        self.design = int(
-            self.rng.spawn(1)[0].integers(2**63)
-        )  # one scramble, so that rounds can settle
-        self._built: tuple[_Region, LocalLogLikelihood] | None = None
+        # One seed for all designs: with a new one each time, iterations would never settle.
+        self.design_seed = int(self.rng.spawn(1)[0].integers(2**63))
+        self._last_built: tuple[TrustRegion, LocalLogLikelihood] | None = None
 
     def fit(
         self, start: Array, width: Array | None = None
     ) -> tuple[LocalLogLikelihood, SearchResult]:
-        """The likelihood built around its own maximum, and that maximum, from means (d,); width:
-        (d,), where they are nearly right.
+        """Find the likelihood that is built around its own maximum.
+
+        Parameters
+        ----------
+        start : (d,) array
+            The first means.
+        width : (d,) array, optional
+            The first region's, where the start is nearly right; all segments are seen at once.
+
+        Returns
+        -------
+        LocalLogLikelihood
+            The likelihood.
+        SearchResult
+            Its maximum, and how the iterations ended.
+
+        Raises
+        ------
+        SimulationFailed
+            Where even narrow regions hold simulations that diverge.
         """
-        region = (
-            _Region(start, FIRST * self.box, True)
-            if width is None
-            else _Region(start, width, False)
-        )
-        done: list[_Outcome] = []
-        status = Status.OUT_OF_BUDGET
-        reason = UNSETTLED.format(self.most)
+        results: list[IterationResult] = []
         try:
-            while len(done) < self.most:
-                outcome = self._round(region, done[-1].phi if done else None)
-                done.append(outcome)
-                self.run.progress(
-                    min(0.95, len(done) / 8),
-                    f"round {len(done)}, log-likelihood {outcome.value:.6g}",
-                )
-                following = self._following(outcome)
-                settled = self._still(outcome) and bool(
-                    np.all(np.abs(following.width / outcome.region.width - 1) < SETTLED)
-                )
-                if not outcome.region.coarse and settled:
-                    status = Status.CONVERGED
-                    reason = SETTLED_IN.format(len(done))
-                    break
-                if self._stalled(done):
-                    status = Status.CONVERGED
-                    reason = STOPPED.format(len(done))
-                    break
-                region = replace(
-                    following, coarse=outcome.region.coarse and not settled and len(done) < EARLY
-                )
+            status, reason = self._iterate(self._first_region(start, width), results)
         except KeyboardInterrupt:
-            if not done:
+            if not results:
                 raise
             status = Status.INTERRUPTED
-            reason = "Interrupted: this is the best so far."
-        full = [outcome for outcome in done if not outcome.region.coarse]
-        best = max(full, key=lambda outcome: outcome.value) if self._stalled(done) else done[-1]
-        if status is Status.CONVERGED and not best.finished:
+            reason = INTERRUPTED
+
+        best = self._best(results)
+        if status is Status.CONVERGED and not best.converged:
             status = Status.OUT_OF_BUDGET
             reason = CUT_SHORT
         if best.region.coarse:
             best = self._on_all_segments(best)
-        return self._likelihood_of(best), SearchResult(
-            best.phi, best.value, len(done), reason, status
-        )
+        found = SearchResult(best.phi, best.value, len(results), reason, status)
+        return self._likelihood_of(best), found
 
-    def _on_all_segments(self, outcome: _Outcome) -> _Outcome:
-        """The same maximum in a likelihood of all segments: for a fit that was interrupted before
-        its first full round.
-        """
-        with self.run.counting():
-            region, local = self._build(replace(outcome.region, coarse=False))
-        return replace(outcome, region=region, value=local(outcome.phi))
+    def _iterate(self, region: TrustRegion, results: list[IterationResult]) -> tuple[Status, str]:
+        """Appends a result for each iteration, and says how they ended."""
+        while len(results) < self.settings.max_iterations:
+            # Build the likelihood in the region, and find its maximum.
+            result = self._iteration(region, results[-1].phi if results else None)
+            results.append(result)
+            count = len(results)
+            text = f"round {count}, log-likelihood {result.value:.6g}"
+            self.run.progress(min(0.95, count / 8), text)
 
-    def _round(self, region: _Region, last: Array | None) -> _Outcome:
-        """One round, or its record: what is kept is the width used, the errors, the value, whether
-        it finished, and phi.
+            # End where nothing moves, or where the likelihood no longer rises.
+            following = self._next_region(result)
+            settled = self._is_settled(result, following)
+            if settled and not result.region.coarse:
+                return Status.CONVERGED, SETTLED.format(count)
+            if self._is_stalled(results):
+                return Status.CONVERGED, STALLED.format(count)
+
+            # Move there; once the estimate is settled on some segments, see all of them.
+            early = count < self.settings.coarse_iterations
+            region = replace(following, coarse=result.region.coarse and early and not settled)
+        return Status.OUT_OF_BUDGET, UNSETTLED.format(self.settings.max_iterations)
+
+    def _iteration(self, region: TrustRegion, last: Array | None) -> IterationResult:
+        """One iteration, or its record in the evaluation log, from the last maximum (m,).
+
+        A record holds the width that was used, the errors, the value, whether the search
+        converged, and phi.
         """
+
+        def evaluate(_: Array) -> Array:
+            used, local = self._build(region)
+            phi, converged = self._maximise(local, self._search_start(local, used, last))
+            errors = self._standard_errors(local, phi)
+            return np.concatenate([used.width, errors, [local(phi), converged], phi])[None]
+
         d = len(self.box)
         point = np.concatenate([region.centre, region.width])[None]
+        record = self.run.evaluate(point, evaluate)[0]
+        width, errors, (value, converged), phi = np.split(record, [d, 2 * d, 2 * d + 2])
+        used = replace(region, width=width)
+        return IterationResult(used, phi, float(value), errors, bool(converged))
 
-        def rollout(point: Array) -> Array:
-            used, local = self._build(region)
-            phi, finished = self._maximise(local, self._first(local, used, last))
-            return np.concatenate(
-                [used.width, self._errors(local, phi), [local(phi), finished], phi]
-            )[None]
+    # --- regions
 
-        width, errors, (value, finished), phi = np.split(
-            self.run.evaluate(point, rollout)[0], [d, 2 * d, 2 * d + 2]
+    def _first_region(self, start: Array, width: Array | None) -> TrustRegion:
+        """A wide and coarse one, unless the start is nearly right."""
+        if width is None:
+            return TrustRegion(start, self.settings.first_width * self.box, coarse=True)
+        return TrustRegion(start, width, coarse=False)
+
+    def _next_region(self, result: IterationResult) -> TrustRegion:
+        """The region around the found mean, as wide as spread, last move and error ask for."""
+        settings = self.settings
+        phi = result.phi[: len(self.family.unknowns)]
+        mean = self.family.mean(phi)
+        scale = self.family.scale(phi)
+        if self.family.logarithmic:
+            scale = scale * mean
+        wanted = np.maximum.reduce(
+            [
+                np.maximum(scale, self.family.sd(phi)),
+                settings.followed_move * np.abs(mean - result.region.centre),
+                result.errors,
+                settings.least_width * self.box,
+            ]
         )
-        return _Outcome(replace(region, width=width), phi, float(value), errors, bool(finished))
+        before = result.region.width
+        most = np.minimum(settings.most_growth * before, settings.first_width * self.box)
+        width = np.clip(wanted, before / settings.most_shrink, most)
+        width = np.maximum(width, settings.least_width * self.box)
+        return TrustRegion(mean, width, result.region.coarse)
 
-    def _build(self, region: _Region) -> tuple[_Region, LocalLogLikelihood]:
-        """The local likelihood; where a design's simulations diverge, on half the width, up to five
-        times.
-        """
-        for attempt in range(6):
+    def _is_settled(self, result: IterationResult, following: TrustRegion) -> bool:
+        """Whether neither the mean nor the widths moved."""
+        settings = self.settings
+        phi = result.phi[: len(self.family.unknowns)]
+        move = np.abs(self.family.mean(phi) - result.region.centre)
+        small = np.maximum.reduce(
+            [
+                settings.settled_sd * self.family.sd(phi),
+                settings.settled_error * result.errors,
+                settings.settled_least * settings.least_width * self.box,
+            ]
+        )
+        change = np.abs(following.width / result.region.width - 1)
+        return bool(np.all(move < small) and np.all(change < settings.settled_width))
+
+    def _is_stalled(self, results: list[IterationResult]) -> bool:
+        """Whether the last iterations on all segments brought no better likelihood."""
+        values = [result.value for result in results if not result.region.coarse]
+        patience = self.settings.patience
+        return len(values) > patience and max(values[-patience:]) <= max(values[:-patience])
+
+    def _best(self, results: list[IterationResult]) -> IterationResult:
+        """The last result; of a search that stalled, that of the highest likelihood."""
+        if not self._is_stalled(results):
+            return results[-1]
+        full = [result for result in results if not result.region.coarse]
+        return max(full, key=lambda result: result.value)
+
+    # --- the likelihood in a region
+
+    def _build(self, region: TrustRegion) -> tuple[TrustRegion, LocalLogLikelihood]:
+        """The local likelihood, in a narrower region where simulations of its design diverge."""
+        for attempt in range(self.settings.retries + 1):
             try:
-                rng = np.random.default_rng(self.design)
                 local = self.likelihood.linearize_at(
                     self.problem.simulator,
                     self._segments(region.coarse),
@@ -188,106 +328,98 @@ class Rounds:
                     self.epsilon,
                     region.centre,
                     region.width,
-                    rng,
+                    np.random.default_rng(self.design_seed),
                     rough=region.coarse,
                 )
-                self._built = (region, local)
-                return self._built
             except SimulationFailed:
-                if attempt == 5:
+                if attempt == self.settings.retries:
                     raise
                 region = replace(region, width=region.width / 2)
+            else:
+                self._last_built = (region, local)
+                return self._last_built
         raise AssertionError
 
-    def _likelihood_of(self, outcome: _Outcome) -> LocalLogLikelihood:
-        """The one that the outcome came from; built again, not counted, where it was read from the
-        record or left behind.
-        """
-        if self._built is None or not np.array_equal(self._built[0].centre, outcome.region.centre):
-            self._build(outcome.region)
-        assert self._built is not None
-        return self._built[1]
-
     def _segments(self, coarse: bool) -> Segments:
+        """All segments, or some from all over the data."""
         every = self.problem.segments
-        chosen = every.thin(max(COARSE, EACH * len(self.box)))
+        settings = self.settings
+        count = max(
+            settings.coarse_segments, settings.coarse_segments_per_parameter * len(self.box)
+        )
+        chosen = every.thin(count)
         return every.take(chosen) if coarse and len(chosen) < len(every) else every
 
-    def _first(self, local: LocalLogLikelihood, region: _Region, last: Array | None) -> Array:
-        """Where the inner search begins: the last maximum, its scales not below a twentieth of the
-        width.
+    def _likelihood_of(self, result: IterationResult) -> LocalLogLikelihood:
+        """The likelihood that a result came from.
+
+        It is built again, not counted, where it was read from the log or left behind.
         """
+        built = self._last_built
+        if built is None or not np.array_equal(built[0].centre, result.region.centre):
+            built = self._build(result.region)
+        return built[1]
+
+    def _on_all_segments(self, result: IterationResult) -> IterationResult:
+        """The same maximum in a likelihood of all segments, after an early interruption."""
+        with self.run.counting():
+            region, local = self._build(replace(result.region, coarse=False))
+        return replace(result, region=region, value=local(result.phi))
+
+    # --- the search in a region
+
+    def _search_start(
+        self, local: LocalLogLikelihood, region: TrustRegion, last: Array | None
+    ) -> Array:
+        """Where the search begins: the last maximum (m,) with the region's mean, and no scale 0."""
         unknowns = local.unknowns
-        start = unknowns.from_unit(np.full(len(unknowns), 0.5)) if last is None else last.copy()
-        if last is None:  # learned noise begins below the misfit at the middle of the box
-            start[len(self.family.unknowns) :] = 0.1
-        for name, c, h in zip(self.family.space.names, region.centre, region.width, strict=True):
-            start[unknowns.names.index(f"mean.{name}")] = c
-            if f"scale.{name}" in unknowns.names:
-                i = unknowns.names.index(f"scale.{name}")
-                relative = h / c if self.family.logarithmic else h
-                start[i] = relative / 2 if last is None else max(start[i], 0.05 * relative)
+        if last is None:
+            start = unknowns.from_unit(np.full(len(unknowns), 0.5))
+            # Learned noise begins below the misfit at the middle of the box.
+            start[len(self.family.unknowns) :] = self.settings.first_noise
+        else:
+            start = last.copy()
+
+        for i, name in enumerate(self.family.space.names):
+            start[unknowns.names.index(f"mean.{name}")] = region.centre[i]
+            if f"scale.{name}" not in unknowns.names:
+                continue
+            place = unknowns.names.index(f"scale.{name}")
+            width = region.width[i]
+            if self.family.logarithmic:
+                width = width / region.centre[i]
+            if last is None:
+                start[place] = self.settings.first_scale * width
+            else:
+                start[place] = max(start[place], self.settings.least_start_scale * width)
         return np.clip(start, unknowns.low, unknowns.high)
 
     def _maximise(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
         """The local maximum (m,), and whether the search came to its own end."""
         if self.make_optimizer is None:
-            found = maximize_locally(local, start)
-            return found.phi, found.converged
-        optimizer = self.make_optimizer(
-            len(start), np.clip(local.unknowns.to_unit(start), 0.0, 1.0)
-        )
-        inside = replace(self.run, journal=Journal(), progress=lambda share, text: None)
-        result = maximize(local, local.unknowns, optimizer, inside)
-        if result.status is Status.INTERRUPTED:
+            scored = maximize_locally(local, start)
+            return scored.phi, scored.converged
+        unit = _unit_point(local.unknowns, start)
+        optimizer = self.make_optimizer(len(start), unit)
+        # The evaluations of a local model are cheap: they are neither logged nor shown.
+        inner = replace(self.run, journal=Journal(), progress=lambda share, text: None)
+        found = maximize(local, local.unknowns, optimizer, inner)
+        if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        return result.point, result.status is Status.CONVERGED
+        return found.point, found.status is Status.CONVERGED
 
-    def _errors(self, local: LocalLogLikelihood, phi: Array) -> Array:
-        """Of the sandwich: on data without noise far below those of the information, so that rounds
-        end on narrow designs.
+    def _standard_errors(self, local: LocalLogLikelihood, phi: Array) -> Array:
+        """(d,) of the means, by the sandwich of scores and information.
+
+        On data without noise they are far below those of the information alone, so that the
+        iterations end in narrow regions.
         """
         d = len(self.box)
         _, scores, information = local.value_score_information(phi)
         inverse = np.linalg.pinv(information[:d, :d], hermitian=True)
         return np.sqrt(np.sum((scores[:, :d] @ inverse) ** 2, axis=0))
 
-    def _following(self, outcome: _Outcome) -> _Region:
-        """The region around the outcome's mean; wide enough for its spread, its last move and its
-        standard error.
-        """
-        phi = outcome.phi[: len(self.family.unknowns)]
-        width = outcome.region.width
-        mean = self.family.mean(phi)
-        spread = np.maximum(
-            self.family.scale(phi) * (mean if self.family.logarithmic else 1.0), self.family.sd(phi)
-        )
-        want = np.maximum.reduce(
-            [
-                spread,
-                MOVED * np.abs(mean - outcome.region.centre),
-                outcome.errors,
-                NARROW * self.box,
-            ]
-        )
-        limited = np.clip(want, width / SHRINK, np.minimum(GROW * width, FIRST * self.box))
-        return _Region(mean, np.maximum(limited, NARROW * self.box), outcome.region.coarse)
 
-    def _still(self, outcome: _Outcome) -> bool:
-        """Whether the mean moved by less than a fiftieth of its spread or a tenth of its standard
-        error.
-        """
-        phi = outcome.phi[: len(self.family.unknowns)]
-        move = np.abs(self.family.mean(phi) - outcome.region.centre)
-        return bool(
-            np.all(
-                move
-                < np.maximum.reduce(
-                    [0.02 * self.family.sd(phi), 0.1 * outcome.errors, 0.05 * NARROW * self.box]
-                )
-            )
-        )
-
-    def _stalled(self, done: list[_Outcome]) -> bool:
-        values = [outcome.value for outcome in done if not outcome.region.coarse]
-        return len(values) > STALLED and max(values[-STALLED:]) <= max(values[:-STALLED])
+def _unit_point(unknowns: ParameterSpace, phi: Array) -> Array:
+    """(m,) a point of the unit box."""
+    return np.clip(unknowns.to_unit(phi), 0.0, 1.0)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.errors import BadFile
-from dropo.logs.readers.reader import Arrays, Log, Report, expanded
+from dropo.logs.readers.reader import Arrays, Log, Progress, expanded
 
 EXPECTED = "an .npz file, as numpy.savez writes it"
 _RUN = re.compile(r"^(\d+)/(.+)$")
@@ -68,7 +68,7 @@ class NpzLog(Log):
     def columns(self, topic: str | None) -> list[str]:
         return list(self._table)
 
-    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+    def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         progress(1.0, f"reading {self.path.name}")
         return {name: self._table[name] for name in columns}
 
@@ -122,7 +122,7 @@ class RunsLog(NpzLog):
     def columns(self, topic: str | None) -> list[str]:
         return [*dict.fromkeys(name for run in self._runs for name in run), "run"]
 
-    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+    def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in columns}
         for number, (run, name) in enumerate(zip(self._runs, self.names, strict=True)):
             rows = len(next(iter(run.values())))

@@ -15,7 +15,7 @@ import numpy as np
 from dropo.core.services.errors import BadFile, Refused
 from dropo.core.services.strict_yaml import named
 from dropo.logs.readers.messages import LOG_TIME, STAMP, columns_of, getter
-from dropo.logs.readers.reader import Arrays, Log, Report, joined, package
+from dropo.logs.readers.reader import Arrays, Log, Progress, joined, package
 
 BLOCK = 1 << 14
 """Messages that are held at a time."""
@@ -36,7 +36,7 @@ class _Bag(Log):
         """
         return STAMP if STAMP in self.columns(topic) else LOG_TIME
 
-    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+    def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         return joined(self._blocks(self._known(topic), columns, progress), columns)
 
     def _known(self, topic: str | None) -> str:
@@ -59,7 +59,7 @@ class _Bag(Log):
             raise BadFile(self.path, topic, "at least one message", "none")
         return message[2]
 
-    def _blocks(self, topic: str, columns: Sequence[str], progress: Report) -> Iterator[Arrays]:
+    def _blocks(self, topic: str, columns: Sequence[str], progress: Progress) -> Iterator[Arrays]:
         getters = {name: getter(name) for name in columns if name != LOG_TIME}
         rows: dict[str, list[Any]] = {name: [] for name in columns}
         for count, (share, received, message) in enumerate(self._messages(topic), 1):

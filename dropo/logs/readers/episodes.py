@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.services.errors import BadFile
-from dropo.logs.readers.reader import Arrays, Log, Report, expanded, joined, package
+from dropo.logs.readers.reader import Arrays, Log, Progress, expanded, joined, package
 from dropo.logs.readers.tables import ParquetLog
 
 
@@ -49,7 +49,7 @@ class LeRobotLog(Log):
         own = self._files[0].columns(None)
         return [*own, *(name for name, place in self._names.items() if place in own)]
 
-    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+    def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         places = [self._names.get(name, name) for name in columns]
         blocks = []
         for i, file in enumerate(self._files):
@@ -96,7 +96,7 @@ class MinariLog(Log):
     def columns(self, topic: str | None) -> list[str]:
         return [*(self._runs[0] if self._runs else ()), "episode"]
 
-    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+    def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         blocks = []
         for i, run in enumerate(self._runs):
             rows = len(next(iter(run.values())))

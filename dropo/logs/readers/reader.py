@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dropo.core.services.errors import BadFile
 
 Arrays = dict[str, NDArray[Any]]
-Report = Callable[[float, str], None]
+Progress = Callable[[float, str], None]
 """progress(share of the work, what is being done)."""
 
 
@@ -40,7 +40,7 @@ class Log(ABC):
         """The names of the columns; a vector's are "name[0]", "name[1]", ..."""
 
     @abstractmethod
-    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+    def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         """Columns by name, (n,) each: numbers (NaN: no value in that row), dates, or texts.
 
         All are in `columns(topic)`.

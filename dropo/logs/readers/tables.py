@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.errors import BadFile
-from dropo.logs.readers.reader import Arrays, Log, Report, expanded, joined, package
+from dropo.logs.readers.reader import Arrays, Log, Progress, expanded, joined, package
 
 BLOCK = 1 << 16
 """Rows that are held as text or as Python objects at a time."""
@@ -50,12 +50,12 @@ class CsvLog(Log):
     def columns(self, topic: str | None) -> list[str]:
         return self._header[0]
 
-    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+    def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         with self.path.open("rb") as file:
             return joined(self._blocks(file, columns, progress), columns)
 
     def _blocks(
-        self, file: IO[bytes], columns: Sequence[str], progress: Report
+        self, file: IO[bytes], columns: Sequence[str], progress: Progress
     ) -> Iterator[Arrays]:
         names, separator = self._header
         places = [names.index(name) for name in columns]
@@ -157,14 +157,14 @@ class ParquetLog(Log):
         first = next(self._batches(0, size=1), None) if self._file.metadata.num_row_groups else None
         return [field.name for field in self._file.schema_arrow] if first is None else list(first)
 
-    def read(self, topic: str | None, columns: Sequence[str], progress: Report) -> Arrays:
+    def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         own = [field.name for field in self._file.schema_arrow]
         needed = list(
             dict.fromkeys(name if name in own else name.rsplit("[", 1)[0] for name in columns)
         )
         return joined(self._groups(needed, progress), columns)
 
-    def _groups(self, names: list[str], progress: Report) -> Iterator[Arrays]:
+    def _groups(self, names: list[str], progress: Progress) -> Iterator[Arrays]:
         groups = self._file.metadata.num_row_groups
         for group in range(groups):
             yield from self._batches(group, names)

@@ -13,7 +13,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator, describe_failures
 from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed
-from dropo.core.services.tables import Printed, Table
+from dropo.core.services.tables import Report, Table
 from dropo.core.services.tables import number as written
 from dropo.core.services.validation import Array, float_array, known, require
 
@@ -42,7 +42,7 @@ UNKNOWN = 1e2  # spreads: the standard deviation of a start that was not measure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StateEstimate(Printed):
+class StateEstimate(Report):
     """The trajectories with estimated states in place of the measured ones, and how well they are
     known.
 

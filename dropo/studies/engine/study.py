@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.services.tables import Printed
+from dropo.core.services.tables import Report
 from dropo.core.services.tables import Table as Table
 
 
 @dataclass(frozen=True, repr=False)
-class Study(Printed):
+class Study(Report):
     """A finished study.
 
     name: as in the catalogue; title: a line that says what was done, and how often; remarks:

@@ -190,7 +190,7 @@ def run(item: list[Any]) -> dict[str, Any]:
         "hidden": ", ".join(_told(*one) for one in effects) or "-",
         **judge(case, effects, found),
         "share": _share(best, found) if best is not None and case == "one" else None,
-        "short": best - found.extended_log_likelihood if best is not None else None,
+        "short": best - found.extended.log_likelihood if best is not None else None,
         "verdict": found.verdict,
         "steps": found.simulator_steps,
     }
@@ -208,7 +208,7 @@ def judge(case: str, effects: Hidden, found: Diagnosis) -> dict[str, Any]:
     )
     truth = {place for instance, _ in effects for place in _same(instance)}
     wanted = [_same(instance) for instance, _ in effects]
-    among = named | {(e["effect"], e["target"]) for c in found.causes for e in c.confused_with}
+    among = named | {(e.effect, e.target) for c in found.causes for e in c.confused_with}
     first = next(iter(found.causes), None)
     out = {
         "said": said,
@@ -233,14 +233,12 @@ def of_the_truth(problem: Problem, effects: Hidden, found: Diagnosis) -> float:
     """
     simulator: Any = problem.simulator
     truth = replace(problem, simulator=simulator.with_effects((), effects))
-    return Diagnose(length=found.details["window_steps"]).baseline(truth)
+    return Diagnose(length=found.window_steps).baseline(truth)
 
 
 def _share(best: float, found: Diagnosis) -> float:
     """What the causes gain on data held out, as a share of what the true model does."""
-    return (found.extended_log_likelihood - found.baseline_log_likelihood) / (
-        best - found.baseline_log_likelihood
-    )
+    return found.gain / (best - found.baseline.log_likelihood)
 
 
 def _same(instance: EffectInstance) -> set[tuple[str, str | None]]:
@@ -263,7 +261,7 @@ def _error(hidden: tuple[EffectInstance, Array], found: Diagnosis) -> float | No
     return (
         None
         if cause is None
-        else float(abs(cause.estimate[instance.quantities[0].name]["value"] / sizes[0] - 1))
+        else float(abs(cause.estimate[instance.quantities[0].name].value / sizes[0] - 1))
     )
 
 

@@ -115,7 +115,8 @@ def replication(item: list[Any]) -> dict[str, Any]:
     problem, truth = {"sliding block": _block, "hopper": _hopper}[case](rng)
     sampler = find("samplers", name)(**SAMPLERS[name])
     fit = Posterior(sampler=sampler, start="least-squares").fit(problem, rng=rng)
-    draws = fit.arrays["chain"].reshape(-1, len(truth))
+    assert fit.posterior is not None
+    draws = fit.posterior.chain.reshape(-1, len(truth))
     narrow = draws.mean(axis=0) + (draws - draws.mean(axis=0)) / TOO_NARROW
     return {
         "ranks": ranks(draws, truth).tolist(),

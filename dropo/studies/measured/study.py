@@ -89,7 +89,7 @@ def run(item: list[Any]) -> dict[str, Any]:
         "problem": name,
         "seed": seed,
         "verdict": found.verdict,
-        "remaining": list(found.remaining["where"]),
+        "remaining": list(found.remaining.where),
         "disturbances": told["disturbances"],
         "odd_runs": [str(one) for one in found.outlier_runs],
         "undetermined": list(found.undetermined),

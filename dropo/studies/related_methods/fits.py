@@ -192,11 +192,12 @@ def fitted(item: Item) -> dict[str, Any]:
     fit = estimator(method, Machine(item["table"], problem, size), size).fit(
         problem, rng=item["seed"]
     )
-    used = (
-        0
-        if method == "uniform randomization"
-        else fit.details.get("target_transitions", fit.transitions)
-    )
+    record = fit.search_record
+    used = fit.transitions
+    if record is not None and record.target_transitions is not None:
+        used = record.target_transitions
+    if method == "uniform randomization":
+        used = 0
     return {
         "family": fit.family,
         "phi": fit.phi.tolist(),

@@ -76,8 +76,9 @@ def tuned(item: Item) -> dict[str, Any]:
     """The sweep over epsilon on one data set, and the epsilon that it chooses."""
     problem, _ = problem_of(item)
     fit = DROPO(epsilon="tune", sweep=SWEEP).fit(problem, rng=0)
+    assert fit.noise_tuning is not None
     return {
-        "tuning": fit.details["tuning"],
+        "tuning": [dict(vars(trial)) for trial in fit.noise_tuning.trials],
         "chosen": float(fit.epsilon[0]),
         "steps": fit.simulator_steps,
         "seconds": fit.wall_time_s,

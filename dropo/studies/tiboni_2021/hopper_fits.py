@@ -114,7 +114,7 @@ def found(fit: Fit) -> dict[str, Any]:
         "evaluations": fit.objective_evaluations,
         "seconds": fit.wall_time_s,
         "status": fit.status.value,
-        "certified": fit.details.get("certified", []),
+        "certified": list(fit.constant_parameters or ()),
     }
 
 

@@ -33,19 +33,19 @@ def proxy():
 
 def test_candidates_are_the_searchs(damped):
     """The accepted one is the cause with its gain on data held out; the others gain less."""
-    (cause,), first = damped.causes, damped.pictures.rounds[0]
+    (cause,), first = damped.causes, damped.figures.rounds[0]
     accepted = [bar for bar in first if bar.accepted]
     assert [bar.label for bar in accepted] == ["joint_damping:elbow"]
-    gain = damped.extended_log_likelihood - damped.baseline_log_likelihood
+    gain = damped.gain
     assert (
         0.6 < accepted[0].gain / (gain * 48 * 5) < 1.05
     )  # as all candidates are compared, before everything is fitted to the end
     assert all(
         bar.gain < accepted[0].gain for bar in first if bar.gain is not None and not bar.accepted
     )
-    assert damped.pictures.needed < accepted[0].gain
+    assert damped.figures.needed < accepted[0].gain
     assert {bar.label.split(":")[0] for bar in first if not bar.told} == {
-        other["effect"] for other in cause.confused_with
+        other.effect for other in cause.confused_with
     }
 
 
@@ -53,7 +53,7 @@ def test_errors_follow_the_effects_own_axis(damped):
     """Over the joint's speed errors have a slope before, by more than three standard errors, and
     none after.
     """
-    (shown,) = damped.pictures.axes
+    (shown,) = damped.figures.axes
     assert (shown.axis, shown.axis_unit, shown.signal) == ("qvel.elbow", "rad/s", "qvel.elbow")
     before, after = (stats.linregress(shown.x, values) for values in (shown.before, shown.after))
     assert abs(before.slope) > 3 * before.stderr
@@ -65,18 +65,16 @@ def test_a_true_cause_has_one_size_and_a_proxy_has_not(damped, proxy):
 
     Friction in its place: its size differs with the joint's speed.
     """
-    assert {"qvel.elbow", "time"} <= {one.variable for one in damped.pictures.sizes}
-    for one in damped.pictures.sizes:
+    assert {"qvel.elbow", "time"} <= {one.variable for one in damped.figures.sizes}
+    for one in damped.figures.sizes:
         np.testing.assert_array_less(np.abs(np.array(one.size) - 1), 4.5 * np.array(one.error))
     assert proxy.causes[0].effect == "joint_friction"
-    assert (
-        next(one.p_value for one in proxy.pictures.sizes if one.variable == "|qvel.elbow|") < 0.01
-    )
+    assert next(one.p_value for one in proxy.figures.sizes if one.variable == "|qvel.elbow|") < 0.01
 
 
 def test_forces_fall_where_the_cause_is(damped):
     """At the elbow most before; after, nothing is left there."""
-    forces = damped.pictures.forces
+    forces = damped.figures.forces
     elbow = forces.names.index("elbow")
     assert forces.there_before
     assert not forces.there_after
@@ -85,10 +83,10 @@ def test_forces_fall_where_the_cause_is(damped):
 
 def test_similarities_and_sums(damped):
     """A symmetric matrix with ones on its diagonal; a bridge that ends at 0 and stays small."""
-    cosines = np.array(damped.pictures.similarity.cosines)
+    cosines = np.array(damped.figures.similarity.cosines)
     np.testing.assert_allclose(cosines, cosines.T, atol=1e-12)
     np.testing.assert_allclose(np.diagonal(cosines), 1)
-    (sums,) = damped.pictures.sums
+    (sums,) = damped.figures.sums
     assert abs(sums.score[-1]) < 1e-9
     assert np.abs(sums.score).max() < 2.5
 
@@ -110,6 +108,6 @@ def test_motion_is_calibrated_after_and_not_before(damped):
 def test_nothing_hidden_has_pictures_too():
     """No cause: no evidence to show, forces and motion as they are."""
     found = Diagnose(("joint_damping", "joint_friction"), length=5, windows=24).run(problem([]))
-    assert found.causes == found.pictures.axes == found.pictures.sizes == found.pictures.sums == ()
-    assert found.pictures.forces.before == found.pictures.forces.after
+    assert found.causes == found.figures.axes == found.figures.sizes == found.figures.sums == ()
+    assert found.figures.forces.before == found.figures.forces.after
     assert found.motion.before.name == "the model as it is"

@@ -1,0 +1,90 @@
+"""A fit as it is printed: a table of its parameters, and what it cost beneath."""
+
+import numpy as np
+
+from dropo.core.records.fit import Fit
+from dropo.core.records.fit_parts import HeldOutErrors
+from dropo.core.services.tables import Table, estimate, number
+
+
+def fit_report(fit: Fit) -> list[str | Table]:
+    """The sentences and the table that print a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    list of str or Table
+        In the order in which they are read.
+    """
+    per_transition = fit.log_likelihood / fit.transitions
+    likelihood = f"log-likelihood {fit.log_likelihood:.6g} ({per_transition:.4g} a transition)"
+    cost = f"{fit.simulator_steps:,} simulator steps, {fit.objective_evaluations} evaluations"
+    return [
+        f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
+        _parameter_table(fit),
+        *(fit.identifiability or ()),
+        f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
+        *([] if fit.held_out is None else [_held_out_sentence(fit.held_out)]),
+        f"{cost}, {fit.wall_time_s:.1f} s",
+        *f"{fit.status.value}: {fit.message}".split("\n", 1),  # a method's own table stands alone
+        *(f"warning: {text}" for text in fit.warnings),
+    ]
+
+
+def span(low: float, high: float) -> str:
+    """An interval, with as many digits as its width deserves; a dash where there is none.
+
+    Parameters
+    ----------
+    low, high : float
+        Its ends.
+
+    Returns
+    -------
+    str
+    """
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return "-"
+    size = max(abs(low), abs(high), 1e-300)
+    digits = 3
+    if high > low:
+        digits = int(np.clip(np.ceil(np.log10(size / (high - low))) + 2, 3, 12))
+    return f"{low:.{digits}g} .. {high:.{digits}g}"
+
+
+def _parameter_table(fit: Fit) -> Table:
+    """A row for each parameter, with the true value where it is known."""
+    ends = "95 % interval" if fit.trusted else "(95 % if the model were right)"
+    header = ("parameter", "unit", "mean", "se", ends, "scale", "sd")
+    intervals = fit.interval()
+    rows = [
+        (
+            p.name,
+            p.unit,
+            estimate(fit.mean[i], fit.mean_se[i]),
+            number(fit.mean_se[i], 2),
+            span(*intervals[i]),
+            number(fit.scale[i], 4),
+            number(fit.sd[i], 4),
+        )
+        for i, p in enumerate(fit.space)
+    ]
+    if not fit.truth:
+        return Table("", header, tuple(rows))
+    truth = [number(fit.truth[p.name], 7) for p in fit.space]
+    with_truth = tuple((*row, true) for row, true in zip(rows, truth, strict=True))
+    return Table("", (*header, "truth"), with_truth)
+
+
+def _held_out_sentence(found: HeldOutErrors) -> str:
+    """The errors by unit, with the nominal model's before the arrow."""
+    before = found.rmse_nominal or {}
+    shown = []
+    for unit, value in found.rmse.items():
+        nominal = f"{number(before[unit], 3)} -> " if unit in before else ""
+        shown.append(f"{nominal}{number(value, 3)} {unit}")
+    after = f"after {found.steps} steps (RMS, {found.rows} rows)"
+    return f"held-out error {after}: {', '.join(shown)}"

@@ -1,0 +1,275 @@
+"""What a diagnosis says, in typed parts: causes, alternatives to them, suspects, what remains."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+from dropo.core.records.fit_parts import number_or_nan, number_or_null
+from dropo.core.services.tables import number
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A quantity of an effect.
+
+    Attributes
+    ----------
+    value : float
+        What is added to the model, in `unit`.
+    se : float
+        Its standard error; NaN where there is none.
+    unit : str
+        "1" for a number without one.
+    model : float or None
+        The model's own number; None where it has none.
+    """
+
+    value: float
+    se: float
+    unit: str
+    model: float | None = None
+
+    def __str__(self) -> str:
+        """ "+0.79 +- 0.01 N m"."""
+        error = "?" if number_or_null(self.se) is None else number(self.se, 2)
+        return f"{self.value:+.3g} +- {error} {self.unit}".removesuffix(" 1")
+
+    def to_json(self) -> dict[str, Any]:
+        """As diagnosis.json has it."""
+        return {
+            "value": self.value,
+            "se": number_or_null(self.se),
+            "unit": self.unit,
+            "model": self.model,
+        }
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """What `to_json` gave."""
+        se = number_or_nan(saved["se"])
+        return cls(saved["value"], se, saved["unit"], saved.get("model"))
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """An effect that the data cannot tell from the cause.
+
+    Attributes
+    ----------
+    effect, variant : str
+        Which one.
+    target : str or None
+        Where it acts; None where it is global.
+    why : str
+        Why it cannot be told from the cause.
+    to_tell : str or None
+        What to record to tell the two apart; None where nothing was found.
+    """
+
+    effect: str
+    target: str | None
+    variant: str
+    why: str
+    to_tell: str | None = None
+
+    @property
+    def place(self) -> str:
+        """The effect and where it acts, in words."""
+        return effect_in_words(self.effect, self.target, self.variant)
+
+    def to_json(self) -> dict[str, Any]:
+        """As diagnosis.json has it."""
+        found = {
+            "effect": self.effect,
+            "target": self.target,
+            "variant": self.variant,
+            "why": self.why,
+        }
+        return found if self.to_tell is None else {**found, "to_tell": self.to_tell}
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """What `to_json` gave."""
+        return cls(
+            effect=saved["effect"],
+            target=saved["target"],
+            variant=saved.get("variant", ""),
+            why=saved["why"],
+            to_tell=saved.get("to_tell"),
+        )
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect that the windows held out confirm.
+
+    Attributes
+    ----------
+    effect, variant : str
+        Which one.
+    target : str or None
+        Where it acts; None where it is global.
+    estimate : mapping of str to Estimate
+        By quantity.
+    p_value : float
+        For all effects that were tried.
+    held_out_gain, held_out_gain_se : float
+        What it gains on data held out, and its standard error [nats per transition].
+    rmse_before, rmse_after : float
+        The error at the end of the windows held out without it and with everything that was found,
+        in units of each signal's spread.
+    confused_with : tuple of Alternative
+        What the data cannot tell from it.
+    acts_like : str or None
+        The variable with which its size differs, where it is no true cause.
+    """
+
+    effect: str
+    target: str | None
+    variant: str
+    estimate: Mapping[str, Estimate]
+    p_value: float
+    held_out_gain: float
+    held_out_gain_se: float
+    rmse_before: float
+    rmse_after: float
+    confused_with: tuple[Alternative, ...] = ()
+    acts_like: str | None = None
+
+    @property
+    def place(self) -> str:
+        """The effect and where it acts, in words."""
+        return effect_in_words(self.effect, self.target, self.variant)
+
+    @property
+    def sentence(self) -> str:
+        """ "joint damping at leg_joint, damping +0.79 +- 0.01 N m s/rad"."""
+        return ", ".join([self.place, *(f"{name} {e}" for name, e in self.estimate.items())])
+
+    def to_json(self, rank: int) -> dict[str, Any]:
+        """As diagnosis.json has it; rank: its place among the causes, from 1."""
+        return {
+            "effect": self.effect,
+            "target": self.target,
+            "variant": self.variant,
+            "rank": rank,
+            "estimate": {name: found.to_json() for name, found in self.estimate.items()},
+            "p_value": self.p_value,
+            "held_out_gain": self.held_out_gain,
+            "held_out_gain_se": self.held_out_gain_se,
+            "rmse_before": self.rmse_before,
+            "rmse_after": self.rmse_after,
+            "confused_with": [other.to_json() for other in self.confused_with],
+            "acts_like": self.acts_like,
+        }
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """What `to_json` gave."""
+        estimate = {name: Estimate.from_json(found) for name, found in saved["estimate"].items()}
+        return cls(
+            effect=saved["effect"],
+            target=saved["target"],
+            variant=saved.get("variant", ""),
+            estimate=estimate,
+            p_value=saved["p_value"],
+            held_out_gain=saved["held_out_gain"],
+            held_out_gain_se=saved["held_out_gain_se"],
+            rmse_before=saved["rmse_before"],
+            rmse_after=saved["rmse_after"],
+            confused_with=tuple(map(Alternative.from_json, saved["confused_with"])),
+            acts_like=saved.get("acts_like"),
+        )
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """An effect that seemed to help and was not confirmed.
+
+    Attributes
+    ----------
+    effect : str
+        Which one.
+    target : str or None
+        Where it would act; None where it is global.
+    p_value : float
+        For all effects that were tried.
+    held_out_gain : float
+        On data held out [nats per transition].
+    """
+
+    effect: str
+    target: str | None
+    p_value: float
+    held_out_gain: float
+
+    @property
+    def label(self) -> str:
+        """ "joint_damping:elbow"."""
+        return self.effect + (f":{self.target}" if self.target else "")
+
+    def to_json(self) -> dict[str, Any]:
+        """As diagnosis.json has it."""
+        return dict(vars(self))
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """What `to_json` gave."""
+        return cls(**saved)
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """What is still wrong once all that was found is there.
+
+    Attributes
+    ----------
+    calibrated : bool
+        Whether nothing is.
+    p_value : float
+        Of the stronger of the tests for forces and for structure.
+    where : tuple of str
+        In which signals, joints and regime, in words.
+    forces : mapping of str to float
+        By joint and unit, the standard deviation of a force that nothing explains, each control
+        step anew; empty where there is none.
+    """
+
+    calibrated: bool
+    p_value: float
+    where: tuple[str, ...]
+    forces: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """As diagnosis.json has it."""
+        return {
+            "calibrated": self.calibrated,
+            "p_value": self.p_value,
+            "where": list(self.where),
+            "forces": dict(self.forces),
+        }
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """What `to_json` gave."""
+        where = tuple(saved["where"])
+        return cls(saved["calibrated"], saved["p_value"], where, saved.get("forces", {}))
+
+
+def effect_in_words(effect: str, target: str | None, variant: str) -> str:
+    """Write an effect and where it acts: "joint damping at knee", "contact stiffness (margin)".
+
+    Parameters
+    ----------
+    effect, variant : str
+        Its name, and which kind of it; empty where it has one kind.
+    target : str or None
+        Where it acts; None where it is global.
+
+    Returns
+    -------
+    str
+    """
+    where = f" at {target}" if target else ""
+    kind = f" ({variant})" if variant else ""
+    return f"{effect.replace('_', ' ')}{where}{kind}"

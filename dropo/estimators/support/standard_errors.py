@@ -1,0 +1,225 @@
+"""Standard errors of a distribution's means and scales, clustered by independent units of data."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.dependence import independent
+from dropo.core.numerics.linear_gaussian import scores_and_information
+from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.records.independent_units import units_of
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.services.validation import Array
+
+
+@dataclass(frozen=True)
+class DifferenceSettings:
+    """The steps of differences, as fractions of a parameter's search interval.
+
+    Attributes
+    ----------
+    least, largest : float
+        Half widths of the simulator's differences: a contact that switches inside a step gives
+        slopes without bound as differences shrink.
+    local : float
+        Half width of a local model's differences, which is smooth.
+    edge : float
+        An unknown that is nearer than this to its bound is on it.
+    """
+
+    least: float = 1e-3
+    largest: float = 1e-2
+    local: float = 1e-6
+    edge: float = 1e-6
+
+
+DIFFERENCES = DifferenceSettings()
+
+
+@dataclass(frozen=True)
+class StandardErrors:
+    """Standard errors, and the sensitivities that they rest on.
+
+    Attributes
+    ----------
+    mean, scale : (d,) array
+        Of the means and of the scales, in the parameters' units. NaN where the data say nothing,
+        for a mean on its bound, and for a scale of about 0.
+    degrees : (d,) array
+        The degrees of freedom of the means' errors.
+    jacobian : (R, p, d) array
+        Of the predictions by the parameters.
+    """
+
+    mean: Array
+    scale: Array
+    degrees: Array
+    jacobian: Array
+
+
+def standard_errors(
+    problem: Problem,
+    mean: Array,
+    sd: Array,
+    correlation: Array,
+    noise: Array,
+    settings: DifferenceSettings = DIFFERENCES,
+) -> StandardErrors:
+    """Find the standard errors by the linear-Gaussian model around the means.
+
+    Parameters
+    ----------
+    problem : Problem
+    mean, sd : (d,) array
+        Of the distribution.
+    correlation : (d, d) array
+        Of the distribution.
+    noise : (p,) array
+        The noise variances that the estimate took for its weights; 0: what the mean leaves.
+    settings : DifferenceSettings
+        The first differences are over the largest step, the second over one standard error as the
+        first give it, within both steps.
+
+    Returns
+    -------
+    StandardErrors
+    """
+    width = problem.space.high - problem.space.low
+    step = settings.largest * width
+    found = _errors_with_step(problem, mean, sd, correlation, noise, step, settings)
+    known = np.where(np.isfinite(found.mean), found.mean, step)
+    step = np.clip(known, settings.least * width, settings.largest * width)
+    return _errors_with_step(problem, mean, sd, correlation, noise, step, settings)
+
+
+def _errors_with_step(
+    problem: Problem,
+    mean: Array,
+    sd: Array,
+    correlation: Array,
+    noise: Array,
+    step: Array,
+    settings: DifferenceSettings,
+) -> StandardErrors:
+    """The standard errors with sensitivities over steps (d,)."""
+    segments = problem.segments
+    d = len(mean)
+    predicted, jacobian = problem.simulator.linearize(mean, segments, step=step)
+    residuals = problem.simulator.targets(segments) - predicted
+
+    # The sandwich of the unknowns (means, then variances) whose mean is not on a bound.
+    known = np.where(noise > 0, noise, np.mean(residuals**2, axis=0))
+    known = np.maximum(known, rounding(problem))
+    spread = correlation * np.outer(sd, sd)
+    scores, information = scores_and_information(residuals, jacobian, spread, known)
+    kept = np.tile(_inside(problem.space, mean, settings.edge), 2)
+    units = units_of(segments)
+    covariance, counted = sandwich(scores[:, kept], information[np.ix_(kept, kept)], units)
+    variance = np.full(2 * d, np.nan)
+    degrees = np.full(2 * d, np.nan)
+    variance[kept] = np.diagonal(covariance)
+    degrees[kept] = counted
+
+    # From variances to scales; a spread that may be 0 has no symmetric error.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.where(sd > 0, np.sqrt(variance[d:]) / (2 * sd), np.nan)
+    scale[~(scale < sd)] = np.nan
+    return StandardErrors(np.sqrt(variance[:d]), scale, degrees[:d], jacobian)
+
+
+def local_standard_errors(
+    problem: Problem,
+    family: Family,
+    objective: LocalLogLikelihood,
+    phi: Array,
+    settings: DifferenceSettings = DIFFERENCES,
+) -> StandardErrors:
+    """Find the standard errors by a local likelihood's own scores.
+
+    Parameters
+    ----------
+    problem : Problem
+    family : Family
+    objective : LocalLogLikelihood
+        Built around its maximum.
+    phi : (m,) array
+        That maximum; unknowns of the family on a bound are held fixed.
+    settings : DifferenceSettings
+
+    Returns
+    -------
+    StandardErrors
+    """
+    own = len(family.unknowns)
+    names = objective.unknowns.names
+    _, scores, information = objective.value_score_information(phi)
+    units = units_of(problem.segments)
+    if len(units.label) != len(scores):  # scores of groups are independent as they are
+        units = independent(len(scores))
+
+    inside = _inside(family.unknowns, phi[:own], settings.edge)
+    free = np.concatenate([inside, np.ones(len(phi) - own, dtype=bool)])
+    errors = np.full(len(phi), np.nan)
+    degrees = np.full(len(phi), np.nan)
+    covariance, degrees[free] = sandwich(scores[:, free], information[np.ix_(free, free)], units)
+    errors[free] = np.sqrt(np.diagonal(covariance))
+
+    means = [names.index(f"mean.{name}") for name in family.space.names]
+    scale = np.full(len(means), np.nan)
+    for i, name in enumerate(family.space.names):
+        if f"scale.{name}" in names:
+            scale[i] = errors[names.index(f"scale.{name}")]
+    scale[~(scale < family.scale(phi[:own]))] = np.nan
+    jacobian = local_jacobian(objective, family.mean(phi[:own]), problem.space, settings)
+    return StandardErrors(errors[means], scale, degrees[means], jacobian)
+
+
+def local_jacobian(
+    objective: LocalLogLikelihood,
+    mean: Array,
+    space: ParameterSpace,
+    settings: DifferenceSettings = DIFFERENCES,
+) -> Array:
+    """Differentiate a local model at the mean.
+
+    Parameters
+    ----------
+    objective : LocalLogLikelihood
+    mean : (d,) array
+    space : ParameterSpace
+    settings : DifferenceSettings
+
+    Returns
+    -------
+    (R, p, d) array
+    """
+    half = settings.local * np.diag(space.high - space.low)
+    predictions = objective.predict(np.concatenate([mean + half, mean - half]))
+    change = predictions[: len(mean)] - predictions[len(mean) :]
+    slopes = change / (2 * np.diagonal(half))[:, None, None]
+    return np.moveaxis(slopes, 0, -1)
+
+
+def rounding(problem: Problem) -> Array:
+    """Find the variance of rounding in each signal, below which a residual says nothing.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Returns
+    -------
+    (p,) array
+        The square of 1e-12 of the signals' size.
+    """
+    size = np.mean(problem.segments.targets**2)
+    return np.maximum(1e-24 * size, 1e-60) * np.ones(len(problem.simulator.signals))
+
+
+def _inside(space: ParameterSpace, values: Array, edge: float) -> np.ndarray:
+    """Which values are not on a bound."""
+    unit = space.to_unit(values)
+    return np.asarray((unit > edge) & (unit < 1 - edge))
