@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
-from dropo.core.numerics.dependence import MANY
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import DropoError, SimulationFailed
