@@ -17,7 +17,7 @@ from dropo.data.outliers.without_disturbances import WithoutDisturbances, withou
 from dropo.diagnosis.findings.causes import causes, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import pictures
-from dropo.diagnosis.findings.horizons import horizons
+from dropo.diagnosis.findings.horizons import errors_after, horizons
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
@@ -29,6 +29,7 @@ from dropo.diagnosis.search.review import Review, review, together
 from dropo.diagnosis.search.selection import Progress, Selection, State
 from dropo.diagnosis.search.window_length import choose_length, first_noise
 from dropo.diagnosis.search.windows import Windows, split, spread_of
+from dropo.evaluation.held_out import SETTINGS as HELD_OUT
 
 WINDOWS = 96  # to fit, and held out
 LEAST = 1e-5  # of a signal's spread: the least noise
@@ -130,13 +131,21 @@ class Diagnose:
             if quiet is not None and _enough(quiet.problem, length, self._most(problem)):
                 return self._judged(whole, generator, progress, quiet, library.simulator.steps)
             quiet = None
-        found = causes(library, last, reviews, len(instances))
+        without = [reviews[instance.label].without.theta for instance in last.accepted]
+        *before, after = errors_after(problem, library, [*without, last.theta], last)
+        errors = [(one.overall, after.overall) for one in before]
+        found = causes(library, last, reviews, len(instances), errors)
         thetas = [nominal_of(library), first.theta, last.theta]
         chance = generator.spawn(1)[0]
-        nominal, before, after = horizons(problem, library, thetas, last, chance)
+        as_it_came, fitted, with_causes = horizons(problem, library, thetas, last, chance)
+        with_them = (
+            []
+            if quiet is None
+            else horizons(whole, library, thetas, last, chance, replace(HELD_OUT, horizons=()))
+        )
         progress(0.95, "what the pictures show")
         shown = pictures(library, selection, first, last, reviews, rest.force, len(instances))
-        moved = motion(problem, library, first, last)
+        moved = motion(problem, library, first, last, fitted, with_causes)
         return Diagnosis(
             problem.name,
             _verdict(bool(found), rest.wrong or any(cause.acts_like for cause in found)),
@@ -144,8 +153,8 @@ class Diagnose:
             suspects(selection, last, len(instances)),
             per_step(first),
             per_step(last),
-            before,
-            after,
+            fitted,
+            with_causes,
             rest.to_json(),
             extended,
             dict(
@@ -158,14 +167,12 @@ class Diagnose:
             simulator_steps=spent + library.simulator.steps,
             warnings=problem.warnings,
             details={"window_steps": length},
-            nominal=nominal if len(free) else (),
+            nominal=as_it_came if len(free) else (),
             undetermined=undetermined(library, last),
             pictures=shown,
             motion=moved,
             parameters=dict(zip(problem.space.names, declared.tolist(), strict=True)),
-            disturbances=None
-            if quiet is None
-            else left_out(quiet, horizons(whole, library, thetas, last, chance, [length])),
+            disturbances=None if quiet is None else left_out(quiet, with_them),
             outlier_runs=outlier_runs(problem, extended, declared)
             if self.disturbances and rest.wrong
             else (),

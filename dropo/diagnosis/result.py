@@ -226,6 +226,7 @@ class Diagnosis(Printed):
             name: {
                 "held_out_log_likelihood": value,
                 "rmse": {str(h.steps): h.rmse for h in found},
+                "horizons_s": [h.seconds for h in found],
                 "horizons": [h.to_json() for h in found],
             }
             for name, value, found in (

@@ -27,7 +27,7 @@ from dropo.estimators.support.filtered_starts import from_filtered_starts
 from dropo.estimators.support.sobol_start import best_sobol_point
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import Rounds
-from dropo.evaluation.emulator_check import certified_scales, paired_check
+from dropo.evaluation.emulator_check import check_emulator, parameters_without_spread
 
 SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
 
@@ -200,9 +200,9 @@ class DROPO(Estimator):
             seen, objective, found, details = from_filtered_starts(
                 refit, problem, run, family, noise, objective, found
             )
-        checked, warnings = paired_check(seen, run, family, objective, found.point, rng)
+        checked, warnings = check_emulator(seen, run, family, objective, found.point, rng)
         checked |= details
-        checked["certified"] = certified_scales(family, objective, found.point)
+        checked["certified"] = parameters_without_spread(family, objective, found.point)
         return self._summary(problem, run, family, objective, found, checked, warnings)
 
     def _summary(

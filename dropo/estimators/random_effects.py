@@ -19,7 +19,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table
 from dropo.core.services.validation import Array, known
 from dropo.estimators.dropo import DROPO
-from dropo.evaluation.variance_components import spread_tests
+from dropo.evaluation.variance_components import variance_component_tests
 
 LEVEL = 0.05  # p-values below it count as a difference
 # groups below which a spread's relative standard error, 1 / sqrt(2 (G - 1)), is above a quarter
@@ -37,7 +37,7 @@ class RandomEffects(Estimator):
     the spread to train under, mean_se the ignorance of its mean, which more groups would shrink.
     Arrays: "group" (G,) its number, "group_mean" (G, d) and "group_covariance" (G, d, d) of its
     parameters given all data, with the ignorance of the mean (Henderson 1975, Biometrics 31), not
-    that of the spread. details: "groups"; "groups_differ", the tests of `spread_tests`;
+    that of the spread. details: "groups"; "groups_differ", those of `variance_component_tests`;
     "predictive_sd" of a new group, sqrt(sd^2 + mean_se^2).
 
     Maximum likelihood takes the mean as known: with G groups its variances are (G - 1) / G of an
@@ -110,7 +110,7 @@ class _Population(DROPO):
         kept, covariance = _posterior(
             groups, fit.correlation * np.outer(fit.sd, fit.sd), information[:d, :d]
         )
-        tests = spread_tests(objective, problem.space.names, found.point, run.rng)
+        tests = variance_component_tests(objective, problem.space.names, found.point, run.rng)
         record = _record(problem, groups, kept, covariance)
         details = {
             "groups": record,

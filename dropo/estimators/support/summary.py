@@ -19,7 +19,7 @@ from dropo.core.records.fit import Fit, Status
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
-from dropo.evaluation.fit_errors import held_out_errors
+from dropo.evaluation.held_out import held_out_errors
 from dropo.evaluation.identifiability import blind_spots, determined, null_directions
 from dropo.evaluation.model_check import ModelCheck, check_model
 
