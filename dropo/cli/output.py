@@ -66,7 +66,7 @@ def _bar(stream: TextIO) -> Any:
         TextColumn("{task.fields[left]}"),
         text,
     )
-    return Bar(*columns, console=Console(file=stream), transient=True, value_score_information=True)
+    return Bar(*columns, console=Console(file=stream), transient=True, expand=True)
 
 
 def show(arguments: argparse.Namespace, result: object, content: Any) -> None:

@@ -17,7 +17,7 @@ from dropo.data.outliers.without_disturbances import WithoutDisturbances, withou
 from dropo.diagnosis.findings.causes import causes, suspects
 from dropo.diagnosis.findings.disturbances import LeftOut, left_out, outlier_runs
 from dropo.diagnosis.findings.figures import figure_data
-from dropo.diagnosis.findings.horizons import horizons
+from dropo.diagnosis.findings.horizons import errors_after, horizons
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
@@ -29,6 +29,7 @@ from dropo.diagnosis.search.review import Review, review, together
 from dropo.diagnosis.search.selection import Progress, Selection, State
 from dropo.diagnosis.search.window_length import choose_length, first_noise
 from dropo.diagnosis.search.windows import Windows, split, spread_of
+from dropo.evaluation.held_out import SETTINGS as HELD_OUT
 
 WINDOWS = 96  # to fit, and held out
 LEAST = 1e-5  # of a signal's spread: the least noise
@@ -130,31 +131,39 @@ class Diagnose:
             if quiet is not None and _enough(quiet.problem, length, self._most(problem)):
                 return self._judged(whole, generator, progress, quiet, library.simulator.steps)
             quiet = None
-        found = causes(library, last, reviews, len(instances))
+        without = [reviews[instance.label].without.theta for instance in last.accepted]
+        *before, after = errors_after(problem, library, [*without, last.theta], last)
+        errors = [(one.overall, after.overall) for one in before]
+        found = causes(library, last, reviews, len(instances), errors)
         thetas = [nominal_of(library), first.theta, last.theta]
         chance = generator.spawn(1)[0]
-        nominal, before, after = horizons(problem, library, thetas, last, chance)
+        as_it_came, fitted, with_causes = horizons(problem, library, thetas, last, chance)
+        with_them = (
+            []
+            if quiet is None
+            else horizons(whole, library, thetas, last, chance, replace(HELD_OUT, horizons=()))
+        )
         progress(0.95, "what the pictures show")
         wrong = not rest.calibrated
         figures = figure_data(library, selection, first, last, reviews, forces, len(instances))
-        moved = motion(problem, library, first, last)
+        moved = motion(problem, library, first, last, fitted, with_causes)
         steps = spent + library.simulator.steps
         excluded: LeftOut | None = None
         if quiet is not None:
-            excluded = left_out(quiet, horizons(whole, library, thetas, last, chance, [length]))
+            excluded = left_out(quiet, with_them)
         names = [signal.name for signal in simulator.signals]
         return Diagnosis(
             name=problem.name,
             verdict=_verdict(bool(found), wrong or any(cause.acts_like for cause in found)),
             causes=found,
             suspects=suspects(selection, last, len(instances)),
-            baseline=HeldOut(per_step(first), tuple(before)),
-            extended=HeldOut(per_step(last), tuple(after)),
+            baseline=HeldOut(per_step(first), tuple(fitted)),
+            extended=HeldOut(per_step(last), tuple(with_causes)),
             remaining=rest,
             problem=extended,
             noise=dict(zip(names, last.train.whiten.sigma.tolist(), strict=True)),
             window_steps=length,
-            nominal=tuple(nominal) if len(free) else (),
+            nominal=tuple(as_it_came) if len(free) else (),
             parameters=dict(zip(problem.space.names, declared.tolist(), strict=True)),
             undetermined=undetermined(library, last),
             disturbances=excluded,

@@ -43,6 +43,7 @@ class HeldOut:
         return {
             "held_out_log_likelihood": self.log_likelihood,
             "rmse": {str(horizon.steps): horizon.rmse for horizon in self.horizons},
+            "horizons_s": [horizon.seconds for horizon in self.horizons],
             "horizons": [horizon.to_json() for horizon in self.horizons],
         }
 

@@ -27,7 +27,7 @@ from dropo.estimators.support.filtered_starts import from_filtered_starts
 from dropo.estimators.support.sobol_start import best_sobol_point
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
-from dropo.evaluation.emulator_check import certified_scales, paired_check
+from dropo.evaluation.emulator_check import check_emulator, parameters_without_spread
 
 SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
 
@@ -230,7 +230,7 @@ class DROPO(Estimator):
             )
 
         # Hold the local model against the simulator at the fit.
-        checked, warnings = paired_check(problem, run, family, objective, found.point, rng)
+        checked, warnings = check_emulator(problem, run, family, objective, found.point, rng)
         return self._summarise(
             problem,
             run,
@@ -240,7 +240,7 @@ class DROPO(Estimator):
             warnings=warnings,
             emulator_check=EmulatorCheck.from_json(checked, {}),
             start_filter=start_filter,
-            constant_parameters=tuple(certified_scales(family, objective, found.point)),
+            constant_parameters=tuple(parameters_without_spread(family, objective, found.point)),
         )
 
     def _local_optimizer(self, rng: np.random.Generator) -> MakeOptimizer:

@@ -20,7 +20,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table
 from dropo.core.services.validation import Array, known
 from dropo.estimators.dropo import DROPO
-from dropo.evaluation.variance_components import spread_tests
+from dropo.evaluation.variance_components import variance_component_tests
 
 LEVEL = 0.05  # p-values below it count as a difference
 # groups below which a spread's relative standard error, 1 / sqrt(2 (G - 1)), is above a quarter
@@ -110,7 +110,7 @@ class _Population(DROPO):
         spread = fit.correlation * np.outer(fit.sd, fit.sd)
         kept, covariance = _posterior(groups, spread, information[:d, :d])
         tests = VarianceComponentTests.from_json(
-            spread_tests(objective, problem.space.names, found.point, run.rng)
+            variance_component_tests(objective, problem.space.names, found.point, run.rng)
         )
         effects = _effects(problem, fit, groups, kept, covariance, tests)
         message = f"{fit.message} {_sentence(tests)}\n{_table(fit, effects)}"

@@ -1,7 +1,7 @@
-"""Holds a local likelihood against the true simulator at the fit, at the same draws, so that the
-comparison is not lost in noise.
-"""
+"""Checks a local likelihood against the true simulator at the fit, at the same draws, so that the
+comparison is not lost in noise."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,93 +13,143 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 
-# draws of the fitted law, on about so many segments
-DRAWS = 32
-ROWS = 100
-SUSPICIOUS = 0.1  # nats a row: beyond it the local model misleads
+
+@dataclass(frozen=True)
+class EmulatorCheckSettings:
+    """How the check is made.
+
+    Attributes
+    ----------
+    draws
+        Draws of the fitted distribution.
+    segments
+        About how many segments are simulated.
+    tolerance
+        Nats a row by which emulator and simulator may differ.
+    """
+
+    draws: int = 32
+    segments: int = 100
+    tolerance: float = 0.1
 
 
-def paired_check(
+SETTINGS = EmulatorCheckSettings()
+
+
+def check_emulator(
     problem: Problem,
     run: Run,
     family: Family,
     local: LocalLogLikelihood,
     phi: Array,
     rng: np.random.Generator,
+    settings: EmulatorCheckSettings = SETTINGS,
 ) -> tuple[dict[str, Any], list[str]]:
-    """What the check found, for fit.json, and warnings where simulator and local model differ too
-    much, or draws are impossible.
+    """Compare the log-likelihoods of an emulator and of its simulator at a fit.
 
-    Both predict the same draws of the fitted law on the same rows; the log-likelihoods are those of
-    the Gaussian with their sample moments.
+    Both predict the same draws of the fitted distribution on the same rows; the log-likelihoods
+    are those of the Gaussian with their sample moments.
+
+    Parameters
+    ----------
+    problem
+        Its simulator is the true one.
+    run
+        Counts the simulations.
+    family
+        Of the fitted distribution.
+    local
+        The emulator's likelihood.
+    phi
+        (m,) the fit's unknowns, those of the family first.
+    rng
+        Draws the parameters.
+    settings
+        How many draws and rows, and what difference is told.
+
+    Returns
+    -------
+    found : dict
+        "emulator_check", for fit.json.
+    warnings : list of str
+        Where simulator and emulator differ too much, or draws are physically impossible.
     """
     family_phi = phi[: len(family.unknowns)]
-    base = family.base(DRAWS, rng)
+    base = family.base(settings.draws, rng)
     values = family.draw(family_phi, base)
-    warnings = _outside(family, family.map(family_phi, base[0]))
-    chosen = problem.segments.thin(ROWS)
+    warnings = _impossible_draws(family, family.map(family_phi, base[0]))
+    chosen = problem.segments.thin(settings.segments)
     segments = problem.segments.take(chosen)
     rows = np.isin(problem.segments.rows[0], chosen)
+    count = int(rows.sum())
     with run.counting(evaluations=1):
         simulated = problem.simulator.predict(values, segments)
-    gaussian = find("likelihoods", "monte-carlo")(draws=DRAWS)
+    gaussian = find("likelihoods", "monte-carlo")(draws=settings.draws)
     targets = problem.simulator.targets(segments)
     epsilon = local.epsilon(phi)
-    true, emulated = (
-        gaussian.log_density(predictions, targets, epsilon).sum()
-        for predictions in (simulated, local.predict(values)[:, rows])
-    )
+    true = gaussian.log_density(simulated, targets, epsilon).sum()
+    emulated = gaussian.log_density(local.predict(values)[:, rows], targets, epsilon).sum()
     difference = float(true - emulated)
     found = {
-        "draws": DRAWS,
-        "rows": int(rows.sum()),
+        "draws": settings.draws,
+        "rows": count,
         "simulator": _finite(true),
         "emulator": _finite(emulated),
     }
-    if np.isfinite(difference) and abs(difference) <= SUSPICIOUS * rows.sum():
-        return {"emulator_check": found}, warnings
-    apart = (
-        f"at the fit the simulator and its emulator differ by {difference / rows.sum():.2g} "
-        "nat a row"
-    )
-    return {"emulator_check": found}, [*warnings, f"{apart}: check with likelihood 'monte-carlo'"]
+    if not (np.isfinite(difference) and abs(difference) <= settings.tolerance * count):
+        apart = f"the simulator and its emulator differ by {difference / count:.2g} nat a row"
+        warnings.append(f"at the fit {apart}: check with likelihood 'monte-carlo'")
+    return {"emulator_check": found}, warnings
 
 
-def _outside(family: Family, values: Array) -> list[str]:
+def _impossible_draws(family: Family, values: Array) -> list[str]:
     """A warning where draws (K, d), as they come, leave what is physically possible: local
-    likelihoods take the law without redraws.
-    """
-    share = ((values < family.space.lower) | (values > family.space.upper)).mean(axis=0)
-    names = [
-        f"{name} ({100 * part:.0f} %)"
-        for name, part in zip(family.space.names, share, strict=True)
-        if part > 0
-    ]
-    return (
-        [
-            (
-                f"draws of {', '.join(names)} lie beyond what is possible: take family "
-                "'log_normal', or likelihood 'monte-carlo'"
-            )
-        ]
-        if names
-        else []
-    )
+    likelihoods take the distribution without redraws."""
+    space = family.space
+    share = ((values < space.lower) | (values > space.upper)).mean(axis=0)
+    pairs = zip(space.names, share, strict=True)
+    names = [f"{name} ({100 * part:.0f} %)" for name, part in pairs if part > 0]
+    if not names:
+        return []
+    remedy = "take family 'log_normal', or likelihood 'monte-carlo'"
+    return [f"draws of {', '.join(names)} lie beyond what is possible: {remedy}"]
 
 
 def _finite(value: float) -> float | None:
+    """The value, or None where it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 
-def certified_scales(family: Family, local: LocalLogLikelihood, phi: Array) -> list[str]:
-    """The parameters whose scale is at its lower bound with a negative score: the likelihood itself
-    says that they do not vary.
+def parameters_without_spread(
+    family: Family, local: LocalLogLikelihood, phi: Array, tolerance: float = 1e-6
+) -> list[str]:
+    """Return the parameters of which the likelihood itself says that they do not vary.
+
+    Parameters
+    ----------
+    family
+        Of the fitted distribution.
+    local
+        A local likelihood, which has scores.
+    phi
+        (m,) its maximum.
+    tolerance
+        Relative distance to the lower bound at which a scale is on it.
+
+    Returns
+    -------
+    list of str
+        Names of those whose scale is at its lower bound with a negative score.
     """
     score = local.value_score_information(phi)[1].sum(axis=0)
-    places = {
-        name: local.unknowns.names.index(f"scale.{name}")
-        for name in family.space.names
-        if f"scale.{name}" in local.unknowns.names
-    }
-    low = {name: family.unknowns[f"scale.{name}"].low for name in places}
-    return [name for name, i in places.items() if phi[i] <= low[name] * (1 + 1e-6) and score[i] < 0]
+    unknowns = local.unknowns.names
+    found = []
+    for name in family.space.names:
+        scale = f"scale.{name}"
+        if scale not in unknowns:
+            continue
+        place = unknowns.index(scale)
+        lowest = family.unknowns[scale].low * (1 + tolerance)
+        if phi[place] <= lowest and score[place] < 0:
+            found.append(name)
+    return found

@@ -1,24 +1,30 @@
-"""What a residual of a correct model cannot follow: state, command, their signs and sizes, and
-smooth functions of them.
-"""
+"""What a residual of a correct model cannot follow: state, command, their signs and sizes,
+and smooth functions of them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.numerics.ridge_regression import fourier_features
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
-
-FOURIER = 150  # random features
-LONG_TAIL = 5.0  # standard deviations at which a feature is cut
+from dropo.evaluation.residual_tests import SETTINGS, ResidualTestSettings, random_features
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """named: (n, F) one column a name, of size about 1, the first a constant; smooth: (n, F')
-    random Fourier features of state and command; rows: (n,) the compared rows that have them.
+    """Features of compared rows.
+
+    Attributes
+    ----------
+    names
+        Of the F named features.
+    named
+        (n, F) one column a name, of size about 1, the first a constant.
+    smooth
+        (n, F') random Fourier features of state and command.
+    rows
+        (n,) the compared rows that have features.
     """
 
     names: tuple[str, ...]
@@ -27,21 +33,39 @@ class Features:
     rows: Ints
 
 
-def features_of(problem: Problem, predicted: Array, rng: np.random.Generator) -> Features:
-    """Features of the compared rows, from the mean predictions (R, p).
+def features_of(
+    problem: Problem,
+    predicted: Array,
+    rng: np.random.Generator,
+    settings: ResidualTestSettings = SETTINGS,
+) -> Features:
+    """Return features of the compared rows.
 
     The state is that before the step as the model predicts it from one row earlier, not as it was
     measured there: measured, it would share its noise with the residual. Rows without a row before
     them are left out, unless they are most.
+
+    Parameters
+    ----------
+    problem
+        Its segments have R compared rows.
+    predicted
+        (R, p) mean predictions.
+    rng
+        Draws the random features.
+    settings
+        How many random features there are, and at what a feature is cut.
+
+    Returns
+    -------
+    Features
+        Of state and command, their signs and sizes, and smooth functions of them.
     """
     segments = problem.segments
     state, state_names, rows = _states(problem, predicted)
     action, before = _commands(segments)
-    names = (
-        [f"action[{i}]" for i in range(action.shape[1])]
-        if action.shape[1] > 1
-        else ["action"] * action.shape[1]
-    )
+    count = action.shape[1]
+    names = [f"action[{i}]" for i in range(count)] if count > 1 else ["action"] * count
     base = np.concatenate([state, action, before], axis=1)[rows]
     base_names = [*state_names, *names, *(f"the previous {name}" for name in names)]
     base, base_names = _moving(base, base_names)
@@ -49,30 +73,27 @@ def features_of(problem: Problem, predicted: Array, rng: np.random.Generator) ->
     labels = ["a constant"]
     for form, function in (("{}", np.positive), ("sign({})", np.sign), ("|{}|", np.abs)):
         values, kept = _moving(function(base), [form.format(name) for name in base_names])
-        columns.append(_standard(values))
+        columns.append(_standard(values, settings.cut))
         labels += kept
-    return Features(
-        tuple(labels), np.concatenate(columns, axis=1), _fourier(_standard(base), rng), rows
-    )
+    smooth = random_features(_standard(base, settings.cut), rng, settings)
+    return Features(tuple(labels), np.concatenate(columns, axis=1), smooth, rows)
 
 
 def _states(problem: Problem, predicted: Array) -> tuple[Array, list[str], Ints]:
     """The state before each row (R, S) with its names, and the rows where it is known."""
     segments = problem.segments
-    simulator = problem.simulator
     segment, step = segments.rows
     starts = segments.starts[segment]
     time = segments.steps[segment, step]
-    order = np.lexsort((time, segments.trajectory[segment]))
-    follows = segments.trajectory[segment][order][1:] == segments.trajectory[segment][order][:-1]
+    trajectory = segments.trajectory[segment]
+    order = np.lexsort((time, trajectory))
+    follows = trajectory[order][1:] == trajectory[order][:-1]
     now = order[1:][follows]
     before = order[:-1][follows]
     as_observed = predicted.shape[1] == starts.shape[1]
-    names = (
-        [signal.name for signal in simulator.signals]
-        if as_observed
-        else [f"observation[{i}]" for i in range(starts.shape[1])]
-    )
+    names = [f"observation[{i}]" for i in range(starts.shape[1])]
+    if as_observed:
+        names = [signal.name for signal in problem.simulator.signals]
     if len(now) < len(order) / 2:
         return starts, names, np.arange(len(order))
     state = np.zeros_like(starts)
@@ -81,37 +102,31 @@ def _states(problem: Problem, predicted: Array) -> tuple[Array, list[str], Ints]
 
 
 def _commands(segments: Segments) -> tuple[Array, Array]:
-    """(R, q) the mean action from a segment's start to each row, and the action before the segment."""
+    """(R, q) the mean action from a segment's start to each row, and the action before it."""
     segment, step = segments.rows
     total = np.cumsum(segments.actions, axis=1)[segment, step]
     first = segments.steps[:, 0]
     trajectory = segments.trajectories.trajectory
-    earlier = np.where((first > 0) & (trajectory[first - 1] == trajectory[first]), first - 1, first)
+    same = (first > 0) & (trajectory[first - 1] == trajectory[first])
+    earlier = np.where(same, first - 1, first)
     return total / (step + 1)[:, None], segments.trajectories.actions[earlier][segment]
 
 
 def _moving(values: Array, names: list[str]) -> tuple[Array, list[str]]:
     """The columns that change."""
-    moves = np.std(values, axis=0) > 1e-9 * np.maximum(np.abs(values).max(axis=0), 1e-300)
+    size = np.maximum(np.abs(values).max(axis=0), 1e-300)
+    moves = np.std(values, axis=0) > 1e-9 * size
     return values[:, moves], [name for name, kept in zip(names, moves, strict=True) if kept]
 
 
-def _standard(values: Array) -> Array:
+def _standard(values: Array, cut: float) -> Array:
+    """The columns with a standard deviation of 1, cut at so many of it.
+
+    What swings about 0 stays proportional to itself, as a damping's slope is.
+    """
     if values.shape[1] == 0:
         return values
     sd = values.std(axis=0)
     mean = values.mean(axis=0)
-    centre = np.where(
-        np.abs(mean) > sd, mean, 0.0
-    )  # what swings about 0 stays proportional to itself, as a damping's slope is
-    return np.clip((values - centre) / sd, -LONG_TAIL, LONG_TAIL)
-
-
-def _fourier(base: Array, rng: np.random.Generator) -> Array:
-    """Random features of a Gaussian kernel of width sqrt(number of columns)."""
-    n = base.shape[1]
-    if n == 0:
-        return np.zeros((len(base), 0))
-    frequencies = rng.standard_normal((n, FOURIER)) / np.sqrt(n)
-    phases = rng.uniform(0, 2 * np.pi, FOURIER)
-    return fourier_features(base, frequencies, phases)
+    centre = np.where(np.abs(mean) > sd, mean, 0.0)
+    return np.clip((values - centre) / sd, -cut, cut)

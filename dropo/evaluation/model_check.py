@@ -1,34 +1,84 @@
 """Whether the fitted model can be right: the size of its residuals, and structure that a correct
-model cannot leave.
-"""
+model cannot leave."""
+
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import stats
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import Units, unit_sums, variance_of_sum
-from dropo.core.numerics.ridge_regression import ridge
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.fit_parts import ModelCheck, ResidualSize, ResidualStructure
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.evaluation.features import Features, features_of
+from dropo.evaluation.residual_tests import (
+    ResidualTestSettings,
+    predictability,
+    score_of_t,
+)
 
-LEVEL = 0.001  # false alarms of each test, over all of its signals and features
-# a size of the residuals (as a variance) from which it is worth telling: 5 % of a standard error
-LARGE = 1.1
-NOISY = 3.5  # times the stated noise, as a standard deviation
-OUTLIER = 4.0  # robust standard deviations at which a residual is cut
-# of held-out prediction; blocks of time where there are few trajectories
-FOLDS = 5
-BLOCKS = 40
-RIDGES = np.logspace(-4, 2, 13)
-# the least share of a feature beside what parameters explain: below it, its rest is mostly noise
-OWN = 0.05
-# residuals below this share of the signal, or of the noise, are no evidence
-ROUNDING = 1e-7
-FAINT = 1e-2
+
+@dataclass(frozen=True)
+class ModelCheckSettings:
+    """When residuals speak against a model.
+
+    Attributes
+    ----------
+    level
+        False alarms of each test, over all of its signals and features.
+    large
+        Size of the residuals (as a variance) from which it is told: 5 % of a standard error.
+    noisy
+        Residuals above so many times the stated noise, as a standard deviation, are told.
+    outlier
+        Robust standard deviations at which a residual is cut, so that a few contacts do not drown
+        the others.
+    folds
+        Parts of the rows of which each is predicted from the others.
+    blocks
+        Blocks of time, where trajectories are few.
+    own
+        Least share of a feature beside what parameters explain: below it, its rest is mostly
+        noise.
+    rounding
+        Residuals below this share of the signal are no evidence ...
+    faint
+        ... nor are those below this share of the noise.
+    regression
+        Of the regression on state and command.
+    """
+
+    level: float = 0.001
+    large: float = 1.1
+    noisy: float = 3.5
+    outlier: float = 4.0
+    folds: int = 5
+    blocks: int = 40
+    own: float = 0.05
+    rounding: float = 1e-7
+    faint: float = 1e-2
+    regression: ResidualTestSettings = field(default_factory=ResidualTestSettings)
+
+
+SETTINGS = ModelCheckSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """Residuals of the R rows and p signals that are evidence, in units of their size.
+
+    rest: (R, p) without what parameters of each group would explain; slopes: (R, p, d) of the
+    predictions; group: (R,); units: the independent units of rows; names: of the signals.
+    """
+
+    rest: Array
+    slopes: Array
+    group: Ints
+    units: Units
+    names: list[str]
 
 
 def check_model(
@@ -39,163 +89,176 @@ def check_model(
     *,
     whitened: Array | None = None,
     learned: bool = True,
+    settings: ModelCheckSettings = SETTINGS,
 ) -> ModelCheck:
-    """Holds the measurements against the fitted mean predictions (R, p).
+    """Compare the measurements with fitted mean predictions.
 
-    jacobian: (R, p, d) of the predictions by the parameters; epsilon: (p,) the fit's noise
-    variances; whitened: (R, p) residuals whitened by the fitted covariance, where epsilon was given
-    and not `learned`: their mean square must not be above 1.
+    Parameters
+    ----------
+    problem
+        With R compared rows of p signals.
+    predicted
+        (R, p) mean predictions.
+    jacobian
+        (R, p, d) of the predictions by the parameters.
+    epsilon
+        (p,) the fit's noise variances.
+    whitened
+        (R, p) residuals whitened by the fitted covariance: where epsilon was given, their mean
+        square must not be above 1.
+    learned
+        Whether epsilon was fitted.
+    settings
+        Levels and limits.
+
+    Returns
+    -------
+    ModelCheck
+        Sentences and numbers.
     """
-    residual = problem.simulator.targets(problem.segments) - predicted
+    targets = problem.simulator.targets(problem.segments)
+    residual = targets - predicted
     units = units_of(problem.segments)
     sentences: list[str] = []
     size: ResidualSize | None = None
     structure: ResidualStructure | None = None
     if whitened is not None and not learned:
-        size, sentence = _size(whitened, units)
+        size, sentence = _size(whitened, units, settings)
         sentences += sentence
-    label = _groups(problem, residual.shape[1], jacobian.shape[2])
     scale = np.sqrt(np.mean(residual**2, axis=0))
-    spread = np.std(problem.simulator.targets(problem.segments), axis=0)
-    told = scale > np.maximum(ROUNDING * spread, FAINT * np.sqrt(epsilon))
-    if told.any():
-        white = (residual / np.where(told, scale, 1.0))[:, told]
-        slopes = (jacobian / np.where(told, scale, 1.0)[:, None])[:, told]
-        rest = _without_draws(white, slopes, label)
-        names = [
-            signal.name
-            for signal, kept in zip(problem.simulator.signals, told, strict=True)
-            if kept
-        ]
+    rounding = settings.rounding * np.std(targets, axis=0)
+    least = np.maximum(rounding, settings.faint * np.sqrt(epsilon))
+    evident = scale > least
+    if evident.any():
+        unit = np.where(evident, scale, 1.0)
+        white = (residual / unit)[:, evident]
+        slopes = (jacobian / unit[:, None])[:, evident]
+        group = _groups(problem, residual.shape[1], jacobian.shape[2])
+        rest = _without_draws(white, slopes, group)
+        signals = zip(problem.simulator.signals, evident, strict=True)
+        names = [signal.name for signal, kept in signals if kept]
         if problem.epsilon is not None and learned:
-            stated = np.broadcast_to(np.asarray(problem.epsilon, dtype=float), told.shape)[told]
-            sentences += _noise(
-                rest * scale[told], stated, names, len(slopes) / max(len(slopes) - 1, 1)
-            )
-        features = features_of(problem, predicted, np.random.default_rng(0))
-        structure, sentence = _structure(_cut(rest), slopes, label, units, features, names)
+            stated = np.asarray(problem.epsilon, dtype=float)
+            stated = np.broadcast_to(stated, evident.shape)[evident]
+            factor = len(slopes) / max(len(slopes) - 1, 1)
+            sentences += _noise(rest * scale[evident], stated, names, factor, settings)
+        features = features_of(problem, predicted, np.random.default_rng(0), settings.regression)
+        left = _Residuals(_cut(rest, settings.outlier), slopes, group, units, names)
+        structure, sentence = _structure(left, features, settings)
         sentences += sentence
     return ModelCheck(not sentences, size, structure, tuple(sentences))
 
 
-def _size(whitened: Array, units: Units) -> tuple[ResidualSize, list[str]]:
-    """Mean square of the whitened residuals, its standard error, and a sentence where it is above
-    1.
-    """
+def _size(
+    whitened: Array, units: Units, settings: ModelCheckSettings
+) -> tuple[ResidualSize, list[str]]:
+    """Mean square of the whitened residuals, its standard error, a sentence if it is above 1."""
     square = np.mean(whitened**2, axis=1, keepdims=True)
     mean = float(square.mean())
     variance, degrees = variance_of_sum(square - mean, units)
     error = float(np.sqrt(variance[0, 0])) / len(square)
-    p = float(stats.t.sf((mean - 1) / error, degrees[0])) if error > 0 else 0.5
-    text = (
-        f"the model is wrong or epsilon too small: residuals are {np.sqrt(mean):.3g} times as "
-        "large as the fit allows"
-    )
-    return ResidualSize(mean, error), [text] if mean > LARGE and p < LEVEL else []
+    p_value = float(stats.t.sf((mean - 1) / error, degrees[0])) if error > 0 else 0.5
+    found = ResidualSize(mean, error)
+    if mean <= settings.large or p_value >= settings.level:
+        return found, []
+    times = f"{np.sqrt(mean):.3g} times as large as the fit allows"
+    return found, [f"the model is wrong or epsilon too small: residuals are {times}"]
 
 
-def _noise(rest: Array, stated: Array, names: list[str], factor: float) -> list[str]:
+def _noise(
+    rest: Array, stated: Array, names: list[str], factor: float, settings: ModelCheckSettings
+) -> list[str]:
+    """A sentence where some signal's residuals (R, p) are far above the stated variances (p,)."""
     ratio = np.sqrt(np.mean(rest**2, axis=0) * factor / np.maximum(stated, 1e-300))
     worst = int(ratio.argmax())
-    if ratio[worst] <= NOISY or stated[worst] <= 0:
+    if ratio[worst] <= settings.noisy or stated[worst] <= 0:
         return []
-    return [
-        (
-            f"the model is wrong or the stated noise too small: residuals of {names[worst]} "
-            f"are {ratio[worst]:.3g} times the stated noise"
-        )
-    ]
+    times = f"{ratio[worst]:.3g} times the stated noise"
+    wrong = "the model is wrong or the stated noise too small"
+    return [f"{wrong}: residuals of {names[worst]} are {times}"]
 
 
 def _groups(problem: Problem, p: int, d: int) -> Ints:
     """(R,) the groups that may each have parameters of their own: the data's, where they have
-    numbers enough, else one.
-    """
-    group = np.unique(problem.segments.group[problem.segments.rows[0]], return_inverse=True)[1]
+    numbers enough, else one."""
+    own = problem.segments.group[problem.segments.rows[0]]
+    group = np.unique(own, return_inverse=True)[1]
     return group if np.median(np.bincount(group)) * p >= 4 * d else np.zeros_like(group)
 
 
-def _coefficients(slopes: Array, moments: Array, label: Ints) -> Array:
+def _coefficients(slopes: Array, moments: Array, group: Ints) -> Array:
     """(G, d, k) least squares on the slopes (R, p, d) within each group; moments: (R, d, k) slopes'
-    values.
-    """
-    count = int(label.max()) + 1
+    values."""
+    count = int(group.max()) + 1
     gram = np.zeros((count, slopes.shape[2], slopes.shape[2]))
     right = np.zeros((count, *moments.shape[1:]))
-    np.add.at(gram, label, slopes.swapaxes(1, 2) @ slopes)
-    np.add.at(right, label, moments)
+    np.add.at(gram, group, slopes.swapaxes(1, 2) @ slopes)
+    np.add.at(right, group, moments)
     return np.asarray(np.linalg.pinv(gram, rcond=1e-12, hermitian=True) @ right, dtype=float)
 
 
-def _without_draws(white: Array, slopes: Array, label: Ints) -> Array:
+def _without_draws(white: Array, slopes: Array, group: Ints) -> Array:
     """The residuals (R, p) without what other parameters in each group would explain: those may
-    vary from draw to draw.
-    """
-    fitted = _coefficients(slopes, np.einsum("rpd,rp->rd", slopes, white)[:, :, None], label)
-    return white - np.einsum("rpd,rd->rp", slopes, fitted[label, :, 0])
+    vary from draw to draw."""
+    moments = np.einsum("rpd,rp->rd", slopes, white)[:, :, None]
+    fitted = _coefficients(slopes, moments, group)
+    return white - np.einsum("rpd,rd->rp", slopes, fitted[group, :, 0])
 
 
-def _cut(rest: Array) -> Array:
-    """Residuals with outliers cut, so that a few contacts do not drown the others."""
+def _cut(rest: Array, outlier: float) -> Array:
+    """Residuals (R, p) cut at so many robust standard deviations."""
     sd = deviation(rest)
     sd = np.where(sd > 0, sd, np.sqrt(np.mean(rest**2, axis=0)))
-    return np.clip(rest, -OUTLIER * sd, OUTLIER * sd)
+    return np.clip(rest, -outlier * sd, outlier * sd)
 
 
 def _structure(
-    rest: Array, slopes: Array, label: Ints, units: Units, features: Features, names: list[str]
+    left: _Residuals, features: Features, settings: ModelCheckSettings
 ) -> tuple[ResidualStructure, list[str]]:
-    """The strongest dependence of a signal's residuals (R, p) on one feature, and on all of them in
-    held-out data.
-    """
-    scores = _scores(rest, slopes, label, units, features)  # (p, F)
-    signal, feature = (int(i) for i in np.unravel_index(np.abs(scores).argmax(), scores.shape))
+    """The strongest dependence of a signal's residuals on one feature, and on all of them in
+    held-out data."""
+    scores = _scores(left, features, settings.own)  # (p, F)
+    signal, feature = np.unravel_index(np.abs(scores).argmax(), scores.shape)
     strongest = float(scores[signal, feature])
-    predicted = _held_out(rest[features.rows], features, units)  # (p,)
+    predicted = _predictability(left, features, settings)  # (p,)
     best = int(predicted.argmax())
     found = ResidualStructure(
-        signal=names[signal],
-        feature=features.names[feature],
+        signal=left.names[int(signal)],
+        feature=features.names[int(feature)],
         z=strongest,
-        held_out_signal=names[best],
+        held_out_signal=left.names[best],
         held_out_z=float(predicted[best]),
     )
-    if stats.norm.sf(abs(strongest)) * 2 * scores.size < LEVEL:
-        what = (
-            f"residuals of {names[signal]} follow {features.names[feature]} (z "
-            f"{abs(strongest):.0f})"
-        )
-    elif stats.norm.sf(predicted[best]) * len(predicted) < LEVEL:
-        what = (
-            f"residuals of {names[best]} can be predicted from state and action (z "
-            f"{predicted[best]:.0f})"
-        )
+    if stats.norm.sf(abs(strongest)) * 2 * scores.size < settings.level:
+        what = f"{found.signal} follow {found.feature} (z {abs(strongest):.0f})"
+    elif stats.norm.sf(predicted[best]) * len(predicted) < settings.level:
+        z = f"(z {predicted[best]:.0f})"
+        what = f"{left.names[best]} can be predicted from state and action {z}"
     else:
         return found, []
-    return found, [f"the model is wrong: {what}"]
+    return found, [f"the model is wrong: residuals of {what}"]
 
 
-def _scores(rest: Array, slopes: Array, label: Ints, units: Units, features: Features) -> Array:
-    """(p, F) z of the product of residuals and features, these too without what parameters explain
-    (Frisch and Waugh 1933).
-    """
+def _scores(left: _Residuals, features: Features, own_share: float) -> Array:
+    """(p, F) normal scores of the product of residuals and features, these too without what
+    parameters explain (Frisch and Waugh 1933)."""
+    rest = left.rest
     named = np.zeros((len(rest), features.named.shape[1]))
     named[features.rows] = features.named
-    along = np.einsum("rpd,rp->rd", slopes, rest)
+    along = np.einsum("rpd,rp->rd", left.slopes, rest)
     out = np.empty((rest.shape[1], named.shape[1]))
     for j in range(rest.shape[1]):
-        moments = slopes[:, j, :, None] * named[:, None, :]
-        fitted = _coefficients(slopes, moments, label)[label]
+        moments = left.slopes[:, j, :, None] * named[:, None, :]
+        fitted = _coefficients(left.slopes, moments, left.group)[left.group]
         own = 1 - np.sum(moments * fitted, axis=(0, 1)) / np.sum(named**2, axis=0)
         product = rest[:, j, None] * named - np.einsum("rd,rdf->rf", along, fitted)
-        out[j] = np.where(own > OWN, _z_of_sum(product, units), 0.0)
+        out[j] = np.where(own > own_share, _score_of_sum(product, left.units), 0.0)
     return out
 
 
-def _z_of_sum(values: Array, units: Units) -> Array:
+def _score_of_sum(values: Array, units: Units) -> Array:
     """(k,) normal scores of the t-tests that the columns of rows (R, k) sum to 0 over independent
-    units.
-    """
+    units."""
     if units.serial:
         variance, degrees = variance_of_sum(values - values.mean(axis=0), units)
         error = np.sqrt(np.diagonal(variance))
@@ -205,49 +268,28 @@ def _z_of_sum(values: Array, units: Units) -> Array:
         degrees = np.full(values.shape[1], len(sums) - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.where(error > 0, values.sum(axis=0) / error, 0.0)
-    return np.asarray(
-        np.sign(t) * stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), degrees), 1e-300))
-    )
+    return score_of_t(t, degrees)
 
 
-def _held_out(rest: Array, features: Features, units: Units) -> Array:
-    """(p,) z of the fall of the squared residuals (n, p) under ridge regressions that have not seen
-    their block.
-    """
-    block = _blocks(units, features.rows)
-    fold = (
-        np.unique(block, return_inverse=True)[1] * FOLDS // (int(block.max()) + 1)
-        if units.serial
-        else block % FOLDS
-    )
+def _predictability(left: _Residuals, features: Features, settings: ModelCheckSettings) -> Array:
+    """(p,) normal scores of the regression on all features, each block of rows predicted from the
+    others."""
+    block = _blocks(left.units, features.rows, settings.blocks)
+    fold = block % settings.folds
+    if left.units.serial:  # neighbouring blocks together, as they depend on each other
+        fold = np.unique(block, return_inverse=True)[1] * settings.folds // (int(block.max()) + 1)
+    folds = [(fold != k, fold == k) for k in range(settings.folds)]
     design = np.concatenate([features.named, features.smooth], axis=1)
-    gain = np.zeros_like(rest)
-    for held in range(FOLDS):
-        seen = fold != held
-        if seen.all() or not seen.any():
-            continue
-        gain[~seen] = (
-            rest[~seen] ** 2
-            - (rest[~seen] - design[~seen] @ ridge(design[seen], rest[seen], RIDGES)) ** 2
-        )
-    sums = np.zeros((int(block.max()) + 1, rest.shape[1]))
-    np.add.at(sums, block, gain)
-    if len(sums) < 3:
-        return np.zeros(rest.shape[1])
-    error = sums.std(axis=0, ddof=1) * np.sqrt(len(sums))
-    t = sums.sum(axis=0) / np.maximum(error, 1e-300)
-    return np.asarray(
-        np.sign(t) * stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), len(sums) - 1), 1e-300))
-    )
+    found = predictability(design, left.rest[features.rows], folds, block, settings.regression)
+    return found.by_signal
 
 
-def _blocks(units: Units, rows: Ints) -> Ints:
-    """(n,) whole units, or where they are few, blocks of time within them."""
+def _blocks(units: Units, rows: Ints, count: int) -> Ints:
+    """(n,) whole units, or where they are few, so many blocks of time within them."""
     if not units.serial:
         return np.unique(units.label[rows], return_inverse=True)[1]
     place = np.empty(len(units.label), dtype=np.int64)
     place[units.order] = np.arange(len(units.label))
-    length = max(10, -(-len(units.label) // BLOCKS))
-    return np.unique(
-        np.stack([units.label[rows], place[rows] // length]), axis=1, return_inverse=True
-    )[1].ravel()
+    length = max(10, -(-len(units.label) // count))
+    label = np.stack([units.label[rows], place[rows] // length])
+    return np.unique(label, axis=1, return_inverse=True)[1].ravel()

@@ -1,6 +1,7 @@
 """What a fit predicts beside what was measured, and beside what was known before it."""
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -8,66 +9,126 @@ from scipy import stats
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.records.predictions import LEVEL, Predictions, Side
-from dropo.core.records.trajectories import Ints, Segments, Trajectories
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
+from dropo.evaluation.held_out import (
+    DataPart,
+    HorizonErrors,
+    compared_segments,
+    errors_of,
+    horizon_segments,
+    noise_free_spread,
+    rms_of_motion,
+    stated_noise,
+    whole_part,
+)
 
-REACH = 20  # control steps that are predicted from one measurement
-# windows that are kept, one after another; and those of the errors by horizon, from all over the
-# data
-SHOWN = 4
-JUDGED = 40
-ROWS = 240  # control steps, in rows like those of the fit, for the calibration
-# of the parameters; and of the noise, for each of these
-DRAWS = 24
-REPEATS = 8
+
+@dataclass(frozen=True)
+class PredictionSettings:
+    """How much of the data is predicted, and by how many draws.
+
+    Attributes
+    ----------
+    horizons
+        Control steps after which errors are given; the last one is the length of the windows that
+        are shown, too.
+    shown
+        Windows that are kept, one after another.
+    rows
+        Control steps, about, in the segments that the calibration is taken from.
+    draws
+        Draws of the parameters.
+    noise_draws
+        Draws of the noise for each draw of the parameters.
+    """
+
+    horizons: tuple[int, ...] = (1, 2, 5, 10, 20)
+    shown: int = 4
+    rows: int = 240
+    draws: int = 24
+    noise_draws: int = 8
+
+
+SETTINGS = PredictionSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Which of the data are predicted: shown one after another, for the calibration, for errors by
+    horizon, and for errors by signal."""
+
+    part: DataPart
+    shown: Segments
+    calibration: Segments
+    by_horizon: list[Segments]
+    by_signal: Segments
+    spread: Array
 
 
 def predict(
-    problem: Problem, fit: Fit, *, rng: np.random.Generator | int | None = 0
+    problem: Problem,
+    fit: Fit,
+    *,
+    rng: np.random.Generator | int | None = 0,
+    settings: PredictionSettings = SETTINGS,
 ) -> Predictions:
-    """Windows of up to 20 control steps replayed from their measured starts, under the fit and
-    under what was known before.
+    """Return windows replayed from their measured starts, under the fit and under what was known.
 
-    Before: the model's own numbers, or the middle of the search intervals where there are none or
-    the data were simulated from them;
-    the band is that of parameters drawn evenly from the search intervals. After: the fitted mean,
-    and draws of the fitted distribution. Both bands hold the measurements' noise too. The data are
-    those held out, where the problem has such.
+    Before the fit, that is the model's own numbers, or the middle of the search intervals where
+    there are none or the data were simulated from them; the band is that of parameters drawn evenly
+    from the search intervals. After it, the fitted mean, and draws of the fitted distribution.
+    Both bands hold the measurements' noise too.
+
+    Parameters
+    ----------
+    problem
+        The data are those held out, where it has such.
+    fit
+        Of the problem.
+    rng
+        A generator or a seed.
+    settings
+        How much is predicted.
+
+    Returns
+    -------
+    Predictions
+        The windows, errors by horizon and by signal, and the calibration.
     """
     generator = np.random.default_rng(rng)
     problem = problem.using(length=_horizon(fit))
-    data = problem.trajectories if problem.held_out is None else problem.held_out
+    simulator = problem.simulator
     name, value = _known_before(problem)
-    box = problem.space.from_unit(generator.random((DRAWS, len(problem.space))))
-    shown = _shown(problem, data)
-    judged = _judged(problem, data)
-    rows = _rows(problem, data)
-    sigma = np.sqrt(np.nan_to_num(np.broadcast_to(fit.epsilon, (len(problem.simulator.signals),))))
-    targets = problem.simulator.targets(problem.cut(data))
-    spread = np.where(np.ptp(targets, axis=0) > 0, np.std(targets, axis=0), 0.0)
-    under = {
-        name: np.concatenate([value[None], box]),
-        "fitted distribution": np.concatenate([fit.mean[None], fit.sample(DRAWS, generator)]),
-    }
+    box = problem.space.from_unit(generator.random((settings.draws, len(problem.space))))
+    places = _places(problem, settings)
+    sigma = np.sqrt(np.nan_to_num(np.broadcast_to(fit.epsilon, (len(simulator.signals),))))
+    drawn = fit.sample(settings.draws, generator)
+    before = np.concatenate([value[None], box])
+    after = np.concatenate([fit.mean[None], drawn])
     sides = [
-        _side(problem, label, values, (shown, judged, rows), sigma, spread, generator)
-        for label, values in under.items()
+        _side(problem, label, values, places, sigma, generator, settings)
+        for label, values in ((name, before), ("fitted distribution", after))
     ]
-    reach = judged.steps.shape[1]
-    noise = np.sqrt(np.mean((sigma / _unit(spread)) ** 2)) if np.any(sigma > 0) else np.nan
-    first = np.array([start for start, _ in data.spans])[data.trajectory[shown.steps[:, 0]]]
+    data = places.part.trajectories
+    rows = places.shown.steps[:, 0]
+    origins = np.array([start for start, _ in data.spans])
+    horizons = np.array([int(one.lengths.max()) for one in places.by_horizon], dtype=np.int64)
+    noise = rms_of_motion(sigma**2, places.spread) if np.any(sigma > 0) else np.nan
     return Predictions(
-        tuple(s.name for s in problem.simulator.signals),
-        tuple(s.unit for s in problem.simulator.signals),
-        float(getattr(problem.simulator, "control_step", np.nan)),
-        shown.steps[:, 0] - first,
-        _by_window(problem.simulator.targets(shown), shown),
-        data.next_observations[shown.steps],
-        spread,
-        np.full(reach, noise),
-        int(rows.lengths.max()),
-        problem.held_out is not None,
-        *sides,
+        names=tuple(s.name for s in simulator.signals),
+        units=tuple(s.unit for s in simulator.signals),
+        seconds=float(getattr(simulator, "control_step", np.nan)),
+        begins=rows - origins[data.trajectory[rows]],
+        measured=_by_window(simulator.targets(places.shown), places.shown),
+        rows=data.next_observations[places.shown.steps],
+        spread=places.spread,
+        horizons=horizons,
+        noise=np.full(len(horizons), noise),
+        rows_after=int(places.by_signal.lengths.max()),
+        held_out=problem.held_out is not None,
+        before=sides[0],
+        after=sides[1],
     )
 
 
@@ -80,96 +141,83 @@ def _known_before(problem: Problem) -> tuple[str, Array]:
     """What stood for the parameters before any fit, in words and as (d,)."""
     nominal = problem.simulator.nominal
     if nominal is None or problem.truth is not None:
-        return "middle of the search intervals", problem.space.from_unit(
-            np.full(len(problem.space), 0.5)
-        )
+        middle = np.full(len(problem.space), 0.5)
+        return "middle of the search intervals", problem.space.from_unit(middle)
     return "the model's own numbers", np.asarray(nominal, dtype=float)
 
 
-def _shown(problem: Problem, data: Trajectories) -> Segments:
-    """Windows one after another, in the middle of the longest trajectory; the first trajectories
-    where a window must begin with one.
-    """
-    begins, length = _begins(problem, data)
-    if _from_the_start(problem):
-        return data.from_rows(begins[:SHOWN], length, every_step=True)
-    longest = int(np.argmax([stop - start for start, stop in data.spans]))
-    own = begins[data.trajectory[begins] == longest]
-    middle = max(0, (len(own) - SHOWN) // 2)
-    return data.from_rows(own[middle : middle + SHOWN], length, every_step=True)
-
-
-def _judged(problem: Problem, data: Trajectories) -> Segments:
-    """Windows from all over the data."""
-    begins, length = _begins(problem, data)
-    chosen = np.unique(np.linspace(0, len(begins) - 1, JUDGED).round().astype(np.int64))
-    return data.from_rows(begins[chosen], length, every_step=True)
-
-
-def _begins(problem: Problem, data: Trajectories) -> tuple[Ints, int]:
-    """Rows at which windows may begin, and how long these are."""
-    length = min(REACH, max(stop - start for start, stop in data.spans))
-    every = [np.arange(start, stop - length + 1, length) for start, stop in data.spans]
-    own = [begins[:1] for begins in every] if _from_the_start(problem) else every
-    return np.concatenate(own).astype(np.int64), length
-
-
-def _from_the_start(problem: Problem) -> bool:
-    """Whether the state in the middle of a trajectory is not all measured."""
-    return problem.reset != "transition"
-
-
-def _rows(problem: Problem, data: Trajectories) -> Segments:
-    """Segments like those of the fit, as many as make about `ROWS` control steps."""
+def _places(problem: Problem, settings: PredictionSettings) -> _Places:
+    """The data held out, or all where nothing is, as segments for each purpose."""
+    data = problem.trajectories if problem.held_out is None else problem.held_out
+    part = whole_part(data)
+    longest = max(stop - start for start, stop in data.spans)
+    horizons = sorted({min(horizon, longest) for horizon in settings.horizons})
     segments = problem.cut(data)
-    return segments.take(segments.thin(max(1, int(ROWS / segments.lengths.mean()))))
+    count = max(1, int(settings.rows / segments.lengths.mean()))
+    return _Places(
+        part=part,
+        shown=_shown(problem, part, horizons[-1], settings.shown),
+        calibration=segments.take(segments.thin(count)),
+        by_horizon=[horizon_segments(problem, part, horizon) for horizon in horizons],
+        by_signal=compared_segments(problem, part),
+        spread=noise_free_spread(problem.simulator, part, stated_noise(problem)),
+    )
+
+
+def _shown(problem: Problem, part: DataPart, length: int, count: int) -> Segments:
+    """Windows one after another, in the middle of the longest trajectory; the first trajectories
+    where the state in the middle of one is not all measured."""
+    data = part.trajectories
+    starts = [np.arange(start, stop - length + 1, length) for start, stop in data.spans]
+    if problem.reset != "transition":
+        first: Ints = np.concatenate([own[:1] for own in starts]).astype(np.int64)
+        return data.from_rows(first[:count], length, every_step=True)
+    longest = starts[int(np.argmax([stop - start for start, stop in data.spans]))]
+    middle = max(0, (len(longest) - count) // 2)
+    return data.from_rows(longest[middle : middle + count], length, every_step=True)
 
 
 def _side(
     problem: Problem,
     name: str,
     values: Array,
-    places: tuple[Segments, Segments, Segments],
+    places: _Places,
     sigma: Array,
-    spread: Array,
     rng: np.random.Generator,
+    settings: PredictionSettings,
 ) -> Side:
-    """values: (1 + K, d), the line's and the band's."""
+    """What one model predicts; values: (1 + K, d), the line's and the band's."""
     simulator = problem.simulator
-    (shown, judged, rows) = places
-    found = simulator.predict(values, shown)
-    drawn = found[1:, None] + sigma * rng.standard_normal(
-        (len(values) - 1, REPEATS, *found.shape[1:])
-    )
-    ends = _quantiles(drawn.reshape(-1, *found.shape[1:]), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    errors = _by_window(
-        simulator.predict(values[:1], judged)[0] - simulator.targets(judged), judged
-    ) / _unit(spread)
-    compared = simulator.predict(values, rows)
-    targets = simulator.targets(rows)
+    predicted = simulator.predict(values, places.shown)
+    shape = (len(values) - 1, settings.noise_draws, *predicted.shape[1:])
+    drawn = predicted[1:, None] + sigma * rng.standard_normal(shape)
+    levels = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
+    ends = _quantiles(drawn.reshape(-1, *predicted.shape[1:]), levels)
+    draws = simulator.predict(values[1:], places.calibration)
+    targets = simulator.targets(places.calibration)
+    by_horizon = [_errors(problem, values[0], segments, places) for segments in places.by_horizon]
     return Side(
-        name,
-        _by_window(found[0], shown),
-        np.stack([_by_window(end, shown) for end in ends]),
-        _rms(errors, (0, 2)),
-        _rms(compared[0] - targets, (0,)),
-        _pit(compared[1:], targets, sigma, problem.noise_degrees),
+        name=name,
+        line=_by_window(predicted[0], places.shown),
+        band=np.stack([_by_window(end, places.shown) for end in ends]),
+        by_horizon=np.array([errors.overall for errors in by_horizon]),
+        by_signal=_errors(problem, values[0], places.by_signal, places).by_signal,
+        pit=_pit(draws, targets, sigma, problem.noise_degrees),
     )
+
+
+def _errors(problem: Problem, value: Array, segments: Segments, places: _Places) -> HorizonErrors:
+    """The errors of one parameter vector (d,) on some segments."""
+    predictions = problem.simulator.predict(value[None], segments)
+    return errors_of(problem.simulator, predictions, segments, places.spread)[0]
 
 
 def _pit(draws: Array, targets: Array, sigma: Array, degrees: float | None) -> Array:
-    """(R p,) the share of the prediction (K, R, p), with its noise, that lies below each target (R,
-    p).
-    """
-    distribution = stats.norm if degrees is None else stats.t(degrees)
+    """(R p,) the share of the prediction (K, R, p), with its noise, below each target (R, p)."""
+    noise = stats.norm if degrees is None else stats.t(degrees)
     tiny = 1e-12 * np.maximum(np.abs(targets).max(axis=0), 1e-300)
-    below = np.mean(distribution.cdf((targets - draws) / np.maximum(sigma, tiny)), axis=0)
+    below = np.mean(noise.cdf((targets - draws) / np.maximum(sigma, tiny)), axis=0)
     return np.asarray(below[np.isfinite(below)])
-
-
-def _unit(spread: Array) -> Array:
-    """(p,) what errors are counted in; a signal that does not vary counts for nothing."""
-    return np.where(spread > 0, spread, np.inf)
 
 
 def _by_window(rows: Array, segments: Segments) -> Array:
@@ -182,11 +230,3 @@ def _quantiles(draws: Array, shares: list[float]) -> Array:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all failed
         return np.asarray(np.nanquantile(draws, shares, axis=0))
-
-
-def _rms(errors: Array, axes: tuple[int, ...]) -> Array:
-    """Without rows that failed; NaN where all did."""
-    squares = errors**2
-    count = np.isfinite(squares).sum(axis=axes)
-    total = np.where(np.isfinite(squares), squares, 0.0).sum(axis=axes)
-    return np.sqrt(np.where(count > 0, total, np.nan) / np.maximum(count, 1))

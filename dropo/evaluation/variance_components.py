@@ -1,7 +1,7 @@
-"""Whether groups differ at all: likelihood-ratio tests of spreads of 0, which lie on the boundary
-of what they may be.
-"""
+"""Whether groups differ at all: likelihood-ratio tests of variances of 0, which lie on the boundary
+of what they may be."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,55 +14,122 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 
-DRAWS = 4000  # of the boundary's law: its weights are right to 0.008
-UNTOLD = 1e-6  # of the largest root of an information: below it there is none
-NO_SPREAD = 1e-3  # of the mean's standard error: there the information of variances is that at 0
+
+@dataclass(frozen=True)
+class VarianceTestSettings:
+    """How likelihood-ratio tests on the boundary are made.
+
+    Attributes
+    ----------
+    draws
+        Draws of the distribution on the boundary; with 4000 its weights are right to 0.008.
+    no_information
+        Share of the largest root of an information, below which a variance has none.
+    small
+        Standard deviation, as a share of the mean's standard error, at which the information of
+        variances is that at 0.
+    """
+
+    draws: int = 4000
+    no_information: float = 1e-6
+    small: float = 1e-3
 
 
-def spread_tests(
-    objective: LocalLogLikelihood, names: tuple[str, ...], phi: Array, rng: np.random.Generator
+SETTINGS = VarianceTestSettings()
+
+
+def variance_component_tests(
+    objective: LocalLogLikelihood,
+    names: tuple[str, ...],
+    phi: Array,
+    rng: np.random.Generator,
+    settings: VarianceTestSettings = SETTINGS,
 ) -> dict[str, Any]:
-    """Twice the gain in log-likelihood of spreads over none, and its p-value: overall, and for each
-    of the named parameters.
+    """Test whether parameters differ between groups, by restricted likelihood ratios.
 
-    phi: (m,) a maximum of the objective, whose unknowns are means, scales, "partial." correlations,
-    and noise. Likelihoods are restricted ones, at the maxima of the full ones.
-    overall: all spreads of the law without correlations against none, by the chi-bar-square law of
-    variances that cannot be negative (Self and Liang 1987, J. Am. Stat. Assoc. 82). parameters: one
-    spread with its q correlations against none, by an even mixture of chi-square with q and q + 1
-    degrees (Stram and Lee 1994, Biometrics 50); where other spreads are 0 too, it asks for more
-    than it must. Both hold for many groups; with few, their p-values are too large rather than too
-    small.
+    Overall, all standard deviations without correlations are tested against none, by the
+    chi-bar-square distribution of variances that cannot be negative [1]_. For each parameter, its
+    standard deviation with its q correlations is tested against none, by an even mixture of
+    chi-square with q and q + 1 degrees of freedom [2]_; where others are 0 too, that is
+    conservative. Both hold for many groups; with few, p-values are too large rather than too small.
+
+    Parameters
+    ----------
+    objective
+        Its unknowns are means, scales, "partial." correlations, and noise.
+    names
+        The parameters.
+    phi
+        (m,) a maximum of the objective.
+    rng
+        Draws the weights of the chi-bar-square distribution.
+    settings
+        Draws and tolerances.
+
+    Returns
+    -------
+    dict
+        "statistic", twice the gain in log-likelihood, and "p_value" overall, and of each
+        parameter under "parameters".
+
+    References
+    ----------
+    .. [1] Self and Liang, J. Am. Stat. Assoc. 82, 1987.
+    .. [2] Stram and Lee, Biometrics 50, 1994.
     """
     scales = {f"scale.{name}": 0.0 for name in names}
     partials = {u: 0.0 for u in objective.unknowns.names if u.startswith("partial.")}
     independent = _Held(objective, partials)
     none = _Held(objective, scales | partials)
     nowhere = none.maximum(phi)
-    weights = boundary_weights(_information_at_none(objective, none.whole(nowhere)), rng)
-    overall = _entry(
-        restricted(independent, independent.maximum(phi)) - restricted(none, nowhere), weights
-    )
+    information = _information_at_none(objective, none.whole(nowhere), settings.small)
+    weights = boundary_weights(information, rng, settings)
+    independent_value = restricted(independent, independent.maximum(phi))
+    overall = _entry(independent_value - restricted(none, nowhere), weights)
     whole = _Held(objective, {})
-    parameters = {}
     best = restricted(whole, whole.maximum(phi))
+    parameters = {}
     for name in names:
-        own = {
-            u: 0.0
-            for other in names
-            for u in (f"partial.{name}.{other}", f"partial.{other}.{name}")
-            if u in partials
-        }
+        own = _correlations_of(name, names, partials)
         without = _Held(objective, {f"scale.{name}": 0.0} | own)
-        parameters[name] = _entry(
-            best - restricted(without, without.maximum(phi)), np.eye(len(own) + 2)[-2:].mean(axis=0)
-        )
+        mixture = np.eye(len(own) + 2)[-2:].mean(axis=0)
+        gain = best - restricted(without, without.maximum(phi))
+        parameters[name] = _entry(gain, mixture)
     return {**overall, "parameters": parameters}
 
 
+def _correlations_of(
+    name: str, names: tuple[str, ...], partials: dict[str, float]
+) -> dict[str, float]:
+    """The unknowns that are correlations of one parameter with another, each 0."""
+    found = {}
+    for other in names:
+        for unknown in (f"partial.{name}.{other}", f"partial.{other}.{name}"):
+            if unknown in partials:
+                found[unknown] = 0.0
+    return found
+
+
 def restricted(objective: LocalLogLikelihood, phi: Array) -> float:
-    """The log-likelihood with the means integrated out, up to a constant: the spreads are not
-    judged by a mean that was fitted to the same groups (Harville 1977, J. Am. Stat. Assoc. 72).
+    """Return the log-likelihood with the means integrated out, up to a constant.
+
+    So variances are not tested beside a mean that was fitted to the same groups [1]_.
+
+    Parameters
+    ----------
+    objective
+        A local likelihood.
+    phi
+        (m,) where.
+
+    Returns
+    -------
+    float
+        [nats].
+
+    References
+    ----------
+    .. [1] Harville, J. Am. Stat. Assoc. 72, 1977.
     """
     value, _, information = objective.value_score_information(phi)
     mean = _places(objective, "mean.")
@@ -72,62 +139,67 @@ def restricted(objective: LocalLogLikelihood, phi: Array) -> float:
     return value - float(np.log(size).sum() + 0.5 * np.linalg.slogdet(scaled)[1])
 
 
-def boundary_weights(information: Array, rng: np.random.Generator) -> Array:
-    """(d + 1,) how often 0 ... d of d variances, of that information (d, d), are above 0 where all
-    of them truly are 0.
+def boundary_weights(
+    information: Array, rng: np.random.Generator, settings: VarianceTestSettings = SETTINGS
+) -> Array:
+    """Return how often 0 ... d of d variances are estimated above 0 where all of them truly are 0.
 
-    By projecting Gaussian draws onto the cone of variances that are not negative, in the
-    information's metric; Binomial(d, 1/2) where it is diagonal.
+    Gaussian draws are projected onto the cone of variances that are not negative, in the
+    information's metric; where that is diagonal, the result is Binomial(d, 1/2).
+
+    Parameters
+    ----------
+    information
+        (d, d) of the variances.
+    rng
+        Draws.
+    settings
+        How many, and below what a variance has no information.
+
+    Returns
+    -------
+    numpy.ndarray
+        (d + 1,) probabilities.
     """
     size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
-    told = size > UNTOLD * size.max()
-    if not told.any():
+    known = size > settings.no_information * size.max()
+    if not known.any():
         return np.eye(len(size) + 1)[0]
-    root = np.linalg.cholesky(
-        information[np.ix_(told, told)] / np.outer(size[told], size[told])
-        + 1e-9 * np.eye(int(told.sum()))
-    )
-    positive = [
-        np.count_nonzero(nnls(root.T, draw)[0]) for draw in rng.standard_normal((DRAWS, len(root)))
-    ]
-    return np.bincount(positive, minlength=len(size) + 1) / DRAWS
+    scaled = information[np.ix_(known, known)] / np.outer(size[known], size[known])
+    root = np.linalg.cholesky(scaled + 1e-9 * np.eye(int(known.sum())))
+    draws = rng.standard_normal((settings.draws, len(root)))
+    positive = [np.count_nonzero(nnls(root.T, draw)[0]) for draw in draws]
+    return np.bincount(positive, minlength=len(size) + 1) / settings.draws
 
 
 def _entry(gain: float, weights: Array) -> dict[str, float]:
-    """Twice the gain, at least 0, and the probability of as large a one: sum_k weights_k P(chi2_k
-    >= statistic).
-    """
+    """Twice the gain, at least 0, and its p-value sum_k weights_k P(chi2_k >= statistic)."""
     statistic = max(0.0, 2 * gain)
     tails = np.append(statistic <= 0, chi2.sf(statistic, np.arange(1, len(weights))))
     return {"statistic": statistic, "p_value": min(1.0, float(weights @ tails))}
 
 
 def _places(objective: LocalLogLikelihood, kinds: str | tuple[str, ...]) -> Ints:
-    return np.array(
-        [i for i, name in enumerate(objective.unknowns.names) if name.startswith(kinds)],
-        dtype=np.int64,
-    )
+    """Where the unknowns of some kinds stand."""
+    names = objective.unknowns.names
+    return np.array([i for i, name in enumerate(names) if name.startswith(kinds)], dtype=np.int64)
 
 
-def _information_at_none(objective: LocalLogLikelihood, phi: Array) -> Array:
+def _information_at_none(objective: LocalLogLikelihood, phi: Array, small: float) -> Array:
     """The information (d, d) of the variances where all of them are 0, up to a factor for each,
-    with noise and means found too.
-    """
-    mean, scale, other = (
-        _places(objective, kinds) for kinds in ("mean.", "scale.", ("mean.", "epsilon"))
-    )
+    with noise and means estimated too."""
+    mean = _places(objective, "mean.")
+    scale = _places(objective, "scale.")
+    other = _places(objective, ("mean.", "epsilon"))
     phi = phi.copy()
-    phi[scale] = NO_SPREAD / np.sqrt(
-        np.maximum(np.diagonal(objective.value_score_information(phi)[2])[mean], 1e-300)
-    )
+    of_means = np.diagonal(objective.value_score_information(phi)[2])[mean]
+    phi[scale] = small / np.sqrt(np.maximum(of_means, 1e-300))
     information = objective.value_score_information(phi)[2]
     size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     information = information / np.outer(size, size)
     cross = information[np.ix_(scale, other)]
-    return (
-        information[np.ix_(scale, scale)]
-        - cross @ np.linalg.pinv(information[np.ix_(other, other)], hermitian=True) @ cross.T
-    )
+    inverse = np.linalg.pinv(information[np.ix_(other, other)], hermitian=True)
+    return information[np.ix_(scale, scale)] - cross @ inverse @ cross.T
 
 
 class _Held(LocalLogLikelihood):

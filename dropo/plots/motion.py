@@ -118,7 +118,7 @@ def horizon(result: Any, ax: Axes | None = None) -> Axes:
     """
     found = predictions_of(result)
     ax = axes_of(ax)
-    steps = np.arange(1, len(found.before.by_horizon) + 1)
+    steps = found.horizons
     for side, color, _, mark in sides(found):
         ax.plot(
             steps, 100 * side.by_horizon, color=color, marker=mark, ms=3.5, lw=1.3, label=side.name

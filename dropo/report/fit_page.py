@@ -79,7 +79,7 @@ def headline(fit: Fit, result: Result) -> str:
     )
     found = result.predictions
     if found is not None and np.isfinite(found.before.by_horizon[-1]):
-        reach = len(found.before.by_horizon)
+        reach = int(found.horizons[-1])
         ahead = f"{reach} step{'s' * (reach > 1)} ahead"
         before = percent(found.before.by_horizon[-1])
         after = percent(found.after.by_horizon[-1])

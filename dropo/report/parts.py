@@ -81,7 +81,7 @@ def errors(found: Predictions | None, more: str = "") -> Section | None:
     """Error by horizon and by signal, and calibration. more: HTML beneath."""
     if found is None:
         return None
-    last = len(found.before.by_horizon)
+    last = int(found.horizons[-1])
     before, after = (percent(side.by_horizon[-1]) for side in (found.before, found.after))
     ahead = (
         f"{f'from {before} to {after}' if changed(found) else after} of the motion's spread "

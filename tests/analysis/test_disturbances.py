@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.analysis.without_model import find_disturbances_without_model
 from dropo.core.records.trajectories import Trajectories
 from dropo.data.outliers.disturbances import find_disturbances, robust_values
 from dropo.mjmodel.fields import FieldParameter
@@ -94,25 +93,6 @@ def test_a_robust_fit_survives_pushes(simulator):
     assert abs(found - [0.15, 0.6]).max() < 0.03
     spans = find_disturbances(simulator, data, found, STEP)
     assert {span.trajectory for span in spans.spans} == {0, 1, 2}
-
-
-def test_pushes_are_found_without_a_model(simulator):
-    """What usually follows is learned from the other blocks of time; the strong push is found, and
-    no span where there is none.
-    """
-    strong = {(0, 250, 290): 4.0}
-    signals = tuple(simulator.signals)
-    found = find_disturbances_without_model(
-        recorded(simulator, strong), signals, STEP, np.random.default_rng(0)
-    )
-    assert [span.trajectory for span in found.spans] == [0]
-    assert found.spans[0].first < 270 < found.spans[0].last
-    assert (
-        find_disturbances_without_model(
-            recorded(simulator, {}), signals, STEP, np.random.default_rng(0)
-        ).spans
-        == ()
-    )
 
 
 def test_a_model_that_lacks_something_is_called_so(simulator):

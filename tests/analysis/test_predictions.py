@@ -10,7 +10,7 @@ from dropo import LeastSquares
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit_choices import HorizonChoice, HorizonTrial
 from dropo.core.records.predictions import LEVEL
-from dropo.evaluation.predictions import REACH, predict
+from dropo.evaluation.predictions import SETTINGS, predict
 from dropo.problems.simulated.slide import NOISE, slide
 from dropo.simulators.toy import SlidingBlock, simulate
 
@@ -42,7 +42,7 @@ def test_lines_are_the_simulators(fitted):
     assert found.before.name == "middle of the search intervals"
     middle = (one.space.low + one.space.high) / 2
     first = int(np.flatnonzero(one.trajectories.trajectory == 0)[0]) + int(found.begins[0])
-    rows = one.trajectories.rows(np.arange(first, first + REACH))
+    rows = one.trajectories.rows(np.arange(first, first + SETTINGS.horizons[-1]))
     for value, side in ((fit.mean, found.after), (middle, found.before)):
         expected = one.simulator.predict(value[None], rows.segments(reset="start"))[0]
         np.testing.assert_allclose(side.line[0], expected)
@@ -56,7 +56,7 @@ def test_errors_fall_to_the_noise(fitted):
     """
     found = fitted[2]
     np.testing.assert_allclose(found.after.by_horizon, found.noise, rtol=0.2)
-    assert (found.before.by_horizon[3:] > 3 * found.noise[3:]).all()
+    assert (found.before.by_horizon[2:] > 3 * found.noise[2:]).all()
     np.testing.assert_allclose(found.after.by_signal, 1e-3, rtol=0.2)
 
 

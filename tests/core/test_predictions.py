@@ -43,6 +43,7 @@ def predictions():
         measured,
         rows,
         np.ones(2),
+        np.array([1, 2, 5]),
         np.full(3, np.nan),
         1,
         True,
@@ -64,7 +65,7 @@ def test_predictions_come_back(tmp_path):
         1,
         True,
     )
-    for name in ("begins", "measured", "rows", "spread", "noise"):
+    for name in ("begins", "measured", "rows", "spread", "horizons", "noise"):
         np.testing.assert_array_equal(getattr(found, name), getattr(kept, name))
     for one, other in ((found.before, kept.before), (found.after, kept.after)):
         assert one.name == other.name

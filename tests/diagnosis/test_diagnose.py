@@ -51,7 +51,7 @@ CONTRACT = {
         "rmse_after",
         "confused_with",
     },
-    "side": {"held_out_log_likelihood", "rmse"},
+    "side": {"held_out_log_likelihood", "rmse", "horizons_s"},
     "remaining": {"calibrated", "p_value", "where"},
 }
 BESIDE = {

@@ -5,7 +5,7 @@ import pytest
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadArgument
-from dropo.diagnosis.search.windows import held_out_windows, split
+from dropo.diagnosis.search.windows import split
 from tests.diagnosis.toy import Mass, measured
 
 
@@ -38,7 +38,6 @@ def test_held_out_trajectories_of_the_problem_are_taken():
     assert train.segments.trajectories is problem.trajectories
     assert test.segments.trajectories is problem.held_out
     assert len(train) == len(test) == 40
-    assert held_out_windows(problem, 20, 10).length == 20
 
 
 def test_too_few_windows_are_refused_with_the_number_needed():

@@ -11,7 +11,11 @@ from dropo.core.services.errors import Incompatible, UnknownName
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.random_effects import RandomEffects
-from dropo.evaluation import variance_components as spreads
+from dropo.evaluation.variance_components import (
+    VarianceTestSettings,
+    boundary_weights,
+    variance_component_tests,
+)
 from dropo.problems.hopper.data import TRUTH, simulate
 from dropo.problems.hopper.problem import hopper_problem
 from dropo.simulators.toy import LinearSimulator
@@ -160,15 +164,16 @@ def p_values(rng, sd):
     phi = maximize_locally(
         objective, np.where([n.startswith("scale") for n in objective.unknowns.names], 0.02, start)
     ).phi
-    tests = spreads.spread_tests(objective, TWO.space.names, phi, rng.spawn(1)[0])
+    tests = variance_component_tests(
+        objective, TWO.space.names, phi, rng.spawn(1)[0], VarianceTestSettings(draws=300)
+    )
     return [tests["p_value"], *(test["p_value"] for test in tests["parameters"].values())]
 
 
-def test_groups_that_do_not_differ_are_found_to_do_so_in_one_of_twenty(monkeypatch):
+def test_groups_that_do_not_differ_are_found_to_do_so_in_one_of_twenty():
     """Over 200 data sets without spread at most 5 % + 3 standard errors, in every test; with a
     spread it is found in x0 alone.
     """
-    monkeypatch.setattr(spreads, "DRAWS", 300)
     rng = np.random.default_rng(5)
     none = np.array([p_values(rng, [0.0, 0.0]) for _ in range(200)])
     error = np.sqrt(0.05 * 0.95 / len(none))
@@ -184,17 +189,15 @@ def test_weights_of_the_boundary():
     standard errors).
     """
     rng = np.random.default_rng(6)
-    error = 4 * np.sqrt(0.25 / spreads.DRAWS)
+    error = 4 * np.sqrt(0.25 / VarianceTestSettings().draws)
     np.testing.assert_allclose(
-        spreads.boundary_weights(np.diag([1.0, 4.0, 9.0]), rng),
-        [1 / 8, 3 / 8, 3 / 8, 1 / 8],
-        atol=error,
+        boundary_weights(np.diag([1.0, 4.0, 9.0]), rng), [1 / 8, 3 / 8, 3 / 8, 1 / 8], atol=error
     )
     both = np.arccos(0.8) / (2 * np.pi)
-    weights = spreads.boundary_weights(np.array([[1.0, 1.6], [1.6, 4.0]]), rng)
+    weights = boundary_weights(np.array([[1.0, 1.6], [1.6, 4.0]]), rng)
     np.testing.assert_allclose(weights, [0.5 - both, 0.5, both], atol=error)
     assert abs(weights[2] - 0.25) > error
-    np.testing.assert_array_equal(spreads.boundary_weights(np.zeros((2, 2)), rng), [1, 0, 0])
+    np.testing.assert_array_equal(boundary_weights(np.zeros((2, 2)), rng), [1, 0, 0])
 
 
 @pytest.mark.parametrize("family", ["truncated_gaussian", "full"])

@@ -195,8 +195,8 @@ class HeldOutErrors(FitPart):
     rows, steps : int
         Compared rows, and control steps in the longest segment.
     rmse : mapping of str to float
-        By unit, the root mean square error at the fitted mean, as the norm over the unit's signals;
-        NaN where a simulation diverged.
+        By unit, the root mean square error over the unit's signals at the fitted mean; NaN where a
+        simulation diverged.
     rmse_nominal : mapping of str to float, or None
         The same with the parameters as they stand in the model; None where it has none.
     """

@@ -23,11 +23,22 @@ class Side:
     """What one model predicts, for W windows of L steps and p signals; NaN where a simulation
     failed.
 
-    line: (W, L, p); band: (2, W, L, p) the ends of the bands that hold a share `LEVEL`; by_horizon:
-    (H,) root mean square errors after 1 ... H steps, all signals together, each in units of its own
-    spread; by_signal: (p,) root mean square errors of the rows that a fit compares, in each
-    signal's unit; pit: (n,) the predicted probability of what is below each measurement, even where
-    that is calibrated.
+    Attributes
+    ----------
+    name
+        What stands in legends.
+    line
+        (W, L, p) the mean prediction.
+    band
+        (2, W, L, p) the ends of the bands that hold a share `LEVEL`.
+    by_horizon
+        (H,) root mean square errors after each horizon, all signals together, each in units of its
+        own spread.
+    by_signal
+        (p,) root mean square errors `rows_after` steps after a start, in each signal's unit.
+    pit
+        (n,) the predicted probability of what is below each measurement, uniform where that is
+        calibrated.
     """
 
     name: str
@@ -40,15 +51,32 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """The measured windows and both sides.
+    """Measured windows, and what two models predict for them.
 
-    names, units: of the p signals; seconds: of a control step, NaN where unknown; begins: (W,) the
-    step of the data at which a window begins, counted within its trajectory; measured: (W, L, p);
-    rows: (W, L, P) the same as observation rows; spread: (p,) each signal's standard deviation in
-    the data;
-    noise: (H,) what the measurements' noise alone gives by horizon, NaN where it is unknown;
-    rows_after: how many steps after their start the rows of `by_signal` are; held_out: whether no
-    fit has seen these data.
+    Attributes
+    ----------
+    names, units
+        Of the p signals.
+    seconds
+        In a control step; NaN where unknown.
+    begins
+        (W,) the step of the data at which a window begins, counted within its trajectory.
+    measured
+        (W, L, p) the signals of the windows.
+    rows
+        (W, L, P) the same as observation rows.
+    spread
+        (p,) each signal's standard deviation in the data without its noise; 0 where it is constant.
+    horizons
+        (H,) control steps after which errors are given.
+    noise
+        (H,) what the measurements' noise alone gives by horizon; NaN where it is unknown.
+    rows_after
+        How many steps after a start the rows of `by_signal` are.
+    held_out
+        Whether no fit has seen these data.
+    before, after
+        The two models.
     """
 
     names: tuple[str, ...]
@@ -58,6 +86,7 @@ class Predictions:
     measured: Array
     rows: Array
     spread: Array
+    horizons: NDArray[np.int64]
     noise: Array
     rows_after: int
     held_out: bool

@@ -148,77 +148,74 @@ def find_disturbances(
     *,
     seconds: Sequence[float] = SECONDS,
 ) -> Disturbances:
-    """Windows that the simulator with these values (d,) predicts far worse than others of like
-    motion; step: of the control [s].
+    """Find windows that a simulator predicts far worse than others of like motion, joined to spans.
 
     A push shows in velocities: where there are such signals (units per second), they alone are
-    judged. The values should come from a fit that explains most of the data (see `robust_values`),
-    or the model's errors hide all but the strongest pushes: what the model always gets wrong in
-    like motion is its usual error there.
+    evaluated. A long window adds only what no short one has shown. Transitions near contacts are
+    not looked at.
+
+    Parameters
+    ----------
+    simulator
+        Should explain most of the data, or its errors hide all but the strongest pushes: what it
+        always gets wrong in like motion is its usual error there.
+    trajectories
+        The data.
+    values
+        (d,) the simulator's parameters, from a fit (see `robust_values`).
+    step
+        Of the control [s].
+    seconds
+        Lengths of the windows.
+
+    Returns
+    -------
+    Disturbances
+        The spans, by trajectory and time; there may be none.
+
+    Raises
+    ------
+    BadArgument
+        If the step is not above 0 or there are not d values.
     """
     value = float_array("values", values, (len(simulator.space),), "find_disturbances")
+    require(step > 0, "step", "the seconds of a control step, above 0", step, "find_disturbances")
     predict: Predict = lambda segments: simulator.predict(value[None], segments)[0]
     short = cut(trajectories, 1)
     noise = deviation(simulator.targets(short) - predict(short)) / np.sqrt(2)
-    return scan(
-        predict,
-        simulator.targets,
-        simulator.signals,
-        trajectories,
-        step,
-        seconds,
-        free=_untouched(simulator, trajectories),
-        reach=lambda windows: _reach(simulator, value, noise, windows),
-    )
-
-
-def scan(
-    predict: Predict,
-    targets: Predict,
-    signals: Sequence[Signal],
-    trajectories: Trajectories,
-    step: float,
-    seconds: Sequence[float] = SECONDS,
-    sure: float = SURE,
-    free: NDArray[np.bool_] | None = None,
-    reach: Predict | None = None,
-) -> Disturbances:
-    """Windows of each length whose errors stand out, joined to spans; a long window tells only of
-    what no short one has shown.
-
-    sure: robust standard deviations of a span's worst window; free: (N,) rows that are looked at,
-    None: all; reach: how far the noise of their starts moves the predictions (R, p) of windows.
-    """
-    require(step > 0, "step", "the seconds of a control step, above 0", step, "find_disturbances")
+    free = _untouched(simulator, trajectories)
+    signals = simulator.signals
+    every = list(range(len(signals)))
+    rates = [i for i in every if signals[i].unit.endswith("/s")] or every
     found: list[Span] = []
-    rates = [i for i, signal in enumerate(signals) if signal.unit.endswith("/s")] or list(
-        range(len(signals))
-    )
-    judged = [signals[i] for i in rates]
     for length in sorted({max(1, round(s / step)) for s in seconds}):
         windows = cut(trajectories, length)
         windows = windows if free is None else windows.take(free[windows.steps].all(axis=1))
         if len(windows) < FEWEST:
             continue
         predicted = predict(windows)
-        errors = (targets(windows) - predicted)[:, rates]
+        errors = (simulator.targets(windows) - predicted)[:, rates]
         usual = _usual(errors, _moved(windows, predicted), windows.trajectory)
         usual = np.maximum(usual, ROUNDING * np.nanstd(predicted[:, rates], axis=0))
         times = errors / usual
         far = np.flatnonzero((np.abs(times) > EDGE).any(axis=1))
-        if reach is not None and len(far):
-            left = np.maximum(np.abs(errors[far]) - reach(windows.take(far))[:, rates], 0.0)
+        if len(far):
+            by_noise = _reach(simulator, value, noise, windows.take(far))[:, rates]
+            left = np.maximum(np.abs(errors[far]) - by_noise, 0.0)
             times[far] = np.sign(errors[far]) * left / usual[far]
-        for members, which in _runs(windows, times, sure):
-            span = _span(windows, members, errors[:, which], times[:, which], judged[which], step)
-            if not any(
-                span.trajectory == s.trajectory and span.first < s.last and s.first < span.last
-                for s in found
-            ):
+        for members, which in _runs(windows, times):
+            signal = signals[rates[which]]
+            span = _span(windows, members, errors[:, which], times[:, which], signal, step)
+            if not any(_overlap(span, other) for other in found):
                 found.append(span)
-    return Disturbances(
-        trajectories, tuple(_joined(sorted(found, key=lambda span: (span.trajectory, span.first))))
-    )
+    found.sort(key=lambda span: (span.trajectory, span.first))
+    return Disturbances(trajectories, tuple(_joined(found)))
+
+
+def _overlap(one: Span, other: Span) -> bool:
+    """Whether two spans share a transition."""
+    same = one.trajectory == other.trajectory
+    return same and one.first < other.last and other.first < one.last
 
 
 def _reach(simulator: Simulator, value: Array, noise: Array, windows: Segments) -> Array:
@@ -313,9 +310,9 @@ def _usual(errors: Array, moved: Array, run: Ints) -> Array:
     return out
 
 
-def _runs(windows: Segments, times: Array, sure: float) -> list[tuple[Ints, int]]:
+def _runs(windows: Segments, times: Array) -> list[tuple[Ints, int]]:
     """Neighbouring windows, and the signal that is above EDGE to the same side in all of them, and
-    above `sure` in one.
+    above SURE in one.
     """
     out = []
     for which in range(times.shape[1]):
@@ -326,7 +323,7 @@ def _runs(windows: Segments, times: Array, sure: float) -> list[tuple[Ints, int]
             out += [
                 (run, which)
                 for run in runs
-                if len(run) >= NEIGHBOURS and (side * times[run, which]).max() > sure
+                if len(run) >= NEIGHBOURS and (side * times[run, which]).max() > SURE
             ]
     return out
 

@@ -2,7 +2,7 @@
 from.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.stats import norm
@@ -20,7 +20,6 @@ from dropo.diagnosis.search.refit import NEAR
 from dropo.diagnosis.search.review import Review, ambiguity
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection, State, by_block, gain_of
-from dropo.diagnosis.search.windows import spread_of
 
 # effects in an ambiguity set for which an experiment is looked for; [s] that it may take
 TOLD_APART = 2
@@ -29,15 +28,38 @@ LEAST_P = float(np.finfo(float).tiny)
 
 
 def causes(
-    library: Library, last: State, reviews: Mapping[str, Review], count: int
+    library: Library,
+    last: State,
+    reviews: Mapping[str, Review],
+    count: int,
+    errors: Sequence[tuple[float, float]],
 ) -> tuple[Cause, ...]:
-    """The accepted effects of the last state, in the order in which they were found; count: how
-    many effects were looked for.
+    """Summary of each accepted effect of the last state, in the order in which they were found.
+
+    Parameters
+    ----------
+    library
+        The simulator with every effect.
+    last
+        Where the search ended.
+    reviews
+        By effect, what became of it when it was evaluated again.
+    count
+        How many effects were looked for.
+    errors
+        For each accepted effect the error on held-out data after the windows' horizon without it
+        and with it, in units of the motion.
+
+    Returns
+    -------
+    tuple of Cause
+        One of each accepted effect.
     """
-    errors = standard_errors(library, last) if last.accepted else np.zeros(0)
+    deviations = standard_errors(library, last) if last.accepted else np.zeros(0)
+    pairs = zip(last.accepted, errors, strict=True)
     return tuple(
-        _cause(library, last, instance, reviews[instance.label], count, errors)
-        for instance in last.accepted
+        _cause(library, last, instance, reviews[instance.label], count, deviations, *off)
+        for instance, off in pairs
     )
 
 
@@ -48,7 +70,10 @@ def _cause(
     found: Review,
     count: int,
     errors: Array,
+    rmse_before: float,
+    rmse_after: float,
 ) -> Cause:
+    """The summary of one effect."""
     gain = gain_of(found.without.test, last.test)[0]
     steps = last.test.windows.steps
     blocks = by_block(found.without.test, last.test)
@@ -61,8 +86,8 @@ def _cause(
         p_value=p_of(gain, count),
         held_out_gain=gain / steps,
         held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
-        rmse_before=_rmse(library, found.without),
-        rmse_after=_rmse(library, last),
+        rmse_before=rmse_before,
+        rmse_after=rmse_after,
         confused_with=_alternatives(library, last, instance, found),
         acts_like=_shape(last, instance) if held.constant else held.variable,
     )
@@ -81,18 +106,6 @@ def _shape(last: State, instance: EffectInstance) -> str | None:
         f"qpos.{instance.target}"
         if instance.order and any(order % min(orders) for order in orders)
         else None
-    )
-
-
-def _rmse(library: Library, state: State) -> float:
-    """The error at the last step of the windows held out, in units of each signal's own spread."""
-    seen = state.test
-    p = len(state.test.whiten.sigma)
-    errors = (seen.windows.measured - seen.predicted)[~seen.lost, -p:]
-    return float(
-        np.sqrt(
-            np.mean(np.mean(errors**2, axis=0) / spread_of(library.simulator, seen.windows) ** 2)
-        )
     )
 
 

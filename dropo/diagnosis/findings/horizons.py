@@ -1,6 +1,4 @@
-"""How far predictions are off after few and many steps on data held out, and what share of that the
-sensors' noise explains.
-"""
+"""Errors by horizon on data held out, and what part of them the sensors' noise explains."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,21 +11,40 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import State
-from dropo.diagnosis.search.windows import FEWEST, held_out_windows, spread_of
+from dropo.evaluation.held_out import (
+    SETTINGS,
+    DataPart,
+    HeldOutSettings,
+    HorizonErrors,
+    errors_of,
+    held_out_part,
+    held_out_windows,
+    noise_free_spread,
+    rms_by_unit,
+    rms_of_motion,
+)
 
-HORIZONS = (1, 5, 20, 100, 400)
-# windows of a horizon, control steps of them all, at most; but no fewer than LEAST windows
-MOST = 480
-ROWS = 4800
-LEAST = 40
-DRAWS = 2  # of each window's start, that tell what noise explains
+DRAWS = 2  # of each window's start, from which the noise's part is computed
 
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """Errors after so many steps (`seconds`). rmse: of all signals, in units of each one's own
-    spread; noise: what the sensors' noise alone would give, likewise; units: the norm of the
-    errors of all signals of one unit, and what noise gives there.
+    """Errors of one model after a horizon, beside what the sensors' noise alone would give.
+
+    Attributes
+    ----------
+    steps
+        The horizon in control steps.
+    seconds
+        The horizon [s]; None where the simulator does not know its control step.
+    rmse
+        Root mean square error of all signals, each in units of its noise-free spread.
+    noise
+        The part of `rmse` that noise explains.
+    units
+        For each unit the root mean square error over its signals, and the noise's part.
+    by_signal
+        (p,) root mean square error of each signal, in its unit.
     """
 
     steps: int
@@ -35,12 +52,11 @@ class Horizon:
     rmse: float
     noise: float
     units: dict[str, tuple[float, float]]
+    by_signal: Array
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers."""
-        units = {
-            unit: {"rmse": found, "noise": noise} for unit, (found, noise) in self.units.items()
-        }
+        """Return plain numbers."""
+        units = {unit: {"rmse": off, "noise": noise} for unit, (off, noise) in self.units.items()}
         return {
             "steps": self.steps,
             "seconds": self.seconds,
@@ -56,68 +72,85 @@ def horizons(
     thetas: Sequence[Array],
     last: State,
     rng: np.random.Generator,
-    lengths: Sequence[int] = HORIZONS,
+    settings: HeldOutSettings = SETTINGS,
 ) -> list[list[Horizon]]:
-    """The errors under each theta after each of the lengths, and after that of the windows, for
-    which the data held out are long enough.
+    """Return the errors of several models by horizon.
 
-    The noise is that of the last state: its starts are drawn anew, so that it is known at impacts,
-    too. Windows may overlap.
+    Parameters
+    ----------
+    problem
+        Whose held-out part is predicted.
+    library
+        The simulator with every effect.
+    thetas
+        The models: (m,) each.
+    last
+        Its noise is taken: starts are drawn anew under it, so that it is known at impacts too.
+    rng
+        Draws the noise of the starts.
+    settings
+        Which horizons, beside that of the windows, and which windows.
+
+    Returns
+    -------
+    list of list of Horizon
+        For each model, the horizons for which the data held out are long enough, up to the first
+        after which one of the models has failed in every window.
     """
     found: list[list[Horizon]] = [[] for _ in thetas]
-    thetas = [*thetas, last.theta]
-    different, which = np.unique(
-        np.stack(thetas), axis=0, return_inverse=True
-    )  # with nothing found, or nothing fitted, some are the same
+    models = [*thetas, last.theta]
+    # With nothing found, or nothing fitted, some models are the same.
+    different, which = np.unique(np.stack(models), axis=0, return_inverse=True)
     which = which.ravel()
+    simulator = library.simulator
     sigma = last.train.whiten.sigma
-    variance = spread_of(library.simulator, last.test.windows) ** 2
-    for steps in sorted({*lengths, last.train.windows.length}):
-        windows = held_out_windows(problem, steps, max(LEAST, min(MOST, ROWS // steps)))
-        if len(windows) < FEWEST:
+    part, spread = _part_and_spread(problem, library, last)
+    for steps in sorted({*settings.horizons, last.train.windows.length}):
+        windows = held_out_windows(part, steps, settings)
+        if len(windows) < settings.fewest:
             break
-        predicted = library.predict(different, windows)
+        predicted = simulator.predict(different, windows)
         offsets = sigma * rng.standard_normal((DRAWS, len(windows), len(sigma)))
-        moved = (
-            library.predict(np.repeat(last.theta[None], DRAWS, axis=0), windows, offsets)
-            - predicted[which[-1]]
-        )
-        reach = moved[np.isfinite(moved).all(axis=2), -len(sigma) :]
-        noise = sigma**2 + np.mean(reach**2, axis=0)
-        every = [
-            _horizon(library.simulator, steps, windows.measured - one, noise, variance)
-            for one in predicted
-        ]
+        same = np.repeat(last.theta[None], DRAWS, axis=0)
+        change = simulator.predict(same, windows, offsets=offsets) - predicted[which[-1]]
+        good = np.isfinite(change).all(axis=2)
+        noise = sigma**2 + np.mean(change[good] ** 2, axis=0)
+        errors = errors_of(simulator, predicted, windows, spread)
+        if any(one.failed == one.rows for one in errors):
+            break
         for out, i in zip(found, which[:-1].tolist(), strict=True):
-            out.append(every[i])
+            out.append(_horizon(simulator, errors[i], noise))
     return found
 
 
-def _horizon(
-    simulator: Simulator, steps: int, errors: Array, noise: Array, variance: Array
-) -> Horizon:
-    """Errors (W, n) of which the last step counts.
+def errors_after(
+    problem: Problem, library: Library, thetas: Sequence[Array], last: State
+) -> list[HorizonErrors]:
+    """Return the errors of several models after the horizon of the last state's windows.
 
-    Medians over windows would hide impacts: these are means; NaN windows are left out.
+    Parameters are those of `horizons`, which gives the same numbers at this horizon.
     """
-    last = errors[:, -len(noise) :]
-    squares = np.mean(last[np.isfinite(last).all(axis=1)] ** 2, axis=0)
-    spread = np.maximum(variance - noise, 1e-3 * variance)
-    seconds = getattr(simulator, "control_step", None)
+    part, spread = _part_and_spread(problem, library, last)
+    windows = held_out_windows(part, last.train.windows.length)
+    predicted = library.simulator.predict(np.stack(thetas), windows)
+    return errors_of(library.simulator, predicted, windows, spread)
+
+
+def _part_and_spread(problem: Problem, library: Library, last: State) -> tuple[DataPart, Array]:
+    """The data that are held out, and the spread (p,) of their signals without the noise."""
+    part = held_out_part(problem, last.train.windows.length)
+    return part, noise_free_spread(library.simulator, part, last.train.whiten.sigma**2)
+
+
+def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array) -> Horizon:
+    """The errors beside the noise's (p,) variance at this horizon."""
+    step = getattr(simulator, "control_step", None)
+    by_noise = rms_by_unit(errors.signals, noise)
     return Horizon(
-        steps,
-        None if seconds is None else steps * seconds,
-        float(np.sqrt(np.mean(squares / spread))),
-        float(np.sqrt(np.mean(noise / spread))),
-        by_unit(simulator, squares, noise),
+        steps=errors.horizon,
+        seconds=None if step is None else errors.horizon * step,
+        rmse=errors.overall,
+        noise=rms_of_motion(noise, errors.spread),
+        units={unit: (off, by_noise[unit]) for unit, off in errors.by_unit.items()},
+        by_signal=errors.by_signal,
     )
-
-
-def by_unit(simulator: Simulator, squares: Array, noise: Array) -> dict[str, tuple[float, float]]:
-    """The root of the sum of squares (p,) over all signals of one unit, and of the noise's."""
-    units = [signal.unit or "-" for signal in simulator.signals]
-    same = {unit: np.array([u == unit for u in units]) for unit in dict.fromkeys(units)}
-    return {
-        unit: (float(np.sqrt(squares[mask].sum())), float(np.sqrt(noise[mask].sum())))
-        for unit, mask in same.items()
-    }

@@ -1,5 +1,8 @@
 """Windows held out beside what the model predicts, as it was and with what was found."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import stats
 
@@ -7,112 +10,162 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
+from dropo.diagnosis.findings.horizons import Horizon
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, linearize, moved
 from dropo.diagnosis.search.selection import State
 from dropo.diagnosis.search.whitening import DEGREES
-from dropo.diagnosis.search.windows import FEWEST, Windows, held_out_windows, spread_of
-
-REACHES = (
-    20,
-    10,
-    5,
-    1,
-    # control steps: the longest of which there are enough windows, unless those of the diagnosis are
-    # longer
+from dropo.diagnosis.search.windows import FEWEST, Windows, windows_from
+from dropo.evaluation.held_out import (
+    DataPart,
+    held_out_part,
+    noise_free_spread,
+    thin,
+    window_starts,
 )
-# windows that are kept; control steps, about, that errors are taken from
-SHOWN = 4
-JUDGED = 320
-ENTRIES = 400  # of a window that are made independent of each other
 
 
-def motion(problem: Problem, library: Library, first: State, last: State) -> Predictions | None:
-    """None where the data held out are too few."""
-    reaches = sorted({*REACHES, last.test.windows.length}, reverse=True)
-    tried = (held_out_windows(problem, reach, max(FEWEST, JUDGED // reach)) for reach in reaches)
-    windows = next((found for found in tried if len(found) >= FEWEST), None)
-    if windows is None:
+@dataclass(frozen=True)
+class MotionSettings:
+    """What pictures of a diagnosis show of the motion.
+
+    Attributes
+    ----------
+    lengths
+        Control steps in a window that is drawn: the longest of which there are enough, unless the
+        diagnosis has longer ones.
+    steps
+        Control steps, about, in the windows from which neighbours are taken.
+    shown
+        Windows that are drawn.
+    entries
+        Measurements of a window that are made independent of each other for the calibration.
+    """
+
+    lengths: tuple[int, ...] = (20, 10, 5, 1)
+    steps: int = 320
+    shown: int = 4
+    entries: int = 400
+
+
+SETTINGS = MotionSettings()
+
+
+def motion(
+    problem: Problem,
+    library: Library,
+    first: State,
+    last: State,
+    before: Sequence[Horizon],
+    after: Sequence[Horizon],
+    settings: MotionSettings = SETTINGS,
+) -> Predictions | None:
+    """Return measured windows and what both models predict for them.
+
+    Parameters
+    ----------
+    problem
+        Whose held-out part is shown.
+    library
+        The simulator with every effect.
+    first, last
+        The model as it is, and with what was found.
+    before, after
+        Their errors by horizon, which are shown as they are.
+    settings
+        How much is shown.
+
+    Returns
+    -------
+    Predictions or None
+        None where the data held out are too few.
+    """
+    part = held_out_part(problem, last.train.windows.length)
+    windows = _neighbours(library, part, last.test.windows.length, settings)
+    if windows is None or not after:
         return None
+    simulator = library.simulator
     end = linearize(library, windows, last.theta, last.train.whiten.sigma)
     begin = moved(library, end, first.theta, first.train.whiten.sigma)
-    spread = spread_of(library.simulator, windows)
-    shown = _neighbours(windows)
-    steps = windows.segments.steps[shown, 0]
-    begins = (
-        steps
-        - np.array([start for start, _ in windows.segments.trajectories.spans])[
-            windows.segments.trajectories.trajectory[steps]
-        ]
-    )
-    names = (
-        "the model as it is",
-        "the model with the cause" if last.accepted else "the model as it is",
-    )
-    sides = [
-        _side(name, seen, state, shown, spread)
-        for name, seen, state in zip(names, (begin, end), (first, last), strict=True)
-    ]
-    noise = _deviations(end) ** 2
+    rows = windows.segments.steps[:, 0]
+    data = windows.segments.trajectories
+    origins = np.array([start for start, _ in data.spans])
+    name = "the model with the cause" if last.accepted else "the model as it is"
     return Predictions(
-        tuple(s.name for s in library.simulator.signals),
-        tuple(s.unit for s in library.simulator.signals),
-        float(getattr(library.simulator, "control_step", np.nan)),
-        begins,
-        _by_window(windows.measured, spread)[shown],
-        windows.segments.trajectories.next_observations[windows.segments.steps[shown]],
-        spread,
-        np.sqrt(np.mean(_by_window(noise, spread)[~end.lost] / spread**2, axis=(0, 2))),
-        last.test.windows.length,
-        True,
-        *sides,
+        names=tuple(s.name for s in simulator.signals),
+        units=tuple(s.unit for s in simulator.signals),
+        seconds=float(getattr(simulator, "control_step", np.nan)),
+        begins=rows - origins[data.trajectory[rows]],
+        measured=_by_window(windows.measured, len(simulator.signals)),
+        rows=data.next_observations[windows.segments.steps],
+        spread=noise_free_spread(simulator, part, last.train.whiten.sigma**2),
+        horizons=np.array([horizon.steps for horizon in after], dtype=np.int64),
+        noise=np.array([horizon.noise for horizon in after]),
+        rows_after=last.test.windows.length,
+        held_out=True,
+        before=_side("the model as it is", begin, first, before, settings),
+        after=_side(name, end, last, after, settings),
     )
 
 
-def _side(name: str, seen: LinearizedWindows, state: State, shown: Ints, spread: Array) -> Side:
+def _side(
+    name: str,
+    seen: LinearizedWindows,
+    state: State,
+    errors: Sequence[Horizon],
+    settings: MotionSettings,
+) -> Side:
+    """What one model predicts for the windows that are shown, and its errors."""
+    p = len(seen.whiten.sigma)
     line = seen.predicted + seen.shift
     half = stats.t.ppf((1 + LEVEL) / 2, DEGREES) * _deviations(seen)
-    errors = _by_window(seen.windows.measured - line, spread)[~seen.lost] / spread
-    ends = state.test.residuals[~state.test.lost, -len(spread) :]
+    own = next((one for one in errors if one.steps == state.test.windows.length), errors[-1])
     return Side(
-        name,
-        _by_window(line, spread)[shown],
-        np.stack([_by_window(line + sign * half, spread)[shown] for sign in (-1, 1)]),
-        np.sqrt(np.mean(errors**2, axis=(0, 2))),
-        np.sqrt(np.mean(ends**2, axis=0)),
-        _pit(state.test),
+        name=name,
+        line=_by_window(line, p),
+        band=np.stack([_by_window(line + sign * half, p) for sign in (-1, 1)]),
+        by_horizon=np.array([one.rmse for one in errors]),
+        by_signal=own.by_signal,
+        pit=_pit(state.test, settings.entries),
     )
 
 
 def _deviations(seen: LinearizedWindows) -> Array:
     """(W, n) standard deviations by the noise of the measurement and of the measured start."""
-    return np.sqrt(
-        seen.whiten.rows**2 + np.sum((seen.whiten.loadings * seen.whiten.scale) ** 2, axis=2)
-    )
+    by_start = np.sum((seen.whiten.loadings * seen.whiten.scale) ** 2, axis=2)
+    return np.sqrt(seen.whiten.rows**2 + by_start)
 
 
-def _pit(seen: LinearizedWindows) -> Array:
+def _pit(seen: LinearizedWindows, entries: int) -> Array:
     """Probabilities below the residuals of some steps, made independent by the Cholesky factor of
-    each window's covariance.
-    """
+    each window's covariance."""
+    p = len(seen.whiten.sigma)
     good = ~seen.lost
     length = seen.windows.length
-    p = len(seen.whiten.sigma)
-    steps = np.unique(
-        np.linspace(0, length - 1, max(1, min(length, ENTRIES // p))).round().astype(np.int64)
-    )
-    entries = (steps[:, None] * p + np.arange(p)).ravel()
-    loadings = (seen.whiten.loadings * seen.whiten.scale)[good][:, entries]
-    covariance = loadings @ loadings.swapaxes(1, 2) + np.diag(seen.whiten.rows[entries] ** 2)
-    white = np.linalg.solve(np.linalg.cholesky(covariance), seen.residuals[good][:, entries, None])
+    count = max(1, min(length, entries // p))
+    steps = np.unique(np.linspace(0, length - 1, count).round().astype(np.int64))
+    places = (steps[:, None] * p + np.arange(p)).ravel()
+    loadings = (seen.whiten.loadings * seen.whiten.scale)[good][:, places]
+    covariance = loadings @ loadings.swapaxes(1, 2) + np.diag(seen.whiten.rows[places] ** 2)
+    white = np.linalg.solve(np.linalg.cholesky(covariance), seen.residuals[good][:, places, None])
     return np.asarray(stats.t.cdf(white.ravel(), DEGREES))
 
 
-def _neighbours(windows: Windows) -> Ints:
-    """Windows one after another: the first of the block that has most."""
-    most = np.bincount(windows.block).argmax()
-    return np.flatnonzero(windows.block == most)[:SHOWN]
+def _neighbours(
+    library: Library, part: DataPart, longest: int, settings: MotionSettings
+) -> Windows | None:
+    """Windows one after another, of the block that has most; None where there are too few."""
+    for length in sorted({*settings.lengths, longest}, reverse=True):
+        starts = window_starts(part, length)
+        if len(starts) < FEWEST:
+            continue
+        starts = thin(starts, max(FEWEST, settings.steps // length))
+        block = part.block[starts]
+        most: Ints = np.flatnonzero(block == np.bincount(block).argmax())[: settings.shown]
+        segments = part.trajectories.from_rows(starts[most], length, every_step=True)
+        return windows_from(library.simulator, segments, block[most])
+    return None
 
 
-def _by_window(rows: Array, spread: Array) -> Array:
+def _by_window(rows: Array, p: int) -> Array:
     """(W, L p) -> (W, L, p)."""
-    return rows.reshape(len(rows), -1, len(spread))
+    return rows.reshape(len(rows), -1, p)

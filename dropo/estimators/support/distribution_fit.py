@@ -16,7 +16,7 @@ from dropo.core.services.validation import Array
 from dropo.estimators.support.epsilon import noise_shape
 from dropo.estimators.support.posterior_targets import PointLikelihood
 from dropo.estimators.support.summary import at_bounds
-from dropo.evaluation.fit_errors import held_out_errors
+from dropo.evaluation.held_out import held_out_errors
 
 ROUNDING = 1e-12  # of an interval: the standard deviation of draws that are all the same
 

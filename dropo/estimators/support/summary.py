@@ -20,7 +20,7 @@ from dropo.estimators.support.standard_errors import (
     local_standard_errors,
     standard_errors,
 )
-from dropo.evaluation.fit_errors import held_out_errors
+from dropo.evaluation.held_out import held_out_errors
 from dropo.evaluation.identifiability import blind_spots, determined, null_directions
 from dropo.evaluation.model_check import check_model
 
