@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.independent_units import MANY
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import DropoError, SimulationFailed

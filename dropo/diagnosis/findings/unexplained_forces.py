@@ -41,7 +41,7 @@ def _impulse(model: Any, dof: int, k: int, pieces: int, name: str, unit: str) ->
     scale = 10.0 * max(float(model.dof_M0[dof]), 1e-9)  # what moves it by 10 rad/s^2 (m/s^2)
     force = Quantity("force", unit, -1e3 * scale, 1e3 * scale, (scale,))
     return EffectInstance(
-        "unexplained_force", name, (force,), str(k), push=partial(_push, model.nv, dof, k, pieces)
+        "unexplained_force", name, (force,), str(k), applied_force=partial(_push, model.nv, dof, k, pieces)
     )
 
 
