@@ -23,7 +23,7 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 from dropo.estimators.least_squares import estimate
 from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
-from dropo.estimators.support.filtered_starts import from_filtered_starts
+from dropo.estimators.support.filtered_starts import fit_from_filtered_starts
 from dropo.estimators.support.sobol_start import best_sobol_point
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import Rounds
@@ -197,7 +197,7 @@ class DROPO(Estimator):
             refit = lambda seen, noise, centre, width: Rounds(
                 seen, run, family, likelihood, noise, rng, optimizer
             ).fit(centre, width)
-            seen, objective, found, details = from_filtered_starts(
+            seen, objective, found, details = fit_from_filtered_starts(
                 refit, problem, run, family, noise, objective, found
             )
         checked, warnings = paired_check(seen, run, family, objective, found.point, rng)

@@ -118,7 +118,7 @@ def standard_errors(
     problem: Problem, mean: Array, sd: Array, correlation: Array, noise: Array
 ) -> tuple[Array, Array, Array, Array]:
     """(d,) standard errors of the means and of the scales, the degrees of freedom of the first, and
-    the sensitivities (R, p, d).
+    the Jacobian (R, p, d).
 
     NaN where the data do not tell, for a mean on its bound, and for a scale of about 0.
     Sensitivities are differences over a hundredth of the interval, then over one standard error as
