@@ -23,7 +23,7 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 from dropo.estimators.least_squares import estimate
 from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
-from dropo.estimators.support.filtered_starts import from_filtered_starts
+from dropo.estimators.support.filtered_starts import fit_from_filtered_starts
 from dropo.estimators.support.sobol_start import best_sobol_point
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
@@ -225,7 +225,7 @@ class DROPO(Estimator):
         # Filter the start states at the estimate, and fit from there.
         start_filter: StartFilter | None = None
         if self.starts == "filtered":
-            problem, objective, found, start_filter = from_filtered_starts(
+            problem, objective, found, start_filter = fit_from_filtered_starts(
                 search, problem, run, family, noise, objective, found
             )
 

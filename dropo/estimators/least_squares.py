@@ -174,7 +174,7 @@ def _solve(
     width = space.high - space.low
     kept: dict[bytes, tuple[Array, Array]] = {}
 
-    def linearised(unit: Array) -> tuple[Array, Array]:
+    def linearized(unit: Array) -> tuple[Array, Array]:
         if unit.tobytes() not in kept:
             with run.counting(evaluations=1):
                 kept.clear()
@@ -187,10 +187,10 @@ def _solve(
         return kept[unit.tobytes()]
 
     def residuals(unit: Array) -> Array:
-        return ((linearised(unit)[0] - targets) * root).ravel()
+        return ((linearized(unit)[0] - targets) * root).ravel()
 
     def jacobian(unit: Array) -> Array:
-        return (linearised(unit)[1] * root[:, None] * width).reshape(-1, len(space))
+        return (linearized(unit)[1] * root[:, None] * width).reshape(-1, len(space))
 
     before = run.evaluations
     unit = np.clip((start - space.low) / width, 1e-9, 1 - 1e-9)
@@ -210,7 +210,7 @@ def _solve(
             f"Least squares met a simulation that diverged: {error} Narrow the bounds."
         ) from None
     value = space.low + result.x * width
-    predicted, slopes = linearised(result.x)
+    predicted, slopes = linearized(result.x)
     noise = np.mean((predicted - targets) ** 2, axis=0)
     message = (
         "The estimate stopped moving."

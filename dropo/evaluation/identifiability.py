@@ -33,8 +33,8 @@ def identify(problem: Problem, fit: Fit) -> list[str]:
 def blind_spots(
     problem: Problem, mean: Array, jacobian: Array, directions: Sequence[Array]
 ) -> list[str]:
-    """As `identify`, bounds left out, from the sensitivities (R, p, d) at the mean (d,) and their
-    null directions (d,).
+    """As `identify`, bounds left out, from the Jacobian (R, p, d) at the mean (d,) and their null
+    directions (d,).
     """
     return [
         *undetermined(problem.space, mean, directions),
@@ -57,7 +57,7 @@ def determined(space: ParameterSpace, directions: Sequence[Array]) -> NDArray[np
 
 
 def null_directions(space: ParameterSpace, jacobian: Array, epsilon: Array) -> list[Array]:
-    """Directions (d,) of the parameters, each of few, that no prediction notices: by sensitivities
+    """Directions (d,) of the parameters, each of few, that no prediction notices: by the Jacobian
     (R, p, d) under noise variances (p,).
     """
     width = space.high - space.low

@@ -23,7 +23,7 @@ class TorchSimulator(Simulator):
 
     A plug-in writes `_advance`, of torch operations alone.
 
-    `predict` takes tensors and gives tensors with their history; sensitivities are exact, by
+    `predict` takes tensors and gives tensors with their history; Jacobians are exact, by
     forward-mode differentiation.
     """
 
@@ -91,7 +91,7 @@ class TorchSimulator(Simulator):
     def linearize(
         self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """The prediction (R, p) and its exact sensitivities (R, p, d): d equal draws, each with the
+        """The prediction (R, p) and its exact Jacobian (R, p, d): d equal draws, each with the
         tangent of one parameter.
 
         With a `step` given, central differences as in the contract.
@@ -101,7 +101,7 @@ class TorchSimulator(Simulator):
         import torch
 
         d = len(self.space)
-        centre = float_array("values", values, (d,), f"{type(self).__name__}.linearise")
+        centre = float_array("values", values, (d,), f"{type(self).__name__}.linearize")
         draws = torch.tensor(np.tile(centre, (d, 1)))
         with torch.no_grad():
             replay = lambda moved: self._replay(moved, segments, None)

@@ -24,7 +24,7 @@ def check_simulator(
     these segments.
 
     values: (K >= 3, d) parameter vectors under which no simulation fails; five of the box by
-    default. diverging: (d,) one under which some do. rtol: how far sensitivities may be from
+    default. diverging: (d,) one under which some do. rtol: how far Jacobians may be from
     differences, as a share of each one's largest over the rows.
     """
     unit = np.random.default_rng(0).uniform(0.2, 0.8, (5, len(simulator.space)))
@@ -35,7 +35,7 @@ def check_simulator(
     _check_every_step(simulator, segments, design, predictions)
     _check_groups(simulator, segments, design)
     _check_offsets(simulator, segments, design, predictions)
-    _check_sensitivities(simulator, segments, design[0], predictions[0], rtol)
+    _check_jacobian(simulator, segments, design[0], predictions[0], rtol)
     if simulator.has_gradients:
         _check_gradients(simulator, segments, design, predictions, rtol)
     if diverging is not None:
@@ -159,7 +159,7 @@ def _check_offsets(
     )
 
 
-def _check_sensitivities(
+def _check_jacobian(
     simulator: Simulator, segments: Segments, centre: Array, prediction: Array, rtol: float
 ) -> None:
     name = type(simulator).__name__
@@ -167,14 +167,14 @@ def _check_sensitivities(
     value, slopes = simulator.linearize(centre, segments)
     wanted = (*prediction.shape, len(centre))
     assert slopes.shape == wanted, (
-        f"{name}.linearise gives sensitivities of shape {slopes.shape}, not {wanted}"
+        f"{name}.linearize gives a Jacobian of shape {slopes.shape}, not {wanted}"
     )
     near = np.allclose(value, prediction, rtol=1e-9, atol=1e-12)
     assert near, (
-        f"{name}.linearise gives another prediction than predict: {_gap(prediction, value)}"
+        f"{name}.linearize gives another prediction than predict: {_gap(prediction, value)}"
     )
-    assert np.allclose(slopes, simulator.sensitivities(centre, segments), rtol=1e-9), (
-        f"{name}.sensitivities and linearise differ"
+    assert np.allclose(slopes, simulator.jacobian(centre, segments), rtol=1e-9), (
+        f"{name}.jacobian and linearize differ"
     )
     half = np.diag(
         3 * STEP * width
@@ -215,7 +215,7 @@ def _check_gradients(
     )
     weights = np.random.default_rng(1).standard_normal(predictions.shape)
     slopes = plain(torch.autograd.grad((found * constant(weights, found)).sum(), leaf)[0])
-    exact = simulator.sensitivities(values[0], segments)
+    exact = simulator.jacobian(values[0], segments)
     expected, size = (
         np.einsum("rp,rpd->d", w, s)
         for w, s in ((weights[0], exact), (np.abs(weights[0]), np.abs(exact)))
@@ -224,8 +224,7 @@ def _check_gradients(
     where = f"of a weighted sum of predictions by {simulator.space.names[i]}"
     same = abs(slopes[0, i] - expected[i]) <= rtol * size[i]
     assert same, (
-        f"{name}: the gradient {where} is {slopes[0, i]:.6g}, its sensitivities give "
-        f"{expected[i]:.6g}"
+        f"{name}: the gradient {where} is {slopes[0, i]:.6g}, its Jacobian gives {expected[i]:.6g}"
     )
 
 

@@ -5,18 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dropo.diagnosis.findings import causes
 from dropo.diagnosis.findings.causes import standard_errors
-from dropo.diagnosis.search import refit as refitting
 from dropo.diagnosis.search.linearization import Library, linearize, noise_of
-from dropo.diagnosis.search.refit import refit
+from dropo.diagnosis.search.refit import DEFAULTS, RefitSettings, refit
 from dropo.diagnosis.search.windows import split
 from tests.diagnosis import arms
 
 TRUE = {"contact_stiffness.margin": -0.001, "body_mass:foot": -0.2, "body_inertia:foot": -0.1}
 
 
-def fitted(off):
+def fitted(off, settings=DEFAULTS):
     """The hopper's noise-free data fitted with three numbers, begun so far off: library, look, free
     numbers, and their errors (3,).
     """
@@ -32,7 +30,7 @@ def fitted(off):
     floor = np.full(len(problem.simulator.signals), 1e-6)
     begun = linearize(library, train, np.concatenate([declared, (1 + off) * truth]), 1e3 * floor)
     begun = linearize(library, train, begun.theta, noise_of(begun, begun.whiten.sigma, floor))
-    found = refit(library, begun, free, floor)
+    found = refit(library, begun, free, floor, settings=settings)
     return library, found, free, found.theta[free] - truth
 
 
@@ -48,16 +46,12 @@ def test_where_predictions_bend(off):
     )
 
 
-def test_wide_differences_alone_stop_short(monkeypatch):
+def test_wide_differences_alone_stop_short():
     """The control: slopes over the usual widths take so small steps that the foot's mass stays 0.1
     % off and more; where the fit is right, as above, the margin's standard error by them is a
     hundredth of what it should be.
     """
     library, found, free, errors = fitted(0.1)
-    monkeypatch.setattr(causes, "NEAR", 1e-9)
-    assert (
-        np.abs(errors / standard_errors(library, SimpleNamespace(free=free, train=found))).max()
-        > 100
-    )
-    monkeypatch.setattr(refitting, "NEAR", 1.0)
-    assert np.abs(fitted(-0.02)[-1] / list(TRUE.values())).max() > 1e-3
+    wide = standard_errors(library, SimpleNamespace(free=free, train=found), close=1e-9)
+    assert np.abs(errors / wide).max() > 100
+    assert np.abs(fitted(-0.02, RefitSettings(close=1.0))[-1] / list(TRUE.values())).max() > 1e-3

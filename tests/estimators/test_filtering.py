@@ -16,7 +16,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible, UnknownName
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.support.filtered_starts import filtered
+from dropo.estimators.support.filtered_starts import filter_starts
 from dropo.simulators.function import FunctionSimulator
 from tests.reference.pushes import z_of_mean
 
@@ -123,7 +123,7 @@ def test_innovations_are_white(length):
     240 / length rows: a correlation has the standard error 1 / sqrt(240 / length).
     """
     problem = oscillator(5).using(length=length)
-    seen, added, states = filtered(
+    seen, added, states = filter_starts(
         problem, Run(problem, np.random.default_rng(0)), TRUTH, np.zeros((2, 2)), EPSILON
     )
     after = {
@@ -157,7 +157,7 @@ def test_an_innovation_that_is_too_large_begins_anew():
     kicked = replace(
         problem, trajectories=replace(data, observations=before, next_observations=after)
     )
-    _, _, states = filtered(
+    _, _, states = filter_starts(
         kicked, Run(kicked, np.random.default_rng(0)), TRUTH, np.zeros((2, 2)), EPSILON
     )
     assert states.resets >= 1
@@ -178,10 +178,9 @@ def test_two_measurements_of_one_state_are_both_used():
         observations=data.observations
         + np.sqrt(EPSILON) * rng.standard_normal(data.observations.shape),
     )
-    once, both = (
-        filtered(p, Run(p, rng), TRUTH, np.zeros((2, 2)), EPSILON)[2]
-        for p in (problem, replace(problem, trajectories=twice))
-    )
+    once = filter_starts(problem, Run(problem, rng), TRUTH, np.zeros((2, 2)), EPSILON)[2]
+    problem = replace(problem, trajectories=twice)
+    both = filter_starts(problem, Run(problem, rng), TRUTH, np.zeros((2, 2)), EPSILON)[2]
     noise = np.linalg.inv(np.diag(EPSILON))
     predicted = matrix(TRUTH) @ np.diag(EPSILON) @ matrix(TRUTH).T
     np.testing.assert_allclose(

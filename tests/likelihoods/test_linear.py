@@ -245,7 +245,7 @@ def fitted_hopper(transitions, seed, likelihood="linear"):
     return DROPO(likelihood=likelihood).fit(problem)
 
 
-def test_eighteen_parameters_of_the_hopper_linearise():
+def test_eighteen_parameters_of_the_hopper_linearize():
     """The model at factors of 1 is the hopper's own; the likelihood's score there is within 4.5 of
     its standard errors, at 1.1 not.
     """

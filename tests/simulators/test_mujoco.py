@@ -56,7 +56,7 @@ def twin_of(case, simulator, value, segments):
 @every_cut
 def test_keeps_to_the_contract(case, cut):
     """The checks that plug-in authors call are silent: shapes, counts, determinism, splits, groups,
-    offsets, sensitivities.
+    offsets, Jacobians.
     """
     check_simulator(case.simulator(), case.segments(cut))
 

@@ -202,7 +202,7 @@ def test_integration_is_of_fourth_order(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_least_squares_on_exact_sensitivities(name):
+def test_least_squares_on_exact_jacobians(name):
     """Data without noise give the true parameters to 1e-9 of the box."""
     simulator = robot(name, **FAST[name])
     data = simulated(simulator, np.tile(TRUTH[name], (10, 1)), steps=3)

@@ -1,5 +1,5 @@
-"""What every torch simulator inherits: the contract, tensors in and out, exact sensitivities,
-chains, failures.
+"""What every torch simulator inherits: the contract, tensors in and out, exact Jacobians, chains,
+failures.
 """
 
 import numpy as np
@@ -108,7 +108,7 @@ def test_gradients_by_values_and_offsets(cut):
     )
 
 
-def test_sensitivities_are_exact_where_differences_round():
+def test_jacobians_are_exact_where_differences_round():
     """Against the closed form of one step's velocity to 1e-13; central differences of the NumPy
     twin err by more than 1e-12.
     """
@@ -125,9 +125,7 @@ def test_sensitivities_are_exact_where_differences_round():
         Block().linearize(value, part)[1][:, 1], expected, rtol=1e-13, atol=1e-14
     )
     assert np.abs(SlidingBlock().linearize(value, part)[1][:, 1] - expected).max() > 1e-12
-    np.testing.assert_array_equal(
-        Block().sensitivities(value, part), Block().linearize(value, part)[1]
-    )
+    np.testing.assert_array_equal(Block().jacobian(value, part), Block().linearize(value, part)[1])
 
 
 def test_a_given_step_asks_for_differences():
@@ -139,11 +137,11 @@ def test_a_given_step_asks_for_differences():
         simulator.linearize(value, part, step=step)[1] for simulator in (Block(), SlidingBlock())
     )
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
-    assert np.abs(found - Block().sensitivities(value, part)).max() > 1e-4
+    assert np.abs(found - Block().jacobian(value, part)).max() > 1e-4
 
 
 def test_steps_are_counted():
-    """K draws of N segments cost K times their steps; a linearisation costs d draws."""
+    """K draws of N segments cost K times their steps; a linearization costs d draws."""
     simulator = Block()
     part = data().segments(2)
     simulator.predict(draws(4), part)
@@ -154,7 +152,7 @@ def test_steps_are_counted():
 
 def test_failures_are_nan_rows_of_their_own():
     """A draw that overflows has NaN where it did, and is counted; other draws keep their numbers;
-    linearising there is refused.
+    linearizing there is refused.
     """
     part = data(p=1).segments(reset="start")
     simulator = Growth()
@@ -223,7 +221,7 @@ class HalfDetached(Block):
             HalfDetached,
             (
                 "HalfDetached: the gradient of a weighted sum of predictions by damping is 0, "
-                "its sensitivities give"
+                "its Jacobian gives"
             ),
         ),
     ],

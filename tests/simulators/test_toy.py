@@ -79,7 +79,7 @@ def test_sliding_block_comes_to_its_final_speed():
 
 
 def test_linear_simulator_is_linear():
-    """Steps add up M(a) xi, and the sensitivities are the sums of M(a), whatever xi."""
+    """Steps add up M(a) xi, and the Jacobian is the sums of M(a), whatever xi."""
     simulator, data = linear()
     segments = data.segments(3, every_step=True)
     moved = np.einsum("nlq,qpd->nlpd", segments.actions, simulator.matrices).cumsum(

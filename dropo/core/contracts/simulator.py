@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dropo.core.numerics.array_api import checked, is_tensor, namespace, plain
+from dropo.core.numerics.finite_differences import axial_design, difference_quotients
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments, Signal
 from dropo.core.services.errors import Incompatible, SimulationFailed
@@ -114,38 +115,106 @@ class Simulator(ABC):
         """
         return np.zeros((len(segments), len(self.signals)))
 
-    def sensitivities(
+    def jacobian(
         self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
     ) -> Array:
-        """d prediction / d parameter at one parameter vector (d,), by central differences: (R, p,
-        d).
+        """Differentiate the prediction by the parameters.
 
-        step: (d,) the half width of the differences; by default eps^(1/3) of each parameter's
-        interval, kept in bounds.
+        Parameters
+        ----------
+        values : (d,) array_like
+            Parameter vector at which to differentiate.
+        segments : Segments
+            What is replayed.
+        step : (d,) array_like, optional
+            Half widths of the central differences, in the parameters' units; by default eps^(1/3)
+            of each parameter's interval, kept in bounds.
+
+        Returns
+        -------
+        (R, p, d) array
+            d prediction / d parameter.
         """
         return self.linearize(values, segments, step=step)[1]
 
     def linearize(
         self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """The prediction (R, p) and its sensitivities (R, p, d) at (d,), from one batch of 2 d + 1."""
+        """Predict, and differentiate the prediction by the parameters, in one batch of 2 d + 1.
+
+        Parameters
+        ----------
+        values, segments, step
+            As of `jacobian`.
+
+        Returns
+        -------
+        prediction : (R, p) array
+        jacobian : (R, p, d) array
+
+        Raises
+        ------
+        SimulationFailed
+            If a simulation of the differences diverges.
+        """
         d = len(self.space)
-        centre = float_array("values", values, (d,), f"{type(self).__name__}.linearise")
-        half = (
-            STEP * (self.space.high - self.space.low)
-            if step is None
-            else float_array("step", step, (d,), "linearise")
-        )
-        design = np.concatenate(
-            [centre[None], centre + np.diag(half), centre - np.diag(half)]
-        )  # (2 d + 1, d)
-        design = self.space.feasible(design)
+        centre = float_array("values", values, (d,), f"{type(self).__name__}.linearize")
+        if step is None:
+            half = STEP * (self.space.high - self.space.low)
+        else:
+            half = float_array("step", step, (d,), "linearize")
+        design = self.space.feasible(centre + axial_design(half, -half))  # (2 d + 1, d)
         predictions = self.predict(design, segments)
         if not np.isfinite(predictions).all():
             raise SimulationFailed(describe_failures(predictions, design, self.space))
-        reach = np.diagonal(design[1 : d + 1] - design[d + 1 :])
-        slopes = (predictions[1 : d + 1] - predictions[d + 1 :]) / reach[:, None, None]
-        return predictions[0], np.moveaxis(slopes, 0, -1)
+        widths = np.diagonal(design[1 : d + 1] - design[d + 1 :])
+        return predictions[0], difference_quotients(predictions, widths)
+
+    def linearize_starts(
+        self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Predict, and differentiate the prediction by each segment's own start, in one batch.
+
+        Parameters
+        ----------
+        values : (d,) array_like
+            Parameter vector at which to differentiate.
+        segments : Segments
+            What is replayed. Where segments go on from each other (`partial` resets), a row is
+            differentiated by its own segment's start, with all before it as it is.
+        step : (s,) array_like, optional
+            Half widths of the central differences in the s start coordinates; by default
+            eps^(1/3) of each one's spread over the segments, or of 1 where it does not vary or
+            starts have other columns than coordinates, as with rotations.
+
+        Returns
+        -------
+        prediction : (R, p) array
+        jacobian : (R, p, s) array
+
+        Raises
+        ------
+        SimulationFailed
+            If a simulation of the differences diverges.
+        """
+        caller = f"{type(self).__name__}.linearize_starts"
+        value = float_array("values", values, (len(self.space),), caller)
+        if step is None:
+            half = STEP * self._start_spread(segments)
+        else:
+            half = float_array("step", step, (self.start_size,), caller)
+        predictions = predict_from_starts(self, value, segments, axial_design(half, -half))
+        if not np.isfinite(predictions).all():
+            design = np.repeat(value[None], len(predictions), axis=0)
+            raise SimulationFailed(describe_failures(predictions, design, self.space))
+        return predictions[0], difference_quotients(predictions, 2 * half)
+
+    def _start_spread(self, segments: Segments) -> Array:
+        """(s,) the standard deviation of each start coordinate over the segments, or 1."""
+        if segments.starts.shape[1] != self.start_size:
+            return np.ones(self.start_size)
+        spread = np.std(segments.starts, axis=0)
+        return np.where(spread > 0, spread, 1.0)
 
     def _predict_by_group(
         self, values: Array, segments: Segments, offsets: ArrayLike | None
@@ -166,6 +235,40 @@ class Simulator(ABC):
         place = np.argsort(np.concatenate([np.flatnonzero(row_group == g) for g in groups]))
         together: Array = namespace(*parts).concat(parts, axis=1)[:, place]
         return together
+
+
+def predict_from_starts(
+    simulator: Simulator, value: Array, segments: Segments, moves: Array
+) -> Array:
+    """Predict every row with its own segment's start moved, and no start before it in its chain.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    value : (d,) array
+        Parameter vector.
+    segments : Segments
+        What is replayed.
+    moves : (K, s) array
+        Offsets of a start, in the simulator's start coordinates.
+
+    Returns
+    -------
+    (K, R, p) array
+        NaN where a simulation failed.
+    """
+    values = np.repeat(value[None], len(moves), axis=0)
+    levels = segments.levels
+    out = np.empty((len(moves), len(segments.rows[0]), len(simulator.signals)))
+    for level in levels:
+        offsets = np.zeros((len(moves), len(segments), moves.shape[1]))
+        offsets[:, level] = moves[:, None]
+        predictions = simulator.predict(values, segments, offsets=offsets)
+        if len(levels) == 1:
+            return predictions
+        own = np.isin(segments.rows[0], level)
+        out[:, own] = predictions[:, own]
+    return out
 
 
 def _where(bad: np.ndarray, segments: Segments) -> tuple[list[int], list[int]]:

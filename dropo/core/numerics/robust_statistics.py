@@ -1,4 +1,4 @@
-"""Spread that a few wild numbers do not move."""
+"""Spread and weights that a few very large errors do not move."""
 
 import numpy as np
 
@@ -9,7 +9,35 @@ NORMAL = 1.4826
 
 
 def deviation(errors: Array) -> Array:
-    """The standard deviation (p,) of errors (n, p) about 0, were they normal: by their median size;
-    NaN rows count for nothing.
+    """Estimate the standard deviation of errors about 0, were they normal, by their median size.
+
+    Parameters
+    ----------
+    errors : (n, p) array
+        Errors; rows of NaN count for nothing.
+
+    Returns
+    -------
+    (p,) array
     """
     return np.asarray(NORMAL * np.nanmedian(np.abs(errors), axis=0))
+
+
+def student_t_weights(squares: Array, size: int, degrees: float) -> Array:
+    """Weigh vectors by how well they fit, as the likelihood of a multivariate Student t does.
+
+    Parameters
+    ----------
+    squares : (n,) array
+        Squared Mahalanobis lengths.
+    size : int
+        Numbers in each vector.
+    degrees : float
+        Degrees of freedom.
+
+    Returns
+    -------
+    (n,) array
+        (degrees + size) / (degrees + squares).
+    """
+    return np.asarray((degrees + size) / (degrees + squares))

@@ -16,7 +16,7 @@ from dropo.diagnosis.findings.experiment import experiment
 from dropo.diagnosis.parts import Alternative, Cause, Estimate, Suspect
 from dropo.diagnosis.search.invariance import invariance, standing_out
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.refit import NEAR
+from dropo.diagnosis.search.refit import DEFAULTS as REFIT
 from dropo.diagnosis.search.review import Review, ambiguity
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection, State, by_block, gain_of
@@ -158,13 +158,14 @@ def estimate(
     return out
 
 
-def standard_errors(library: Library, last: State) -> Array:
-    """(f,) of the free numbers, by the sandwich clustered by block."""
+def standard_errors(library: Library, last: State, close: float = REFIT.close) -> Array:
+    """(f,) of the free numbers, by the sandwich clustered by block; close: the fraction of the
+    usual widths of differences that is taken where predictions bend within those.
+    """
     errors = _sandwich(library, last, 1.0)
-    near = np.any(
-        errors < NEAR * library.steps[last.free]
-    )  # far below the usual width of differences, within which predictions bend
-    return _sandwich(library, last, NEAR) if near else errors
+    # Errors far below the usual width of differences: predictions bend within it.
+    bends = np.any(errors < close * library.steps[last.free])
+    return _sandwich(library, last, close) if bends else errors
 
 
 def _sandwich(library: Library, last: State, share: float) -> Array:

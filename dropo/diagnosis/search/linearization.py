@@ -9,6 +9,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.finite_differences import axial_design
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.whitening import Whitener, learn_noise
@@ -147,9 +148,7 @@ def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) ->
     of its own. So windows that begin close to an impact count less.
     """
     p = len(sigma)
-    offsets = np.zeros((2 * p + 1, len(windows), p))
-    offsets[np.arange(1, p + 1), :, np.arange(p)] = sigma[:, None]
-    offsets[np.arange(p + 1, 2 * p + 1), :, np.arange(p)] = -sigma[:, None]
+    offsets = np.repeat(axial_design(sigma, -sigma)[:, None], len(windows), axis=1)
     found = library.predict(np.repeat(theta[None], 2 * p + 1, axis=0), windows, offsets)
     lost = np.asarray(~np.isfinite(found).all(axis=(0, 2)))
     found[:, lost] = 0.0

@@ -1,10 +1,10 @@
 """Fitting some of theta to windows: robust Gauss-Newton, with the noise learned in between."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
+from dropo.core.numerics.gauss_newton import GaussNewtonSettings, damped_step, maximize
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
@@ -16,24 +16,41 @@ from dropo.diagnosis.search.linearization import (
     whitener,
 )
 
-SHORTER = np.array(
-    [0.5, 0.25, 0.1, 0.02]
-)  # shares of a step that are tried where the whole of it does not keep its promise
-NEAR = 0.02  # of the usual half widths of differences: where predictions bend within those
-CREEPS = 0.5  # of what a step promised: the next one must promise less
-KEPT = 0.2  # share of the promised gain that a whole step must bring
-SETTLED = 0.1  # [nats] below which a round of steps gains nothing more
-# times at most that the start noise's way is found anew in a fit; nats from which that changes
-# something
-RENEWED = 4
-MATTERS = 3.0
-HELD = 0.1  # of the bounds' distance: the width of the prior that holds a step back
-CLEAN = 10.0  # times the least noise: below it, data are without noise
-OTHER = 1.3  # times a noise, from which its way through the simulation is found anew
 NONE = np.zeros(0, dtype=np.int64)
-SCAN = np.array(
-    [0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 1.15, 1.4, 1.8, 2.5, 4.0]
-)  # multiples of a size where steps cannot be trusted
+
+
+@dataclass(frozen=True)
+class RefitSettings:
+    """How theta and the noise are fitted to windows.
+
+    Attributes
+    ----------
+    steps : GaussNewtonSettings
+        Steps under a fixed noise; gains in nats.
+    close : float
+        Fraction of the usual half widths of differences, where predictions bend within those.
+    renewals : int
+        How often at most the effect of the start's noise is found anew in a fit.
+    renewal_gain : float
+        From this many nats on, finding it anew has changed something.
+    noiseless : float
+        Data whose noise is below this multiple of its lower bound are without noise.
+    other_noise : float
+        Ratio of two noises from which the effect of the start's noise is found anew.
+    scan : tuple of float
+        Multiples of a magnitude that are tried where predictions are not smooth in it.
+    """
+
+    steps: GaussNewtonSettings = field(default_factory=GaussNewtonSettings)
+    close: float = 0.02
+    renewals: int = 4
+    renewal_gain: float = 3.0
+    noiseless: float = 10.0
+    other_noise: float = 1.3
+    scan: tuple[float, ...] = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 1.15, 1.4, 1.8, 2.5, 4.0)
+
+
+DEFAULTS = RefitSettings()
 
 
 def refit(
@@ -44,37 +61,72 @@ def refit(
     *,
     rounds: int = 4,
     rough: Ints = NONE,
-    renewals: int = RENEWED,
+    renewals: int | None = None,
+    settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
-    """The windows of a look at the theta that they are most likely under in the free numbers, and
-    under the noise that fits it.
+    """Fit windows by some numbers of theta and by the noise.
 
-    rough: which numbers a line scan looks for at first, since predictions are not smooth in them.
-    The start noise's way is found anew at the new theta, and where that matters the fit goes on.
-    Data without noise are fitted with slopes from close by in the end.
+    The effect of the start's noise is found anew at the new theta, and where that matters the fit
+    goes on. Data without noise are fitted with narrow differences in the end.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    seen : Look
+        The windows at the first theta.
+    free : (f,) int array
+        Which numbers of theta are fitted.
+    floor : (p,) array
+        Lower bound of the noise.
+    rounds : int
+        Rounds of fitting theta and the noise in turn.
+    rough : int array
+        Numbers in which predictions are not smooth: a line scan finds them first.
+    renewals : int, optional
+        In place of the settings'.
+    settings : RefitSettings
+        How it is done.
+
+    Returns
+    -------
+    Look
+        The windows at the most likely theta and noise.
     """
-    seen = settle(library, seen, free, floor, rounds=rounds, rough=rough)
-    for _ in range(renewals):
+    seen = settle(library, seen, free, floor, rounds=rounds, rough=rough, settings=settings)
+    for _ in range(settings.renewals if renewals is None else renewals):
         renewed = linearize(library, seen.windows, seen.theta, seen.whiten.sigma)
-        if abs(float(renewed.log_likelihood.sum() - seen.log_likelihood.sum())) < MATTERS:
+        change = float(renewed.log_likelihood.sum() - seen.log_likelihood.sum())
+        if abs(change) < settings.renewal_gain:
             seen = renewed
             break
-        seen = settle(library, renewed, free, floor, rounds=2)
-    clean = np.median(seen.whiten.sigma / floor) < CLEAN
-    return settle(library, seen, free, floor, near=True) if clean else seen
+        seen = settle(library, renewed, free, floor, settings=settings)
+    if np.median(seen.whiten.sigma / floor) < settings.noiseless:
+        return settle(library, seen, free, floor, close=True, settings=settings)
+    return seen
 
 
-def with_noise(library: Library, seen: LinearizedWindows, floor: Array) -> LinearizedWindows:
-    """The look under the noise that its residuals have; its way through the simulation is found
-    anew where it is quite another.
+def with_noise(
+    library: Library, seen: LinearizedWindows, floor: Array, settings: RefitSettings = DEFAULTS
+) -> LinearizedWindows:
+    """Give windows the noise that their residuals have.
+
+    Parameters
+    ----------
+    library, seen, floor, settings
+        As of `refit`.
+
+    Returns
+    -------
+    Look
+        The windows at the same theta; the effect of the start's noise is found anew where the
+        noise is quite another.
     """
     sigma = noise_of(seen, seen.whiten.sigma, floor)
-    other = np.any(np.abs(np.log(sigma / seen.whiten.sigma)) > np.log(OTHER))
-    return (
-        linearize(library, seen.windows, seen.theta, sigma)
-        if other
-        else moved(library, seen, seen.theta, sigma)
-    )
+    ratios = np.abs(np.log(sigma / seen.whiten.sigma))
+    if np.any(ratios > np.log(settings.other_noise)):
+        return linearize(library, seen.windows, seen.theta, sigma)
+    return moved(library, seen, seen.theta, sigma)
 
 
 def settle(
@@ -86,137 +138,97 @@ def settle(
     rounds: int = 2,
     rough: Ints = NONE,
     known: Array | None = None,
-    near: bool = False,
+    close: bool = False,
+    settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
-    """The same with the start noise's way as it is in `seen`, which a comparison of candidates can
-    do with.
+    """Fit windows with the effect of the start's noise as it is, enough to compare candidates.
 
-    known: slopes (k, W, n) of the first k free numbers that may stand for those at any theta near;
-    near: whether slopes are found close by.
+    Parameters
+    ----------
+    library, seen, free, floor, rounds, rough, settings
+        As of `refit`.
+    known : (k, W, n) array, optional
+        Jacobian by the first k free numbers that may stand for theirs at any theta near by.
+    close : bool
+        Whether to differentiate by narrow differences.
+
+    Returns
+    -------
+    Look
     """
-    slopes = None
+    problem = _Steps(library, free, known, settings)
+    jacobian = None
     for _ in range(rounds):
         before = float(seen.log_likelihood.sum())
         for number in rough:
-            seen = _scan(library, seen, int(number))
-            slopes = None
+            seen = _scan(library, seen, int(number), settings)
+            jacobian = None
         rough = NONE
-        seen, slopes = _steps(library, seen, free, known, slopes, near)
+        if len(free):
+            seen, jacobian = maximize(problem, seen, settings.steps, jacobian=jacobian, close=close)
         sigma = noise_of(seen, seen.whiten.sigma, floor)
         seen = moved(library, seen, seen.theta, sigma)
-        if abs(float(seen.log_likelihood.sum()) - before) < SETTLED:
+        if abs(float(seen.log_likelihood.sum()) - before) < settings.steps.tolerance:
             break
     return seen
 
 
-def _steps(
-    library: Library,
-    seen: LinearizedWindows,
-    free: np.ndarray,
-    known: Array | None,
-    slopes: Array | None,
-    near: bool,
-    most: int = 5,
-) -> tuple[LinearizedWindows, Array | None]:
-    """Gauss-Newton steps with the noise as it is, whole ones where they do what they promise, else
-    shorter ones; in bounds.
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """Gauss-Newton steps of the free numbers with the noise as it is, within their bounds."""
 
-    The slopes are found anew where a step does not keep its promise, or where there are none yet;
-    and closer by where that does not help,
-    or where step after step promises the same: predictions bend within the usual width of
-    differences, as they do in a contact's margin, and a few windows that an impact enters hold all
-    others back. They come back too.
-    """
-    fresh = slopes is None
-    before = np.inf
-    for _ in range(most if len(free) else 0):
-        if slopes is None:
-            slopes = (
-                library.slopes(seen.theta, free, seen.windows, NEAR)
-                if near
-                else _slopes(library, seen, free, known)
-            )
-            fresh = True
-        step, promised = _step(library, seen, free, slopes)
-        seen, gain = _along(library, seen, free, step[None])
-        kept = gain > KEPT * promised
-        creeps = promised > CREEPS * before
-        before = promised
-        if fresh and not kept:
-            seen, more = _along(library, seen, free, SHORTER[:, None] * step)
-            gain += more
-        if gain < SETTLED and (kept or near or promised < SETTLED):
-            break
-        near = near or (fresh and (creeps or gain < SETTLED))
-        if creeps or not kept:
-            slopes = None
-        fresh = False
-    return seen, slopes
+    library: Library
+    free: np.ndarray
+    known: Array | None
+    settings: RefitSettings
+
+    def differentiate(self, seen: LinearizedWindows, close: bool) -> Array:
+        """(f, W, n) by the free numbers; those known are not found anew, unless closer by."""
+        if close:
+            close_by = self.settings.close
+            return self.library.slopes(seen.theta, self.free, seen.windows, close_by)
+        first = 0 if self.known is None else len(self.known)
+        own = self.library.slopes(seen.theta, self.free[first:], seen.windows)
+        return own if self.known is None else np.concatenate([self.known, own])
+
+    def step(self, seen: LinearizedWindows, jacobian: Array) -> tuple[Array, float]:
+        """The damped step, and the nats that it promises."""
+        space = self.library.simulator.space
+        low = space.low[self.free]
+        high = space.high[self.free]
+        here = seen.theta[self.free]
+        prior_sd = self.settings.steps.prior_width * (high - low)
+        room = (low - here, high - here)
+        return damped_step(seen.flat(jacobian), seen.flat(seen.residuals), room, prior_sd)
+
+    def try_steps(self, seen: LinearizedWindows, steps: Array) -> tuple[LinearizedWindows, float]:
+        """The best of several steps (K, f), and the nats gained."""
+        space = self.library.simulator.space
+        free = self.free
+        tried = np.repeat(seen.theta[None], len(steps), axis=0)
+        tried[:, free] = np.clip(seen.theta[free] + steps, space.low[free], space.high[free])
+        return _best(self.library, seen, tried)
 
 
-def _slopes(
-    library: Library, seen: LinearizedWindows, free: np.ndarray, known: Array | None
-) -> Array:
-    first = 0 if known is None else len(known)
-    own = library.slopes(seen.theta, free[first:], seen.windows)
-    return own if known is None else np.concatenate([known, own])
-
-
-def _step(
-    library: Library, seen: LinearizedWindows, free: np.ndarray, slopes: Array
-) -> tuple[Array, float]:
-    """The step (f,) within the bounds, and the nats that it promises.
-
-    It is held back as by a prior of a share of the bounds' distance, so that it does not run along
-    what the data do not tell apart (Levenberg 1944).
-    """
-    low, high = (
-        bound[free] for bound in (library.simulator.space.low, library.simulator.space.high)
-    )
-    rows = seen.flat(slopes)
-    target = seen.flat(seen.residuals)
-    scale = np.maximum(np.linalg.norm(rows, axis=1), 1 / (HELD * (high - low)))
-    q, r = np.linalg.qr((rows / scale[:, None]).T)
-    held = np.concatenate([r, np.diag(1 / (HELD * (high - low) * scale))])
-    reach = (
-        np.minimum(low - seen.theta[free], -1e-12 / scale) * scale,
-        np.maximum(high - seen.theta[free], 1e-12 / scale) * scale,
-    )
-    step = (
-        lsq_linear(held, np.concatenate([q.T @ target, np.zeros(len(free))]), bounds=reach).x
-        / scale
-    )
-    moves = step @ rows
-    return step, float(moves @ target) - 0.5 * float(moves @ moves)
-
-
-def _along(
-    library: Library, seen: LinearizedWindows, free: np.ndarray, steps: Array
-) -> tuple[LinearizedWindows, float]:
-    space = library.simulator.space
-    tried = np.repeat(seen.theta[None], len(steps), axis=0)
-    tried[:, free] = np.clip(seen.theta[free] + steps, space.low[free], space.high[free])
-    return _best(library, seen, tried)
-
-
-def _scan(library: Library, seen: LinearizedWindows, number: int) -> LinearizedWindows:
+def _scan(
+    library: Library, seen: LinearizedWindows, number: int, settings: RefitSettings
+) -> LinearizedWindows:
     """One number of theta at multiples of its size."""
     space = library.simulator.space
-    tried = np.repeat(seen.theta[None], len(SCAN), axis=0)
-    tried[:, number] = np.clip(SCAN * seen.theta[number], space.low[number], space.high[number])
+    multiples = np.array(settings.scan)
+    tried = np.repeat(seen.theta[None], len(multiples), axis=0)
+    scanned = multiples * seen.theta[number]
+    tried[:, number] = np.clip(scanned, space.low[number], space.high[number])
     return _best(library, seen, tried)[0]
 
 
 def _best(
     library: Library, seen: LinearizedWindows, tried: Array
 ) -> tuple[LinearizedWindows, float]:
-    """The best of several thetas (K, m) where it is better than the present one, and the nats
-    gained; the noise stays.
-    """
+    """The best of several thetas (K, m) where it is better than the present one, and its gain."""
     predictions = library.predict(tried, seen.windows)
-    ways = [
-        whitener(library, seen.windows, theta, seen.whiten.sigma, seen.loadings) for theta in tried
-    ]
+    sigma = seen.whiten.sigma
+    ways = [whitener(library, seen.windows, theta, sigma, seen.loadings) for theta in tried]
     values = np.array(
         [
             replace(seen, whiten=way).of(one).sum()

@@ -21,7 +21,8 @@ from dropo.diagnosis.search.linearization import (
     moved,
     noise_of,
 )
-from dropo.diagnosis.search.refit import MATTERS, OTHER, refit, settle, with_noise
+from dropo.diagnosis.search.refit import DEFAULTS as REFIT
+from dropo.diagnosis.search.refit import refit, settle, with_noise
 from dropo.diagnosis.search.screening import Candidate, Screening, shortlist, with_constant
 from dropo.diagnosis.search.single_steps import only_over_windows
 from dropo.diagnosis.search.windows import Windows
@@ -236,7 +237,8 @@ class Selection:
         fitted = refit(self.library, state.train, state.free, self.floor, rough=rough)
         known = moved(self.library, state.train, fitted.theta, fitted.whiten.sigma)
         if (
-            abs(float(known.log_likelihood.sum() - fitted.log_likelihood.sum())) < MATTERS
+            abs(float(known.log_likelihood.sum() - fitted.log_likelihood.sum()))
+            < REFIT.renewal_gain
         ):  # the start noise's way is as it was
             return replace(
                 state,
@@ -353,7 +355,7 @@ def quieter(before: LinearizedWindows, after: LinearizedWindows) -> bool:
     is no longer right: where an error of a sensor is taken for noise, the trial of its cause
     goes a part of the way only.
     """
-    return bool(np.any(after.whiten.sigma < before.whiten.sigma / OTHER))
+    return bool(np.any(after.whiten.sigma < before.whiten.sigma / REFIT.other_noise))
 
 
 def ranked(windows: Array) -> float:

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import gammaln
 
+from dropo.core.numerics.robust_statistics import student_t_weights
 from dropo.core.services.validation import Array
 
 DEGREES = 8.0  # of freedom of the Student t that keeps windows across an impact from ruling
@@ -98,8 +99,7 @@ class Whitener:
 
     def weights(self, residuals: Array) -> Array:
         """(W,) how much each window counts: (nu + n) / (nu + d^2)."""
-        n = residuals.shape[-1]
-        return np.asarray((DEGREES + n) / (DEGREES + self.distances(residuals)))
+        return student_t_weights(self.distances(residuals), residuals.shape[-1], DEGREES)
 
     def moments(self, residuals: Array) -> tuple[Array, Array]:
         """Expected squares given residuals (W, n), weighted and summed over windows and steps: of e

@@ -1,6 +1,4 @@
-"""Filtered start states: where every measurement carries noise, past ones say more of a state than
-the one at a segment's start.
-"""
+"""Filtered start states: all past measurements say more of a state than the one at its start."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,48 +13,95 @@ from dropo.core.contracts.maximize import SearchResult
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import STEP, Simulator, describe_failures
+from dropo.core.numerics.finite_differences import axial_design, difference_quotients
+from dropo.core.numerics.kalman import Sensors, predict, update
 from dropo.core.records.fit import Status
 from dropo.core.records.fit_parts import StartFilter
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array
 
-PASSES = 2  # of the filter at one estimate: the second is linearised at the first one's states
-# an innovation that would be larger with this probability only starts the filter anew (a contact,
-# say)
-GATE = 1e-4
-# filter and fit in turn, until means move by less than this share of their errors
-TURNS = 6
-STILL = 0.05
-WIDTH = 0.01  # of the box: the first design of a fit that begins at the last one
-# of a signal's spread: the least and the largest step of the differences in the states
-SMALL = 1e-5
-LARGE = 0.02
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """How start states are filtered.
+
+    Attributes
+    ----------
+    passes : int
+        Passes of the filter at one estimate; each is linearized at the states of the one before.
+    reset_probability : float
+        An innovation that would be larger with this probability only, as at a contact, restarts
+        the filter from the measurement.
+    minimum_step, maximum_step : float
+        Bounds of the half widths of differences in the states, as fractions of each signal's
+        standard deviation.
+    iterations : int
+        Filter and fit alternate at most so often.
+    tolerance : float
+        They end when no mean moves by more than this fraction of its standard error.
+    initial_width : float
+        Width of a fit that begins at the last one, as a fraction of the parameters' intervals.
+    """
+
+    passes: int = 2
+    reset_probability: float = 1e-4
+    minimum_step: float = 1e-5
+    maximum_step: float = 0.02
+    iterations: int = 6
+    tolerance: float = 0.05
+    initial_width: float = 0.01
+
+
+DEFAULTS = FilterSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class States:
-    """What the filter says of the state before each of the N transitions, from measurements up to
-    it.
+class FilteredStates:
+    """What the filter says of the state before each transition, from the measurements up to it.
 
-    offsets: (N, p) from the measured state; covariance: (N, p, p); slope: (N, p, d) d state / d
-    parameter around `value` (d,);
-    resets: how often an innovation was too large.
+    Attributes
+    ----------
+    value : (d,) array
+        Parameters at which it was filtered.
+    offsets : (N, p) array
+        Filtered less measured state.
+    covariance : (N, p, p) array
+        Covariance of the filtered states.
+    jacobian : (N, p, d) array
+        d state / d parameter.
+    resets : int
+        How often an innovation was too large.
     """
 
     value: Array
     offsets: Array
     covariance: Array
-    slope: Array
+    jacobian: Array
     resets: int
 
 
+@dataclass(frozen=True, eq=False)
+class _Linearization:
+    """Predictions (R, p) with Jacobians in the start (R, p, p) and in the parameters (R, p, d)."""
+
+    predicted: Array
+    of_start: Array
+    of_value: Array
+
+
 class FilteredStarts(Simulator):
-    """A simulator whose segments start from filtered states, which follow the parameters, and not
-    from the measured ones.
+    """A simulator whose segments start from filtered states, which follow the parameters.
+
+    Parameters
+    ----------
+    inner : Simulator
+        The simulator that replays the segments.
+    states : FilteredStates
+        The states from which it starts.
     """
 
-    def __init__(self, inner: Simulator, states: States):
+    def __init__(self, inner: Simulator, states: FilteredStates):
         self.inner = inner
         self.states = states
         self.space = inner.space
@@ -74,151 +119,176 @@ class FilteredStarts(Simulator):
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         first = segments.steps[:, 0]
         states = self.states
-        moved = states.offsets[first] + np.einsum(
-            "npd,kd->knp", states.slope[first], values - states.value
-        )
-        return self.inner.predict(
-            values, segments, offsets=moved if offsets is None else moved + offsets
-        )
+        moved = np.einsum("npd,kd->knp", states.jacobian[first], values - states.value)
+        moved = states.offsets[first] + moved
+        if offsets is not None:
+            moved = moved + offsets
+        return self.inner.predict(values, segments, offsets=moved)
 
 
-def filtered(
-    problem: Problem, run: Run, value: Array, spread: Array, epsilon: Array
-) -> tuple[Problem, Array, States]:
-    """The problem from filtered starts, the covariance (R, p, p) that their own errors add to its
-    rows, and the states.
+def filter_starts(
+    problem: Problem,
+    run: Run,
+    value: Array,
+    spread: Array,
+    epsilon: Array,
+    settings: FilterSettings = DEFAULTS,
+) -> tuple[Problem, Array, FilteredStates]:
+    """Filter the states that a problem's segments start from, by an extended Kalman filter.
 
-    value: (d,) the parameters, spread: (d, d) their covariance, taken as new in every transition;
-    epsilon: (p,) of every measurement. An extended Kalman filter: x' = f(x) + A (x - x_hat), A by
-    central differences (Jazwinski 1970, chapter 8). An innovation is uncorrelated with all before
-    it, so that scores from such starts have mean zero.
+    Innovations are uncorrelated with all before them, so that scores from such starts have mean 0.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem with measured starts.
+    run : Run
+        Counts the simulations.
+    value : (d,) array
+        Parameters.
+    spread : (d, d) array
+        Their covariance, taken as drawn anew in every transition.
+    epsilon : (p,) array
+        Variance of every measurement.
+    settings : FilterSettings
+        How it is done.
+
+    Returns
+    -------
+    problem : Problem
+        The problem from filtered starts.
+    added : (R, p, p) array
+        Covariance that the errors of the starts add to the rows.
+    states : FilteredStates
+
+    Raises
+    ------
+    Incompatible
+        If segments do not start from measured states whose columns are the compared signals.
+
+    References
+    ----------
+    Jazwinski, Stochastic Processes and Filtering Theory (1970), chapter 8.
     """
     simulator = problem.simulator
-    p = len(simulator.signals)
-    if (
-        simulator.start_size != p
-        or problem.segments.starts.shape[1] != p
-        or problem.reset != "transition"
-    ):
-        raise Incompatible(
-            "Filtered starts need segments that start from a measured state whose columns "
-            "are the compared signals, without"
-            f" rotations: {type(simulator).__name__} has {simulator.start_size} start "
-            f"coordinates, {problem.segments.starts.shape[1]}"
-            f" columns and {p} signals, and the reset is {problem.reset!r}. Use starts='measured'."
-        )
+    _require_measured_starts(problem)
     each = problem.trajectories.segments(1)
-    step = _state_steps(each, epsilon)
+    step = _state_steps(each, epsilon, settings)
     offsets = np.zeros_like(each.starts)
-    with run.counting(evaluations=PASSES + 1):
-        for _ in range(PASSES):
-            states = _filter(
-                each,
-                value,
-                offsets,
-                _linearised(simulator, each, value, offsets, step),
-                spread,
-                np.diag(epsilon),
-            )
+    with run.counting(evaluations=settings.passes + 1):
+        for _ in range(settings.passes):
+            linear = _linearize(simulator, each, value, offsets, step)
+            states = _filter(each, value, offsets, linear, spread, epsilon, settings)
             offsets = states.offsets
         first = problem.segments.steps[:, 0]
-        _, slope, _ = _linearised(simulator, problem.segments, value, offsets[first], step)
+        along = _linearize(simulator, problem.segments, value, offsets[first], step).of_start
     segment = problem.segments.rows[0]
     own = states.covariance[first][segment]
-    return (
-        replace(problem, simulator=FilteredStarts(simulator, states)),
-        slope @ own @ slope.swapaxes(1, 2),
-        states,
-    )
+    filtered_problem = replace(problem, simulator=FilteredStarts(simulator, states))
+    return filtered_problem, along @ own @ along.swapaxes(1, 2), states
 
 
-def _state_steps(segments: Segments, epsilon: Array) -> Array:
-    """(p,) a standard deviation of the noise, within shares of the signal's spread."""
+def _require_measured_starts(problem: Problem) -> None:
+    """Raise Incompatible where a start is no measured row of the compared signals."""
+    simulator = problem.simulator
+    signals = len(simulator.signals)
+    columns = problem.segments.starts.shape[1]
+    measured = simulator.start_size == signals and columns == signals
+    if not measured or problem.reset != "transition":
+        raise Incompatible(
+            "Filtered starts need segments that start from a measured state whose columns are the"
+            f" compared signals, without rotations: {type(simulator).__name__} has"
+            f" {simulator.start_size} start coordinates, {columns} columns and {signals} signals,"
+            f" and the reset is {problem.reset!r}. Use starts='measured'."
+        )
+
+
+def _state_steps(segments: Segments, epsilon: Array, settings: FilterSettings) -> Array:
+    """(p,) standard deviations of the noise, bounded by the signals' spread."""
     spread = np.std(segments.starts, axis=0)
     step = np.sqrt(epsilon)
-    return np.where(spread > 0, np.clip(step, SMALL * spread, LARGE * spread), step)
+    bounded = np.clip(step, settings.minimum_step * spread, settings.maximum_step * spread)
+    return np.where(spread > 0, bounded, step)
 
 
-def _linearised(
+def _linearize(
     simulator: Simulator, segments: Segments, value: Array, offsets: Array, step: Array
-) -> tuple[Array, Array, Array]:
-    """Predictions (R, p) from moved starts, their slopes in the start (R, p, p) and in the
-    parameters (R, p, d): one batch.
-    """
-    p = len(step)
+) -> _Linearization:
+    """Predict from moved starts, with both Jacobians from one batch."""
     d = len(value)
+    p = len(step)
     half = STEP * (simulator.space.high - simulator.space.low)
-    moves = np.concatenate([np.zeros((1 + 2 * d, p)), np.diag(step), -np.diag(step)])
-    design = np.repeat(value[None], 1 + 2 * d + 2 * p, axis=0)
-    design[1 : 1 + 2 * d] += np.concatenate([np.diag(half), -np.diag(half)])
+    # The parameters move in the first 1 + 2 d simulations, the starts in the 2 p others.
+    by_value = axial_design(half, -half)
+    by_start = axial_design(step, -step)[1:]
+    design = value + np.concatenate([by_value, np.zeros((2 * p, d))])
     design = simulator.space.feasible(design)
+    moves = np.concatenate([np.zeros((1 + 2 * d, p)), by_start])
     predictions = simulator.predict(design, segments, offsets=offsets + moves[:, None])
     if not np.isfinite(predictions).all():
-        raise SimulationFailed(
-            f"In the filter, {describe_failures(predictions, design, simulator.space)} Use "
-            "starts='measured'."
-        )
-    of_value = predictions[1 : 1 + 2 * d]
-    of_start = predictions[1 + 2 * d :]
-    reach = np.diagonal(design[1 : 1 + d] - design[1 + d : 1 + 2 * d])
-    slope = np.moveaxis((of_value[:d] - of_value[d:]) / reach[:, None, None], 0, -1)
-    return predictions[0], np.moveaxis(of_start[:p] - of_start[p:], 0, -1) / (2 * step), slope
+        failures = describe_failures(predictions, design, simulator.space)
+        raise SimulationFailed(f"In the filter, {failures} Use starts='measured'.")
+    widths = np.diagonal(design[1 : 1 + d] - design[1 + d : 1 + 2 * d])
+    return _Linearization(
+        predictions[0],
+        difference_quotients(predictions[2 * d :], 2 * step),
+        difference_quotients(predictions[: 1 + 2 * d], widths),
+    )
 
 
 def _filter(
     each: Segments,
     value: Array,
     offsets: Array,
-    model: tuple[Array, Array, Array],
+    linear: _Linearization,
     spread: Array,
-    noise: Array,
-) -> States:
-    """The states from measurements up to them, with the transitions linearised at the measured
-    states plus offsets.
-    """
+    epsilon: Array,
+    settings: FilterSettings,
+) -> FilteredStates:
+    """The states, with the transitions linearized at the measured states plus offsets."""
     data = each.trajectories
-    (predicted, along, by_value) = model
-    n, p = predicted.shape
+    n, p = linear.predicted.shape
+    sensors = Sensors.of(epsilon)
+    limit = float(chi2.isf(settings.reset_probability, p))
     out = np.zeros((n, p))
-    covariance = np.empty((n, p, p))
-    slope = np.zeros((n, p, len(value)))
-    limit = float(chi2.isf(GATE, p))
+    covariances = np.empty((n, p, p))
+    jacobians = np.zeros((n, p, len(value)))
     resets = 0
     for start, stop in data.spans:
-        covariance[start] = noise
+        covariances[start] = sensors.covariance
         for t in range(start, stop - 1):
-            state = predicted[t] + along[t] @ (out[t] - offsets[t])
-            known = along[t] @ covariance[t] @ along[t].T + by_value[t] @ spread @ by_value[t].T
-            follows = along[t] @ slope[t] + by_value[t]
-            measured = [data.next_observations[t], data.observations[t + 1]]
-            for y in measured[
-                : 1 if np.array_equal(*measured) else 2
-            ]:  # one measurement, or two of the same state
-                innovation = y - state
-                total = known + noise
-                gain = np.linalg.solve(total, known).T
-                if innovation @ np.linalg.solve(total, innovation) > limit:
-                    state = y
-                    known = noise
-                    follows = np.zeros_like(follows)
-                    resets = resets + 1
-                    continue
-                state = state + gain @ innovation
-                follows = follows - gain @ follows
-                known = known - gain @ known
-                known = 0.5 * (known + known.T)
-            out[t + 1], covariance[t + 1], slope[t + 1] = (
-                state - data.observations[t + 1],
-                known,
-                follows,
-            )
-    return States(value, out, covariance, slope, resets)
+            along = linear.of_start[t]
+            by_value = linear.of_value[t]
+            process = by_value @ spread @ by_value.T
+            away = out[t] - offsets[t]
+            state, covariance = predict(away, covariances[t], along, process, linear.predicted[t])
+            jacobian = along @ jacobians[t] + by_value
+            for measured in _measurements(data.next_observations[t], data.observations[t + 1]):
+                found = update(state, covariance, measured, sensors)
+                if found.squared_distance > limit:
+                    resets += 1
+                    state = measured
+                    covariance = sensors.covariance
+                    jacobian = np.zeros_like(jacobian)
+                else:
+                    state = found.state
+                    covariance = found.covariance
+                    jacobian = jacobian - found.gain @ jacobian
+            out[t + 1] = state - data.observations[t + 1]
+            covariances[t + 1] = covariance
+            jacobians[t + 1] = jacobian
+    return FilteredStates(value, out, covariances, jacobians, resets)
+
+
+def _measurements(end: Array, start: Array) -> list[Array]:
+    """A transition's end and the next one's start: one measurement of a state, or two."""
+    return [end] if np.array_equal(end, start) else [end, start]
 
 
 Refit = Callable[[Problem, Noise, Array, Array], tuple[LocalLogLikelihood, SearchResult]]
 
 
-def from_filtered_starts(
+def fit_from_filtered_starts(
     refit: Refit,
     problem: Problem,
     run: Run,
@@ -226,42 +296,55 @@ def from_filtered_starts(
     noise: Noise,
     objective: LocalLogLikelihood,
     found: SearchResult,
+    settings: FilterSettings = DEFAULTS,
 ) -> tuple[Problem, LocalLogLikelihood, SearchResult, StartFilter]:
-    """Filters at the estimate and fits from there, in turn, until the means move by less than a
-    twentieth of their errors.
+    """Filter at the estimate and fit from there, in turn, until the means stay where they are.
 
-    The start is the fit that propagates the noise of the starts. Returns the last problem,
-    likelihood and maximum, and how far the means moved at each turn, in standard errors, and how
-    often the filter began anew.
+    Parameters
+    ----------
+    refit : callable
+        Fits a problem under a noise, from a centre (d,) and a width (d,).
+    problem : Problem
+        The problem with measured starts.
+    run : Run
+        Counts the simulations.
+    family : Family
+        Of the distribution that is fitted.
+    noise : Noise
+        Noise of the rows.
+    objective : LocalLogLikelihood
+        Of the fit that propagates the noise of the starts.
+    found : SearchResult
+        That fit.
+    settings : FilterSettings
+        How it is done.
+
+    Returns
+    -------
+    tuple
+        The last problem, likelihood and maximum; and by how many standard errors the means moved
+        at each turn, with how often the filter began anew.
     """
-    seen = problem
+    current = problem
     resets = 0
     moves: list[float] = []
     d = len(problem.space)
-    while len(moves) < TURNS and found.status is not Status.INTERRUPTED:
+    width = problem.space.high - problem.space.low
+    while len(moves) < settings.iterations and found.status is not Status.INTERRUPTED:
         own = found.point[: len(family.unknowns)]
         mean = family.mean(own)
         sd = family.sd(own)
         spread = family.correlation(own) * np.outer(sd, sd)
-        seen, added, states = filtered(problem, run, mean, spread, objective.epsilon(found.point))
-        start = replace(noise, start=False, rows=added)
-        objective, found = refit(
-            seen, start, mean, WIDTH * (problem.space.high - problem.space.low)
-        )
-        errors = np.sqrt(
-            np.diagonal(
-                np.linalg.pinv(
-                    objective.value_score_information(found.point)[2][:d, :d], hermitian=True
-                )
-            )
-        )
-        moved = np.abs(family.mean(found.point[: len(family.unknowns)]) - mean)
-        moves.append(
-            float(
-                np.max(moved / np.maximum(errors, 1e-12 * (problem.space.high - problem.space.low)))
-            )
-        )
+        epsilon = objective.epsilon(found.point)
+        current, added, states = filter_starts(problem, run, mean, spread, epsilon, settings)
         resets = states.resets
-        if moves[-1] < STILL:
+        start = replace(noise, start=False, rows=added)
+        objective, found = refit(current, start, mean, settings.initial_width * width)
+        # How far the means moved, in their standard errors.
+        information = objective.value_score_information(found.point)[2][:d, :d]
+        errors = np.sqrt(np.diagonal(np.linalg.pinv(information, hermitian=True)))
+        moved = np.abs(family.mean(found.point[: len(family.unknowns)]) - mean)
+        moves.append(float(np.max(moved / np.maximum(errors, 1e-12 * width))))
+        if moves[-1] < settings.tolerance:
             break
-    return seen, objective, found, StartFilter(tuple(moves), resets)
+    return current, objective, found, StartFilter(tuple(moves), resets)

@@ -39,10 +39,10 @@ class ChooseHorizon(Estimator):
 
     Likelihoods at different lambda are of different data. So every fit is scored on the same ones:
     predictions over all the lengths, N(f(mean), J S J' + diag(e)), with S the fit's covariance, J
-    the sensitivities and e the variances that it leaves on the fitted part at that length. Held out
-    are the problem's own such data, else every third trajectory, else the last third. Of the
-    lambdas whose score is within one standard error of the best one's, paired by units of time of
-    the longest length, that with the smallest standard errors is taken (their product).
+    the Jacobian and e the variances that it leaves on the fitted part at that length. Held out are
+    the problem's own such data, else every third trajectory, else the last third. Of the lambdas
+    whose score is within one standard error of the best one's, paired by units of time of the
+    longest length, that with the smallest standard errors is taken (their product).
     `horizon_choice` of the fit has the table.
     """
 

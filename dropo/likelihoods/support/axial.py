@@ -5,10 +5,10 @@ curvatures from two steps on each.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dropo.core.contracts.noise import NoiseModel
-from dropo.core.contracts.simulator import Simulator, describe_failures
+from dropo.core.contracts.simulator import Simulator, describe_failures, predict_from_starts
+from dropo.core.numerics.finite_differences import axial_design
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import Incompatible, SimulationFailed
@@ -51,11 +51,13 @@ def along_parameters(
     Where a step would leave what is physically possible, it is doubled to the other side.
     """
     steps = _possible_steps(simulator.space, centre, step, logarithmic)
-    points = np.concatenate([centre[None], *(centre + np.diag(t) for t in steps)])
+    points = centre + axial_design(*steps)
     design = simulator.space.feasible(np.exp(points) if logarithmic else points)
     out = _empty(segments, simulator, len(centre))
     for part, rows, _ in segment_blocks(segments, 8 * len(design) * len(simulator.signals)):
-        _fill(out, rows, _checked(simulator, part, design, None, rows.start), steps)
+        predictions = simulator.predict(design, part)
+        _require_finite(simulator, predictions, design, rows.start)
+        _fill(out, rows, predictions, steps)
     return out
 
 
@@ -72,24 +74,21 @@ def along_starts(
     p = len(simulator.signals)
     if simulator.start_size != p:
         raise Incompatible(
-            "Noise on the start states needs a simulator whose start has the coordinates "
-            f"of its {p} signals."
-            f" {type(simulator).__name__} has {simulator.start_size} there. Leave "
-            "Noise(start=True) out."
+            f"Noise on the start states needs a simulator whose start has the coordinates of its"
+            f" {p} signals. {type(simulator).__name__} has {simulator.start_size} there."
+            " Leave Noise(start=True) out."
         )
     spread = np.std(simulator.targets(segments), axis=0)
     step = REACH * np.sqrt(noise.shape)
     step = np.where(spread > 0, np.clip(step, SMALL * spread, LARGE * spread), step)
     steps = np.stack([step, -step])
-    design = np.repeat(value[None], 2 * p + 1, axis=0)
+    moves = axial_design(*steps)
+    design = np.repeat(value[None], len(moves), axis=0)
     out = _empty(segments, simulator, p)
-    for part, rows, _ in segment_blocks(segments, 8 * len(design) * p):
-        for level in part.levels:
-            offsets = np.zeros((2 * p + 1, len(part), p))
-            offsets[1:, level] = np.concatenate([np.diag(t) for t in steps])[:, None]
-            own = np.isin(part.rows[0], level)
-            predictions = _checked(simulator, part, design, offsets, rows.start)[:, own]
-            _fill(out, rows.start + np.flatnonzero(own), predictions, steps)
+    for part, rows, _ in segment_blocks(segments, 8 * len(moves) * p):
+        predictions = predict_from_starts(simulator, value, part, moves)
+        _require_finite(simulator, predictions, design, rows.start)
+        _fill(out, rows, predictions, steps)
     return out
 
 
@@ -112,19 +111,14 @@ def _empty(segments: Segments, simulator: Simulator, axes: int) -> Axial:
     return Axial(np.empty(shape), np.empty((*shape, axes)), np.empty((*shape, axes)))
 
 
-def _checked(
-    simulator: Simulator, part: Segments, design: Array, offsets: Array | None, first: int
-) -> Array:
-    predictions = simulator.predict(design, part, offsets=offsets)
+def _require_finite(simulator: Simulator, predictions: Array, design: Array, first: int) -> None:
+    """Raise SimulationFailed where a simulation diverged; rows count from `first`."""
     if not np.isfinite(predictions).all():
-        raise SimulationFailed(
-            f"{describe_failures(predictions, design, simulator.space, first=first)} No "
-            "slopes can be taken around the estimate."
-        )
-    return predictions
+        failures = describe_failures(predictions, design, simulator.space, first=first)
+        raise SimulationFailed(f"{failures} No slopes can be taken around the estimate.")
 
 
-def _fill(out: Axial, rows: slice | NDArray[np.int64], predictions: Array, steps: Array) -> None:
+def _fill(out: Axial, rows: slice, predictions: Array, steps: Array) -> None:
     """Three-point differences of predictions (2 k + 1, r, p) at 0 and steps (2, k), which need not
     be symmetric.
     """

@@ -1,11 +1,11 @@
-"""Motion as m-fold integrated white noise, seen through noise: smoothed and filtered states, and
-the likelihood, in linear time.
+"""Motion as m-fold integrated white noise, seen through noise, in linear time.
 
 A state holds the position and its first m - 1 derivatives; the m-th one is white noise of density
 q. Measured positions carry white noise of variance r. The posterior mean of the position is the
 smoothing spline of order 2 m - 1 (Wahba, JRSS B 40, 1978). The precision of all states together is
 a band matrix, so that one banded Cholesky factor gives the smoothed states and the likelihood (Rue
-and Held 2005, chapter 2). The likelihood is the one of contrasts that no initial state changes.
+and Held 2005, chapter 2). The likelihood is the one of contrasts that no initial state changes. The
+filter, which knows the past alone, is a Kalman filter step by step.
 """
 
 from collections.abc import Sequence
@@ -16,6 +16,7 @@ from math import factorial
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from dropo.core.numerics.kalman import Sensors, predict, update
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 
@@ -23,21 +24,43 @@ FREE = 1e8  # a variance, in units of that of a measurement, that lets a number 
 
 
 def transition(order: int) -> tuple[Array, Array]:
-    """A and Q, (m, m) each: a state one unit of time later is A state + a normal vector of
-    covariance q Q.
+    """Return the transition over one unit of time.
+
+    Parameters
+    ----------
+    order : int
+        m, the numbers in a state.
+
+    Returns
+    -------
+    a : (m, m) array
+        A state one unit of time later is A state + a normal vector of covariance q Q.
+    q : (m, m) array
+        Q.
     """
     i, j = np.indices((order, order))
     factorials = np.array([factorial(k) for k in range(order)], dtype=float)
     a = np.where(j >= i, 1 / factorials[np.maximum(j - i, 0)], 0.0)
-    return a, 1 / (factorials[order - 1 - i] * factorials[order - 1 - j] * (2 * order - 1 - i - j))
+    products = factorials[order - 1 - i] * factorials[order - 1 - j]
+    return a, 1 / (products * (2 * order - 1 - i - j))
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One measured position, (n,) at increasing `time` (n,) [s]; it begins anew at the rows in
-    `jumps`.
+    """One measured position.
 
-    unit: seconds of a typical step, the inner unit of time, which keeps numbers of like size.
+    Attributes
+    ----------
+    time : (n,) array
+        Increasing instants [s].
+    measured : (n,) array
+        The position then.
+    order : int
+        m, the numbers in a state.
+    jumps : int array
+        Rows at which the motion begins anew.
+    unit : float
+        A typical step, the inner unit of time, which keeps numbers of like size [s].
     """
 
     time: Array
@@ -52,113 +75,153 @@ class Motion:
         steps = np.diff(self.time) / self.unit
         return steps[:, None] ** (self.order - 0.5 - np.arange(self.order))
 
+    def steps(self) -> tuple[Array, Array]:
+        """(n - 1, m, m) each: A(h) and Q(h) of every step, at q = 1."""
+        a, q = transition(self.order)
+        rows = self.scale[:, :, None]
+        columns = self.scale[:, None, :]
+        return rows * a / columns, rows * q * columns
+
     @cached_property
     def _precisions(self) -> Array:
-        """(n - 1, m, m) of the noise in each step, at q = 1 and h = 1; 0 into a row where the
-        motion begins anew.
-        """
-        out = np.repeat(np.linalg.inv(transition(self.order)[1])[None], len(self.time) - 1, axis=0)
+        """(n - 1, m, m) of the noise in each step, at q = h = 1; 0 where the motion begins anew."""
+        precision = np.linalg.inv(transition(self.order)[1])
+        out = np.repeat(precision[None], len(self.time) - 1, axis=0)
         out[self.jumps - 1] = 0.0
         return out
 
     def _factor(self, ratio: float) -> Array:
-        """The banded Cholesky factor (2 m, n m) of the states' precision in units of 1 / r; ratio:
-        q / r for the inner unit of time.
-        """
+        """The banded Cholesky factor (2 m, n m) of the states' precision in units of 1 / r."""
         m = self.order
         n = len(self.time)
         a = transition(m)[0]
         weights = 1 / (ratio * self.scale[:, :, None] * self.scale[:, None, :])
+        # Blocks of the precision: of each state, and of each with the next.
         between = -weights * (self._precisions @ a)
         diagonal = np.zeros((n, m, m))
         diagonal[:-1] += weights * (a.T @ self._precisions @ a)
         diagonal[1:] += weights * self._precisions
         diagonal[:, 0, 0] += 1.0
+        # The lower band, diagonal by diagonal.
         band = np.zeros((2 * m, n, m))
         for column in range(m):
             for row in range(column, m):
                 band[row - column, :, column] = diagonal[:, row, column]
             for row in range(m):
                 band[m + row - column, :-1, column] = between[:, row, column]
-        return np.asarray(
-            cholesky_banded(band.reshape(2 * m, n * m), lower=True, check_finite=False)
-        )
+        flat = band.reshape(2 * m, n * m)
+        return np.asarray(cholesky_banded(flat, lower=True, check_finite=False))
 
     def _states(self, factor: Array, measured: Array) -> Array:
         """(n, m, k) from k measured columns (n, k)."""
         right = np.zeros((len(self.time), self.order, measured.shape[1]))
         right[:, 0] = measured
-        found = cho_solve_banded(
-            (factor, True), right.reshape(-1, right.shape[2]), check_finite=False
-        )
+        flat = right.reshape(-1, right.shape[2])
+        found = cho_solve_banded((factor, True), flat, check_finite=False)
         return np.asarray(found).reshape(right.shape)
 
     def fit(self, ratio: float) -> tuple[float, float, float]:
-        """At q / r = ratio, in the inner unit of time: the sum of squares, the log determinant, and
-        the degrees of freedom.
+        """Return the parts of the log likelihood.
 
         Minus twice the log likelihood is squares / r + degrees log r + determinant, up to a
         constant.
+
+        Parameters
+        ----------
+        ratio : float
+            q / r, in the inner unit of time.
+
+        Returns
+        -------
+        squares : float
+        determinant : float
+            Its logarithm.
+        degrees : float
+            Of freedom.
         """
         factor = self._factor(ratio)
         states = self._states(factor, self.measured[:, None])[:, :, 0]
         noise = self._noise(states)
-        squares = (
-            np.sum((self.measured - states[:, 0]) ** 2)
-            + np.einsum("ni,nij,nj->", noise, self._precisions, noise) / ratio
-        )
+        squares = np.sum((self.measured - states[:, 0]) ** 2)
+        squares += np.einsum("ni,nij,nj->", noise, self._precisions, noise) / ratio
         within = np.ones(len(self.time) - 1, dtype=bool)
         within[self.jumps - 1] = False
         determinant = 2 * np.log(factor[0]).sum() + 2 * np.log(self.scale[within]).sum()
         determinant += within.sum() * np.linalg.slogdet(ratio * transition(self.order)[1])[1]
-        return (
-            float(squares),
-            float(determinant),
-            len(self.time) - self.order * (1 + len(self.jumps)),
-        )
+        degrees = len(self.time) - self.order * (1 + len(self.jumps))
+        return float(squares), float(determinant), degrees
 
     def _noise(self, states: Array) -> Array:
         """(n - 1, m) what was added in each step, in the units of a step of length 1."""
         return states[1:] / self.scale - (states[:-1] / self.scale) @ transition(self.order)[0].T
 
     def smoothed(self, ratio: float, measured: Array) -> Array:
-        """(n, m, k) the states given every measurement, per second, of k columns (n, k) measured in
-        place of this one.
+        """Estimate the states from all measurements.
+
+        Parameters
+        ----------
+        ratio : float
+            q / r, in the inner unit of time.
+        measured : (n, k) array
+            k positions measured in place of this one.
+
+        Returns
+        -------
+        (n, m, k) array
+            The positions and their derivatives [per second].
         """
-        return (
-            self._states(self._factor(ratio), measured)
-            / self.unit ** np.arange(self.order)[:, None]
-        )
+        units = self.unit ** np.arange(self.order)[:, None]
+        return self._states(self._factor(ratio), measured) / units
 
     def scores(self, ratio: float) -> Array:
-        """(n - 1, m) how much each step wants each derivative to jump, in like units for all steps
-        (Harvey and Koopman 1992).
+        """Return how much each step asks each derivative to jump.
+
+        Parameters
+        ----------
+        ratio : float
+            q / r, in the inner unit of time.
+
+        Returns
+        -------
+        (n - 1, m) array
+            Scores, in like units for all steps (Harvey and Koopman 1992).
         """
         states = self._states(self._factor(ratio), self.measured[:, None])
         return np.einsum("nij,nj->ni", self._precisions, self._noise(states[:, :, 0]))
 
 
 def filtered(motions: Sequence[Motion], ratios: Array) -> Array:
-    """(p, n, m) the states of p positions measured at the same times, each given the measurements
-    up to it: a Kalman filter.
+    """Estimate the states of positions measured at the same times, by the past alone.
 
-    ratios: (p,) q / r in the inner unit of time. It knows of no jumps: behind one it catches up.
+    The filter knows of no jumps: behind one it catches up.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        The p positions.
+    ratios : (p,) array
+        q / r of each, in the inner unit of time.
+
+    Returns
+    -------
+    (p, n, m) array
+        The position and its derivatives [per second].
     """
     first = motions[0]
-    m = first.order
-    p = len(motions)
-    scale = first.scale
-    measured = np.stack([motion.measured for motion in motions], axis=1)  # (n, p)
-    covariance = np.repeat(np.diag([1.0, *[FREE] * (m - 1)])[None], p, axis=0)  # in units of r
-    out = np.zeros((len(measured), p, m))
-    out[0, :, 0] = measured[0]
-    a, q = transition(m)
-    moves = scale[:, :, None] * a / scale[:, None, :]
-    noises = scale[:, :, None] * q * scale[:, None, :]
-    for k, (a, q) in enumerate(zip(moves, noises, strict=True)):
-        states = out[k] @ a.T
-        covariance = a @ covariance @ a.T + ratios[:, None, None] * q
-        gain = covariance[:, :, 0] / (covariance[:, :1, 0] + 1)
-        out[k + 1] = states + gain * (measured[k + 1] - states[:, 0])[:, None]
-        covariance = covariance - gain[:, :, None] * covariance[:, None, 0, :]
-    return out.transpose(1, 0, 2) / first.unit ** np.arange(m)
+    order = first.order
+    measured = np.stack([motion.measured for motion in motions], axis=1)[:, :, None]  # (n, p, 1)
+    transitions, processes = first.steps()
+    # The variance of a measurement is the unit, and only the position is measured.
+    sensors = Sensors.of(np.array([1.0, *[np.inf] * (order - 1)]))
+    start = np.diag([1.0, *[FREE] * (order - 1)])
+    covariance = np.repeat(start[None], len(motions), axis=0)
+    out = np.zeros((len(measured), len(motions), order))
+    out[0, :, 0] = measured[0, :, 0]
+    state = out[0]
+    for k, (a, q) in enumerate(zip(transitions, processes, strict=True)):
+        state, covariance = predict(state, covariance, a, ratios[:, None, None] * q)
+        found = update(state, covariance, measured[k + 1], sensors)
+        state = found.state
+        covariance = found.covariance
+        out[k + 1] = state
+    return out.transpose(1, 0, 2) / first.unit ** np.arange(order)

@@ -1,0 +1,256 @@
+"""Robust Gauss-Newton within a box, with and without an objective that steps are checked against.
+
+`fit_reweighted` takes whole steps and weighs rows by how well they fit: one linearization a step,
+nothing else, for problems that are nearly linear. `maximize` keeps a step only where an objective
+grows, tries shorter ones, and keeps a Jacobian as long as it predicts well.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from dropo.core.numerics.robust_statistics import deviation, student_t_weights
+from dropo.core.services.validation import Array
+
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class ReweightingSettings:
+    """How `fit_reweighted` steps.
+
+    Attributes
+    ----------
+    iterations : int
+        Steps at most.
+    tolerance : float
+        A step of less than this fraction of the widths is the last one.
+    degrees : float
+        Degrees of freedom of the Student t whose weights the rows have.
+    prior_information : float
+        Of a normal prior around each value, in units of the widths.
+    maximum_step : float
+        Longest step, as a fraction of the widths.
+    """
+
+    iterations: int = 8
+    tolerance: float = 1e-4
+    degrees: float = 3.0
+    prior_information: float = 1e-6
+    maximum_step: float = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class ReweightedFit:
+    """Where a reweighted fit ended, and its last step in units of the widths.
+
+    Attributes
+    ----------
+    value : (d,) array
+        The parameters.
+    information : (d, d) array
+        J' W J of the scaled rows.
+    inverse : (d, d) array
+        Its inverse under the prior.
+    scores : (R, d) array
+        Weighted score of each row.
+    """
+
+    value: Array
+    information: Array
+    inverse: Array
+    scores: Array
+
+
+def fit_reweighted(
+    linearize: Callable[[Array], tuple[Array, Array]],
+    start: Array,
+    bounds: tuple[Array, Array],
+    width: Array,
+    settings: ReweightingSettings,
+) -> ReweightedFit:
+    """Fit most rows, however large the errors of the others are.
+
+    Parameters
+    ----------
+    linearize : callable
+        Errors (R, p), measured less predicted, and the Jacobian (R, p, d) of the predictions at
+        parameters (d,).
+    start : (d,) array
+        Where to begin, within the bounds.
+    bounds : tuple of (d,) arrays
+        Lower and upper bounds.
+    width : (d,) array
+        Unit of each parameter.
+    settings : ReweightingSettings
+        How it steps.
+
+    Returns
+    -------
+    ReweightedFit
+    """
+    value = start
+    longest = settings.maximum_step
+    for _ in range(settings.iterations):
+        errors, jacobian = linearize(value)
+        # Rows in units of their usual error, parameters in units of their width.
+        scale = np.maximum(deviation(errors), 1e-300)
+        scaled_jacobian = jacobian * width / scale[:, None]
+        scaled = errors / scale
+        weights = student_t_weights(np.mean(scaled**2, axis=1), 1, settings.degrees)
+        information = np.einsum("w,wpd,wpe->de", weights, scaled_jacobian, scaled_jacobian)
+        scores = weights[:, None] * np.einsum("wpd,wp->wd", scaled_jacobian, scaled)
+        prior = settings.prior_information * np.eye(len(value))
+        inverse = np.linalg.inv(information + prior)
+        step = width * np.clip(inverse @ scores.sum(axis=0), -longest, longest)
+        new = np.clip(value + step, *bounds)
+        moved = np.max(np.abs(new - value) / width)
+        value = new
+        if moved < settings.tolerance:
+            break
+    return ReweightedFit(value, information, inverse, scores)
+
+
+@dataclass(frozen=True)
+class GaussNewtonSettings:
+    """How `maximize` steps.
+
+    Attributes
+    ----------
+    iterations : int
+        Steps at most.
+    tolerance : float
+        A step that gains less than this is the last one, in the objective's unit.
+    sufficient_gain : float
+        Fraction of the promised gain that a whole step must bring.
+    slow_gain : float
+        A step that promises more than this fraction of what the one before promised is slow: the
+        Jacobian does not describe the objective near by.
+    fractions : tuple of float
+        Fractions of a step that are tried where the whole of it brings too little.
+    prior_width : float
+        Standard deviation of the prior that holds each step back, as a fraction of the box.
+    """
+
+    iterations: int = 5
+    tolerance: float = 0.1
+    sufficient_gain: float = 0.2
+    slow_gain: float = 0.5
+    fractions: tuple[float, ...] = (0.5, 0.25, 0.1, 0.02)
+    prior_width: float = 0.1
+
+
+class SteppedObjective(Protocol[S]):
+    """What `maximize` asks of a problem whose states are of any type."""
+
+    def differentiate(self, state: S, close: bool) -> Array:
+        """Jacobian of the predictions at a state, of any shape; close: by narrow differences."""
+
+    def step(self, state: S, jacobian: Array) -> tuple[Array, float]:
+        """The step (f,) by a Jacobian, and the gain that it promises (see `damped_step`)."""
+
+    def try_steps(self, state: S, steps: Array) -> tuple[S, float]:
+        """The best state after steps (K, f) and its gain; the same state and 0 if none gains."""
+
+
+def maximize(
+    problem: SteppedObjective[S],
+    state: S,
+    settings: GaussNewtonSettings,
+    *,
+    jacobian: Array | None = None,
+    close: bool = False,
+) -> tuple[S, Array | None]:
+    """Climb by Gauss-Newton steps, whole ones where they gain what they promise, else shorter ones.
+
+    The Jacobian is found anew where a step gains too little, or where there is none yet; and by
+    narrow differences where that does not help, or where step after step promises the same:
+    predictions then bend within the usual width of differences.
+
+    Parameters
+    ----------
+    problem : SteppedObjective
+        Differentiates and steps.
+    state : S
+        Where to begin.
+    settings : GaussNewtonSettings
+        How it steps.
+    jacobian : array, optional
+        A Jacobian from near by that may be used at first.
+    close : bool
+        Whether to differentiate by narrow differences from the first step on.
+
+    Returns
+    -------
+    state : S
+        Where it ended.
+    jacobian : array or None
+        The last Jacobian, where it still describes the objective.
+    """
+    fresh = jacobian is None
+    promised_before = np.inf
+    for _ in range(settings.iterations):
+        if jacobian is None:
+            jacobian = problem.differentiate(state, close)
+            fresh = True
+        step, promised = problem.step(state, jacobian)
+        state, gain = problem.try_steps(state, step[None])
+        sufficient = gain > settings.sufficient_gain * promised
+        slow = promised > settings.slow_gain * promised_before
+        promised_before = promised
+        if fresh and not sufficient:
+            fractions = np.array(settings.fractions)
+            state, more = problem.try_steps(state, fractions[:, None] * step)
+            gain += more
+        small = gain < settings.tolerance
+        if small and (sufficient or close or promised < settings.tolerance):
+            break
+        close = close or (fresh and (slow or small))
+        if slow or not sufficient:
+            jacobian = None
+        fresh = False
+    return state, jacobian
+
+
+def damped_step(
+    jacobian: Array, residuals: Array, room: tuple[Array, Array], prior_sd: Array
+) -> tuple[Array, float]:
+    """Solve the linear least-squares problem of a step within a box, held back by a prior.
+
+    The prior keeps a step from running along directions that the data do not determine.
+
+    Parameters
+    ----------
+    jacobian : (f, N) array
+        Weighted derivatives of N predictions by f numbers.
+    residuals : (N,) array
+        Weighted residuals, measured less predicted.
+    room : tuple of (f,) arrays
+        How far each number may go down (not above 0) and up (not below 0).
+    prior_sd : (f,) array
+        Standard deviation of a normal prior around no step.
+
+    Returns
+    -------
+    step : (f,) array
+    promised : float
+        Gain of the log-likelihood without the prior, were predictions linear [nats].
+
+    References
+    ----------
+    Levenberg, Quarterly of Applied Mathematics 2 (1944), 164.
+    """
+    # Columns of like length, and at least as long as the prior's.
+    scale = np.maximum(np.linalg.norm(jacobian, axis=1), 1 / prior_sd)
+    q, r = np.linalg.qr((jacobian / scale[:, None]).T)
+    rows = np.concatenate([r, np.diag(1 / (prior_sd * scale))])
+    target = np.concatenate([q.T @ residuals, np.zeros(len(jacobian))])
+    # A number at its bound still needs an interval that is not empty.
+    low = np.minimum(room[0], -1e-12 / scale) * scale
+    high = np.maximum(room[1], 1e-12 / scale) * scale
+    step = lsq_linear(rows, target, bounds=(low, high)).x / scale
+    change = step @ jacobian
+    return step, float(change @ residuals) - 0.5 * float(change @ change)

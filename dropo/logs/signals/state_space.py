@@ -1,0 +1,362 @@
+"""The simulator as a linear state-space model along trajectories, and what is learned with it.
+
+In reading order: `StateSpaceModel` linearizes the simulator, `_filter` and `_smooth` run over every
+trajectory, `estimate_along` repeats both, and `learn_noise` finds the noises that are most likely.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.kalman import Sensors, predict, smooth, update
+from dropo.core.records.trajectories import Signal, Trajectories
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.validation import Array
+
+
+@dataclass(frozen=True)
+class SmootherSettings:
+    """How states are estimated, and the noise learned.
+
+    Attributes
+    ----------
+    passes : int
+        Passes of the smoother; each is linearized at the states of the one before.
+    learning_rows : int
+        Transitions, from the first on, from which the noise is learned.
+    learning_rounds : int
+        Rounds of learning; each is linearized anew.
+    em_steps : int
+        Steps of expectation-maximization in each round.
+    process_factors : tuple of float
+        Factors on the learned process noise that are compared after each round, largest first:
+        expectation-maximization is slow to take it down.
+    likelihood_tolerance : float
+        The largest factor whose log-likelihood is within this of the best is taken [nats]: process
+        noise that is too small makes the errors of the states look small.
+    initial_variance : float
+        First guess of both noises, as a fraction of each signal's variance.
+    minimum_noise, minimum_process : float
+        Least variance of measurement and process noise, as fractions of each signal's variance.
+    minimum_step, maximum_step : float
+        Bounds of the half widths of differences, as fractions of each signal's standard deviation.
+    unmeasured_start_sd : float
+        Standard deviation of a start that was not measured, in the signal's standard deviations.
+    """
+
+    passes: int = 3
+    learning_rows: int = 500
+    learning_rounds: int = 4
+    em_steps: int = 5
+    process_factors: tuple[float, ...] = (10.0, 5.6, 3.0, 1.8, 1.0, 0.3, 0.1, 0.03)
+    likelihood_tolerance: float = 2.0
+    initial_variance: float = 1e-4
+    minimum_noise: float = 1e-16
+    minimum_process: float = 1e-12
+    minimum_step: float = 1e-5
+    maximum_step: float = 0.02
+    unmeasured_start_sd: float = 1e2
+
+
+DEFAULTS = SmootherSettings()
+SMALLEST_SPREAD = 1e-9  # stands for the standard deviation of a signal that does not vary
+
+
+# Every trajectory has one state more than transitions: below, M is the number of all states, N the
+# number of transitions, and `states` (M, p) holds trajectory after trajectory.
+
+
+def places_before(trajectories: Trajectories) -> NDArray[np.int64]:
+    """Find the state before each transition among all states.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        N transitions.
+
+    Returns
+    -------
+    (N,) int array
+    """
+    return np.arange(len(trajectories)) + trajectories.trajectory
+
+
+def replace_states(trajectories: Trajectories, states: Array) -> Trajectories:
+    """Replace the states of trajectories.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        N transitions.
+    states : (M, p) array
+        Every state once.
+
+    Returns
+    -------
+    Trajectories
+    """
+    before = places_before(trajectories)
+    return replace(trajectories, observations=states[before], next_observations=states[before + 1])
+
+
+def _measured_states(trajectories: Trajectories) -> Array:
+    """(M, p) every state as measured: as a start where there is one, else as an end."""
+    before = places_before(trajectories)
+    count = len(trajectories) + len(trajectories.spans)
+    out = np.empty((count, trajectories.observations.shape[1]))
+    out[before + 1] = trajectories.next_observations
+    out[before] = trajectories.observations
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearization:
+    """x' = predicted + jacobian (x - at): `at` (M, p), `predicted` (N, p), `jacobian` (N, p, p)."""
+
+    at: Array
+    predicted: Array
+    jacobian: Array
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpaceModel:
+    """The simulator at fixed parameters along trajectories.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    value : (d,) array
+        Its parameters.
+    trajectories : Trajectories
+        The measured transitions.
+    measured : (p,) bool array
+        Which columns were measured.
+    settings : SmootherSettings
+    """
+
+    simulator: Simulator
+    value: Array
+    trajectories: Trajectories
+    measured: NDArray[np.bool_]
+    settings: SmootherSettings
+
+    def linearize(self, states: Array, noise: Array) -> _Linearization:
+        """Linearize around states (M, p), by differences as wide as the noise (p,)."""
+        step = self._difference_steps(states, noise)
+        segments = replace_states(self.trajectories, states).segments(1)
+        try:
+            found = self.simulator.linearize_starts(self.value, segments, step=step)
+        except SimulationFailed as error:
+            raise SimulationFailed(f"While states were estimated, {error}") from None
+        return _Linearization(states, *found)
+
+    def _difference_steps(self, states: Array, noise: Array) -> Array:
+        """(p,) the noise's standard deviation, or the maximum, within bounds."""
+        spread = _spread(states)
+        minimum = self.settings.minimum_step * spread
+        maximum = self.settings.maximum_step * spread
+        return np.clip(np.where(self.measured, np.sqrt(noise), maximum), minimum, maximum)
+
+    def first_state(self, measured: Array, at: Array) -> Array:
+        """Return a trajectory's first state (p,): as measured, or else where it is linearized."""
+        return np.where(self.measured, measured, at)
+
+    def first_covariance(self, states: Array, noise: Array) -> Array:
+        """Return the covariance (p, p) of a first state: wide where it was not measured."""
+        wide = (self.settings.unmeasured_start_sd * _spread(states)) ** 2
+        return np.diag(np.where(self.measured, noise, wide))
+
+
+def _spread(states: Array) -> Array:
+    """(p,) standard deviation of each column of states (M, p)."""
+    return np.maximum(states.std(axis=0), SMALLEST_SPREAD)
+
+
+def estimate_along(
+    model: StateSpaceModel, noise: Array, process: Array, causal: bool
+) -> tuple[Array, Array]:
+    """Estimate the states along the trajectories, in passes that begin at the measured states.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    noise : (p,) array
+        Variances of the measurements.
+    process : (p, p) array
+        Covariance of what the model misses in a step.
+    causal : bool
+        Whether by the measurements up to each state alone.
+
+    Returns
+    -------
+    states : (M, p) array
+    covariance : (M, p, p) array
+    """
+    states = _measured_states(model.trajectories)
+    for _ in range(model.settings.passes):
+        found = _smooth(model, model.linearize(states, noise), noise, process)
+        states = found.states
+    if causal:
+        return found.filtered.states, found.filtered.covariance
+    return found.states, found.covariance
+
+
+@dataclass(frozen=True, eq=False)
+class _Filtered:
+    """States (M, p) given the measurements up to them, and predictions (N, p) of transitions' ends.
+
+    With their covariances; log_likelihood: of the innovations, up to a constant.
+    """
+
+    states: Array
+    covariance: Array
+    predicted: Array
+    predicted_covariance: Array
+    log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Smoothed:
+    """States (M, p) given all measurements, with covariances (M, p, p).
+
+    lagged: (N, p, p) covariance of the state after each transition with the one before it.
+    """
+
+    filtered: _Filtered
+    states: Array
+    covariance: Array
+    lagged: Array
+
+
+def _filter(
+    model: StateSpaceModel, linear: _Linearization, noise: Array, process: Array
+) -> _Filtered:
+    """The Kalman filter over every trajectory."""
+    data = model.trajectories
+    measured = _measured_states(data)
+    count, p = measured.shape
+    sensors = Sensors.of(np.where(model.measured, noise, np.inf))
+    first_covariance = model.first_covariance(linear.at, noise)
+    states = np.empty((count, p))
+    covariance = np.empty((count, p, p))
+    predicted = np.empty((len(data), p))
+    predicted_covariance = np.empty((len(data), p, p))
+    log_likelihood = 0.0
+    for number, (start, stop) in enumerate(data.spans):
+        # The state before transition k is in row k + number.
+        first = start + number
+        states[first] = model.first_state(measured[first], linear.at[first])
+        covariance[first] = first_covariance
+        log_likelihoods = []
+        for k in range(start, stop):
+            row = k + number
+            away = states[row] - linear.at[row]
+            predicted[k], predicted_covariance[k] = predict(
+                away, covariance[row], linear.jacobian[k], process, linear.predicted[k]
+            )
+            observation = measured[row + 1, sensors.columns]
+            found = update(predicted[k], predicted_covariance[k], observation, sensors)
+            states[row + 1] = found.state
+            covariance[row + 1] = found.covariance
+            log_likelihoods.append(float(found.log_likelihood))
+        log_likelihood += sum(log_likelihoods)
+    return _Filtered(states, covariance, predicted, predicted_covariance, log_likelihood)
+
+
+def _smooth(
+    model: StateSpaceModel, linear: _Linearization, noise: Array, process: Array
+) -> _Smoothed:
+    """The filter forwards and the smoother backwards over every trajectory."""
+    data = model.trajectories
+    filtered = _filter(model, linear, noise, process)
+    # The last state of a trajectory is filtered by all measurements already.
+    states = filtered.states.copy()
+    covariance = filtered.covariance.copy()
+    lagged = np.empty_like(linear.jacobian)
+    for number, (start, stop) in enumerate(data.spans):
+        for k in reversed(range(start, stop)):
+            row = k + number
+            states[row], covariance[row], lagged[k] = smooth(
+                (filtered.states[row], filtered.covariance[row]),
+                linear.jacobian[k],
+                (filtered.predicted[k], filtered.predicted_covariance[k]),
+                (states[row + 1], covariance[row + 1]),
+            )
+    return _Smoothed(filtered, states, covariance, lagged)
+
+
+def learn_noise(model: StateSpaceModel, noise: Array | None) -> tuple[Array, Array]:
+    """Find the noises that the measurements are most likely under.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    noise : (p,) array or None
+        Variances of the measurements, where they are known.
+
+    Returns
+    -------
+    noise : (p,) array
+    process : (p, p) array
+        Covariance of what the model misses in a step.
+    """
+    settings = model.settings
+    measured = _measured_states(model.trajectories)
+    scale = np.maximum(measured.var(axis=0), SMALLEST_SPREAD**2)
+    floor = np.diag(settings.minimum_process * scale)
+    forced = _forced_columns(model.simulator.signals)
+    allowed = np.outer(forced, forced)
+    # First guesses.
+    variance = settings.initial_variance * scale if noise is None else noise
+    process = np.diag(np.where(forced, settings.initial_variance, 0) * scale) + floor
+    states = measured
+    factors = settings.process_factors
+    for _ in range(settings.learning_rounds):
+        linear = model.linearize(states, variance)
+        # Expectation-maximization: what the smoother leaves is what the noises are.
+        for _ in range(settings.em_steps):
+            found = _smooth(model, linear, variance, process)
+            missed = _expected_process(model.trajectories, linear, found)
+            process = np.where(allowed, missed, 0.0) + floor
+            if noise is None:
+                errors = _expected_noise(measured, found)
+                errors = np.maximum(errors, settings.minimum_noise * scale)
+                variance = np.where(model.measured, errors, variance)
+        # A line search along the process noise.
+        tried = [_smooth(model, linear, variance, factor * process) for factor in factors]
+        likelihoods = np.array([one.filtered.log_likelihood for one in tried])
+        best = int(np.argmax(likelihoods))
+        states = tried[best].states
+        process = factors[best] * process
+    likely = likelihoods >= likelihoods.max() - settings.likelihood_tolerance
+    largest = int(np.flatnonzero(likely)[0])
+    return variance, process * factors[largest] / factors[best]
+
+
+def _forced_columns(signals: Sequence[Signal]) -> NDArray[np.bool_]:
+    """(p,) the columns that unmodelled forces act on: velocities, or all where there are none."""
+    velocities = np.array([signal.unit.endswith("/s") for signal in signals])
+    return velocities if velocities.any() else ~velocities
+
+
+def _expected_noise(measured: Array, found: _Smoothed) -> Array:
+    """(p,) expected squares of the measurements' errors."""
+    spread = np.diagonal(found.covariance, axis1=1, axis2=2)
+    return np.asarray(np.mean((measured - found.states) ** 2 + spread, axis=0))
+
+
+def _expected_process(
+    trajectories: Trajectories, linear: _Linearization, found: _Smoothed
+) -> Array:
+    """(p, p) expected outer product of what the linear model misses in a step."""
+    before = places_before(trajectories)
+    a = linear.jacobian
+    away = found.states[before] - linear.at[before]
+    residual = found.states[before + 1] - linear.predicted - np.einsum("nij,nj->ni", a, away)
+    carried = a @ found.covariance[before] @ a.swapaxes(1, 2)
+    crossed = a @ found.lagged.swapaxes(1, 2)
+    spread = found.covariance[before + 1] + carried - crossed - crossed.swapaxes(1, 2)
+    return np.asarray(residual.T @ residual / len(residual) + spread.mean(axis=0))
