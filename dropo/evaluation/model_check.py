@@ -41,11 +41,6 @@ class ModelCheck:
     sentences: tuple[str, ...]
     found: dict[str, Any]
 
-    @property
-    def passed(self) -> bool:
-        """Whether nothing speaks against the model."""
-        return not self.sentences
-
 
 def check_model(
     problem: Problem,

@@ -251,7 +251,7 @@ def _search(fit: Fit, result: Result) -> Section:
     diagnostics = ""
     several = bool(
         {"tuning", "lambda_choice"} & set(fit.details)
-    )  # fits, of which the journal holds all
+    )  # fits, of which the evaluation log holds all
     if "log_density" in fit.arrays:
         shown.append(
             figure(

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import stats
 
 from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.atomic_write import write_json, write_npz
 from dropo.core.services.errors import BadFile
 from dropo.core.services.registry import find
 from dropo.core.services.tables import Printed, Table, estimate, number
@@ -229,19 +230,9 @@ class Fit(Printed):
         appears whole or not at all.
         """
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        whole = folder / ".fit.npz"
-        with whole.open("wb") as file:
-            own: dict[str, Any] = {
-                "phi": self.phi,
-                "correlation": self.correlation,
-                "epsilon": self.epsilon,
-            }
-            np.savez(file, **{**own, **self.arrays})
-        whole.replace(folder / "fit.npz")
-        text = folder / ".fit.json"
-        text.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
-        text.replace(folder / "fit.json")
+        own = {"phi": self.phi, "correlation": self.correlation, "epsilon": self.epsilon}
+        write_npz(folder / "fit.npz", {**own, **self.arrays})
+        write_json(folder / "fit.json", self.to_json())
 
     @classmethod
     def load(cls, folder: str | Path) -> "Fit":

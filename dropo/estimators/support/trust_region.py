@@ -18,7 +18,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Status
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import SimulationFailed
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 
 FIRST = 1 / 6  # first width as a share of the box
@@ -237,7 +237,9 @@ class Rounds:
         optimizer = self.make_optimizer(
             len(start), np.clip(local.unknowns.to_unit(start), 0.0, 1.0)
         )
-        inside = replace(self.run, journal=Journal(), progress=lambda share, text: None)
+        inside = replace(
+            self.run, evaluation_log=EvaluationLog(), progress=lambda share, text: None
+        )
         result = maximize(local, local.unknowns, optimizer, inside)
         if result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
