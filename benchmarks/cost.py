@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.robots import problem_of
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.problem import Problem
+from dropo.core.services.atomic_write import write_json, write_text
 from dropo.core.services.tables import number
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
@@ -183,12 +184,11 @@ def write(found: dict[str, dict[str, Any]]) -> None:
 
     readme = HERE / "README.md"
     block = f"<!-- cost -->\n{table(found)}\n<!-- end -->"
-    readme.write_text(
-        re.sub(
-            r"<!-- cost -->.*?<!-- end -->", lambda _: block, readme.read_text(), flags=re.DOTALL
-        )
+    page = readme.read_text()
+    write_text(
+        readme, re.sub(r"<!-- cost -->.*?<!-- end -->", lambda _: block, page, flags=re.DOTALL)
     )
-    (HERE / "cost.svg").write_text(picture(lambda figure: draw(figure, found)))
+    write_text(HERE / "cost.svg", picture(lambda figure: draw(figure, found)))
 
 
 def main() -> None:
@@ -219,7 +219,7 @@ def main() -> None:
             [sys.executable, __file__, "--cell", key], check=True, capture_output=True, text=True
         ).stdout
         found[key] = json.loads(answer)
-        kept.write_text(json.dumps(found, indent=1) + "\n")
+        write_json(kept, found)
     write(found)
     print(table(found))
 

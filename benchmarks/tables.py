@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.cost import timed
 from dropo.core.contracts.problem import Problem
+from dropo.core.services.atomic_write import write_text
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.monte_carlo import Gaussian
@@ -115,13 +116,10 @@ def main() -> None:
     if not tiny:
         readme = Path(__file__).with_name("README.md")
         block = f"<!-- tables -->\n{text}\n<!-- end -->"
-        readme.write_text(
-            re.sub(
-                r"<!-- tables -->.*?<!-- end -->",
-                lambda _: block,
-                readme.read_text(),
-                flags=re.DOTALL,
-            )
+        page = readme.read_text()
+        write_text(
+            readme,
+            re.sub(r"<!-- tables -->.*?<!-- end -->", lambda _: block, page, flags=re.DOTALL),
         )
     print(text)
 

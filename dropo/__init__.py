@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from dropo.core.records.parameters import Parameter, ParameterSpace
     from dropo.core.records.task import Task
     from dropo.core.records.trajectories import Segments, Signal, Trajectories
-    from dropo.core.services.errors import DropoError, Refused
+    from dropo.core.services.errors import DropoError, InvalidInput
     from dropo.data.checks.check import check
     from dropo.data.describe import describe
     from dropo.data.reading import read
@@ -71,6 +71,7 @@ _HOME = {
     "Fit": "dropo.core.records.fit",
     "FunctionSimulator": "dropo.simulators.function",
     "GymnasiumSimulator": "dropo.simulators.gymnasium",
+    "InvalidInput": "dropo.core.services.errors",
     "LeastSquares": "dropo.estimators.least_squares",
     "MujocoSimulator": "dropo.simulators.mujoco.simulator",
     "NPE": "dropo.estimators.npe",
@@ -80,7 +81,6 @@ _HOME = {
     "Posterior": "dropo.estimators.posterior",
     "Problem": "dropo.core.contracts.problem",
     "RandomEffects": "dropo.estimators.random_effects",
-    "Refused": "dropo.core.services.errors",
     "SAC": "dropo.training.networks",
     "Segments": "dropo.core.records.trajectories",
     "Signal": "dropo.core.records.trajectories",
@@ -134,6 +134,7 @@ __all__ = [
     "Fit",
     "FunctionSimulator",
     "GymnasiumSimulator",
+    "InvalidInput",
     "LeastSquares",
     "MujocoSimulator",
     "Parameter",
@@ -141,7 +142,6 @@ __all__ = [
     "Posterior",
     "Problem",
     "RandomEffects",
-    "Refused",
     "Segments",
     "Signal",
     "SimOpt",

@@ -102,7 +102,7 @@ UNAVOIDABLE = {
 }  # nothing goes without it there
 FILE_LINES = 250
 FUNCTION_LINES = 60
-LARGE_FILES: dict[str, int] = {}
+LARGE_FILES: dict[str, int] = {"problems/reader.py": 265}
 
 
 def room_of(name):

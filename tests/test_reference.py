@@ -97,4 +97,4 @@ def test_errors_are_one_family_with_a_way_out():
     """
     family = [cls for cls in vars(errors).values() if inspect.isclass(cls)]
     assert all(issubclass(cls, errors.DropoError) and cls.__doc__ for cls in family)
-    assert issubclass(errors.Refused, ValueError)
+    assert issubclass(errors.InvalidInput, ValueError)

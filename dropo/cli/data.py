@@ -1,5 +1,5 @@
-"""`dropo data`: imports raw logs, describes and checks measured data, judges inputs and estimates
-states.
+"""`dropo data`: imports raw logs, describes and checks measured data, judges inputs, estimates
+states and infers actions.
 """
 
 import argparse
@@ -69,6 +69,7 @@ def add(commands: Any) -> None:
     states.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="the folder of the new problem"
     )
+    _add_actions(below)
 
 
 def _add_import(below: Any) -> None:
@@ -96,6 +97,28 @@ def _add_import(below: Any) -> None:
         required=True,
         metavar="FILE",
         help="the data file, .npz; problem.yaml and import.json beside it",
+    )
+
+
+def _add_actions(below: Any) -> None:
+    text = "the actions that explain a motion whose commands were not recorded, as data"
+    parser = _action(below, "actions", run_actions, text, threads="")
+    parser.add_argument(
+        "problem",
+        metavar="PROBLEM",
+        help="a problem file, whose data need no actions, or a built-in name",
+    )
+    parser.add_argument(
+        "--controllers",
+        choices=("modelled", "ideal"),
+        default="modelled",
+        help=(
+            "modelled, the default: by inverse dynamics; ideal: position and velocity "
+            "controllers reach their set point"
+        ),
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="the new data file, .npz"
     )
 
 
@@ -171,6 +194,17 @@ def run_states(arguments: argparse.Namespace) -> int:
         causal=arguments.causal,
     )
     write_problem(problem, arguments.out)
+    show(arguments, found, found.to_json())
+    return 0
+
+
+def run_actions(arguments: argparse.Namespace) -> int:
+    """Infers the actions, writes the data with them, and prints how well they replay."""
+    from dropo.problems.actions import check_place, infer_actions
+
+    check_place(arguments.out, arguments.problem)
+    found = infer_actions(arguments.problem, arguments.controllers, threads=arguments.threads)
+    found.save(arguments.out)
     show(arguments, found, found.to_json())
     return 0
 

@@ -86,7 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         progress.close()
     if arguments.out is not None:
-        from dropo.cli.record import diagnosis_record, keep_for_report, write_json
+        from dropo.cli.record import diagnosis_record, keep_for_report
+        from dropo.core.services.atomic_write import write_json
         from dropo.problems.file.writer import write_problem
 
         if found.causes:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dropo.core.contracts.estimator import Estimator
     from dropo.core.contracts.problem import Problem
     from dropo.core.records.fit import Fit
-    from dropo.core.services.evaluation_log import Journal
+    from dropo.core.services.evaluation_log import EvaluationLog
     from dropo.data.outliers.disturbances import Span
 
 NAMED = {"likelihood": "likelihoods", "optimizer": "optimizers", "family": "families"}
@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.core.contracts.fit_by_name import estimator_for
     from dropo.core.records.fit import Status
     from dropo.core.records.fit_choices import ExcludedSpan, ExcludedSpans
-    from dropo.core.services.evaluation_log import Journal
+    from dropo.core.services.evaluation_log import EvaluationLog
     from dropo.estimators.support.segment_length import ChooseHorizon
     from dropo.evaluation.predictions import predict
 
@@ -127,8 +127,8 @@ def run(arguments: argparse.Namespace) -> int:
         estimator = ChooseHorizon(estimator)
         record = {**record, "lambda": AUTO}
     check_folder(arguments.out, record)
-    journal = Journal(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
-    fit = _fit(arguments, estimator, problem, journal)
+    evaluation_log = EvaluationLog(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
+    fit = _fit(arguments, estimator, problem, evaluation_log)
     if spans:
         excluded = tuple(ExcludedSpan.from_json(span.to_json()) for span in spans)
         fit = replace(fit, excluded=ExcludedSpans(excluded))
@@ -140,28 +140,33 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _fit(
-    arguments: argparse.Namespace, estimator: "Estimator", problem: "Problem", journal: "Journal"
+    arguments: argparse.Namespace,
+    estimator: "Estimator",
+    problem: "Problem",
+    evaluation_log: "EvaluationLog",
 ) -> "Fit":
-    from dropo.core.services.errors import Refused
+    from dropo.core.services.errors import InvalidInput
 
     folder_is_new = arguments.out is not None and not arguments.out.exists()
     progress = Progress(silent=arguments.quiet)
     try:
         with terminable():
-            return estimator.fit(problem, rng=arguments.seed, journal=journal, progress=progress)
-    except Refused:
-        if journal.path is not None and journal.replayed == 0:
-            _take_away(journal.path, folder_is_new)
+            return estimator.fit(
+                problem, rng=arguments.seed, evaluation_log=evaluation_log, progress=progress
+            )
+    except InvalidInput:
+        if evaluation_log.path is not None and evaluation_log.replayed == 0:
+            _take_away(evaluation_log.path, folder_is_new)
         raise
     finally:
         progress.close()
 
 
-def _take_away(journal: Path, folder_too: bool) -> None:
+def _take_away(evaluation_log: Path, folder_too: bool) -> None:
     """A refused run leaves nothing behind."""
-    journal.unlink(missing_ok=True)
-    if folder_too and journal.parent.is_dir() and not any(journal.parent.iterdir()):
-        journal.parent.rmdir()
+    evaluation_log.unlink(missing_ok=True)
+    if folder_too and evaluation_log.parent.is_dir() and not any(evaluation_log.parent.iterdir()):
+        evaluation_log.parent.rmdir()
 
 
 @contextmanager
@@ -242,9 +247,8 @@ def check_folder(folder: Path | None, record: dict[str, Any]) -> None:
 
 def _save(folder: Path, fit: "Fit", record: dict[str, Any]) -> None:
     """run.json, then fit.json and fit.npz; each appears whole or not at all."""
-    from dropo.cli.record import write_json
+    from dropo.core.services.atomic_write import write_json
 
-    folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "run.json", record)
     fit.save(folder)
 

@@ -12,7 +12,7 @@ from typing import NoReturn
 import dropo
 from dropo.cli import data, diagnose, evaluate, fit, recover, report, train
 from dropo.cli import list as list_
-from dropo.core.services.errors import BadArgument, DropoError, Refused
+from dropo.core.services.errors import BadArgument, DropoError, InvalidInput
 
 DONE = 0
 FAILED = 1
@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(arguments.run(arguments))
     except SystemExit as stop:  # --help and --version
         return int(stop.code or DONE)
-    except Refused as error:
+    except InvalidInput as error:
         return _fail(str(error), REFUSED)
     except DropoError as error:
         return _fail(str(error), FAILED)

@@ -4,7 +4,6 @@ it.
 
 import argparse
 import hashlib
-import json
 import math
 import platform
 from dataclasses import asdict, fields
@@ -21,12 +20,13 @@ from dropo.core.contracts.prior import describe
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.predictions import Predictions
 from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.atomic_write import write_json
 
 
 def run_record(
     command: str, method: str, estimator: Estimator, problem: Problem, seed: int
 ) -> dict[str, Any]:
-    """The header of a journal and the content of run.json."""
+    """The header of an evaluation log and the content of run.json."""
     settings = {field.name: plain(getattr(estimator, field.name)) for field in fields(estimator)}  # type: ignore[arg-type]
     return {
         "command": command,
@@ -71,13 +71,6 @@ def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | No
         "versions": versions,
     }
     write_json(arguments.out / "made.json", made)
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Writes a file of JSON, whole or not at all."""
-    whole = path.with_name(f".{path.name}")
-    whole.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    whole.replace(path)
 
 
 def problem_record(problem: Problem) -> dict[str, Any]:

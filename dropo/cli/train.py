@@ -83,7 +83,7 @@ def add(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Trains, evaluates under the distribution and on the target, prints and saves; 0."""
-    from dropo.core.services.errors import DropoError, Refused
+    from dropo.core.services.errors import DropoError, InvalidInput
     from dropo.training.environments import resolve
     from dropo.training.evaluate import Compared, broken, evaluate
     from dropo.training.train import train
@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
             else "with --out, training can be resumed"
         )
         raise DropoError(f"Interrupted: {kept}.") from None
-    except Refused:
+    except InvalidInput:
         for made in new:
             made.rmdir() if made.is_dir() else made.unlink()
         raise
@@ -231,11 +231,10 @@ def _keep(folder: Path | None, record: dict[str, Any]) -> list[Path]:
     """Writes run.json, without which an interrupted training could be gone on with by another; what
     is new, the folder last.
     """
-    from dropo.cli.record import write_json
+    from dropo.core.services.atomic_write import write_json
 
     if folder is None:
         return []
     new = [path for path in (folder / "run.json", folder) if not path.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "run.json", record)
     return new

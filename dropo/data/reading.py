@@ -27,7 +27,12 @@ Arrays = dict[str, NDArray[Any]]
 Source = str | Path
 
 
-def read(source: Source | Sequence[Source], *, input: str | None = None) -> Trajectories:
+def read(
+    source: Source | Sequence[Source],
+    *,
+    input: str | None = None,
+    zero_actions: int | None = None,
+) -> Trajectories:
     """The trajectories of a source: an .npz file, a folder of .npy files of the same names, a
     Minari data set, or a list of such.
 
@@ -37,12 +42,14 @@ def read(source: Source | Sequence[Source], *, input: str | None = None) -> Traj
     were logged. Without `next_observations` the rows of a trajectory follow each other, and its
     last row, which has no next one, is dropped. A Minari data set is a folder in Minari's layout,
     or "minari:" and its name. Group numbers count within one file: files never share a group.
+    `zero_actions`: so many columns of zeros are the actions, whether or not the source holds any;
+    None: it must hold them.
     """
     if isinstance(source, str | Path):
-        return _trajectories([_checked(source, input)])
+        return _trajectories([_checked(source, input, zero_actions)])
     if not source:
         raise BadFile("data", "", "at least one file", "an empty list")
-    return _trajectories([_checked(one, input) for one in source])
+    return _trajectories([_checked(one, input, zero_actions) for one in source])
 
 
 def inputs_of(source: Source) -> tuple[str, ...]:
@@ -88,7 +95,7 @@ def _separate_groups(parts: list[Arrays]) -> None:
             used = int(arrays["group"].max()) + 1
 
 
-def _checked(source: Source, input: str | None) -> tuple[Source, Arrays]:
+def _checked(source: Source, input: str | None, zero_actions: int | None) -> tuple[Source, Arrays]:
     """One file's arrays under the names of Trajectories, with next_observations."""
     chosen = "actions" if input is None else INPUT + input
     raw, others = _load(source, (*KEYS, chosen))
@@ -101,8 +108,10 @@ def _checked(source: Source, input: str | None) -> tuple[Source, Arrays]:
         )
     raw = {**raw, **({"actions": raw[chosen]} if chosen in raw else {})}
     for key in NEEDED:
-        if key not in raw:
+        if key not in raw and (key != "actions" or zero_actions is None):
             raise BadFile(source, key, "an array of that name", _present({*raw, *others}))
+    if zero_actions is not None:
+        raw["actions"] = np.zeros((len(np.atleast_1d(raw["observations"])), zero_actions))
     arrays: Arrays = {key: _numbers(source, key, raw[key]) for key in NUMBERS if key in raw}
     n, p = _matrix(source, "observations", arrays["observations"])
     if n == 0:

@@ -1,6 +1,5 @@
 """What a diagnosis found: the verdict, the causes, what they gain, what remains."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.predictions import Predictions
+from dropo.core.services.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number
 from dropo.data.outliers.outlier_runs import OutlierRun
 from dropo.diagnosis.findings.disturbances import LeftOut
@@ -241,9 +241,7 @@ class Diagnosis(Report):
         folder.mkdir(parents=True, exist_ok=True)
         if self.motion is not None:
             self.motion.save(folder)
-        text = folder / ".diagnosis.json"
-        text.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
-        text.replace(folder / "diagnosis.json")
+        write_json(folder / "diagnosis.json", self.to_json())
 
     def parts(self) -> list[str | Table]:
         """The headline, the errors by horizon, and what else is to be said, a line each."""

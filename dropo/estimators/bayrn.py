@@ -16,7 +16,7 @@ from dropo.core.contracts.interactive_estimator import (
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.search_records import ReturnSearch
-from dropo.core.services.isolated_torch import alone
+from dropo.core.services.isolated_torch import isolated_torch
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
@@ -123,7 +123,7 @@ def propose(points: Array, returns: Array, rng: np.random.Generator) -> Array:
     from botorch.optim import optimize_acqf
 
     m = points.shape[1]
-    with alone(int(rng.integers(2**63))):
+    with isolated_torch(int(rng.integers(2**63))):
         model = _process(points, returns)
         best = model.posterior(torch.as_tensor(points)).mean.max()
         box = torch.tensor([[0.0] * m, [1.0] * m], dtype=torch.float64)
@@ -141,7 +141,7 @@ def posterior_mean(points: Array, returns: Array, rng: np.random.Generator) -> A
     """(n,) of the return at points (n, m), by the Gaussian process of their returns (n,)."""
     import torch
 
-    with alone(int(rng.integers(2**63))), torch.no_grad():
+    with isolated_torch(int(rng.integers(2**63))), torch.no_grad():
         with torch.enable_grad():
             model = _process(points, returns)
         return np.asarray(model.posterior(torch.as_tensor(points)).mean[:, 0].numpy())

@@ -16,7 +16,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.search_records import NeuralPosterior
 from dropo.core.services.errors import SimulationFailed
-from dropo.core.services.isolated_torch import alone
+from dropo.core.services.isolated_torch import isolated_torch
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array, known, require
 from dropo.estimators.support.distribution_fit import point_likelihood, posterior_fit
@@ -170,7 +170,7 @@ def learn(
     size = summaries.std(axis=0) + 1e-300
     single: Callable[[Array], Any] = lambda array: torch.as_tensor(array, dtype=torch.float32)
     d = points.shape[1]
-    with alone(seed):
+    with isolated_torch(seed):
         prior = BoxUniform(torch.zeros(d), torch.ones(d))
         trainer = Trainer(
             prior, density_estimator=density, show_progress_bars=False, tracker=_Silent()

@@ -2,7 +2,6 @@
 the noise of every signal.
 """
 
-import json
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -14,6 +13,7 @@ import numpy as np
 import yaml
 
 from dropo import __version__
+from dropo.core.services.atomic_write import atomic_write, write_json, write_npz, write_text
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
@@ -338,7 +338,6 @@ def _check_place(out: Path) -> None:
 
 def _write(found: Import, out: Path, model: Path, machine: Machine) -> None:
     """The three files, each whole; none where one cannot be written."""
-    out.parent.mkdir(parents=True, exist_ok=True)
     body = max(range(1, machine.model.nbody), key=lambda i: machine.model.body_mass[i], default=0)
     mass = float(machine.model.body_mass[body])
     head = HEAD.format(
@@ -352,14 +351,8 @@ def _write(found: Import, out: Path, model: Path, machine: Machine) -> None:
         "action": found.action,
     }
     with ExitStack() as stack:
-        places = {name: out.parent / f".{name}.part" for name in (out.name, PROBLEM, RECORD)}
-        for part in places.values():
-            stack.callback(part.unlink, missing_ok=True)
-        with places[out.name].open("wb") as file:
-            np.savez(file, **found.arrays)  # type: ignore[arg-type]
-        places[PROBLEM].write_text(head + yaml.safe_dump(content, sort_keys=False, width=120))
-        places[RECORD].write_text(
-            json.dumps(found.to_json() | {"model": str(model)}, indent=1, allow_nan=False) + "\n"
-        )
-        for name, part in places.items():
-            part.replace(out.parent / name)
+        names = (out.name, PROBLEM, RECORD)
+        parts = [stack.enter_context(atomic_write(out.parent / name)) for name in names]
+        write_npz(parts[0], found.arrays)
+        write_text(parts[1], head + yaml.safe_dump(content, sort_keys=False, width=120))
+        write_json(parts[2], found.to_json() | {"model": str(model)})

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from dropo.core.services.atomic_write import write_text
 from dropo.report.diagnosis_page import diagnosis_page
 from dropo.report.fit_page import fit_page
 from dropo.report.folder import Result, read_result
@@ -25,8 +26,5 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
 def write_page(result: Result, path: Path) -> Path:
     """The page of a result, whole or not at all."""
     text = PAGES[result.kind](result)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    whole = path.with_name(f".{path.name}")
-    whole.write_text(text, encoding="utf-8")
-    whole.replace(path)
+    write_text(path, text)
     return path

@@ -13,7 +13,7 @@ from dropo.core.services.errors import BadFile
 from dropo.report.history import History, read_history
 
 RESULT = "a folder that `dropo fit --out` or `dropo diagnose --out` wrote"
-JOURNAL = "evaluations.jsonl"
+EVALUATION_LOG = "evaluations.jsonl"
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +21,8 @@ class Result:
     """A fit, a diagnosis, or neither, where a run was interrupted before its end; what is not there
     is None.
 
-    content: of fit.json or diagnosis.json; record: of run.json, or the journal's header; made: the
-    command, and versions.
+    content: of fit.json or diagnosis.json; record: of run.json, or the evaluation log's header;
+    made: the command, and versions.
     """
 
     folder: Path
@@ -73,17 +73,19 @@ def read_result(folder: str | Path) -> Result:
             figures=_figures(folder, kept) if kept else None,
             predictions=predictions,
         )
-    journal = folder / JOURNAL
+    evaluation_log = folder / EVALUATION_LOG
     if (folder / "fit.json").is_file():
         content = _json(folder / "fit.json")
         _check(folder / "fit.json", content, ("method", "parameters", "status"))
         fit = Fit.load(folder)
-        history = read_history(journal, len(fit.space))[1] if journal.is_file() else None
+        history = (
+            read_history(evaluation_log, len(fit.space))[1] if evaluation_log.is_file() else None
+        )
         return Result(folder, content, record, made, fit, None, predictions, history)
-    if not journal.is_file():
+    if not evaluation_log.is_file():
         raise BadFile(folder, "", RESULT, _listing(folder))
-    header, history = read_history(journal, None)
-    _check(journal, header, ())
+    header, history = read_history(evaluation_log, None)
+    _check(evaluation_log, header, ())
     return Result(folder, {}, header, made, history=history)
 
 

@@ -1,4 +1,4 @@
-"""How a search went, from the journal of its evaluations."""
+"""How a search went, from the log of its evaluations."""
 
 import json
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ class History:
 
 
 def read_history(path: Path, parameters: int | None) -> tuple[dict[str, Any], History]:
-    """The journal's header, and the search. parameters: how many are fitted; None, as the header
-    says.
+    """The evaluation log's header, and the search. parameters: how many are fitted; None, as the
+    header says.
     """
     lines = path.read_text().splitlines()
     try:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.records.predictions import Predictions, Side
+from dropo.core.services.atomic_write import atomic_write
 from dropo.core.services.errors import DropoError
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array
@@ -37,26 +38,25 @@ def write_video(found: Predictions, simulator: Any, path: Path) -> Path:
     measured = _states(found, simulator, None)
     halves = [_states(found, simulator, side) for side in (found.before, found.after)]
     stage = _Stage(simulator.model)
-    whole = path.with_name(f".{path.stem}.part{path.suffix}")
-    writer = imageio_ffmpeg.write_frames(
-        str(whole), (2 * WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7
-    )
-    writer.send(None)
-    try:
-        for k, qpos in enumerate(measured):
-            frame = np.concatenate(
-                [
-                    stage.frame(qpos, half[k], ghost)
-                    for half, ghost in zip(halves, GHOSTS, strict=True)
-                ],
-                axis=1,
-            )
-            for _ in range(EACH):
-                writer.send(np.ascontiguousarray(frame))
-    finally:
-        writer.close()
-        stage.close()
-    whole.replace(path)
+    with atomic_write(path) as part:
+        writer = imageio_ffmpeg.write_frames(
+            str(part), (2 * WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7
+        )
+        writer.send(None)
+        try:
+            for k, qpos in enumerate(measured):
+                frame = np.concatenate(
+                    [
+                        stage.frame(qpos, half[k], ghost)
+                        for half, ghost in zip(halves, GHOSTS, strict=True)
+                    ],
+                    axis=1,
+                )
+                for _ in range(EACH):
+                    writer.send(np.ascontiguousarray(frame))
+        finally:
+            writer.close()
+            stage.close()
     return path
 
 
@@ -68,20 +68,19 @@ def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
     import imageio_ffmpeg
 
     stage = _Stage(model)
-    whole = path.with_name(f".{path.stem}.part{path.suffix}")
-    writer = imageio_ffmpeg.write_frames(
-        str(whole), (WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7
-    )
-    writer.send(None)
-    try:
-        for time in np.arange(0, len(qpos) * step, 1 / FRAMES):
-            writer.send(
-                np.ascontiguousarray(stage.frame(qpos[min(round(time / step), len(qpos) - 1)]))
-            )
-    finally:
-        writer.close()
-        stage.close()
-    whole.replace(path)
+    with atomic_write(path) as part:
+        writer = imageio_ffmpeg.write_frames(
+            str(part), (WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7
+        )
+        writer.send(None)
+        try:
+            for time in np.arange(0, len(qpos) * step, 1 / FRAMES):
+                writer.send(
+                    np.ascontiguousarray(stage.frame(qpos[min(round(time / step), len(qpos) - 1)]))
+                )
+        finally:
+            writer.close()
+            stage.close()
     return path
 
 

@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.random import Generator
 
+from dropo.core.services.atomic_write import write_npz
 from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array, require
 from dropo.training.batched_env import BatchedEnv
@@ -70,10 +71,7 @@ class Search:
 
     def save(self, folder: Path) -> None:
         """Writes it whole or not at all."""
-        whole = folder / f".{KEPT}"
-        with whole.open("wb") as file:
-            np.savez(file, **asdict(self))
-        whole.replace(folder / KEPT)
+        write_npz(folder / KEPT, asdict(self))
 
     @classmethod
     def load(cls, folder: Path) -> Self:
@@ -182,11 +180,48 @@ class ARS:
             search.best, search.best_mean, search.best_deviation, batched_env.limits, about
         )
 
+    def perturb(self, search: Search, rng: Generator) -> tuple[Array, Array]:
+        """Draw the directions of one update, and the weights to try along them.
+
+        Parameters
+        ----------
+        search : Search
+            The search, with weights (q, o).
+        rng : Generator
+            Draws the directions.
+
+        Returns
+        -------
+        tried : Array, shape (directions, q, o)
+            The directions.
+        both : Array, shape (2 * directions, q, o)
+            The weights: all in the one sense, then all in the other.
+        """
+        tried = rng.standard_normal((self.directions, *search.weights.shape))
+        both = search.weights + self.size * np.concatenate([tried, -tried])
+        return tried, both
+
+    def improve(self, search: Search, tried: Array, gains: Array) -> None:
+        """Step along the best directions, scaled by the spread of their returns.
+
+        Parameters
+        ----------
+        search : Search
+            The search; its weights are changed.
+        tried : Array, shape (directions, q, o)
+            The directions.
+        gains : Array, shape (2, directions)
+            The returns in both senses.
+        """
+        best = np.argsort(-gains.max(axis=0), kind="stable")[: self.best]
+        change = ((gains[0] - gains[1])[best, None, None] * tried[best]).sum(axis=0)
+        spread = float(gains[:, best].std()) or 1.0
+        search.weights = search.weights + self.step / (self.best * spread) * change
+
     def _update(self, search: Search, batched_env: BatchedEnv, rng: Generator) -> None:
         """One step of Algorithm 1."""
         n = self.directions
-        tried = rng.standard_normal((n, *search.weights.shape))
-        both = search.weights + self.size * np.concatenate([tried, -tried])
+        tried, both = self.perturb(search, rng)
         mean = search.mean
         deviation = search.deviation
         found = rollout(
@@ -195,11 +230,7 @@ class ARS:
             np.tile(seeds_from(rng, n), 2),
         )
         gains = (found.returns - found.bonus).reshape(2, n)
-        best = np.argsort(-gains.max(axis=0), kind="stable")[: self.best]
-        change = ((gains[0] - gains[1])[best, None, None] * tried[best]).sum(axis=0)
-        search.weights = (
-            search.weights + self.step / (self.best * (float(gains[:, best].std()) or 1.0)) * change
-        )
+        self.improve(search, tried, gains)
         search.see(found.observations)
         search.update = search.update + 1
         search.steps = batched_env.steps

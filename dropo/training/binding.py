@@ -9,7 +9,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.parameters import Parameter
-from dropo.core.services.errors import Incompatible, Refused
+from dropo.core.services.errors import Incompatible, InvalidInput
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array, known
 from dropo.mjmodel.fields import FieldParameter
@@ -87,7 +87,7 @@ def declaring(
         simulator = MujocoSimulator(
             model, parameters, observation=observation, frame_skip=frame_skip, threads=1
         )
-    except Refused as error:
+    except InvalidInput as error:
         raise Incompatible(f"The fit's parameters do not fit {owner}: {error}") from None
     return simulator.with_effects((), fixed) if fixed else simulator
 

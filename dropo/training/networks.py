@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from dropo.core.services.atomic_write import atomic_write, write_json
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array, require
@@ -65,7 +66,8 @@ class NetworkPolicy(Policy):
             "limits": written_limits(self.limits),
         }
         file = write(path, {**content, "about": self.about})
-        self.model.save(file.with_suffix(".zip"))
+        with atomic_write(file.with_suffix(".zip")) as part:
+            self.model.save(part)
         return file
 
     @classmethod
@@ -259,12 +261,9 @@ class _Training:
             **({BUFFER: model.save_replay_buffer} if self.name == "sac" else {}),
         }
         for name, save in {**kept, **({SCALE: vector.save} if self.scaled else {})}.items():
-            whole = folder / f"new-{name}"
-            save(str(whole))
-            whole.replace(folder / name)
-        whole = folder / f".{STATE}"
-        whole.write_text(json.dumps({"steps": done}) + "\n")
-        whole.replace(folder / STATE)
+            with atomic_write(folder / name) as part:
+                save(str(part))
+        write_json(folder / STATE, {"steps": done})
 
 
 def _given(env: Any) -> Callable[[], Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from dropo.core.services.atomic_write import write_text
 from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.validation import Array, float_array
 
@@ -138,14 +139,11 @@ def write(path: str | Path, content: dict[str, Any]) -> Path:
     """
     path = Path(path)
     path = path if path.suffix == ".json" else path / NAME
-    path.parent.mkdir(parents=True, exist_ok=True)
-    whole = path.with_name(f".{path.name}")
     lines = ",\n".join(
         f" {json.dumps(name)}: {json.dumps(value, allow_nan=False)}"
         for name, value in content.items()
     )
-    whole.write_text(f"{{\n{lines}\n}}\n")
-    whole.replace(path)
+    write_text(path, f"{{\n{lines}\n}}\n")
     return path
 
 

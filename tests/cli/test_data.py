@@ -324,3 +324,129 @@ def write_swing(folder: Path) -> np.ndarray:
     )
     (folder / "swing.yaml").write_text("model: swing.xml\nframe_skip: 2\ndata: swing.npz\n")
     return truth[:-1]
+
+
+SERVO = '<position name="push" joint="slide" kp="400" kv="40"/>'
+
+
+def write_demonstration(folder: Path, actuator: str = "") -> np.ndarray:
+    """states.yaml, a cart's motion without actions, beside its model; the true actions (60, 1)."""
+    xml = (folder / "robot.xml").read_text()
+    if actuator:
+        start = xml.index("<motor")
+        xml = xml[:start] + actuator + xml[xml.index("/>", start) + 2 :]
+        (folder / "robot.xml").write_text(xml)
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    rows = []
+    actions = 0.5 * np.sin(0.2 * np.arange(60))
+    for action in actions:
+        rows.append([data.qpos[0], data.qvel[0]])
+        data.ctrl[0] = action
+        mujoco.mj_step(model, data, 5)
+    rows.append([data.qpos[0], data.qvel[0]])
+    np.savez(folder / "states.npz", observations=rows, terminals=np.arange(61) == 60)
+    text = (folder / "problem.yaml").read_text().replace("data.npz", "states.npz")
+    (folder / "states.yaml").write_text(f"frame_skip: 5\n{text}")
+    return actions[:, None]
+
+
+def test_actions_of_a_demonstration(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The forces that moved the cart come back and replay the motion; a fit takes the new data.
+
+    The controls: without the actions the problem is refused, and a model of another mass gives
+    other forces.
+    """
+    folder = problem.parent
+    truth = write_demonstration(folder)
+    assert main(["fit", str(folder / "states.yaml")]) == 2
+    assert "actions: expected an array of that name" in capsys.readouterr().err
+    command = ["data", "actions", str(folder / "states.yaml"), "--json", "--out"]
+    assert main([*command, str(folder / "whole.npz")]) == 0
+    found = json.loads(capsys.readouterr().out)
+    stored = np.load(folder / "whole.npz")
+    np.testing.assert_allclose(stored["actions"], truth, atol=1e-6)
+    assert found["transitions"] == 60
+    assert found["actions"]["ctrl.push"]["max"] == pytest.approx(truth.max())
+    assert found["unexplained"]["slide"]["largest"] < 1e-6
+    for signal in ("qpos.slide", "qvel.slide"):
+        assert (
+            found["replay"][signal]["rmse"]["10"] < 1e-6 * found["replay"][signal]["change"]["10"]
+        )
+    text = (folder / "states.yaml").read_text()
+    (folder / "whole.yaml").write_text(text.replace("states.npz", "whole.npz"))
+    assert main(["fit", str(folder / "whole.yaml"), "--quiet"]) == 0
+    xml = (folder / "robot.xml").read_text()
+    (folder / "robot.xml").write_text(xml.replace('mass="2"', 'mass="1.5"'))
+    assert main([*command, str(folder / "light.npz")]) == 0
+    assert np.abs(np.load(folder / "light.npz")["actions"] - truth).max() > 0.05
+
+
+def test_actions_of_controllers(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Set points come back as modelled; ideal controllers are near them, and replay the motion
+    worse.
+    """
+    folder = problem.parent
+    truth = write_demonstration(folder, SERVO)
+    errors = {}
+    for controllers in ("modelled", "ideal"):
+        out = folder / f"{controllers}.npz"
+        command = ["data", "actions", str(folder / "states.yaml"), "--out", str(out)]
+        assert main([*command, "--controllers", controllers, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["controllers"] == controllers
+        errors[controllers] = found["replay"]["qpos.slide"]["rmse"]["1"]
+        tolerance = 1e-6 if controllers == "modelled" else 0.2
+        np.testing.assert_allclose(np.load(out)["actions"], truth, atol=tolerance)
+    assert errors["modelled"] < 1e-8
+    assert errors["ideal"] > 1e-4
+    assert main([*command[:4], str(folder / "text.npz")]) == 0
+    assert "Replay from measured states" in capsys.readouterr().out
+
+
+def test_actions_of_positions_alone(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Velocities are estimated for it; the data keep the columns that the problem names."""
+    folder = problem.parent
+    truth = write_demonstration(folder)
+    states = dict(np.load(folder / "states.npz"))
+    np.savez(folder / "states.npz", **(states | {"observations": states["observations"][:, :1]}))
+    text = "observation: [qpos]\n" + (folder / "states.yaml").read_text()
+    (folder / "states.yaml").write_text(text)
+    out = folder / "whole.npz"
+    assert main(["data", "actions", str(folder / "states.yaml"), "--out", str(out), "--quiet"]) == 0
+    stored = np.load(out)
+    assert stored["observations"].shape == (60, 1)
+    assert np.sqrt(np.mean((stored["actions"] - truth) ** 2)) < 0.1 * truth.std()
+    (folder / "states.yaml").write_text(text.replace("states.npz", "whole.npz"))
+    assert main(["fit", str(folder / "states.yaml"), "--quiet"]) == 0
+
+
+def test_refused_actions_write_nothing(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Status 2 and the reason: no controllers, no whole states, a place that is taken or of another
+    kind.
+    """
+    folder = problem.parent
+    write_demonstration(folder)
+    before = sorted(folder.iterdir())
+    command = ["data", "actions", str(folder / "states.yaml"), "--out"]
+    refused = {
+        "'push' is no position or velocity controller": [
+            str(folder / "a.npz"),
+            "--controllers",
+            "ideal",
+        ],
+        "--out: expected a file that ends in .npz, got '.csv'.": [str(folder / "a.csv")],
+        "so that no data of": [str(folder / "states.npz")],
+    }
+    for message, rest in refused.items():
+        assert main([*command, *rest]) == 2
+        assert message in capsys.readouterr().err
+    assert main(["data", "actions", "hopper", "--out", str(folder / "a.npz")]) == 2
+    assert "inferred from whole states, and qpos[0] is not observed" in capsys.readouterr().err
+    np.savez(folder / "states.npz", terminals=np.ones(3, dtype=bool))
+    assert main([*command, str(folder / "a.npz")]) == 2
+    assert (
+        "observations: expected an array of that name, got only terminals."
+        in capsys.readouterr().err
+    )
+    assert sorted(folder.iterdir()) == before

@@ -36,9 +36,9 @@ def start(problem: Path, *arguments: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def wait_for_lines(journal: Path, lines: int, run: "subprocess.Popen[str]") -> None:
+def wait_for_lines(evaluation_log: Path, lines: int, run: "subprocess.Popen[str]") -> None:
     until = time.monotonic() + 60
-    while not journal.exists() or journal.read_bytes().count(b"\n") < lines:
+    while not evaluation_log.exists() or evaluation_log.read_bytes().count(b"\n") < lines:
         assert run.poll() is None, run.communicate()
         assert time.monotonic() < until
         time.sleep(0.001)
@@ -281,18 +281,18 @@ def test_a_refusal_later_in_the_run_writes_nothing(
 ) -> None:
     """Also where some evaluations were recorded already."""
     from dropo.core.services.errors import BadArgument
-    from dropo.core.services.evaluation_log import Journal
+    from dropo.core.services.evaluation_log import EvaluationLog
 
-    append = Journal._append
+    append = EvaluationLog._append
     out = problem.parent / "out"
 
-    def third(self: Journal, entry: dict[str, Any]) -> None:
+    def third(self: EvaluationLog, entry: dict[str, Any]) -> None:
         append(self, entry)
         assert out.exists()
         if self.path is not None and self.path.read_bytes().count(b"\n") > 3:
             raise BadArgument("No more.")
 
-    monkeypatch.setattr(Journal, "_append", third)
+    monkeypatch.setattr(EvaluationLog, "_append", third)
     assert main(["fit", str(problem), *SMALL, "--out", str(out)]) == 2
     assert not out.exists()
 
@@ -385,8 +385,8 @@ def test_kill_and_resume(problem: Path) -> None:
         run.communicate()
         assert run.returncode == -signal.SIGKILL
         assert not (killed / "fit.json").exists()
-    with (killed / "evaluations.jsonl").open("a") as journal:
-        journal.write('{"points": [[0.1, 0.')  # a kill in the middle of a line
+    with (killed / "evaluations.jsonl").open("a") as evaluation_log:
+        evaluation_log.write('{"points": [[0.1, 0.')  # a kill in the middle of a line
     run = start(problem, *LONG, "--out", str(killed), "--threads", "2")
     assert run.communicate()[1] == ""
     assert run.returncode == 0
@@ -413,9 +413,12 @@ def test_a_finished_run_is_replayed(problem: Path, options: tuple[str, ...]) -> 
     assert main([*arguments, "--out", str(out), "--threads", "1"]) == 0
     # none where nothing was worth recording
     before = result(out)
-    journals = [path.read_bytes() for path in out.glob("*.jsonl")]
+    evaluation_logs = [path.read_bytes() for path in out.glob("*.jsonl")]
     assert main([*arguments, "--out", str(out)]) == 0
-    assert (result(out), [path.read_bytes() for path in out.glob("*.jsonl")]) == (before, journals)
+    assert (result(out), [path.read_bytes() for path in out.glob("*.jsonl")]) == (
+        before,
+        evaluation_logs,
+    )
     assert main([*arguments, "--out", str(other), "--threads", "2"]) == 0
     assert result(other) == before
 

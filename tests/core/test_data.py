@@ -201,7 +201,7 @@ def arrays(**changes):
     ],
 )
 def test_data_that_cannot_be_used_is_refused(changes, words):
-    """The message names array, rule and what came, with the place of a NaN."""
+    """The message names array, rule and what was got, with the place of a NaN."""
     with pytest.raises(BadArgument, match=words):
         Trajectories(**arrays(**changes))
 

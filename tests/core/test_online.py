@@ -8,14 +8,14 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.interactive_estimator import Answer, Callbacks, distribution, joined
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.estimators.adr import ADR
 from dropo.estimators.simopt import SimOpt
 from dropo.problems.simulated.slide import slide
 
 
-def calls(journal=None):
-    return Callbacks(Run(slide(), np.random.default_rng(0), journal or Journal()))
+def calls(evaluation_log=None):
+    return Callbacks(Run(slide(), np.random.default_rng(0), evaluation_log or EvaluationLog()))
 
 
 def pushes(rng, rows=3):
@@ -66,17 +66,17 @@ def test_data_come_back_whole():
 
 
 def test_the_target_is_asked_once(tmp_path):
-    """A run that is taken up has its answers and its counts from the journal; the control: a
+    """A run that is taken up has its answers and its counts from the evaluation log; the control: a
     callback that is asked raises.
     """
 
     def not_again(rng):
         raise AssertionError("asked again")
 
-    first = calls(Journal(tmp_path / "calls.jsonl"))
+    first = calls(EvaluationLog(tmp_path / "calls.jsonl"))
     number = first.number(np.zeros(2), lambda rng: Answer(0.1, steps=5))
     data = first.data(np.ones(2), pushes)
-    resumed = calls(Journal(tmp_path / "calls.jsonl"))
+    resumed = calls(EvaluationLog(tmp_path / "calls.jsonl"))
     assert resumed.number(np.zeros(2), not_again) == number
     np.testing.assert_array_equal(
         resumed.data(np.ones(2), not_again).observations, data.observations

@@ -9,7 +9,7 @@ from dropo.core.contracts.sampler import Sampler, first_positions
 from dropo.core.records.draws import ChainTooShort, Draws
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.simulators.toy import LinearSimulator, simulate
 
@@ -215,8 +215,8 @@ def test_bad_densities_and_starts_are_refused():
 
 
 def test_killed_sampling_resumes(tmp_path):
-    """Through a journal: killed at the 700th point and taken up again, the same draws, and no point
-    evaluated twice.
+    """Through an evaluation log: killed at the 700th point and taken up again, the same draws, and
+    no point evaluated twice.
     """
 
     def problem():
@@ -238,20 +238,20 @@ def test_killed_sampling_resumes(tmp_path):
             self.calls += len(x)
             return -0.5 * ((x - 1.0) ** 2).sum(axis=1)
 
-    def sample(density, journal):
-        run = Run(problem(), np.random.default_rng(7), journal)
+    def sample(density, evaluation_log):
+        run = Run(problem(), np.random.default_rng(7), evaluation_log)
         return Emcee(steps=40, burn_in=10).sample(
             density, SPACE, rng=run.rng, evaluate=run.evaluate
         )
 
     whole = Density()
-    straight = sample(whole, Journal())
+    straight = sample(whole, EvaluationLog())
     path = tmp_path / "journal"
     with pytest.raises(RuntimeError, match="killed"):
-        sample(Density(dies_after=700), Journal(path))
-    recorded = sum(len(entry["points"]) for entry in Journal(path)._known)
+        sample(Density(dies_after=700), EvaluationLog(path))
+    recorded = sum(len(entry["points"]) for entry in EvaluationLog(path)._known)
     again = Density()
-    resumed = sample(again, Journal(path))
+    resumed = sample(again, EvaluationLog(path))
     assert recorded > 700
     assert again.calls == whole.calls - recorded
     assert np.array_equal(resumed.chain, straight.chain)

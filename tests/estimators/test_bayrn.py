@@ -8,7 +8,7 @@ pytest.importorskip("botorch", reason="needs the extra bo")
 from dropo.core.contracts.interactive_estimator import Answer
 from dropo.core.records.fit import Status
 from dropo.core.services.errors import BadArgument, MissingPackage
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.estimators.bayrn import BayRn, posterior_mean, propose
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.problems.simulated.slide import slide
@@ -88,7 +88,7 @@ def test_proposals_are_reproducible_and_leave_torch_alone():
     assert 0.3 < one[0] <= 1
 
 
-def test_a_journal_resumes(tmp_path):
+def test_an_evaluation_log_resumes(tmp_path):
     """The target is not asked again, and the result is the same."""
 
     def not_again(fit, rng):
@@ -97,7 +97,7 @@ def test_a_journal_resumes(tmp_path):
     settings = {"first": 2, "budget": 3, "draws": 10}
     first, resumed = (
         BayRn(evaluate=evaluate, **settings).fit(
-            slide(), rng=0, journal=Journal(tmp_path / "j.jsonl")
+            slide(), rng=0, evaluation_log=EvaluationLog(tmp_path / "j.jsonl")
         )
         for evaluate in (lambda fit, rng: gain(fit), not_again)
     )

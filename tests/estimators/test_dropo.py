@@ -15,7 +15,7 @@ from dropo.core.records.fit import Status
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Signal
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.registry import names
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.support.epsilon import noise_scale
@@ -401,9 +401,9 @@ def test_threads_do_not_change_the_fit():
     assert content(DROPO().fit(slide(), rng=1)) != content(slide_fit())
 
 
-def test_an_interrupted_fit_goes_on_from_its_journal(tmp_path):
-    """Interrupted in round 2 it says so and gives its best; taken up with the same journal it ends
-    as one that was left alone.
+def test_an_interrupted_fit_goes_on_from_its_evaluation_log(tmp_path):
+    """Interrupted in round 2 it says so and gives its best; taken up with the same evaluation log
+    it ends as one that was left alone.
     """
 
     def interrupt(share, text):
@@ -412,14 +412,19 @@ def test_an_interrupted_fit_goes_on_from_its_journal(tmp_path):
 
     problem = hopper(1).using(transitions=200)
     stopped = DROPO().fit(
-        problem, rng=7, journal=Journal(tmp_path / "rounds", {"seed": 7}), progress=interrupt
+        problem,
+        rng=7,
+        evaluation_log=EvaluationLog(tmp_path / "rounds", {"seed": 7}),
+        progress=interrupt,
     )
     assert stopped.status is Status.INTERRUPTED
     assert stopped.message == "Interrupted: this is the best so far."
     np.testing.assert_allclose(stopped.mean, MASSES, rtol=0.2)
-    journal = Journal(tmp_path / "rounds", {"seed": 7})
-    assert journal.replayed == 2
-    assert content(DROPO().fit(problem, rng=7, journal=journal)) == content(short_hopper_fit())
+    evaluation_log = EvaluationLog(tmp_path / "rounds", {"seed": 7})
+    assert evaluation_log.replayed == 2
+    assert content(DROPO().fit(problem, rng=7, evaluation_log=evaluation_log)) == content(
+        short_hopper_fit()
+    )
 
 
 class Interrupts(SlidingBlock):

@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.records.fit import Status
 from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.support.segment_length import ChooseHorizon, choose, split
 from dropo.problems.simulated.slide import MEAN, slide
@@ -102,7 +102,7 @@ def test_what_is_held_out():
     np.testing.assert_array_equal(unseen.observations[0], single.trajectories.observations[13])
 
 
-def test_an_interrupted_choice_goes_on_from_its_journal(tmp_path):
+def test_an_interrupted_choice_goes_on_from_its_evaluation_log(tmp_path):
     """Its best so far says what it is; taken up again it ends as one that was left alone."""
 
     def interrupt(share, text):
@@ -110,14 +110,16 @@ def test_an_interrupted_choice_goes_on_from_its_journal(tmp_path):
             raise KeyboardInterrupt
 
     stopped = ChooseHorizon(DROPO()).fit(
-        measured_pushes(), journal=Journal(tmp_path / "j", {}), progress=interrupt
+        measured_pushes(), evaluation_log=EvaluationLog(tmp_path / "j", {}), progress=interrupt
     )
     assert stopped.status is Status.INTERRUPTED
     assert (
         stopped.warnings[-1]
         == "interrupted while lambda was chosen: this is lambda = 2 on a part of the data"
     )
-    again = ChooseHorizon(DROPO()).fit(measured_pushes(), journal=Journal(tmp_path / "j", {}))
+    again = ChooseHorizon(DROPO()).fit(
+        measured_pushes(), evaluation_log=EvaluationLog(tmp_path / "j", {})
+    )
     assert {**again.to_json(), "wall_time_s": 0} == {**chosen().to_json(), "wall_time_s": 0}
 
 

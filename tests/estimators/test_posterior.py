@@ -10,7 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.draws import Draws
 from dropo.core.records.fit import Fit, Status
 from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.posterior import PointLikelihood, Posterior, evaluate_draws
@@ -149,11 +149,14 @@ def test_same_seed_same_draws_and_a_killed_run_resumes(tmp_path):
 
     with pytest.raises(Killed):
         settings.fit(
-            problem(epsilon=NOISE), rng=3, journal=Journal(tmp_path / "journal"), progress=kill
+            problem(epsilon=NOISE),
+            rng=3,
+            evaluation_log=EvaluationLog(tmp_path / "journal"),
+            progress=kill,
         )
-    journal = Journal(tmp_path / "journal")
-    assert journal.replayed > 40
-    resumed = settings.fit(problem(epsilon=NOISE), rng=3, journal=journal)
+    evaluation_log = EvaluationLog(tmp_path / "journal")
+    assert evaluation_log.replayed > 40
+    resumed = settings.fit(problem(epsilon=NOISE), rng=3, evaluation_log=evaluation_log)
     assert np.array_equal(resumed.posterior.chain, whole.posterior.chain)
     assert resumed.simulator_steps == whole.simulator_steps
 

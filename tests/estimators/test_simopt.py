@@ -9,7 +9,7 @@ from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Status
 from dropo.core.services.errors import BadArgument
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.estimators.simopt import SimOpt, divergence, step
 from dropo.simulators.toy import LinearSimulator, simulate
 
@@ -130,9 +130,9 @@ def test_the_callback_gets_the_present_law():
     assert all((later.sd < earlier.sd).all() for earlier, later in pairwise(seen))
 
 
-def test_same_seed_same_fit_and_a_journal_that_resumes(tmp_path):
-    """Taken up from its journal, a run gives the same without asking the target; another seed gives
-    another law.
+def test_same_seed_same_fit_and_an_evaluation_log_that_resumes(tmp_path):
+    """Taken up from its evaluation log, a run gives the same without asking the target; another
+    seed gives another law.
     """
 
     def not_again(fit, rng):
@@ -145,10 +145,10 @@ def test_same_seed_same_fit_and_a_journal_that_resumes(tmp_path):
     ]
     assert fits[0].mean.tolist() == fits[1].mean.tolist() != fits[2].mean.tolist()
     whole = SimOpt(collect=lambda fit, rng: data(rng), **settings).fit(
-        problem(), rng=1, journal=Journal(tmp_path / "j.jsonl")
+        problem(), rng=1, evaluation_log=EvaluationLog(tmp_path / "j.jsonl")
     )
     resumed = SimOpt(collect=not_again, **settings).fit(
-        problem(), rng=1, journal=Journal(tmp_path / "j.jsonl")
+        problem(), rng=1, evaluation_log=EvaluationLog(tmp_path / "j.jsonl")
     )
     assert whole.mean.tolist() == resumed.mean.tolist() == fits[0].mean.tolist()
     assert resumed.search_record.target_transitions == 60

@@ -14,7 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Status
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.registry import find, names
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.testing import check_optimizer
@@ -98,11 +98,15 @@ def make(name, dimension=2, seed=1, budget=5000, **settings) -> Optimizer:
     )
 
 
-def run(journal=None) -> Run:
+def run(evaluation_log=None) -> Run:
     """A run around a problem that nothing simulates."""
     simulator = LinearSimulator(np.ones((1, 1, 1)))
     data = simulate(simulator, np.array([[1.0]]), np.ones((1, 3, 1)), np.zeros(1))
-    return Run(Problem("none", simulator, data), np.random.default_rng(0), journal or Journal())
+    return Run(
+        Problem("none", simulator, data),
+        np.random.default_rng(0),
+        evaluation_log or EvaluationLog(),
+    )
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -191,10 +195,12 @@ def test_killed_search_resumes(name, tmp_path):
     path = tmp_path / "journal"
     whole = maximize(Objective(cost), SPACE, make(name, budget=200), run())
     with pytest.raises(RuntimeError, match="killed"):
-        maximize(Objective(cost, dies_after=20), SPACE, make(name, budget=200), run(Journal(path)))
-    recorded = sum(len(entry["points"]) for entry in Journal(path)._known)
+        maximize(
+            Objective(cost, dies_after=20), SPACE, make(name, budget=200), run(EvaluationLog(path))
+        )
+    recorded = sum(len(entry["points"]) for entry in EvaluationLog(path)._known)
     again = Objective(cost)
-    resumed = maximize(again, SPACE, make(name, budget=200), run(Journal(path)))
+    resumed = maximize(again, SPACE, make(name, budget=200), run(EvaluationLog(path)))
     assert recorded >= 12
     assert again.calls == whole.evaluations - recorded
     assert np.array_equal(resumed.point, whole.point)

@@ -7,8 +7,8 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.draws import Draws
 from dropo.core.records.parameters import Parameter, ParameterSpace
-from dropo.core.services.errors import BadArgument, Incompatible, Refused
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.errors import BadArgument, Incompatible, InvalidInput
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.optimizers.samplers.pyro_nuts import PyroNuts
 from dropo.optimizers.samplers.pyro_svi import PyroSvi, _rising
 from dropo.optimizers.support.real_line import RealLine
@@ -87,10 +87,10 @@ def test_killed_sampling_resumes(sampler, tmp_path):
             raise RuntimeError("killed")
         return gaussian.value_score_information(points)
 
-    def go(journal):
+    def go(evaluation_log):
         nonlocal count
         count = 0
-        run = Run(problem, np.random.default_rng(7), journal)
+        run = Run(problem, np.random.default_rng(7), evaluation_log)
         return sampler.sample(
             Density(counted),
             SPACE,
@@ -101,15 +101,15 @@ def test_killed_sampling_resumes(sampler, tmp_path):
         )
 
     dies_after = np.inf
-    straight = go(Journal())
+    straight = go(EvaluationLog())
     whole = count
     path = tmp_path / "journal"
     dies_after = whole // 2
     with pytest.raises(RuntimeError, match="killed"):
-        go(Journal(path))
-    recorded = sum(len(entry["points"]) for entry in Journal(path)._known)
+        go(EvaluationLog(path))
+    recorded = sum(len(entry["points"]) for entry in EvaluationLog(path)._known)
     dies_after = np.inf
-    resumed = go(Journal(path))
+    resumed = go(EvaluationLog(path))
     assert recorded > whole // 3
     assert count == whole - recorded
     assert np.array_equal(resumed.chain, straight.chain)
@@ -171,7 +171,7 @@ def test_svi_refuses_a_guide_that_leaves_the_support():
     half = Density(
         lambda points: (np.where(points[:, 0] < 1.0, 0.0, np.nan), np.zeros(points.shape))
     )
-    with pytest.raises(Refused, match="Use sampler 'pyro-nuts'"):
+    with pytest.raises(InvalidInput, match="Use sampler 'pyro-nuts'"):
         sample(SHORT["svi"], half, start=[0.45, 0.5], spread=0.3)
 
 

@@ -1,14 +1,11 @@
 """The hopper that replays the published transitions, and the data that it gives."""
 
-from itertools import islice
-
 import mujoco
 import numpy as np
 import pytest
 from mujoco import rollout
 
 from dropo.core.services.errors import BadArgument
-from dropo.problems.find_hopper_policy import Moments, as_json, found, returns, run, search
 from dropo.problems.hopper.data import (
     LinearPolicy,
     healthy,
@@ -217,29 +214,3 @@ def test_a_diverging_simulation_ends_and_spoils_no_other():
     assert np.isfinite(runs.states[0]).all()
     assert np.isnan(runs.states[1, 1:]).all()
     assert np.isnan(runs.actions[1]).all()
-
-
-def test_search_improves_the_policy():
-    """From 40 fresh starts the policy after fifteen updates travels further than the first."""
-    model = hopper_model()
-    policies = list(islice(search(model, np.random.default_rng(7)), 15))
-    gain = [
-        returns(model, run(model, p, 40, np.random.default_rng(8)))
-        for p in (policies[0], policies[-1])
-    ]
-    assert gain[1].mean() > gain[0].mean() + 4.5 * np.hypot(*(g.std() / np.sqrt(40) for g in gain))
-
-
-def test_search_is_deterministic(capsys):
-    twice = [as_json(*found(hopper_model(), seed=1, updates=2)) for _ in range(2)]
-    assert twice[0] == twice[1]
-    assert "update 2: return" in capsys.readouterr().err
-
-
-def test_moments_are_those_of_all_values_together():
-    values = np.random.default_rng(9).normal(3, 2, (100, 11))
-    moments = Moments()
-    for part in np.split(values, [10, 55]):
-        moments.add(part)
-    np.testing.assert_allclose(moments.mean, values.mean(axis=0))
-    np.testing.assert_allclose(moments.deviation, values.std(axis=0))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.errors import BadArgument, BadFile, Refused, UnknownName
+from dropo.core.services.errors import BadArgument, BadFile, InvalidInput, UnknownName
 from dropo.core.services.registry import find
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.reader import load
@@ -93,7 +93,7 @@ def written(folder: Path, old: str = "", new: str = "") -> Path:
 def refusal(path: Path | str) -> str:
     """The message without the folder's name."""
     before = sorted(Path(path).parent.rglob("*"))
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(InvalidInput) as caught:
         load(path, threads=1)
     assert sorted(Path(path).parent.rglob("*")) == before, "a refusal wrote something"
     return str(caught.value).replace(f"{Path(path).parent}/", "")
@@ -427,7 +427,9 @@ REFUSALS = {
 
 @pytest.mark.parametrize(("old", "new", "message"), REFUSALS.values(), ids=REFUSALS)
 def test_refusals(folder: Path, old: str, new: str, message: str) -> None:
-    """One line that names the file, the key, what was expected and what came; nothing is written."""
+    """One line that names the file, the key, what was expected and what was got; nothing is
+    written.
+    """
     assert refusal(written(folder, old, new)) == f"problem.yaml: {message}"
 
 

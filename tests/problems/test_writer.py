@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from dropo import diagnose, fit, hide
-from dropo.core.services.errors import BadFile, Incompatible, Refused
+from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
 from dropo.core.services.registry import find, names
 from dropo.diagnosis.search.library import declared
 from dropo.mjmodel.fields import FieldParameter
@@ -188,4 +188,4 @@ def test_other_simulators_cannot_be_written(tmp_path):
     with pytest.raises(Incompatible, match="MuJoCo"):
         write_problem(slide(), tmp_path / "x")
     assert not (tmp_path / "x").exists()
-    assert issubclass(Incompatible, Refused)
+    assert issubclass(Incompatible, InvalidInput)

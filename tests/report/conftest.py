@@ -36,7 +36,9 @@ def diagnosis_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def unfinished_folder(tmp_path_factory):
-    """A search by evaluations whose process was killed in the middle of a line of its journal."""
+    """A search by evaluations whose process was killed in the middle of a line of its evaluation
+    log.
+    """
     whole = tmp_path_factory.mktemp("whole") / "run"
     part = tmp_path_factory.mktemp("part")
     search = [

@@ -83,7 +83,7 @@ def test_broken_files(tmp_path, name, text):
 
 
 def test_a_run_killed_at_once(tmp_path):
-    """A journal with its header alone is a run of no evaluations."""
+    """An evaluation log with its header alone is a run of no evaluations."""
     (tmp_path / "evaluations.jsonl").write_text('{"header": {"problem": "p", "parameters": []}}\n')
     assert "after 0 evaluations" in write_report(tmp_path).read_text()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.errors import BadArgument, BadFile, Refused, UnknownName
+from dropo.core.services.errors import BadArgument, BadFile, InvalidInput, UnknownName
 from dropo.mjmodel.fields import Binding, FieldParameter
 from dropo.mjmodel.motors import Motor, motor_of, motor_parameters, mount, read_motors
 from dropo.problems.file.reader import load
@@ -111,10 +111,10 @@ def test_a_problem_file_names_motors(tmp_path):
         ("3", "the name of a motor"),
     ):
         path.write_text(text.replace("MOTOR", wrong))
-        with pytest.raises(Refused, match=message):
+        with pytest.raises(InvalidInput, match=message):
             load(path, threads=1)
     path.write_text(text.replace("hinge: MOTOR", "hing: ak80-6"))
-    with pytest.raises(Refused, match="Did you mean 'hinge'"):
+    with pytest.raises(InvalidInput, match="Did you mean 'hinge'"):
         load(path, threads=1)
 
 
@@ -128,7 +128,7 @@ def test_a_library_of_ones_own(tmp_path):
         read_motors(path)
     with pytest.raises(BadArgument, match="gear_ratio"):
         motor_of({"gear_ratio": -1}, "here")
-    with pytest.raises(Refused, match="neither"):
+    with pytest.raises(InvalidInput, match="neither"):
         mount(mujoco.MjSpec.from_string(XML), "ball", Motor("mine"))
     with pytest.raises(UnknownName, match="hinge"):
         mount(mujoco.MjSpec.from_string(XML), "hinges", Motor("mine"))

@@ -427,7 +427,7 @@ def test_file_spec_and_model_are_the_same(tmp_path):
     ],
 )
 def test_refuses_bad_settings(arguments, words):
-    """The message names the argument, the rule and what came."""
+    """The message names the argument, the rule and what was got."""
     with pytest.raises(ValueError, match="^" + words.replace("?", r"\?") + "$"):
         MujocoSimulator(
             mujoco.MjSpec.from_string(PENDULUM), CASES["pendulum"].parameters, **arguments

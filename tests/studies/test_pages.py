@@ -43,7 +43,7 @@ def _toy(monkeypatch):
 
 
 def test_what_is_written(tmp_path):
-    """Text, numbers and picture; the same bytes when written again; no journal is left."""
+    """Text, numbers and picture; the same bytes when written again; no evaluation log is left."""
     study = recover("toy", out=tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["toy.json", "toy.md", "toy.svg"]
     assert str(study) in (tmp_path / "toy.md").read_text()

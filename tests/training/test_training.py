@@ -267,10 +267,10 @@ def test_refusals(policy, problem):
 
 
 def test_a_missing_extra_says_how_to_get_it(problem, monkeypatch):
-    from dropo.core.services import optional_dependencies as extras
+    from dropo.core.services import optional_dependencies
     from dropo.training.networks import PPO, SAC
 
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    monkeypatch.setattr(optional_dependencies, "find_spec", lambda name: None)
     for algorithm in (SAC(), PPO()):
         with pytest.raises(MissingPackage, match=r"pip install 'dropo\[rl\]'"):
             train(problem, None, algorithm)

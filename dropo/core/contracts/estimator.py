@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.fit import Fit
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, require
 
 Progress = Callable[[float, str], None]
@@ -38,7 +38,7 @@ class Run:
 
     problem: Problem
     rng: np.random.Generator
-    journal: Journal = field(default_factory=Journal)
+    evaluation_log: EvaluationLog = field(default_factory=EvaluationLog)
     progress: Progress = silent
     steps: int = 0
     failures: int = 0
@@ -58,7 +58,7 @@ class Run:
                 "failures": simulator.failures - before[1],
             }
 
-        answers, counts = self.journal.evaluate(points, counted)
+        answers, counts = self.evaluation_log.evaluate(points, counted)
         self.steps += counts["steps"]
         self.failures += counts["failures"]
         self.evaluations += len(points)
@@ -87,13 +87,13 @@ class Estimator(ABC):
         problem: Problem,
         *,
         rng: np.random.Generator | int | None = 0,
-        journal: Journal | None = None,
+        evaluation_log: EvaluationLog | None = None,
         progress: Progress = silent,
     ) -> Fit:
         """Fits the distribution of the problem's parameters.
 
-        rng: anything that numpy.random.default_rng takes; journal: where evaluations are recorded,
-        for a run that can be resumed;
+        rng: anything that numpy.random.default_rng takes; evaluation_log: where evaluations are
+        recorded, for a run that can be resumed;
         progress: called with the share that is done (0 to 1) and a text.
         """
         require(
@@ -103,7 +103,7 @@ class Estimator(ABC):
         run = Run(
             problem,
             np.random.default_rng(rng),
-            journal or Journal(),
+            evaluation_log or EvaluationLog(),
             with_cost(progress, problem.simulator),
         )
         with threadpool_limits(

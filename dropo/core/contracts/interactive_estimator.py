@@ -76,7 +76,8 @@ class InteractiveEstimator(Estimator):
 class Callbacks:
     """The callbacks of one run.
 
-    Each has a generator of its own, is recorded in the run's journal, and its cost is counted.
+    Each has a generator of its own, is recorded in the run's evaluation log, and its cost is
+    counted.
 
     transitions: control steps made on the target so far.
     """
@@ -134,7 +135,7 @@ class Callbacks:
                 "transitions": answer.transitions,
             }
 
-        found, counts = self.run.journal.evaluate(np.atleast_2d(point), counted)
+        found, counts = self.run.evaluation_log.evaluate(np.atleast_2d(point), counted)
         self.run.steps += counts["steps"]
         self.run.failures += counts["failures"]
         self.run.evaluations += 1
@@ -196,7 +197,7 @@ def _answer(given: Any) -> Answer[Any]:
 
 
 def _as_array(data: Trajectories) -> Array:
-    """(N, p + q + p + 1), as a journal keeps it."""
+    """(N, p + q + p + 1), as an evaluation log keeps it."""
     return np.column_stack([getattr(data, name) for name in _COLUMNS]).astype(float)
 
 

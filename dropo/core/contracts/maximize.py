@@ -1,4 +1,4 @@
-"""Drives an optimizer over an objective: budget, failures, journal, progress."""
+"""Drives an optimizer over an objective: budget, failures, evaluation log, progress."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

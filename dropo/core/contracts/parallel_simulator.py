@@ -14,7 +14,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array, require
 
 
-class Spread(Simulator):
+class ParallelSimulator(Simulator):
     """Splits the K parameter vectors of every prediction into `parts`, sends each to a worker, and
     puts them together in order.
 
@@ -26,7 +26,7 @@ class Spread(Simulator):
     """
 
     def __init__(self, simulator: Simulator, executor: Executor, parts: int | None = None):
-        require(parts is None or parts >= 1, "parts", "at least 1", parts, "Spread")
+        require(parts is None or parts >= 1, "parts", "at least 1", parts, "ParallelSimulator")
         if simulator.has_gradients:
             raise Incompatible(
                 f"{type(simulator).__name__} gives gradients, which do not cross "

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.parallel_simulator import Spread
+from dropo.core.contracts.parallel_simulator import ParallelSimulator
 from dropo.core.contracts.prior import Prior, read_prior
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.parameters import ParameterSpace
@@ -110,7 +110,9 @@ class Problem:
         """
         whole = self.trajectories if self.everything is None else self.everything
         data = self.trajectories if transitions is None else whole.head(transitions)
-        simulator = self.simulator if executor is None else Spread(self.simulator, executor)
+        simulator = (
+            self.simulator if executor is None else ParallelSimulator(self.simulator, executor)
+        )
         return replace(
             self,
             simulator=simulator,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.services.atomic_write import write_npz
 from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array
 
@@ -95,12 +96,7 @@ class Predictions:
 
     def save(self, folder: str | Path) -> None:
         """Writes predictions.npz, whole or not at all."""
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        whole = folder / f".{FILE}"
-        with whole.open("wb") as file:
-            np.savez_compressed(file, **_arrays(self))
-        whole.replace(folder / FILE)
+        write_npz(Path(folder) / FILE, _arrays(self), compressed=True)
 
     @classmethod
     def load(cls, folder: str | Path) -> "Predictions":

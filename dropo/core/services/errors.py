@@ -1,6 +1,6 @@
 """One family of errors.
 
-`Refused` means that the input cannot be used: nothing was run and nothing was written.
+`InvalidInput` means that the input cannot be used: nothing was run and nothing was written.
 """
 
 
@@ -8,16 +8,18 @@ class DropoError(Exception):
     """Every error that dropo raises on purpose."""
 
 
-class Refused(DropoError, ValueError):
+class InvalidInput(DropoError, ValueError):
     """The input cannot be used. The command line answers with exit status 2."""
 
 
-class BadArgument(Refused):
+class BadArgument(InvalidInput):
     """An argument, a setting or an array breaks a rule that the message names."""
 
 
-class BadFile(Refused):
-    """A file cannot be used: the message names the file, the key, what was expected and what came."""
+class BadFile(InvalidInput):
+    """A file cannot be used: the message names the file, the key, what was expected and what was
+    got.
+    """
 
     def __init__(self, path: object, key: str, expected: str, got: object):
         where = f"{path}: {key}" if key else f"{path}"
@@ -26,15 +28,15 @@ class BadFile(Refused):
         self.key = key
 
 
-class UnknownName(Refused, LookupError):
+class UnknownName(InvalidInput, LookupError):
     """A name that nothing answers to; the message gives the nearest valid one."""
 
 
-class Incompatible(Refused):
+class Incompatible(InvalidInput):
     """Two parts that cannot work together; the message gives the reason and the way out."""
 
 
-class MissingPackage(Refused, ImportError):
+class MissingPackage(InvalidInput, ImportError):
     """A package is not installed that only some uses need; the message names it and the extra that
     brings it.
     """

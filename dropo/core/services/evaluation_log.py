@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.services.errors import BadFile, Refused
+from dropo.core.services.atomic_write import write_text
+from dropo.core.services.errors import BadFile, InvalidInput
 from dropo.core.services.validation import Array
 
 Answer = tuple[Array, dict[str, int]]
 
 
-class Journal:
+class EvaluationLog:
     """Evaluations by the order in which they were asked for; with `path`, kept in a file.
 
     header: what the run is (problem, settings, seed, hashes); a file of another run is refused. The
@@ -54,7 +55,7 @@ class Journal:
                     f"batch {self._next} was asked for at other points, so another version "
                     "wrote it."
                 )
-                raise Refused(f"{self.path}: {sentence} Use another --out.")
+                raise InvalidInput(f"{self.path}: {sentence} Use another --out.")
             return np.array(entry["answers"], dtype=float), entry["counts"]
         answers, counts = function(points)
         if self.path is not None:
@@ -78,11 +79,11 @@ class Journal:
 
 
 def _read(path: Path, header: dict[str, Any]) -> list[dict[str, Any]]:
-    """The whole lines of a journal; a half-written last line is cut off."""
+    """The whole lines of an evaluation log; a half-written last line is cut off."""
     text = path.read_text()
     whole = text[: text.rfind("\n") + 1]
     if whole != text:
-        path.write_text(whole)
+        write_text(path, whole)
     try:
         lines = [json.loads(line) for line in whole.splitlines()]
     except json.JSONDecodeError:
@@ -95,7 +96,7 @@ def _read(path: Path, header: dict[str, Any]) -> list[dict[str, Any]]:
         ours = header["header"]
         theirs = lines[0].get("header", {})
         differ = sorted(key for key in {*ours, *theirs} if ours.get(key) != theirs.get(key))
-        raise Refused(
+        raise InvalidInput(
             f"{path}: holds another run; it differs in {', '.join(differ)}. Use another "
             "--out, or the settings of that run."
         )

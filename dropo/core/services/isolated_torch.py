@@ -8,7 +8,7 @@ _one = threading.RLock()  # torch has one random stream for all threads of a pro
 
 
 @contextmanager
-def alone(seed: int) -> Iterator[None]:
+def isolated_torch(seed: int) -> Iterator[None]:
     """torch on one thread, since a handful of numbers gains nothing from more, and seeded; as it
     was before, afterwards.
 

@@ -1,5 +1,5 @@
-"""YAML files read strictly: every refusal names the file, the key, what was expected, what came and
-the nearest valid name.
+"""YAML files read strictly: every refusal names the file, the key, what was expected, what was got
+and the nearest valid name.
 """
 
 import difflib
@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from dropo.core.services.errors import BadFile, Refused
+from dropo.core.services.errors import BadFile, InvalidInput
 
 # share of two names that is the same (Ratcliff and Obershelp), from which one is near the other
 ALIKE = 0.5
@@ -22,7 +22,7 @@ class BadEntry(BadFile):
     """An entry that another part refused: its sentence, behind the file and the key."""
 
     def __init__(self, path: object, key: str, sentence: str):
-        Refused.__init__(self, f"{path}: {key}: {sentence}")
+        InvalidInput.__init__(self, f"{path}: {key}: {sentence}")
         self.path = path
         self.key = key
 
@@ -56,7 +56,7 @@ class Entries:
         return self.prefix + name
 
     def bad(self, name: str, expected: str, got: str | None = None) -> BadFile:
-        """The refusal of an entry; without `got`, what came is shown."""
+        """The refusal of an entry; without `got`, what was got is shown."""
         return BadFile(
             self.path,
             self.key(name),
@@ -69,7 +69,7 @@ class Entries:
         """Whatever is refused inside is refused with this file and key."""
         try:
             yield
-        except Refused as error:
+        except InvalidInput as error:
             raise BadEntry(self.path, self.key(name), str(error)) from None
 
     def text(self, name: str, expected: str = "a text") -> str:

@@ -1,4 +1,4 @@
-"""Refusals that name the argument, its owner, the rule and what came."""
+"""Refusals that name the argument, its owner, the rule and what was got."""
 
 import difflib
 from collections.abc import Iterable

@@ -53,12 +53,8 @@ class Whitener:
             np.log(self.rows).sum() - 0.5 * np.linalg.slogdet(self.inner)[1], dtype=float
         )
 
-    def latent(self, residuals: Array) -> Array:
-        """The mean of z / scale given residuals (..., W, n): (..., W, m)."""
-        return self._latent(residuals / self.rows)
-
     def _latent(self, scaled: Array) -> Array:
-        """(..., W, m) from residuals (..., W, n) in units of their noise."""
+        """The mean of z / scale (..., W, m) given residuals (..., W, n) in units of their noise."""
         return np.asarray(
             np.moveaxis(_first(scaled) @ self.scaled @ self.inner, 0, -2).reshape(
                 *scaled.shape[:-1], -1

@@ -120,7 +120,7 @@ class ChooseHorizon(Estimator):
         inner = Run(
             problem,
             np.random.default_rng(seed),
-            run.journal,
+            run.evaluation_log,
             lambda s, text: run.progress(done + s * share, f"{what}: {text}"),
         )
         fit = self.estimator._fit(problem, inner)

@@ -22,7 +22,7 @@ from dropo.core.records.fit import Status
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import SimulationFailed
-from dropo.core.services.evaluation_log import Journal
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 
 UNSETTLED = (
@@ -402,7 +402,7 @@ class OuterIterations:
         unit = _unit_point(local.unknowns, start)
         optimizer = self.make_optimizer(len(start), unit)
         # The evaluations of a local model are cheap: they are neither logged nor shown.
-        inner = replace(self.run, journal=Journal(), progress=lambda share, text: None)
+        inner = replace(self.run, evaluation_log=EvaluationLog(), progress=lambda share, text: None)
         found = maximize(local, local.unknowns, optimizer, inner)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt

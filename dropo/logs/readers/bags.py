@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.services.errors import BadFile, Refused
+from dropo.core.services.errors import BadFile, InvalidInput
 from dropo.core.services.strict_yaml import named
 from dropo.logs.readers.messages import LOG_TIME, STAMP, columns_of, getter
 from dropo.logs.readers.reader import Arrays, Log, Progress, joined, package
@@ -145,7 +145,7 @@ class McapLog(_Bag):
                         decoders[channel.id](message.data),
                     )
             except (*BROKEN, self._error) as error:
-                if isinstance(error, Refused):
+                if isinstance(error, InvalidInput):
                     raise
                 raise self.broken("messages", f"{topic}, byte {file.tell()}", repr(error)) from None
 

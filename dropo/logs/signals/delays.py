@@ -46,10 +46,6 @@ class Clock:
     explained: float
     origin: float
 
-    def to_reference(self, stamps: ArrayLike) -> Array:
-        """Stamps of the signal's clock as instants of the reference's."""
-        return _back(np.asarray(stamps, dtype=float), self.seconds, self.skew, self.origin)
-
 
 def estimate_delay(
     time: ArrayLike, reference: ArrayLike, signal: ArrayLike, *, most: float = 0.05

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.contracts.sampler import Chains, Density, Sampler
-from dropo.core.services.isolated_torch import alone
+from dropo.core.services.isolated_torch import isolated_torch
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array, require
 from dropo.optimizers.support.real_line import RealLine
@@ -71,7 +71,7 @@ class PyroNuts(Sampler):
         import torch
         from pyro.infer import NUTS
 
-        with alone(seed):
+        with isolated_torch(seed):
             kernel = NUTS(
                 potential_fn=lambda at: -line.log_density(at["w"]),
                 full_mass=True,

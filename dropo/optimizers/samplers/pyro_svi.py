@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dropo.core.contracts.sampler import Chains, Density, Sampler
-from dropo.core.services.errors import Refused
-from dropo.core.services.isolated_torch import alone
+from dropo.core.services.errors import InvalidInput
+from dropo.core.services.isolated_torch import isolated_torch
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array, require
 from dropo.optimizers.support.real_line import RealLine
@@ -74,7 +74,7 @@ class PyroSvi(Sampler):
         import torch
         from pyro.infer import SVI, Trace_ELBO
 
-        with alone(seed), pyro.get_param_store().scope():
+        with isolated_torch(seed), pyro.get_param_store().scope():
             model, guide = _model_and_guide(line, first)
             adam = pyro.optim.ClippedAdam(
                 {"lr": self.learning_rate, "lrd": SLOWEST ** (1 / self.steps)}
@@ -89,7 +89,7 @@ class PyroSvi(Sampler):
             )
             elbo = np.array([-svi.step() for _ in range(self.steps)])
             if not np.isfinite(elbo).all():
-                raise Refused(
+                raise InvalidInput(
                     "PyroSvi: the guide reaches where the density is 0, so its ELBO is "
                     "infinite. Use sampler 'pyro-nuts'."
                 )

@@ -5,6 +5,7 @@ before anything runs.
 import importlib
 import inspect
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -93,6 +94,42 @@ def load(
         if error is not None:
             raise BadArgument(f"{problem}: {key}: {error}")
     return found
+
+
+def load_states(problem: str | Path, *, threads: int = 0) -> Problem:
+    """Load what a problem says of the motion alone: all data of its `data` entry, with actions of
+    0.
+
+    Parameters
+    ----------
+    problem : str or Path
+        A problem file, whose data need not hold actions, or a built-in name.
+    threads : int
+        Of the simulator, 0 for all cores.
+
+    Returns
+    -------
+    Problem
+        The model and the data with the columns that they hold. Velocities are not estimated.
+
+    Raises
+    ------
+    BadFile
+        As for `load`.
+    """
+    if not is_file(problem):
+        known("problem", str(problem), names("problems"))
+        found = cast(Problem, find("problems", str(problem))(threads=threads))
+        return replace(found, trajectories=found.everything or found.trajectories)
+    path = Path(problem)
+    entries = read_yaml(path, KEYS, "a problem file")
+    frame_skip = cast(int, entries.whole("frame_skip", 1, 1))
+    simulator = _simulator(entries, frame_skip, threads)
+    trajectories = _read(entries, "data", simulator, None, zero_actions=True)
+    error = _error(trajectories, simulator)
+    if error is not None:
+        raise BadEntry(path, "data", error)
+    return Problem(path.stem, simulator, trajectories)
 
 
 def is_file(problem: str | Path) -> bool:
@@ -329,10 +366,16 @@ def _sources(
 
 
 def _read(
-    entries: Entries, key: str, simulator: MujocoSimulator, input: str | None, *expected: str
+    entries: Entries,
+    key: str,
+    simulator: MujocoSimulator,
+    input: str | None,
+    *expected: str,
+    zero_actions: bool = False,
 ) -> Trajectories:
     listed = _sources(entries, key, *expected)
-    trajectories = read(list(listed.values()), input=input)
+    columns = len(simulator.controls) if zero_actions else None
+    trajectories = read(list(listed.values()), input=input, zero_actions=columns)
     have = {
         "observation": trajectories.observations.shape[1],
         "action": trajectories.actions.shape[1],

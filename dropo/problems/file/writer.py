@@ -10,6 +10,7 @@ import yaml
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.atomic_write import write_npz, write_text
 from dropo.core.services.errors import Incompatible
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.effect_entries import effect_entry
@@ -30,8 +31,7 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
             f"{type(simulator).__name__} cannot be written as a problem file, which "
             "describes a MuJoCo model."
         )
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "model.xml").write_text(model_xml(simulator))
+    write_text(folder / "model.xml", model_xml(simulator))
     content: dict[str, Any] = {
         "model": "model.xml",
         "frame_skip": simulator.frame_skip,
@@ -55,11 +55,11 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
         content["effects"] = beside
     if problem.task is not None and problem.task.source is not None:
         content["task"] = problem.task.source
-    _save(problem.trajectories, folder / "data.npz")
+    write_data(problem.trajectories, folder / "data.npz")
     if problem.held_out is not None:
-        _save(problem.held_out, folder / "held_out.npz")
+        write_data(problem.held_out, folder / "held_out.npz")
         content["held_out"] = "held_out.npz"
-    (folder / "problem.yaml").write_text(yaml.safe_dump(content, sort_keys=False, width=120))
+    write_text(folder / "problem.yaml", yaml.safe_dump(content, sort_keys=False, width=120))
     return folder / "problem.yaml"
 
 
@@ -78,7 +78,16 @@ def _parameter(p: FieldParameter) -> dict[str, Any]:
     )
 
 
-def _save(data: Trajectories, path: Path) -> None:
+def write_data(data: Trajectories, path: Path) -> None:
+    """Write trajectories as the data of a problem.
+
+    Parameters
+    ----------
+    data : Trajectories
+        The transitions; their groups and times are written where they have such.
+    path : Path
+        The .npz file.
+    """
     arrays: dict[str, Any] = {
         "observations": data.observations,
         "actions": data.actions,
@@ -87,8 +96,7 @@ def _save(data: Trajectories, path: Path) -> None:
     }
     arrays |= {} if data.group is None else {"group": data.group}
     arrays |= {} if data.time is None else {"time": data.time}
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
+    write_npz(path, arrays)
 
 
 def model_xml(simulator: MujocoSimulator) -> str:

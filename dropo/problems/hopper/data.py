@@ -50,8 +50,8 @@ class LinearPolicy:
 
 @cache
 def hopper_policy() -> LinearPolicy:
-    """The policy of `hopper_policy.json`, which `python -m dropo.problems.find_hopper_policy`
-    found.
+    """The policy of `hopper_policy.json`, which `python -m
+    dropo.studies.tiboni_2021.find_hopper_policy` found.
     """
     kept: dict[str, Any] = json.loads(
         (files("dropo.problems.hopper") / "hopper_policy.json").read_text()

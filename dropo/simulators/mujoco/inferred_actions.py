@@ -15,7 +15,7 @@ from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, float_array
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
-ROUNDS = 5  # corrections by what the simulator itself does with the actions found
+ROUNDS = 20  # corrections by what the simulator itself does with the actions found
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def by_ideal_controllers(simulator: MujocoSimulator, trajectories: Trajectories)
         raise Incompatible(
             f"The actuator {none[0]!r} is no position or velocity controller, so its set "
             "point is not what was reached."
-            " Use by_inverse_dynamics."
+            " Use by_inverse_dynamics (`--controllers modelled`)."
         )
     actions = np.empty((len(after), len(kinds)))
     for row, state in enumerate(after):
@@ -174,6 +174,10 @@ def _needed(
     idle = np.empty((len(before), nv))
     moved = np.empty(nv)
     step_state = np.zeros((model.nu, nv))
+    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
+    stiffness = np.where(affine, -model.actuator_biasprm[:, 1], 0.0)
+    damping = np.where(affine, -model.actuator_biasprm[:, 2], 0.0)
+    resistance = stiffness * step**2 / 6 + damping * step / 2
     for row, (start, end) in enumerate(zip(before, after, strict=True)):
         data.qpos = start[:nq]
         mujoco.mj_differentiatePos(model, moved, step, start[:nq], end[:nq])
@@ -193,6 +197,7 @@ def _needed(
             data.moment_rowadr,
             data.moment_colind,
         )
+        masses[row] += step_state.T @ (resistance[:, None] * step_state)  # and so do controllers
         gain, bias = _distributions(model, data.actuator_length, data.actuator_velocity)
         shares[row], idle[row] = step_state.T * gain, step_state.T @ bias
     return needs, masses, shares, idle

@@ -2,12 +2,12 @@
 README.
 """
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from dropo.core.services.atomic_write import write_json, write_text
 from dropo.core.services.errors import BadFile
 from dropo.studies.engine.study import Study
 
@@ -16,16 +16,13 @@ def write(study: Study, folder: Path) -> None:
     """<study>.md, .json and, where it draws, .svg; and what stands between `<!-- study: <name> -->`
     and `<!-- end -->` in README.md.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     if study.draw is not None:
-        (folder / f"{study.name}.svg").write_text(picture(study.draw))
-    (folder / f"{study.name}.json").write_text(
-        json.dumps(study.to_json(), indent=1, allow_nan=False) + "\n"
-    )
-    (folder / f"{study.name}.md").write_text(f"# {study.name}\n\n{markdown(study)}")
+        write_text(folder / f"{study.name}.svg", picture(study.draw))
+    write_json(folder / f"{study.name}.json", study.to_json())
+    write_text(folder / f"{study.name}.md", f"# {study.name}\n\n{markdown(study)}")
     readme = folder / "README.md"
     if readme.is_file():
-        readme.write_text(with_block(readme.read_text(), study, readme))
+        write_text(readme, with_block(readme.read_text(), study, readme))
 
 
 def markdown(study: Study) -> str:

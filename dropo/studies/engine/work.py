@@ -12,6 +12,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.estimator import Progress, silent
+from dropo.core.services.atomic_write import write_text
 
 Task = Callable[[Any], dict[str, Any]]
 
@@ -107,5 +108,5 @@ def _read(path: Path) -> dict[str, str]:
     text = path.read_text()
     whole = text[: text.rfind("\n") + 1]
     if whole != text:
-        path.write_text(whole)
+        write_text(path, whole)
     return dict(json.loads(line) for line in whole.splitlines())

@@ -7,7 +7,7 @@ import pytest
 
 from dropo import DropoError, Posterior, load
 from dropo.core.records.draws import Draws
-from dropo.core.services import optional_dependencies as extras
+from dropo.core.services import optional_dependencies
 from dropo.core.services.optional_dependencies import need
 
 
@@ -16,7 +16,9 @@ def _bare(monkeypatch):
     """As if the packages of the extras were not installed."""
     absent = {"torch", "pyro", "arviz", "matplotlib"}
     monkeypatch.setattr(
-        extras, "find_spec", lambda name: None if name in absent else importlib.util.find_spec(name)
+        optional_dependencies,
+        "find_spec",
+        lambda name: None if name in absent else importlib.util.find_spec(name),
     )
 
 

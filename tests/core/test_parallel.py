@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from dropo.core.contracts.parallel_simulator import Spread
+from dropo.core.contracts.parallel_simulator import ParallelSimulator
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.estimators.least_squares import LeastSquares
 from dropo.problems.hopper.problem import hopper
@@ -81,7 +81,7 @@ def test_refusals():
         has_gradients = True
 
     with ThreadPoolExecutor(1) as pool:
-        with pytest.raises(BadArgument, match="'parts' of Spread must be at least 1"):
-            Spread(slide().simulator, pool, parts=0)
+        with pytest.raises(BadArgument, match="'parts' of ParallelSimulator must be at least 1"):
+            ParallelSimulator(slide().simulator, pool, parts=0)
         with pytest.raises(Incompatible, match="Use it without an executor"):
-            Spread(WithGradients(), pool)
+            ParallelSimulator(WithGradients(), pool)

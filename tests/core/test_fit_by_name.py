@@ -21,7 +21,7 @@ def test_unknown_methods_and_settings_name_the_nearest():
     problem = dropo.load("slide")
     with pytest.raises(UnknownName, match="Did you mean 'dropo'"):
         dropo.fit(problem, "drpo")
-    with pytest.raises(dropo.Refused, match="It takes likelihood"):
+    with pytest.raises(dropo.InvalidInput, match="It takes likelihood"):
         dropo.fit(problem, epsiln=1e-6)
 
 
