@@ -203,7 +203,7 @@ class Diagnosis(Printed):
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json."""
-        from dropo import __version__
+        from dropo._version import __version__
 
         causes = [
             {

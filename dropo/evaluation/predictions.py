@@ -60,10 +60,11 @@ def predict(
     reach = judged.steps.shape[1]
     noise = np.sqrt(np.mean((sigma / _unit(spread)) ** 2)) if np.any(sigma > 0) else np.nan
     first = np.array([start for start, _ in data.spans])[data.trajectory[shown.steps[:, 0]]]
+    step = problem.simulator.control_step
     return Predictions(
         tuple(s.name for s in problem.simulator.signals),
         tuple(s.unit for s in problem.simulator.signals),
-        float(getattr(problem.simulator, "control_step", np.nan)),
+        np.nan if step is None else step,
         shown.steps[:, 0] - first,
         _by_window(problem.simulator.targets(shown), shown),
         data.next_observations[shown.steps],

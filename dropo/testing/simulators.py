@@ -167,14 +167,14 @@ def _check_sensitivities(
     value, slopes = simulator.linearize(centre, segments)
     wanted = (*prediction.shape, len(centre))
     assert slopes.shape == wanted, (
-        f"{name}.linearise gives sensitivities of shape {slopes.shape}, not {wanted}"
+        f"{name}.linearize gives sensitivities of shape {slopes.shape}, not {wanted}"
     )
     near = np.allclose(value, prediction, rtol=1e-9, atol=1e-12)
     assert near, (
-        f"{name}.linearise gives another prediction than predict: {_gap(prediction, value)}"
+        f"{name}.linearize gives another prediction than predict: {_gap(prediction, value)}"
     )
     assert np.allclose(slopes, simulator.sensitivities(centre, segments), rtol=1e-9), (
-        f"{name}.sensitivities and linearise differ"
+        f"{name}.sensitivities and linearize differ"
     )
     half = np.diag(
         3 * STEP * width

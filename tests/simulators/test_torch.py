@@ -130,6 +130,23 @@ def test_sensitivities_are_exact_where_differences_round():
     )
 
 
+def test_slopes_in_starts_and_around_moved_starts():
+    """Those of the NumPy twin, to the error of its differences."""
+    part = data().segments()
+    offsets = np.random.default_rng(6).normal(size=(len(part), 2))
+    twins = [
+        simulator.linearize([1.3, 0.7], part, offsets=offsets)
+        for simulator in (Block(), SlidingBlock())
+    ]
+    for mine, theirs in zip(*twins, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-9)
+    starts = [
+        simulator.linearize_starts([1.3, 0.7], part, [0.1, 0.1])
+        for simulator in (Block(), SlidingBlock())
+    ]
+    np.testing.assert_allclose(starts[0].jacobian, starts[1].jacobian, rtol=1e-10, atol=1e-12)
+
+
 def test_a_given_step_asks_for_differences():
     """Sensitivities over a wide step are those differences, not the derivative."""
     part = data().segments()
@@ -206,7 +223,7 @@ class HalfDetached(Block):
             torch.cat([values[..., :1], values[..., 1:].detach()], dim=-1), states, actions
         )
 
-    def linearize(self, values, segments, *, step=None):
+    def linearize(self, values, segments, *, step=None, offsets=None):
         width = 1e-5 * np.ones(2)
         return super().linearize(values, segments, step=width)
 

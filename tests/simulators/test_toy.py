@@ -1,9 +1,14 @@
 """The toy simulators against what their closed forms claim."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from dropo.core.services.errors import BadArgument
+from dropo.core.records.parameters import Parameter
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, SimulationFailed
+from dropo.simulators.function import FunctionSimulator
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from dropo.testing import check_simulator
 from tests.simulators.models import CUTS
@@ -91,6 +96,81 @@ def test_linear_simulator_is_linear():
             prediction, (segments.starts[:, None] + moved @ value).reshape(-1, 3), atol=1e-12
         )
         np.testing.assert_allclose(slopes, moved.reshape(-1, 3, 2), atol=1e-8)
+
+
+@pytest.mark.parametrize("cut", ["transition", "partial"])
+def test_slopes_in_starts_are_those_of_the_closed_form(cut):
+    """A block's position after n steps slopes by 1 in its start and by tau (1 - e^(-n dt / tau)) in
+    its speed, tau = m / c. In chains only a segment's own start counts, not those before it."""
+    value = np.array([2.0, 1.5])
+    step = np.array([0.1, 0.2])
+    partly = {"reset": cut, "set_columns": [True, False]} if cut == "partial" else {}
+    segments = sliding()[1].segments(3, **partly, every_step=True)
+    offsets = np.random.default_rng(3).normal(size=(len(segments), 2))
+    simulator = SlidingBlock(dt=0.05)
+    found = simulator.linearize_starts(value, segments, step, offsets=offsets)
+    segment, place = segments.rows
+    tau = value[0] / value[1]
+    decay = np.exp(-0.05 * (1 + place) / tau)
+    own = (
+        segments.previous[segment] < 0
+    )  # the others take their speed from where a simulation ended
+    slopes = [np.ones_like(decay), own * tau * (1 - decay), np.zeros_like(decay), own * decay]
+    expected = np.stack(slopes, axis=-1).reshape(-1, 2, 2)
+    np.testing.assert_allclose(found.jacobian, expected, atol=1e-12)
+    np.testing.assert_allclose(found.curvature, np.zeros_like(expected), atol=1e-10)
+    predicted = simulator.predict([value], segments, offsets=offsets[None])[0]
+    np.testing.assert_array_equal(found.prediction, predicted)
+
+
+def test_curvature_in_starts_is_the_second_derivative():
+    """Of x' = x + u sin(x) with the parameter 1, exactly to the differences' own error of step^2."""
+    function = lambda value, starts, actions: (starts + actions[:, 0] * np.sin(value * starts))[
+        :, None
+    ]
+    simulator = FunctionSimulator(function, [Parameter("x", 0.0, 2.0)], ["y"])
+    rng = np.random.default_rng(4)
+    data = Trajectories(*rng.normal(size=(3, 5, 1)), np.ones(5, dtype=bool))
+    found = simulator.linearize_starts([1.0], data.segments(), [1e-3])
+    start = data.observations
+    push = data.actions
+    np.testing.assert_allclose(found.jacobian[:, :, 0], 1 + push * np.cos(start), atol=1e-6)
+    np.testing.assert_allclose(found.curvature[:, :, 0], -push * np.sin(start), atol=1e-6)
+
+
+def test_slopes_in_parameters_around_moved_starts():
+    """Starts moved by offsets are starts measured there."""
+    data = sliding()[1]
+    offsets = np.random.default_rng(5).normal(size=(len(data), 2))
+    there = replace(data, observations=data.observations + offsets).segments()
+    simulator = SlidingBlock()
+    found = simulator.linearize([2.0, 1.5], data.segments(), offsets=offsets)
+    for mine, theirs in zip(found, simulator.linearize([2.0, 1.5], there), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-12)
+
+
+class Breaking(SlidingBlock):
+    """Fails where it starts far away."""
+
+    def _replay(self, value, starts, actions):
+        far = np.abs(starts[:, :1, None]) > 1e3
+        return np.where(far, np.nan, super()._replay(value, starts, actions))
+
+
+def test_slopes_in_starts_refuse_failed_simulations_or_show_them():
+    """A segment that diverges is an error that says under which values; or NaN in its own rows."""
+    segments = sliding()[1].segments()
+    offsets = np.zeros((len(segments), 2))
+    offsets[4, 0] = 1e6
+    arguments = ([2.0, 1.5], segments, [0.1, 0.1])
+    with pytest.raises(SimulationFailed, match=r"mass = 2, damping = 1\.5"):
+        Breaking().linearize_starts(*arguments, offsets=offsets)
+    found = Breaking().linearize_starts(*arguments, offsets=offsets, failures="nan")
+    assert np.flatnonzero(np.isnan(found.jacobian).any(axis=(1, 2))).tolist() == [4]
+    with pytest.raises(BadArgument, match="step"):
+        Breaking().linearize_starts([2.0, 1.5], segments, [0.1, 0.0])
+    with pytest.raises(BadArgument, match="offsets"):
+        Breaking().linearize_starts(*arguments, offsets=offsets[:3])
 
 
 def test_simulated_data_are_the_simulators_own():

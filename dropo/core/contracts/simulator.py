@@ -4,16 +4,17 @@ many segments.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dropo.core.numerics.array_api import checked, is_tensor, namespace, plain
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments, Signal
 from dropo.core.services.errors import Incompatible, SimulationFailed
-from dropo.core.services.validation import Array, check_shape, float_array, require
+from dropo.core.services.validation import Array, check_shape, float_array, known, require
 
 WITHOUT_GRADIENTS = (
     "Use likelihood 'emulated', which has gradients whatever the simulator, or an optimizer "
@@ -29,12 +30,24 @@ class Simulator(ABC):
 
     A plug-in writes `_predict`, and sets `space` and `signals`.
 
-    space: the d parameters that `predict` takes, in this order. signals: the p numbers that it
-    gives for each row.
-    nominal: (d,) the parameters' values before any fit, where there are such. steps: the simulator
-    steps made so far;
-    failures: the simulations so far that did not reach their end. has_gradients: whether `predict`
-    takes torch tensors too, and gives a tensor with its history then.
+    Attributes
+    ----------
+    space : ParameterSpace
+        The d parameters that `predict` takes, in this order.
+    signals : sequence of Signal
+        The p numbers that `predict` gives for each row.
+    has_gradients : bool
+        Whether `predict` takes torch tensors too, and gives a tensor with its history then.
+    steps : int
+        The simulator steps made so far.
+    failures : int
+        The simulations so far that did not reach their end.
+    steps_per_action : int
+        The simulator steps that replay one action.
+    nominal : (d,) array or None
+        The parameters' values before any fit, where there are such.
+    control_step : float or None
+        The time for which one action is held [s]; None, the default, where it is not known.
     """
 
     space: ParameterSpace
@@ -42,6 +55,9 @@ class Simulator(ABC):
     has_gradients = False
     steps: int = 0
     failures: int = 0
+    steps_per_action: int = 1
+    nominal: Array | None = None
+    control_step: float | None = None
 
     def predict(
         self, values: ArrayLike, segments: Segments, *, offsets: ArrayLike | None = None
@@ -88,9 +104,6 @@ class Simulator(ABC):
                 f"{WITHOUT_GRADIENTS}"
             )
 
-    steps_per_action: int = 1
-    nominal: Array | None = None
-
     @property
     def start_size(self) -> int:
         """s, the number of start coordinates that `offsets` moves; the p signals, unless the
@@ -114,6 +127,10 @@ class Simulator(ABC):
         """
         return np.zeros((len(segments), len(self.signals)))
 
+    def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
+        """(N,) whether something overlaps in each segment's measured start; nowhere, by default."""
+        return np.zeros(len(segments), dtype=bool)
+
     def sensitivities(
         self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
     ) -> Array:
@@ -126,26 +143,123 @@ class Simulator(ABC):
         return self.linearize(values, segments, step=step)[1]
 
     def linearize(
-        self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
+        self,
+        values: ArrayLike,
+        segments: Segments,
+        *,
+        step: ArrayLike | None = None,
+        offsets: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
-        """The prediction (R, p) and its sensitivities (R, p, d) at (d,), from one batch of 2 d + 1."""
+        """The prediction and its slopes in the parameters, from one batch of 2 d + 1 simulations.
+
+        Parameters
+        ----------
+        values : (d,) array
+            The parameters around which predictions are linearized.
+        segments : Segments
+            What is replayed, R compared rows in all.
+        step : (d,) array, optional
+            Half widths of the central differences, in the parameters' units; by default eps^(1/3)
+            of each parameter's interval. Kept within what is physically possible.
+        offsets : (N, s) array, optional
+            Added to the start states of the N segments.
+
+        Returns
+        -------
+        prediction : (R, p) array
+        jacobian : (R, p, d) array
+            d prediction / d parameter.
+
+        Raises
+        ------
+        SimulationFailed
+            Where one of the simulations did not reach its end.
+        """
+        caller = f"{type(self).__name__}.linearize"
         d = len(self.space)
-        centre = float_array("values", values, (d,), f"{type(self).__name__}.linearise")
-        half = (
-            STEP * (self.space.high - self.space.low)
-            if step is None
-            else float_array("step", step, (d,), "linearise")
-        )
-        design = np.concatenate(
-            [centre[None], centre + np.diag(half), centre - np.diag(half)]
-        )  # (2 d + 1, d)
-        design = self.space.feasible(design)
-        predictions = self.predict(design, segments)
+        centre = float_array("values", values, (d,), caller)
+        if step is None:
+            half = STEP * (self.space.high - self.space.low)
+        else:
+            half = float_array("step", step, (d,), caller)
+        ahead = centre + np.diag(half)
+        behind = centre - np.diag(half)
+        design = self.space.feasible(np.concatenate([centre[None], ahead, behind]))  # (2 d + 1, d)
+        moved = self._repeated(offsets, segments, len(design), caller)
+        predictions = self.predict(design, segments, offsets=moved)
         if not np.isfinite(predictions).all():
             raise SimulationFailed(describe_failures(predictions, design, self.space))
-        reach = np.diagonal(design[1 : d + 1] - design[d + 1 :])
-        slopes = (predictions[1 : d + 1] - predictions[d + 1 :]) / reach[:, None, None]
+        width = np.diagonal(design[1 : d + 1] - design[d + 1 :])
+        slopes = (predictions[1 : d + 1] - predictions[d + 1 :]) / width[:, None, None]
         return predictions[0], np.moveaxis(slopes, 0, -1)
+
+    def linearize_starts(
+        self,
+        values: ArrayLike,
+        segments: Segments,
+        step: ArrayLike,
+        *,
+        offsets: ArrayLike | None = None,
+        failures: Literal["raise", "nan"] = "raise",
+    ) -> "StartLinearization":
+        """The prediction, and those from start states moved either way along each coordinate.
+
+        Each segment's own start is moved: where segments go on from each other (`partial` resets),
+        those of one place in their chains are moved at a time.
+
+        Parameters
+        ----------
+        values : (d,) array
+            The parameters, the same in every simulation.
+        segments : Segments
+            What is replayed: N segments with R compared rows in all.
+        step : (s,) array
+            How far each start coordinate is moved, in its own unit; above 0.
+        offsets : (N, s) array, optional
+            Added to the start states of the N segments, around which they are moved then.
+        failures : {"raise", "nan"}
+            What becomes of simulations that do not reach their end: an error, or rows of NaN.
+
+        Returns
+        -------
+        StartLinearization
+            With the Jacobian and the curvature as properties. It costs 2 s + 1 simulations of each
+            segment.
+
+        Raises
+        ------
+        SimulationFailed
+            Where a simulation did not reach its end, with `failures="raise"`.
+        """
+        caller = f"{type(self).__name__}.linearize_starts"
+        known("way with failures", failures, ("raise", "nan"))
+        s = self.start_size
+        centre = float_array("values", values, (len(self.space),), caller)
+        half = float_array("step", step, (s,), caller)
+        require(bool((half > 0).all()), "step", "above 0", half, caller)
+        design = np.repeat(centre[None], 2 * s + 1, axis=0)
+        moves = np.concatenate([np.zeros((1, s)), np.diag(half), -np.diag(half)])
+        base = self._repeated(offsets, segments, len(design), caller)
+        row_segment = segments.rows[0]
+        out = np.empty((len(design), len(row_segment), len(self.signals)))
+        for level in segments.levels:
+            moved = np.zeros((len(design), len(segments), s)) if base is None else base.copy()
+            moved[:, level] += moves[:, None]
+            predictions = self.predict(design, segments, offsets=moved)
+            if failures == "raise" and not np.isfinite(predictions).all():
+                raise SimulationFailed(describe_failures(predictions, design, self.space))
+            own = np.isin(row_segment, level)
+            out[:, own] = predictions[:, own]
+        return StartLinearization(out[0], out[1 : s + 1], out[s + 1 :], half)
+
+    def _repeated(
+        self, offsets: ArrayLike | None, segments: Segments, times: int, caller: str
+    ) -> Array | None:
+        """Start offsets (N, s) for each of several parameter vectors, (times, N, s); None for None."""
+        if offsets is None:
+            return None
+        one = float_array("offsets", offsets, (len(segments), self.start_size), caller)
+        return np.repeat(one[None], times, axis=0)
 
     def _predict_by_group(
         self, values: Array, segments: Segments, offsets: ArrayLike | None
@@ -166,6 +280,37 @@ class Simulator(ABC):
         place = np.argsort(np.concatenate([np.flatnonzero(row_group == g) for g in groups]))
         together: Array = namespace(*parts).concat(parts, axis=1)[:, place]
         return together
+
+
+@dataclass(frozen=True, eq=False)
+class StartLinearization:
+    """Predictions around measured start states, for central differences in s start coordinates.
+
+    Attributes
+    ----------
+    prediction : (R, p) array
+        From the starts themselves.
+    forward, backward : (s, R, p) arrays
+        From starts moved by `step` along each coordinate, and against it.
+    step : (s,) array
+        How far the starts are moved, in each coordinate's unit.
+    """
+
+    prediction: Array
+    forward: Array
+    backward: Array
+    step: Array
+
+    @property
+    def jacobian(self) -> Array:
+        """(R, p, s) d prediction / d start."""
+        return np.moveaxis(self.forward - self.backward, 0, -1) / (2 * self.step)
+
+    @property
+    def curvature(self) -> Array:
+        """(R, p, s) second derivatives of the prediction along each start coordinate."""
+        bend = self.forward + self.backward - 2 * self.prediction
+        return np.moveaxis(bend, 0, -1) / self.step**2
 
 
 def _where(bad: np.ndarray, segments: Segments) -> tuple[list[int], list[int]]:

@@ -127,7 +127,7 @@ class Fit(Printed):
         posterior: its attribute `draws_of` says so. They show the spread to train under, and not
         how well it is known. Needs the extra `posterior`.
         """
-        from dropo import __version__
+        from dropo._version import __version__
         from dropo.core.records.draws import from_chains, from_sample
 
         about = {
@@ -172,7 +172,7 @@ class Fit(Printed):
 
     def to_json(self) -> dict[str, Any]:
         """The content of fit.json; numbers that do not exist are null."""
-        from dropo import __version__
+        from dropo._version import __version__
 
         columns = {
             "mean": self.mean,

@@ -103,7 +103,7 @@ def _horizon(
     last = errors[:, -len(noise) :]
     squares = np.mean(last[np.isfinite(last).all(axis=1)] ** 2, axis=0)
     spread = np.maximum(variance - noise, 1e-3 * variance)
-    seconds = getattr(simulator, "control_step", None)
+    seconds = simulator.control_step
     return Horizon(
         steps,
         None if seconds is None else steps * seconds,

@@ -53,10 +53,11 @@ def motion(problem: Problem, library: Library, first: State, last: State) -> Pre
         for name, seen, state in zip(names, (begin, end), (first, last), strict=True)
     ]
     noise = _deviations(end) ** 2
+    step = library.simulator.control_step
     return Predictions(
         tuple(s.name for s in library.simulator.signals),
         tuple(s.unit for s in library.simulator.signals),
-        float(getattr(library.simulator, "control_step", np.nan)),
+        np.nan if step is None else step,
         begins,
         _by_window(windows.measured, spread)[shown],
         windows.segments.trajectories.next_observations[windows.segments.steps[shown]],

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from dropo.core.contracts.estimator import Run
@@ -63,6 +64,7 @@ class FilteredStarts(Simulator):
         self.signals = inner.signals
         self.nominal = inner.nominal
         self.steps_per_action = inner.steps_per_action
+        self.control_step = inner.control_step
 
     @property
     def start_size(self) -> int:
@@ -70,6 +72,9 @@ class FilteredStarts(Simulator):
 
     def targets(self, segments: Segments) -> Array:
         return self.inner.targets(segments)
+
+    def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
+        return self.inner.in_contact(segments)
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         first = segments.steps[:, 0]
