@@ -5,6 +5,8 @@ names what they get wrong.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from dropo._version import __version__ as __version__
+
 if TYPE_CHECKING:
     from dropo.core.contracts.fit_by_name import fit
     from dropo.core.contracts.problem import Problem
@@ -53,8 +55,6 @@ if TYPE_CHECKING:
     from dropo.training.networks import PPO, SAC
     from dropo.training.policy import load_policy
     from dropo.training.train import train
-
-__version__ = "0.1.0"
 
 _HOME = {
     "ADR": "dropo.estimators.adr",

@@ -237,25 +237,20 @@ def _findings(arguments: argparse.Namespace) -> "list[Finding]":
             "One problem or data set is checked at a time; several raw logs need --map and --model."
         )
     trajectories, problem = _target(arguments.target[0])
-    apart = problem.held_out if problem else None
-    held_out = (
-        []
-        if apart is None
-        else [
-            replace(finding, run="held out")
-            for finding in check(apart, getattr(problem, "simulator", None))
-        ]
-    )
-    return errors_first([*check(trajectories, problem), *held_out])
+    found = check(trajectories, problem)
+    if problem is not None and problem.held_out is not None:
+        for finding in check(problem.held_out, problem.simulator):
+            found.append(replace(finding, run="held out"))
+    return errors_first(found)
 
 
 def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
     from dropo.logs.log_checks import check_runs
     from dropo.logs.mapping import read_mapping
-    from dropo.logs.model_joints import load_machine
     from dropo.logs.recordings import read_runs
+    from dropo.mjmodel.joints import load_model_joints
 
-    machine = load_machine(arguments.model)
+    machine = load_model_joints(arguments.model)
     progress = Progress(silent=arguments.quiet)
     try:
         return check_runs(

@@ -14,13 +14,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dropo import __version__
+from dropo._version import __version__
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.prior import describe
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.predictions import Predictions
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.atomic_write import write_json
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
 def run_record(
@@ -76,7 +77,7 @@ def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | No
 def problem_record(problem: Problem) -> dict[str, Any]:
     """The problem's settings, with SHA-256 sums of its data and model."""
     simulator = problem.simulator
-    model = getattr(simulator, "model", None)
+    model = simulator.model if isinstance(simulator, RobotSimulator) else None
     return {
         "problem": problem.name,
         "simulator": type(simulator).__name__,
@@ -93,7 +94,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "degrees": problem.noise_degrees,
         "transitions": len(problem.trajectories),
         "data_sha256": data_sum(problem.trajectories),
-        "model_sha256": model_sum(model) if isinstance(model, mujoco.MjModel) else None,
+        "model_sha256": None if model is None else model_sum(model),
     }
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from dropo.cli.output import NOTHING, computing_options, printing_options, show
 
 if TYPE_CHECKING:
-    from dropo.core.contracts.simulator import Simulator
+    from dropo.mjmodel.robot_simulator import RobotSimulator
     from dropo.report.folder import Result
 
 
@@ -56,10 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _simulator(result: "Result") -> "Simulator":
+def _simulator(result: "Result") -> "RobotSimulator":
     """The problem's own, where model and motion are still those of the run."""
     from dropo.cli.record import model_sum
     from dropo.core.services.errors import Incompatible
+    from dropo.mjmodel.robot_simulator import RobotSimulator
     from dropo.problems.file.reader import load
 
     if result.predictions is None or "problem" not in result.made:
@@ -68,10 +69,9 @@ def _simulator(result: "Result") -> "Simulator":
             "diagnose --out`, or leave out --video."
         )
     simulator = load(result.made["problem"], checked=False).simulator
-    model = getattr(simulator, "model", None)
-    if model is None:
+    if not isinstance(simulator, RobotSimulator):
         raise Incompatible(f"{type(simulator).__name__} has no bodies to show. Leave out --video.")
-    if model_sum(model) != result.record.get("model_sha256"):
+    if model_sum(simulator.model) != result.record.get("model_sha256"):
         raise Incompatible(
             f"The model of {result.made['problem']} is not the one of this run. Put that "
             "one back, or leave out --video."

@@ -184,12 +184,14 @@ def _refuse_other_model(folder: Path, target: Any) -> None:
     from dropo.cli.record import model_sum
     from dropo.core.contracts.problem import Problem
     from dropo.core.services.errors import Incompatible
+    from dropo.mjmodel.robot_simulator import RobotSimulator
 
-    model = getattr(target.simulator, "model", None) if isinstance(target, Problem) else None
-    if model is None or not (folder / "run.json").is_file():
+    if not isinstance(target, Problem) or not isinstance(target.simulator, RobotSimulator):
+        return
+    if not (folder / "run.json").is_file():
         return
     before = json.loads((folder / "run.json").read_text())
-    if before.get("model_sha256") not in (None, model_sum(model)):
+    if before.get("model_sha256") not in (None, model_sum(target.simulator.model)):
         raise Incompatible(
             f"The fit in {folder} is of another model, that of {before.get('problem')!r}: "
             f"not that of {target.name!r}."
@@ -199,7 +201,7 @@ def _refuse_other_model(folder: Path, target: Any) -> None:
 
 def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") -> dict[str, Any]:
     """Everything that decides the policy."""
-    from dropo import __version__
+    from dropo._version import __version__
     from dropo.cli.record import problem_record
     from dropo.core.contracts.problem import Problem
     from dropo.training.train import settings

@@ -11,6 +11,7 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array, require
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,16 +120,8 @@ def columns(source: Problem | Simulator | None, count: int) -> list[Signal]:
     else numbered.
     """
     simulator = simulator_of(source)
-    layout = getattr(simulator, "layout", None)
-    if layout is not None and len(layout) == count:
-        units = [
-            layout.model_units.get((column.field, column.place), "") for column in layout.columns
-        ]
-        inside = {i for quaternion in layout.quaternions for i in quaternion}
-        return [
-            Signal(name, "" if i in inside else unit)
-            for i, (name, unit) in enumerate(zip(layout.names, units, strict=True))
-        ]
+    if isinstance(simulator, RobotSimulator) and len(simulator.layout) == count:
+        return simulator.layout.column_signals
     if simulator is not None and len(simulator.signals) == count:
         return list(simulator.signals)
     return _numbered("observation", count)
@@ -137,14 +130,9 @@ def columns(source: Problem | Simulator | None, count: int) -> list[Signal]:
 def controls(source: Problem | Simulator | None, count: int) -> list[Signal]:
     """Names of the data's action columns: the model's actuators ("ctrl.motor"), else numbered."""
     simulator = simulator_of(source)
-    model = getattr(simulator, "model", None)
-    places = getattr(simulator, "controls", None)
-    if model is None or places is None or len(places) != count:
+    if not isinstance(simulator, RobotSimulator) or len(simulator.controls) != count:
         return _numbered("action", count)
-    return [
-        Signal(f"ctrl.{name}" if (name := model.actuator(int(i)).name) else f"ctrl[{i}]")
-        for i in places
-    ]
+    return [Signal(f"ctrl.{name}") for name in simulator.action_names]
 
 
 def _numbered(word: str, count: int) -> list[Signal]:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -23,7 +23,7 @@ from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.unexplained_forces import impulses
 from dropo.diagnosis.result import Diagnosis, HeldOut
-from dropo.diagnosis.search.library import instances_for
+from dropo.diagnosis.search.library import instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.review import Review, review, together
 from dropo.diagnosis.search.selection import Progress, Selection, State
@@ -86,11 +86,10 @@ class Diagnose:
 
     def _most(self, problem: Problem) -> int:
         """About how many windows each side has."""
-        return (
-            cast(int, problem.settings.get("windows", WINDOWS))
-            if self.windows is None
-            else self.windows
+        most: Any = (
+            problem.settings.get("windows", WINDOWS) if self.windows is None else self.windows
         )
+        return int(most)
 
     def _judged(
         self,
@@ -106,8 +105,8 @@ class Diagnose:
         whole = problem
         problem = problem if quiet is None else quiet.problem
         free = _free(problem, self.parameters)
+        simulator = robot_of(problem)
         instances = instances_for(problem, self.effects, free)
-        simulator = cast(Any, problem.simulator)
         length = choose_length(problem, self._most(problem)) if self.length is None else self.length
         hidden = impulses(simulator.model, length)
         library = Library(
@@ -219,14 +218,10 @@ def per_step(state: State) -> float:
 
 def _free(problem: Problem, parameters: Sequence[str] | None) -> Ints:
     """The places of the declared parameters that are fitted."""
-    wanted = (
-        problem.settings.get("parameters", problem.space.names)
-        if parameters is None
-        else parameters
-    )
-    chosen = [
-        known("parameter", str(name), problem.space.names) for name in cast(Sequence[str], wanted)
-    ]
+    wanted: Any = parameters
+    if wanted is None:
+        wanted = problem.settings.get("parameters", problem.space.names)
+    chosen = [known("parameter", str(name), problem.space.names) for name in wanted]
     return np.array([problem.space.names.index(name) for name in chosen], dtype=np.int64)
 
 
@@ -279,8 +274,7 @@ def _floor(library: Library, train: Windows) -> Array:
 def nominal_of(library: Library) -> Array:
     """(m,) the declared parameters as the model has them, within their bounds, and no effects."""
     space = library.simulator.space
-    simulator = cast(Any, library.simulator)
-    return np.clip(simulator.nominal, space.low, space.high)
+    return np.clip(np.asarray(library.simulator.nominal, dtype=float), space.low, space.high)
 
 
 def _enough(problem: Problem, length: int, windows: int) -> bool:

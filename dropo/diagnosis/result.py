@@ -202,7 +202,7 @@ class Diagnosis(Report):
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json."""
-        from dropo import __version__
+        from dropo._version import __version__
 
         return {
             "verdict": self.verdict,

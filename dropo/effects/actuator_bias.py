@@ -5,13 +5,13 @@ from functools import partial
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import actuators
+from dropo.mjmodel.joints import actuators
 
 
 def actuator_bias(context: EffectContext) -> Iterator[EffectInstance]:
     """A constant that is added to an actuator's command after it was clamped: u' = u + b."""
     for actuator in actuators(context.model):
-        reach = actuator.reach
+        reach = actuator.largest_command
         size = Quantity(
             "bias",
             "command",

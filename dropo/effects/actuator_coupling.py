@@ -5,7 +5,7 @@ from functools import partial
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import actuators
+from dropo.mjmodel.joints import actuators
 
 
 def actuator_coupling(context: EffectContext) -> Iterator[EffectInstance]:

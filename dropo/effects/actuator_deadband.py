@@ -7,8 +7,8 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import actuators
 from dropo.effects.support.play_operator import play
+from dropo.mjmodel.joints import actuators
 
 
 def actuator_deadband(context: EffectContext) -> Iterator[EffectInstance]:
@@ -19,7 +19,7 @@ def actuator_deadband(context: EffectContext) -> Iterator[EffectInstance]:
     command.
     """
     for actuator in actuators(context.model):
-        reach = actuator.reach
+        reach = actuator.largest_command
         for variant, hook in (("", _zone), ("backlash", _backlash)):
             size = Quantity(
                 "width", "command", 0.0, reach, (0.01 * reach, 0.05 * reach), smooth=False

@@ -6,7 +6,8 @@ from typing import Any
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import actuators, each_and_all
+from dropo.effects.support.places import each_and_all
+from dropo.mjmodel.joints import actuators
 
 
 def actuator_gain(context: EffectContext) -> Iterator[EffectInstance]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import actuators
+from dropo.mjmodel.joints import actuators
 
 
 def actuator_saturation(context: EffectContext) -> Iterator[EffectInstance]:
@@ -21,7 +21,7 @@ def actuator_saturation(context: EffectContext) -> Iterator[EffectInstance]:
                 "actuator_saturation",
                 actuator.name,
                 (size,),
-                command=partial(_lower, actuator.id, actuator.reach),
+                command=partial(_lower, actuator.id, actuator.largest_command),
             )
         else:
             size = Quantity(

@@ -7,7 +7,8 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import Joint, actuators, motor_force, motors
+from dropo.mjmodel.forces import motor_force, motors
+from dropo.mjmodel.joints import Joint, actuators
 
 
 def actuator_torque_speed(context: EffectContext) -> Iterator[EffectInstance]:
@@ -27,9 +28,9 @@ def actuator_torque_speed(context: EffectContext) -> Iterator[EffectInstance]:
 
 def _loss(joint: Joint, ids: Sequence[int], state: StepState, magnitudes: Array) -> Array:
     out = np.zeros_like(state.qvel)
-    speed = state.qvel[:, joint.velocity]
+    speed = state.qvel[:, joint.qvel]
     drive = motor_force(state, joint, ids)
-    out[:, joint.velocity] = np.where(
+    out[:, joint.qvel] = np.where(
         drive * speed > 0, -np.minimum(magnitudes[0] * np.abs(speed), 1.0) * drive, 0.0
     )
     return out

@@ -8,7 +8,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import bodies
+from dropo.mjmodel.bodies import moving_bodies
 
 
 def body_com(context: EffectContext) -> Iterator[EffectInstance]:
@@ -18,7 +18,7 @@ def body_com(context: EffectContext) -> Iterator[EffectInstance]:
     Of bodies that MuJoCo compiles as simple (free bodies whose frame is at their centre of mass)
     only where the model can be compiled anew, since it cannot move their centre of mass otherwise.
     """
-    for body, name in bodies(context.model):
+    for body, name in moving_bodies(context.model):
         simple = bool(context.model.body_simple[body])
         if simple and not context.source:
             continue

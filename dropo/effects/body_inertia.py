@@ -6,12 +6,12 @@ from typing import Any
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import bodies
+from dropo.mjmodel.bodies import moving_bodies
 
 
 def body_inertia(context: EffectContext) -> Iterator[EffectInstance]:
     """The rotational inertia of a body, all its principal moments by one factor: I' = (1 + s) I."""
-    for body, name in bodies(context.model):
+    for body, name in moving_bodies(context.model):
         base = float(context.model.body_inertia[body].max())
         size = Quantity(
             "inertia", "1", -0.8, 4.0, (-0.2, -0.02, 0.02, 0.2), relative=True, base=base

@@ -6,12 +6,12 @@ from typing import Any
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import bodies
+from dropo.mjmodel.bodies import moving_bodies
 
 
 def body_mass(context: EffectContext) -> Iterator[EffectInstance]:
     """The mass of a body; its rotational inertia stays: m' = m + d."""
-    for body, name in bodies(context.model):
+    for body, name in moving_bodies(context.model):
         mass = float(context.model.body_mass[body])
         size = Quantity(
             "mass",

@@ -6,7 +6,7 @@ from typing import Any
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import touching
+from dropo.mjmodel.bodies import contact_geoms
 
 PROBES = (-0.8, -0.5, -0.2, -0.02, 0.02, 0.2)  # contacts that stick feel nothing of a small change
 
@@ -18,7 +18,7 @@ def contact_friction(context: EffectContext) -> Iterator[EffectInstance]:
     that of the world's geoms; such sizes are not offered.
     """
     size = Quantity("sliding", "1", -0.95, 5.0, PROBES, smooth=False, relative=True)
-    geoms = touching(context.model)
+    geoms = contact_geoms(context.model)
     if not geoms:
         return
     yield EffectInstance("contact_friction", None, (size,), model=_scale_all)

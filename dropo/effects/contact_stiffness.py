@@ -8,7 +8,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import touching
+from dropo.mjmodel.bodies import contact_geoms
 
 NUMBERS = ("time constant", "damping ratio")
 
@@ -20,7 +20,7 @@ def contact_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
     MuJoCo takes a mean of two geoms' solref, and the sum of their margins. Geoms that give
     stiffness and damping themselves (a negative solref) keep theirs.
     """
-    geoms = touching(context.model)
+    geoms = contact_geoms(context.model)
     places: list[tuple[str | None, tuple[int, ...]]] = [(None, ())] if geoms else []
     places += [(name, (geom,)) for geom, name in geoms if len(geoms) > 1]
     for target, ids in places:

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import bodies
+from dropo.mjmodel.bodies import moving_bodies
 
 
 def external_force(context: EffectContext) -> Iterator[EffectInstance]:
@@ -15,7 +15,7 @@ def external_force(context: EffectContext) -> Iterator[EffectInstance]:
     weight = float(
         context.model.body_mass.sum() * max(np.linalg.norm(context.model.opt.gravity), 1.0)
     )
-    for body, name in bodies(context.model):
+    for body, name in moving_bodies(context.model):
         for axis, letter in enumerate("xyz"):
             probes = tuple(share * weight for share in (-0.02, -0.002, 0.002, 0.02))
             size = Quantity(letter, "N", -weight, weight, probes)

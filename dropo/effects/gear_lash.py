@@ -7,8 +7,9 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import AFFINE_BIAS, Joint, actuators, motors
 from dropo.effects.support.play_operator import play
+from dropo.mjmodel.forces import AFFINE_BIAS, motors
+from dropo.mjmodel.joints import Joint, actuators
 
 
 def gear_lash(context: EffectContext) -> Iterator[EffectInstance]:
@@ -25,7 +26,7 @@ def gear_lash(context: EffectContext) -> Iterator[EffectInstance]:
     several, are left out.
     """
     model = context.model
-    reach = {actuator.id: actuator.reach for actuator in actuators(context.model)}
+    reach = {actuator.id: actuator.largest_command for actuator in actuators(context.model)}
     for joint, ids in motors(model):
         i = ids[0]
         if len(ids) > 1 or model.actuator_actadr[i] >= 0:
@@ -63,7 +64,7 @@ def _lost(place: int, commands: Array, step: float, magnitudes: Array) -> Array:
 def _loose(joint: Joint, place: int, state: StepState, magnitudes: Array) -> Array:
     gear = float(state.model.actuator_gear[place, 0])
     out = state.ctrl.copy()
-    at = gear * state.qpos[:, joint.position]
+    at = gear * state.qpos[:, joint.qpos]
     error = out[:, place] - at
     out[:, place] = at + np.sign(error) * np.maximum(
         np.abs(error) - abs(gear) * magnitudes[0] / 2, 0

@@ -7,7 +7,8 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import Joint, actuators, torque_scale
+from dropo.mjmodel.forces import torque_scale
+from dropo.mjmodel.joints import Joint, actuators
 
 PERIODS = (6, 7, 8, 10, 12, 14, 16, 18, 20, 21, 24, 28, 30, 36, 42, 48)  # cogs a turn
 
@@ -22,7 +23,7 @@ def joint_cogging(context: EffectContext) -> Iterator[EffectInstance]:
         if actuator.joint is not None
     }
     for joint in driven.values():
-        if joint.length != "rad":
+        if joint.kind != "hinge":
             continue
         scale = torque_scale(context.model, joint)
         parts = tuple(
@@ -42,6 +43,6 @@ def joint_cogging(context: EffectContext) -> Iterator[EffectInstance]:
 
 def _cogs(joint: Joint, cogs: int, state: StepState, magnitudes: Array) -> Array:
     out = np.zeros_like(state.qvel)
-    angle = cogs * state.qpos[:, joint.position]
-    out[:, joint.velocity] = magnitudes[0] * np.sin(angle) + magnitudes[1] * np.cos(angle)
+    angle = cogs * state.qpos[:, joint.qpos]
+    out[:, joint.qvel] = magnitudes[0] * np.sin(angle) + magnitudes[1] * np.cos(angle)
     return out

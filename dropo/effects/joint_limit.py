@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.effects.support.model_field import Entry, Field
-from dropo.effects.support.places import joints
+from dropo.mjmodel.joints import joints
 
 FIELD = Field("joint_limit", "jnt_range", "stop")
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import Joint, motor_force, motors
+from dropo.mjmodel.forces import motor_force, motors
+from dropo.mjmodel.joints import Joint
 
 ZERO = 1e-2  # [rad/s, m/s] below which the sign of a speed fades out
 
@@ -25,9 +26,9 @@ def joint_load_friction(context: EffectContext) -> Iterator[EffectInstance]:
 
 def _rub(joint: Joint, ids: Sequence[int], state: StepState, magnitudes: Array) -> Array:
     out = np.zeros_like(state.qvel)
-    out[:, joint.velocity] = (
+    out[:, joint.qvel] = (
         -magnitudes[0]
         * np.abs(motor_force(state, joint, ids))
-        * np.tanh(state.qvel[:, joint.velocity] / ZERO)
+        * np.tanh(state.qvel[:, joint.qvel] / ZERO)
     )
     return out

@@ -8,7 +8,8 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import Joint, joints, torque_scale
+from dropo.mjmodel.forces import torque_scale
+from dropo.mjmodel.joints import Joint, joints
 
 
 def joint_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
@@ -37,6 +38,6 @@ def _stiffen(joint: Joint, model: Any, magnitudes: Array) -> None:
 
 def _spring(joint: Joint, state: StepState, magnitudes: Array) -> Array:
     out = np.zeros_like(state.qvel)
-    rest = state.model.qpos_spring[joint.position]
-    out[:, joint.velocity] = magnitudes[1] - magnitudes[0] * (state.qpos[:, joint.position] - rest)
+    rest = state.model.qpos_spring[joint.qpos]
+    out[:, joint.qvel] = magnitudes[1] - magnitudes[0] * (state.qpos[:, joint.qpos] - rest)
     return out

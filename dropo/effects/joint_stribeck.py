@@ -7,7 +7,8 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import Joint, joints, torque_scale
+from dropo.mjmodel.forces import torque_scale
+from dropo.mjmodel.joints import Joint, joints
 
 ZERO = 1e-2  # [rad/s, m/s] below which the sign of a speed fades out
 
@@ -30,9 +31,7 @@ def joint_stribeck(context: EffectContext) -> Iterator[EffectInstance]:
 
 def _rub(joint: Joint, state: StepState, magnitudes: Array) -> Array:
     out = np.zeros_like(state.qvel)
-    speed = state.qvel[:, joint.velocity]
+    speed = state.qvel[:, joint.qvel]
     width = 0.5 * np.exp(magnitudes[1])
-    out[:, joint.velocity] = (
-        -magnitudes[0] * np.exp(-((speed / width) ** 2)) * np.tanh(speed / ZERO)
-    )
+    out[:, joint.qvel] = -magnitudes[0] * np.exp(-((speed / width) ** 2)) * np.tanh(speed / ZERO)
     return out

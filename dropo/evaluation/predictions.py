@@ -118,7 +118,7 @@ def predict(
     return Predictions(
         names=tuple(s.name for s in simulator.signals),
         units=tuple(s.unit for s in simulator.signals),
-        seconds=float(getattr(simulator, "control_step", np.nan)),
+        seconds=np.nan if simulator.control_step is None else simulator.control_step,
         begins=rows - origins[data.trajectory[rows]],
         measured=_by_window(simulator.targets(places.shown), places.shown),
         rows=data.next_observations[places.shown.steps],

@@ -7,10 +7,10 @@ import numpy as np
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.logs.model_joints import Joint, Machine
 from dropo.logs.recordings import Run, Series
 from dropo.logs.signals.resampling import resample, resample_rotations
 from dropo.logs.signals.stamps import gaps
+from dropo.mjmodel.joints import Joint, ModelJoints
 
 SHORT = 3
 """A trajectory of fewer rows holds no transition worth keeping."""
@@ -187,7 +187,10 @@ def held_means(time: Array, values: Array, at: Array, step: float) -> Array:
 
 
 def observed(
-    machine: Machine, names: Sequence[str], positions: Sequence[Array], velocities: Sequence[Array]
+    machine: ModelJoints,
+    names: Sequence[str],
+    positions: Sequence[Array],
+    velocities: Sequence[Array],
 ) -> tuple[list[str], Array]:
     """The items of an observation and its rows: qpos, then qvel, of the named joints, in the
     model's order.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dropo import __version__
+from dropo._version import __version__
 from dropo.core.services.atomic_write import atomic_write, write_json, write_npz, write_text
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.core.services.tables import Report, Table, number
@@ -29,11 +29,11 @@ from dropo.logs.grids import (
 )
 from dropo.logs.log_checks import check_runs
 from dropo.logs.mapping import Mapping, read_mapping
-from dropo.logs.model_joints import Machine, load_machine
 from dropo.logs.preparing import Noise, cleaned, with_velocities
 from dropo.logs.readers.reader import Progress
 from dropo.logs.recordings import Run, read_runs
 from dropo.logs.signals.clocks import Lateness, aligned
+from dropo.mjmodel.joints import ModelJoints, load_model_joints
 
 PROBLEM = "problem.yaml"
 RECORD = "import.json"
@@ -146,7 +146,7 @@ def import_logs(
     place = Path(out)
     _check_place(place)
     logs = [logs] if isinstance(logs, str | Path) else logs
-    machine = load_machine(model)
+    machine = load_model_joints(model)
     found = prepare(logs, read_mapping(mapping, machine), machine, progress=progress)
     _write(found, place, Path(model), machine)
     return found
@@ -155,7 +155,7 @@ def import_logs(
 def prepare(
     logs: Sequence[str | Path],
     mapping: Mapping,
-    machine: Machine,
+    machine: ModelJoints,
     *,
     progress: Progress = lambda share, text: None,
 ) -> Import:
@@ -197,7 +197,7 @@ def _gathered(
     raw: Sequence[Run],
     runs: Sequence[Run],
     mapping: Mapping,
-    machine: Machine,
+    machine: ModelJoints,
     skip: int,
     delays: list[Lateness],
     noise: dict[str, Noise],
@@ -267,7 +267,7 @@ def _unique(run: Run, taken: dict[str, Any]) -> str:
     )
 
 
-def _action(mapping: Mapping, machine: Machine) -> tuple[list[str], list[str]]:
+def _action(mapping: Mapping, machine: ModelJoints) -> tuple[list[str], list[str]]:
     """The items of an action row, and the actuators in their order; all of them, at zero, where no
     command is mapped.
     """
@@ -276,7 +276,7 @@ def _action(mapping: Mapping, machine: Machine) -> tuple[list[str], list[str]]:
     return (
         ["ctrl"]
         if len(ordered) == len(machine.actuators)
-        else [f"ctrl[{machine.actuators[name].index}]" for name in ordered]
+        else [f"ctrl[{machine.actuators[name].id}]" for name in ordered]
     ), ordered
 
 
@@ -336,13 +336,11 @@ def _check_place(out: Path) -> None:
         raise BadFile(problem, "", expected, "one that was changed")
 
 
-def _write(found: Import, out: Path, model: Path, machine: Machine) -> None:
+def _write(found: Import, out: Path, model: Path, machine: ModelJoints) -> None:
     """The three files, each whole; none where one cannot be written."""
-    body = max(range(1, machine.model.nbody), key=lambda i: machine.model.body_mass[i], default=0)
-    mass = float(machine.model.body_mass[body])
-    head = HEAD.format(
-        record=RECORD, body=machine.model.body(body).name, low=mass / 2, high=2 * mass
-    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    body, mass = machine.heaviest_body
+    head = HEAD.format(record=RECORD, body=body, low=mass / 2, high=2 * mass)
     content = {
         "model": os.path.relpath(model, out.parent),
         "frame_skip": found.frame_skip,

@@ -18,12 +18,12 @@ from dropo.data.checks.kinematics import (
     noise_of_steps,
     turned,
 )
-from dropo.logs.model_joints import Joint, Machine
 from dropo.logs.recordings import Run, Series
 from dropo.logs.signals.stamps import check_stamps, gaps, going_on
+from dropo.mjmodel.joints import Joint, ModelJoints
 
 
-def check_runs(runs: Sequence[Run], machine: Machine) -> list[Finding]:
+def check_runs(runs: Sequence[Run], machine: ModelJoints) -> list[Finding]:
     """What looks odd in raw logs, errors first; every finding names its run where there are
     several.
     """
@@ -52,7 +52,7 @@ def check_runs(runs: Sequence[Run], machine: Machine) -> list[Finding]:
     return errors_first(found)
 
 
-def _columns(series: Series, machine: Machine, run: str | None) -> Iterator[Column]:
+def _columns(series: Series, machine: ModelJoints, run: str | None) -> Iterator[Column]:
     channel = series.channel
     names = (
         [series.label]
@@ -82,7 +82,7 @@ def _columns(series: Series, machine: Machine, run: str | None) -> Iterator[Colu
 
 
 def _joint(
-    joint: Joint, series: list[Series], machine: Machine, run: str | None
+    joint: Joint, series: list[Series], machine: ModelJoints, run: str | None
 ) -> Iterator[Finding]:
     positions = _of("qpos", joint, series)
     if positions is None:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from dropo.core.services.errors import BadFile
 from dropo.core.services.strict_yaml import Entries, named, read_yaml, shown
-from dropo.logs.model_joints import Joint, Machine
 from dropo.logs.units import SECONDS, UNITS, units_of
+from dropo.mjmodel.joints import Joint, ModelJoints
 
 KEYS = ("time", "qpos", "qvel", "ctrl", "inputs", "run", "rate")
 COLUMN_KEYS = ("column", "columns", "unit", "sign", "offset", "file", "topic", "clock")
@@ -106,7 +106,7 @@ class Mapping:
         return BadFile(self.path, key, expected, got)
 
 
-def read_mapping(path: str | Path, machine: Machine) -> Mapping:
+def read_mapping(path: str | Path, machine: ModelJoints) -> Mapping:
     """The mapping in a YAML file; names, units, widths and keys are checked against the model."""
     entries = read_yaml(Path(path), KEYS, "a mapping file")
     source = _main_source(entries)
@@ -143,7 +143,7 @@ def _clock(entry: Entries) -> Clock:
     return Clock(_optional(entry, "column"), unit)
 
 
-def _channels(entries: Entries, machine: Machine, source: Source) -> Iterator[Channel]:
+def _channels(entries: Entries, machine: ModelJoints, source: Source) -> Iterator[Channel]:
     for field in ("qpos", "qvel"):
         level = entries.level(field, what="a mapping from joint names to columns")
         for name in level.content:
@@ -185,7 +185,7 @@ def _channels(entries: Entries, machine: Machine, source: Source) -> Iterator[Ch
 
 
 def _commands(
-    level: Entries, machine: Machine, source: Source, candidate: str
+    level: Entries, machine: ModelJoints, source: Source, candidate: str
 ) -> Iterator[Channel]:
     for name in level.content:
         level.known(name, name, machine.actuators, "the name of an actuator of the model")

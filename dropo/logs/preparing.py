@@ -11,10 +11,10 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.data.checks.columns import Column, hangs, unwrapped
 from dropo.logs.mapping import Channel
-from dropo.logs.model_joints import Joint, Machine
 from dropo.logs.recordings import Run, Series
 from dropo.logs.signals.stamps import gaps, going_on
 from dropo.logs.signals.velocities import Velocities, estimate_velocities
+from dropo.mjmodel.joints import Joint, ModelJoints
 
 ROWS = 4000
 RUNS = 20
@@ -36,14 +36,14 @@ class Noise:
     estimated: bool = False
 
 
-def cleaned(run: Run, machine: Machine) -> Run:
+def cleaned(run: Run, machine: ModelJoints) -> Run:
     """The run without rows whose stamps do not go on or in which a sensor hangs; hinge angles go on
     beyond a turn.
     """
     return replace(run, series=tuple(_cleaned(series, machine) for series in run.series))
 
 
-def _cleaned(series: Series, machine: Machine) -> Series:
+def _cleaned(series: Series, machine: ModelJoints) -> Series:
     series = series.take(going_on(series.time))
     if series.channel.field == "ctrl":
         return series
@@ -59,7 +59,9 @@ def _cleaned(series: Series, machine: Machine) -> Series:
     return replace(series, values=unwrapped(series.values[:, 0])[:, None]) if hinge else series
 
 
-def with_velocities(runs: Sequence[Run], machine: Machine) -> tuple[list[Run], dict[str, Noise]]:
+def with_velocities(
+    runs: Sequence[Run], machine: ModelJoints
+) -> tuple[list[Run], dict[str, Noise]]:
     """The runs with a velocity for every position, and the noise level of every column of both.
 
     Velocities that were not logged come from a smoother (not causal) of each stretch between gaps,

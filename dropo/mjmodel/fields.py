@@ -10,6 +10,7 @@ import numpy as np
 from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.core.services.validation import known, nearest
+from dropo.mjmodel.names import element_names
 
 # The kind of element that a field's row belongs to, by the field's prefix; `dof_` rows are found by
 # their joint's name.
@@ -159,23 +160,6 @@ def option_fields(model: mujoco.MjModel) -> list[str]:
         for name in dir(model.opt)
         if not name.startswith("_") and _float_like(getattr(model.opt, name))
     ]
-
-
-def element_names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
-    """The names of the model's elements of one kind ("body", "joint", ...), and their ids; unnamed
-    ones are left out.
-    """
-    obj = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-    count = {
-        "joint": "njnt",
-        "camera": "ncam",
-        "equality": "neq",
-        "actuator": "nu",
-        "pair": "npair",
-        "material": "nmat",
-    }.get(kind, f"n{kind}")
-    found = ((mujoco.mj_id2name(model, obj, i), i) for i in range(getattr(model, count)))
-    return {name: i for name, i in found if name}
 
 
 def _entries(parameter: FieldParameter, model: mujoco.MjModel, array: Any) -> Any:

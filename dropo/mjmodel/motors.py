@@ -64,13 +64,6 @@ class Motor:
         """The rotor's inertia as the joint feels it [kg m^2]: times the square of the gear ratio."""
         return None if self.rotor_inertia is None else self.rotor_inertia * self.gear_ratio**2
 
-    @property
-    def torque_per_ampere(self) -> float | None:
-        """At the joint [N m / A], without the gear's losses: the torque that a measured current
-        means.
-        """
-        return None if self.torque_constant is None else self.torque_constant * self.gear_ratio
-
 
 def read_motors(path: Path | None = None) -> dict[str, Motor]:
     """The motors of a JSON file, by name, each a mapping with the fields of `Motor`; of the

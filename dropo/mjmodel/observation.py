@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from dropo.core.records.trajectories import Signal
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
-from dropo.mjmodel.fields import element_names, item_columns
+from dropo.mjmodel.fields import item_columns
+from dropo.mjmodel.joints import all_joints
+from dropo.mjmodel.names import element_names
 
-FREE, BALL, SLIDE, HINGE = range(4)
 STATE = ("qpos", "qvel", "act")
 
 
@@ -51,7 +52,7 @@ class Layout:
             raise BadArgument("The observation must have at least one column. Got none.")
         self.quaternions = self._quaternion_columns(model)
         self.model_units = _units(model)
-        self.names = [_name(model, column) for column in self.columns]
+        self.names = [_name(addresses, column) for column in self.columns]
         self.signals = self._signals()
         self._plain = np.array(
             [
@@ -135,6 +136,21 @@ class Layout:
             take = chosen[columns]
             states[:, first[field] + places[take]] = rows[:, columns[take]]
 
+    def full_states(self, rows: Array, model: mujoco.MjModel) -> Array:
+        """Physics states (N, 1 + nq + nv + na) of observation rows (N, P); what is not observed is
+        at qpos0 or rests.
+        """
+        states = np.zeros((len(rows), 1 + model.nq + model.nv + model.na))
+        states[:, 1 : 1 + model.nq] = model.qpos0
+        self.write_start(states, rows, np.ones(len(self), dtype=bool), model)
+        return states
+
+    @property
+    def column_signals(self) -> list[Signal]:
+        """Names and units of the P columns; a quaternion's numbers have no unit."""
+        units = [self.model_units.get((column.field, column.place), "") for column in self.columns]
+        return [Signal(name, unit) for name, unit in zip(self.names, units, strict=True)]
+
     def move(self, rows: Array, offsets: Array) -> Array:
         """Observation rows (N, P) moved by offsets (N, p) in the signals' coordinates."""
         out = rows.copy()
@@ -181,72 +197,56 @@ class Layout:
 
 def quaternion_addresses(model: mujoco.MjModel) -> list[int]:
     """Where in qpos the quaternions of free and ball joints begin."""
-    return [
-        int(a) + (3 if t == FREE else 0)
-        for a, t in zip(model.jnt_qposadr, model.jnt_type, strict=True)
-        if t in (FREE, BALL)
-    ]
+    places = [(joint.qpos, joint.quaternion()) for joint in all_joints(model)]
+    return [first + inside.start for first, inside in places if inside is not None]
 
 
-def _addresses(model: mujoco.MjModel) -> dict[str, dict[str, tuple[int, int]]]:
-    """Start and length of each named element in qpos, qvel, act and sensordata; a joint without a
-    name goes by its body's.
-    """
-    joints = _joint_names(model)
-    width = {FREE: (7, 6), BALL: (4, 3), SLIDE: (1, 1), HINGE: (1, 1)}
-    kinds = [int(t) for t in model.jnt_type]
+Addresses = dict[str, dict[str, tuple[int, int]]]
+"""Start and length of each named element, by field."""
+
+
+def _addresses(model: mujoco.MjModel) -> Addresses:
+    """Those in qpos, qvel, act and sensordata; all joints and actuators have names."""
+    joints = all_joints(model)
     actuators = {
         name: i
         for name, i in element_names(model, "actuator").items()
         if model.actuator_actnum[i] > 0
     }
+    sensors = element_names(model, "sensor")
     return {
-        "qpos": {
-            name: (int(model.jnt_qposadr[j]), width[kinds[j]][0]) for name, j in joints.items()
-        },
-        "qvel": {
-            name: (int(model.jnt_dofadr[j]), width[kinds[j]][1]) for name, j in joints.items()
-        },
+        "qpos": {joint.name: (joint.qpos, len(joint.units("qpos"))) for joint in joints},
+        "qvel": {joint.name: (joint.qvel, len(joint.units("qvel"))) for joint in joints},
         "act": {
             name: (int(model.actuator_actadr[i]), int(model.actuator_actnum[i]))
             for name, i in actuators.items()
         },
         "sensordata": {
             name: (int(model.sensor_adr[i]), int(model.sensor_dim[i]))
-            for name, i in element_names(model, "sensor").items()
+            for name, i in sensors.items()
         },
     }
 
 
-def _joint_names(model: mujoco.MjModel) -> dict[str, int]:
-    names = element_names(model, "joint")
-    named = set(names.values())
-    for j in set(range(model.njnt)) - named:
-        body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.jnt_bodyid[j]))
-        if body and body not in names:
-            names[body] = j
-    return names
-
-
-def _name(model: mujoco.MjModel, column: _Column) -> str:
-    """ "qpos.thigh_joint", or "qpos[3]" where the element has no name or several numbers (then
-    "qpos.box[0]").
+def _name(addresses: Addresses, column: _Column) -> str:
+    """ "qpos.thigh_joint", "qpos.box[0]" where the element has several numbers, "sensordata[3]"
+    where it has no name.
     """
-    for name, (start, count) in _addresses(model)[column.field].items():
+    for name, (start, count) in addresses[column.field].items():
         if start <= column.place < start + count:
-            return f"{column.field}.{name}" + (f"[{column.place - start}]" if count > 1 else "")
+            number = f"[{column.place - start}]" if count > 1 else ""
+            return f"{column.field}.{name}{number}"
     return f"{column.field}[{column.place}]"
 
 
 def _units(model: mujoco.MjModel) -> dict[tuple[str, int], str]:
+    """The unit of each number of qpos and qvel; a quaternion's have none."""
     out = {}
-    for address, dof, kind in zip(model.jnt_qposadr, model.jnt_dofadr, model.jnt_type, strict=True):
-        lengths, turns = {FREE: (3, 3), BALL: (0, 3), SLIDE: (1, 0), HINGE: (0, 1)}[int(kind)]
-        for i in range(lengths):
-            out["qpos", int(address) + i], out["qvel", int(dof) + i] = "m", "m/s"
-        for i in range(lengths, lengths + turns):
-            out["qvel", int(dof) + i] = "rad/s"
-            out["qpos", int(address) + i] = "rad"
+    for joint in all_joints(model):
+        for i, unit in enumerate(joint.units("qpos")):
+            out["qpos", joint.qpos + i] = unit
+        for i, unit in enumerate(joint.units("qvel")):
+            out["qvel", joint.qvel + i] = unit
     return out
 
 

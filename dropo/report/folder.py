@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dropo import __version__
+from dropo._version import __version__
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit import Fit
 from dropo.core.records.predictions import FILE, Predictions

@@ -10,7 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from dropo import __version__
+from dropo._version import __version__
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@ after on the right.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from dropo.core.services.atomic_write import atomic_write
 from dropo.core.services.errors import DropoError
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array
+
+if TYPE_CHECKING:
+    from dropo.mjmodel.robot_simulator import RobotSimulator
 
 # [pixels] of each half
 WIDTH = 480
@@ -23,8 +26,8 @@ GHOSTS = ((0.95, 0.42, 0.0, 0.6), (0.1, 0.55, 0.95, 0.6))  # before, after; as i
 MEASURED = (0.75, 0.75, 0.72, 1.0)
 
 
-def write_video(found: Predictions, simulator: Any, path: Path) -> Path:
-    """Every window, slowed down, as H.264; simulator: a MujocoSimulator of the run's model.
+def write_video(found: Predictions, simulator: "RobotSimulator", path: Path) -> Path:
+    """Every window, slowed down, as H.264; simulator: one of the run's model.
 
     Needs the extra `video`, and without a display the environment variable MUJOCO_GL=egl before
     MuJoCo is imported.
@@ -84,17 +87,14 @@ def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
     return path
 
 
-def _states(found: Predictions, simulator: Any, side: Side | None) -> Array:
+def _states(found: Predictions, simulator: "RobotSimulator", side: Side | None) -> Array:
     """(W L, nq) joint positions as measured, or as a side predicted them."""
     rows = found.rows.reshape(-1, found.rows.shape[2])
     layout = simulator.layout
-    model = simulator.model
     if side is not None:
         rows = layout.move(rows, (side.line - found.measured).reshape(len(rows), -1))
-    states = np.zeros((len(rows), 1 + model.nq + model.nv + model.na))
-    states[:, 1 : 1 + model.nq] = model.qpos0
-    layout.write_start(states, np.nan_to_num(rows), np.ones(len(layout), dtype=bool), model)
-    return states[:, 1 : 1 + model.nq]
+    states = layout.full_states(np.nan_to_num(rows), simulator.model)
+    return states[:, 1 : 1 + simulator.model.nq]
 
 
 class _Stage:

@@ -89,25 +89,31 @@ class TorchSimulator(Simulator):
         return torch.stack(steps, dim=2)
 
     def linearize(
-        self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
+        self,
+        values: ArrayLike,
+        segments: Segments,
+        *,
+        step: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
         """The prediction (R, p) and its exact Jacobian (R, p, d): d equal draws, each with the
         tangent of one parameter.
 
-        With a `step` given, central differences as in the contract.
+        With a `step` given, central differences. Parameters, returns and errors as in the contract.
         """
         if step is not None:
             return super().linearize(values, segments, step=step)
         import torch
 
         d = len(self.space)
-        centre = float_array("values", values, (d,), f"{type(self).__name__}.linearize")
+        caller = f"{type(self).__name__}.linearize"
+        centre = float_array("values", values, (d,), caller)
         draws = torch.tensor(np.tile(centre, (d, 1)))
         with torch.no_grad():
-            replay = lambda moved: self._replay(moved, segments, None)
+            replay = lambda given: self._replay(given, segments, None)
             pushed: Any = torch.func.jvp(replay, (draws,), (torch.eye(d, dtype=torch.float64),))
         prediction, slopes = pushed
         self.steps += int(segments.lengths.sum()) * d * self.steps_per_action
         if not prediction.isfinite().all():
-            raise SimulationFailed(describe_failures(prediction.numpy(), draws.numpy(), self.space))
+            failed = describe_failures(prediction.numpy(), draws.numpy(), self.space)
+            raise SimulationFailed(failed)
         return prediction[0].numpy(), np.moveaxis(slopes.numpy(), 0, -1)

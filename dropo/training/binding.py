@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import Incompatible, InvalidInput
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array, known
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.worker import ActiveEffects
 from dropo.training.distributions import ParameterDistribution, places_of
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -10,6 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
+from dropo.core.contracts.effect import ActiveEffects
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
@@ -18,7 +19,6 @@ from dropo.core.services.validation import Array, nearest, require
 from dropo.simulators.gymnasium import make_environment, observed_columns
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.warnings import quiet
-from dropo.simulators.mujoco.worker import ActiveEffects
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.binding import bind, declaring
 from dropo.training.distributions import ParameterDistribution, Point
@@ -176,9 +176,7 @@ def _of_problem(
         )
     task_of(problem)
     distribution = (
-        Point(simulator.space, cast(Array, simulator.nominal))
-        if distribution is None
-        else distribution
+        Point(simulator.space, simulator.nominal) if distribution is None else distribution
     )
     free, fill = bind(simulator, distribution, f"the problem {problem.name!r}")
     return BatchedTaskEnv(

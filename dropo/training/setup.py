@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from dropo.simulators.mujoco.worker import ActiveEffects
+from dropo.core.contracts.effect import ActiveEffects
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.distributions import ParameterDistribution, full
 from dropo.training.environments import Target, batched_env, randomize

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
-from dropo.simulators.mujoco.worker import ActiveEffects
+from dropo.core.contracts.effect import ActiveEffects
 from dropo.training.ars import ARS
 from dropo.training.distributions import Curriculum, ParameterDistribution
 from dropo.training.environments import Target, resolve
@@ -71,7 +71,7 @@ def train(
 
 def about(setup: TrainingSetup, algorithm: Algorithm) -> dict[str, Any]:
     """What a policy's file says of its training."""
-    from dropo import __version__
+    from dropo._version import __version__
 
     one = setup.batched_env(1)
     steps = one.length

@@ -121,7 +121,7 @@ def test_a_channel_that_does_not_move(simulator: MujocoSimulator, clean: Traject
     )
     assert said(data, simulator) == [
         ("warning", "qpos.slide", "it does not move: all 20 rows are 0.25."),
-        ("warning", "ctrl[1]", "it does not move: all 20 rows are 0."),
+        ("warning", "ctrl.actuator1", "it does not move: all 20 rows are 0."),
     ]
 
 
@@ -191,7 +191,7 @@ def test_names(simulator: MujocoSimulator) -> None:
     assert [s.unit for s in columns(simulator, 15)] == ["m"] * 3 + [""] * 4 + ["m"] + [
         "m/s"
     ] * 3 + ["rad/s"] * 3 + ["m/s"]
-    assert [s.name for s in controls(simulator, 2)] == ["ctrl.push", "ctrl[1]"]
+    assert [s.name for s in controls(simulator, 2)] == ["ctrl.push", "ctrl.actuator1"]
     assert columns(None, 2) == [Signal("observation[0]"), Signal("observation[1]")]
     assert controls(simulator, 1) == [Signal("action[0]")]
 

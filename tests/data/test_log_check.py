@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from dropo.data.checks.findings import Finding
 from dropo.logs.log_checks import check_runs
 from dropo.logs.mapping import read_mapping
-from dropo.logs.model_joints import load_machine
 from dropo.logs.recordings import read_runs
+from dropo.mjmodel.joints import load_model_joints
 
 Columns = dict[str, NDArray[Any]]
 
@@ -22,7 +22,7 @@ Columns = dict[str, NDArray[Any]]
 def found(folder: Path, columns: Columns) -> list[Finding]:
     """What the check says of a log with these columns."""
     np.savez(folder / "log.npz", **columns)
-    machine = load_machine(folder / "robot.xml")
+    machine = load_model_joints(folder / "robot.xml")
     return check_runs(
         read_runs(
             [folder / "log.npz"],

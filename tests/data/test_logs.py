@@ -14,9 +14,9 @@ import pytest
 
 from dropo.core.services.errors import BadFile
 from dropo.logs.mapping import read_mapping
-from dropo.logs.model_joints import load_machine
 from dropo.logs.readers.reader import open_log
 from dropo.logs.recordings import Run, read_runs
+from dropo.mjmodel.joints import load_model_joints
 
 Columns = dict[str, Any]
 N = 50
@@ -37,7 +37,7 @@ def runs(folder: Path, log: Path, text: str) -> list[Run]:
     """The runs of a log by the mapping in a text."""
     (folder / "map.yaml").write_text(text)
     return read_runs(
-        [log], read_mapping(folder / "map.yaml", load_machine(folder / "robot.xml")), silent
+        [log], read_mapping(folder / "map.yaml", load_model_joints(folder / "robot.xml")), silent
     )
 
 
@@ -94,7 +94,7 @@ def test_csv_in_blocks(
     monkeypatch.setattr("dropo.logs.readers.tables.BLOCK", 7)
     shares: list[float] = []
     (folder / "map.yaml").write_text(PLAIN)
-    mapping = read_mapping(folder / "map.yaml", load_machine(folder / "robot.xml"))
+    mapping = read_mapping(folder / "map.yaml", load_model_joints(folder / "robot.xml"))
     (run,) = read_runs(
         [csv(folder / "log.csv", columns)], mapping, lambda share, text: shares.append(share)
     )

@@ -7,8 +7,8 @@ import pytest
 
 from dropo.core.services.errors import BadFile
 from dropo.logs.mapping import Mapping, read_mapping
-from dropo.logs.model_joints import load_machine
 from dropo.logs.recordings import read_runs
+from dropo.mjmodel.joints import load_model_joints
 
 BODIES = """
 <mujoco>
@@ -24,7 +24,7 @@ BODIES = """
 def mapping(folder: Path, text: str, model: str = "robot.xml") -> Mapping:
     """The mapping that a text is."""
     (folder / "map.yaml").write_text(text)
-    return read_mapping(folder / "map.yaml", load_machine(folder / model))
+    return read_mapping(folder / "map.yaml", load_model_joints(folder / model))
 
 
 def refusal(folder: Path, text: str, model: str = "robot.xml") -> str:
@@ -155,6 +155,6 @@ def test_a_model_that_is_none(folder: Path) -> None:
     with pytest.raises(
         BadFile, match=r"bad.xml: expected an MJCF file, got one that MuJoCo refuses"
     ):
-        load_machine(folder / "bad.xml")
+        load_model_joints(folder / "bad.xml")
     with pytest.raises(BadFile, match=r"none.xml: expected an MJCF file, got no such file"):
-        load_machine(folder / "none.xml")
+        load_model_joints(folder / "none.xml")

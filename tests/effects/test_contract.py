@@ -121,13 +121,13 @@ def test_none_where_there_is_nothing():
     ]
     strange = ROBOTS["strange"]().simulator.effect_context
     assert not [
-        instance for instance in find("effects", "body_mass")(strange) if instance.target == "0"
+        instance for instance in find("effects", "body_mass")(strange) if instance.target == "world"
     ]
     assert [a.target for a in find("effects", "actuator_gain")(strange)] == [
-        "0",
-        "1",
+        "actuator0",
+        "actuator1",
         "socket",
-        "3",
+        "actuator3",
         "speed",
         None,
     ]

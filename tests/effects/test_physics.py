@@ -292,7 +292,7 @@ FORCES = [
     ),
     (
         "strange",
-        "actuator_torque_speed:3",
+        "actuator_torque_speed:actuator3",
         (0.9,),
         "track",
         lambda d, v, q: weaker(d.actuator_force[3], d.qvel[v], 0.9),

@@ -128,6 +128,16 @@ def test_jacobians_are_exact_where_differences_round():
     np.testing.assert_array_equal(Block().jacobian(value, part), Block().linearize(value, part)[1])
 
 
+def test_slopes_in_starts():
+    """Those of the NumPy twin, to the error of its differences."""
+    part = data().segments()
+    mine, theirs = (
+        simulator.linearize_starts([1.3, 0.7], part, step=[0.1, 0.1])[1]
+        for simulator in (Block(), SlidingBlock())
+    )
+    np.testing.assert_allclose(mine, theirs, rtol=1e-10, atol=1e-12)
+
+
 def test_a_given_step_asks_for_differences():
     """Sensitivities over a wide step are those differences, not the derivative."""
     part = data().segments()
@@ -204,7 +214,7 @@ class HalfDetached(Block):
             torch.cat([values[..., :1], values[..., 1:].detach()], dim=-1), states, actions
         )
 
-    def linearize(self, values, segments, *, step=None):
+    def linearize(self, values, segments, *, step=None, offsets=None):
         width = 1e-5 * np.ones(2)
         return super().linearize(values, segments, step=width)
 

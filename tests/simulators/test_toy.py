@@ -1,5 +1,6 @@
 """The toy simulators against what their closed forms claim."""
 
+
 import numpy as np
 import pytest
 
@@ -91,6 +92,28 @@ def test_linear_simulator_is_linear():
             prediction, (segments.starts[:, None] + moved @ value).reshape(-1, 3), atol=1e-12
         )
         np.testing.assert_allclose(slopes, moved.reshape(-1, 3, 2), atol=1e-8)
+
+
+@pytest.mark.parametrize("cut", ["transition", "partial"])
+def test_slopes_in_starts_are_those_of_the_closed_form(cut):
+    """A block's position after n steps slopes by 1 in its start and by tau (1 - e^(-n dt / tau)) in
+    its speed, tau = m / c. In chains only a segment's own start counts, not those before it."""
+    value = np.array([2.0, 1.5])
+    step = np.array([0.1, 0.2])
+    partly = {"reset": cut, "set_columns": [True, False]} if cut == "partial" else {}
+    segments = sliding()[1].segments(3, **partly, every_step=True)
+    simulator = SlidingBlock(dt=0.05)
+    prediction, jacobian = simulator.linearize_starts(value, segments, step=step)
+    segment, place = segments.rows
+    tau = value[0] / value[1]
+    decay = np.exp(-0.05 * (1 + place) / tau)
+    own = (
+        segments.previous[segment] < 0
+    )  # the others take their speed from where a simulation ended
+    slopes = [np.ones_like(decay), own * tau * (1 - decay), np.zeros_like(decay), own * decay]
+    expected = np.stack(slopes, axis=-1).reshape(-1, 2, 2)
+    np.testing.assert_allclose(jacobian, expected, atol=1e-12)
+    np.testing.assert_array_equal(prediction, simulator.predict([value], segments)[0])
 
 
 def test_simulated_data_are_the_simulators_own():

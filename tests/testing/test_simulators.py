@@ -96,7 +96,7 @@ class OffsetsLost(SlidingBlock):
 class WrongSlopes(SlidingBlock):
     """Sensitivities of damping 1 % too large."""
 
-    def linearize(self, values, segments, *, step=None):
+    def linearize(self, values, segments, *, step=None, offsets=None):
         prediction, slopes = super().linearize(values, segments, step=step)
         return prediction, slopes * [1.0, 1.01]
 

@@ -155,6 +155,9 @@ class EffectContext:
     source: bool = True
 
 
+ActiveEffects = Sequence[tuple[EffectInstance, Array]]
+"""The effects that are there, with their sizes."""
+
 Effect = Callable[[EffectContext], Iterable[EffectInstance]]
 """A plug-in of kind "effects": the atoms of one effect at every place of a robot where it can be.
 """

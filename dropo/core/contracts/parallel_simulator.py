@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Segments
@@ -39,6 +40,7 @@ class ParallelSimulator(Simulator):
         self.signals = simulator.signals
         self.nominal = simulator.nominal
         self.steps_per_action = simulator.steps_per_action
+        self.control_step = simulator.control_step
         self._pickled = pickle.dumps(simulator)
         self._segments: tuple[Segments, bytes] | None = None
 
@@ -48,6 +50,9 @@ class ParallelSimulator(Simulator):
 
     def targets(self, segments: Segments) -> Array:
         return self.simulator.targets(segments)
+
+    def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
+        return self.simulator.in_contact(segments)
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         shares = np.array_split(np.arange(len(values)), min(self.parts, len(values)))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dropo.core.numerics.array_api import checked, is_tensor, namespace, plain
 from dropo.core.numerics.finite_differences import axial_design, difference_quotients
@@ -30,12 +30,24 @@ class Simulator(ABC):
 
     A plug-in writes `_predict`, and sets `space` and `signals`.
 
-    space: the d parameters that `predict` takes, in this order. signals: the p numbers that it
-    gives for each row.
-    nominal: (d,) the parameters' values before any fit, where there are such. steps: the simulator
-    steps made so far;
-    failures: the simulations so far that did not reach their end. has_gradients: whether `predict`
-    takes torch tensors too, and gives a tensor with its history then.
+    Attributes
+    ----------
+    space : ParameterSpace
+        The d parameters that `predict` takes, in this order.
+    signals : sequence of Signal
+        The p numbers that `predict` gives for each row.
+    has_gradients : bool
+        Whether `predict` takes torch tensors too, and gives a tensor with its history then.
+    steps : int
+        The simulator steps made so far.
+    failures : int
+        The simulations so far that did not reach their end.
+    steps_per_action : int
+        The simulator steps that replay one action.
+    nominal : (d,) array or None
+        The parameters' values before any fit, where there are such.
+    control_step : float or None
+        The time for which one action is held [s]; None, the default, where it is not known.
     """
 
     space: ParameterSpace
@@ -43,6 +55,9 @@ class Simulator(ABC):
     has_gradients = False
     steps: int = 0
     failures: int = 0
+    steps_per_action: int = 1
+    nominal: Array | None = None
+    control_step: float | None = None
 
     def predict(
         self, values: ArrayLike, segments: Segments, *, offsets: ArrayLike | None = None
@@ -89,9 +104,6 @@ class Simulator(ABC):
                 f"{WITHOUT_GRADIENTS}"
             )
 
-    steps_per_action: int = 1
-    nominal: Array | None = None
-
     @property
     def start_size(self) -> int:
         """s, the number of start coordinates that `offsets` moves; the p signals, unless the
@@ -114,6 +126,10 @@ class Simulator(ABC):
         aside, under one parameter vector (d,).
         """
         return np.zeros((len(segments), len(self.signals)))
+
+    def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
+        """(N,) whether something overlaps in each segment's measured start; nowhere, by default."""
+        return np.zeros(len(segments), dtype=bool)
 
     def jacobian(
         self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
@@ -138,7 +154,11 @@ class Simulator(ABC):
         return self.linearize(values, segments, step=step)[1]
 
     def linearize(
-        self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None
+        self,
+        values: ArrayLike,
+        segments: Segments,
+        *,
+        step: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
         """Predict, and differentiate the prediction by the parameters, in one batch of 2 d + 1.
 

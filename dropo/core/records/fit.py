@@ -264,7 +264,7 @@ class Fit(Report):
         -------
         arviz.InferenceData
         """
-        from dropo import __version__
+        from dropo._version import __version__
         from dropo.core.records.draws import Draws, from_sample
 
         about = {

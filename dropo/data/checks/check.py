@@ -3,7 +3,6 @@ that no actuator can follow.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,8 @@ from dropo.data.checks.kinematics import (
     turned,
 )
 from dropo.data.describe import columns, controls, simulator_of
-from dropo.logs.model_joints import Joint, machine_of
+from dropo.mjmodel.joints import Joint, actuators, all_joints, model_joints
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 SHORT = 5
 """A trajectory of fewer transitions says little."""
@@ -101,7 +101,7 @@ def times(trajectories: Trajectories) -> Iterator[Finding]:
 
 
 def _control_step(simulator: Simulator | None) -> float | None:
-    return getattr(simulator, "control_step", None)
+    return None if simulator is None else simulator.control_step
 
 
 def rates(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Finding]:
@@ -111,7 +111,8 @@ def rates(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[F
         return
     typical = float(np.median(np.diff(trajectories.time)[_inside(trajectories)]))
     if typical > 0 and abs(typical / step - 1) > RATE:
-        count = max(1, round(typical / step * getattr(simulator, "frame_skip", 1)))
+        frame_skip = simulator.frame_skip if isinstance(simulator, RobotSimulator) else 1
+        count = max(1, round(typical / step * frame_skip))
         sentence = (
             f"rows are {1e3 * typical:.6g} ms apart, and one control step of the model takes "
             f"{1e3 * step:.6g} ms."
@@ -182,16 +183,13 @@ def _columns(trajectories: Trajectories, simulator: Simulator | None) -> Iterato
 
 def _commands(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Column]:
     n, q = trajectories.actions.shape
-    model: Any = getattr(simulator, "model", None)
-    places: Any = getattr(simulator, "controls", None)
-    known = model is not None and places is not None and len(places) == q
+    ranges: list[tuple[float, float] | None] = [None] * q
+    if isinstance(simulator, RobotSimulator) and len(simulator.controls) == q:
+        every = actuators(simulator.model)
+        ranges = [every[place].range for place in simulator.controls.tolist()]
     for i, (signal, values) in enumerate(
         zip(controls(simulator, q), trajectories.actions.T, strict=True)
     ):
-        limits = None
-        if known and model.actuator_ctrllimited[places[i]]:
-            low, high = model.actuator_ctrlrange[places[i]]
-            limits = (float(low), float(high))
         yield Column(
             signal.name,
             signal.unit,
@@ -199,7 +197,7 @@ def _commands(trajectories: Trajectories, simulator: Simulator | None) -> Iterat
             values,
             np.arange(n),
             False,
-            limits,
+            ranges[i],
         )
 
 
@@ -217,18 +215,19 @@ def outside_control_range(
             yield from beyond(column)
 
 
-def _layout(trajectories: Trajectories, simulator: Simulator | None) -> Any:
-    """The simulator's layout, where it is that of the data."""
-    layout = getattr(simulator, "layout", None)
-    return (
-        layout if layout is not None and len(layout) == trajectories.observations.shape[1] else None
-    )
+def _robot(trajectories: Trajectories, simulator: Simulator | None) -> RobotSimulator | None:
+    """The simulator, where it has a model and its columns are as many as the data's."""
+    if not isinstance(simulator, RobotSimulator):
+        return None
+    return simulator if len(simulator.layout) == trajectories.observations.shape[1] else None
 
 
 def quaternion_norms(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Finding]:
     """Quaternion columns that are not of unit length."""
-    layout = _layout(trajectories, simulator)
-    for quaternion in layout.quaternions if layout is not None else []:
+    robot = _robot(trajectories, simulator)
+    if robot is None:
+        return
+    for quaternion in robot.layout.quaternions:
         norms = np.linalg.norm(
             np.vstack(
                 [
@@ -243,7 +242,7 @@ def quaternion_norms(trajectories: Trajectories, simulator: Simulator | None) ->
         row = place % len(trajectories)
         if abs(worst - 1) > UNIT:
             level: Level = "error" if abs(worst - 1) > NOT_UNIT else "warning"
-            name = layout.names[quaternion[0]].rsplit("[", 1)[0]
+            name = robot.layout.names[quaternion[0]].rsplit("[", 1)[0]
             sentence = f"a quaternion must have length 1, and one has {worst:.6g}, row {row}."
             yield Finding(level, name, sentence, "The order is w, x, y, z.", row=row)
 
@@ -257,12 +256,11 @@ def _joints(
     """Each joint that is observed, with the data's columns of its position and, where they are
     there, of its velocity.
     """
-    layout = _layout(trajectories, simulator)
-    model = getattr(simulator, "model", None)
-    if layout is None or model is None:
+    robot = _robot(trajectories, simulator)
+    if robot is None:
         return
-    where = {(column.field, column.place): i for i, column in enumerate(layout.columns)}
-    for joint in machine_of(model).joints.values():
+    where = {(column.field, column.place): i for i, column in enumerate(robot.layout.columns)}
+    for joint in all_joints(robot.model):
         positions = [
             where.get(("qpos", joint.qpos + i), -1) for i in range(len(joint.units("qpos")))
         ]
@@ -327,9 +325,10 @@ def _displacements(joint: Joint, now: Array, following: Array) -> Array:
 def falls(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Finding]:
     """Free bodies that fall in another way than under the model's gravity."""
     step = _control_step(simulator)
-    if step is None:
+    robot = _robot(trajectories, simulator)
+    if step is None or robot is None:
         return
-    model: Any = getattr(simulator, "model", None)
+    gravity = model_joints(robot.model).gravity
     clock = _clock(trajectories, simulator)
     for joint, positions, _ in _joints(trajectories, simulator):
         if joint.kind != "free":
@@ -347,9 +346,7 @@ def falls(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[F
                 [first + start for (_, first), (start, _) in zip(parts, spans, strict=True)]
             )
             accelerations = np.concatenate([found for found, _ in parts])
-            yield from check_fall(
-                f"qpos.{joint.name}", accelerations, np.array(model.opt.gravity), rows, clock[rows]
-            )
+            yield from check_fall(f"qpos.{joint.name}", accelerations, gravity, rows, clock[rows])
 
 
 # Rows and trajectories

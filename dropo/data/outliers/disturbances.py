@@ -241,12 +241,10 @@ def _reach(simulator: Simulator, value: Array, noise: Array, windows: Segments) 
     return np.asarray(moved.max(axis=1).sum(axis=0))
 
 
-def _untouched(simulator: Simulator, trajectories: Trajectories) -> NDArray[np.bool_] | None:
+def _untouched(simulator: Simulator, trajectories: Trajectories) -> NDArray[np.bool_]:
     """(N,) transitions that neither begin nor end near a contact, in which a push and a wrong
     contact are the same.
     """
-    if not hasattr(simulator, "in_contact"):
-        return None
     touching = np.array(simulator.in_contact(trajectories.segments(1)))
     for _ in range(AROUND):
         touching[1:], touching[:-1] = touching[1:] | touching[:-1], touching[1:] | touching[:-1]

@@ -41,7 +41,7 @@ def without_disturbances(
     is rather at fault, and where too few data would be left. What is usual is taken from both
     sides, so that spans of data held out are found by the same measure as those of data to fit.
     """
-    step = getattr(simulator, "control_step", None)
+    step = simulator.control_step
     if step is None:
         return None
     found = find_disturbances(simulator, both_sides(problem), values, step)
@@ -78,7 +78,7 @@ def remove_disturbances(problem: Problem) -> WithoutDisturbances | None:
     model that lacks much finds fewer spans.
     """
     simulator = problem.simulator
-    step = getattr(problem.simulator, "control_step", None)
+    step = simulator.control_step
     if step is None or problem.reset != "transition":
         return None
     space = problem.space

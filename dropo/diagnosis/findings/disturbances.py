@@ -4,7 +4,7 @@ runs that disagree with the others.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from dropo.data.outliers.disturbances import Span
 from dropo.data.outliers.outlier_runs import OutlierRun, compare_runs
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, both_sides
 from dropo.diagnosis.findings.horizons import Horizon
+from dropo.diagnosis.search.library import robot_of
 
 RUNS = 40  # that are compared at most: each is fitted by itself
 
@@ -81,9 +82,9 @@ def outlier_runs(problem: Problem, extended: Problem, values: Array) -> tuple[Ou
     """The runs whose own declared parameters or sizes of causes disagree with the others'; none
     where there are few runs or many.
     """
-    base = cast(Any, problem.simulator)
+    base = robot_of(problem)
     data = both_sides(problem)
-    causes = cast(Any, extended.simulator).fixed[len(base.fixed) :]
+    causes = robot_of(extended).fixed[len(base.fixed) :]
     simulator = base.with_effects([instance for instance, _ in causes])
     if not len(simulator.space) or data.group is None or data.group.max() >= RUNS:
         return ()

@@ -3,17 +3,16 @@ both.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Segments, Trajectories
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.library import command_names
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import State
 from dropo.evaluation.open_loop import open_loop
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 LENGTH = 50  # control steps of an experiment
 STARTS = 4  # measured starts from which each is simulated
@@ -77,14 +76,15 @@ def experiment(
     windows = last.train.windows
     data = windows.segments.trajectories
     simulator = library.simulator
-    model: Any = simulator
+    if not isinstance(simulator, RobotSimulator):
+        return None
     if (
         not np.any(np.ptp(data.actions, axis=0) > 0)
         or len(simulator.signals) != data.observations.shape[1]
     ):
         return None
-    names = command_names(model)
-    tried = _candidates(names, float(model.control_step))
+    names = simulator.action_names
+    tried = _candidates(names, simulator.control_step)
     thetas = np.repeat(last.theta[None], 3, axis=0)
     thetas[1:, library.places[one.label]] = 0.0
     thetas[2, library.places[other.label]] = sizes
@@ -92,7 +92,7 @@ def experiment(
     starts = np.tile(
         data.observations[np.linspace(0, len(data) - 1, STARTS).astype(int)], (len(tried), 1)
     )
-    commands = np.repeat(_commands(data, tried, names, float(model.control_step)), STARTS, axis=0)
+    commands = np.repeat(_commands(data, tried, names, simulator.control_step), STARTS, axis=0)
     imagined = _told(
         library, thetas, _windows(library, last, starts, commands), last.train.whiten.sigma
     ).reshape(2, len(tried), -1)

@@ -20,10 +20,10 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.remaining import force_names
 from dropo.diagnosis.findings.unexplained_forces import Unexplained, unexplained_force
 from dropo.diagnosis.search.invariance import bins_of, differing, regimes, response_of
-from dropo.diagnosis.search.library import command_names
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.review import Review, ambiguity
 from dropo.diagnosis.search.selection import FALSE_ALARM, Round, Selection, State, Trial, gain_of
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 TOP = 8  # effects in the similarity matrix
 RESPONSE = "response to the effect"
@@ -141,7 +141,8 @@ def own_axis(library: Library, instance: EffectInstance) -> str | None:
     if instance.effect in PLACE:
         return f"qpos.{target}"
     if instance.effect in (*COMMAND, *LATE) and instance.target is not None:
-        names = command_names(library.simulator)
+        simulator = library.simulator
+        names = simulator.action_names if isinstance(simulator, RobotSimulator) else []
         command = f"command {names.index(target)}" if target in names else ""
         return f"the change of {command}" if instance.effect in LATE else command
     if instance.effect in ("sensor_bias", "sensor_gain"):

@@ -144,7 +144,7 @@ def _part_and_spread(problem: Problem, library: Library, last: State) -> tuple[D
 
 def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array) -> Horizon:
     """The errors beside the noise's (p,) variance at this horizon."""
-    step = getattr(simulator, "control_step", None)
+    step = simulator.control_step
     by_noise = rms_by_unit(errors.signals, noise)
     return Horizon(
         steps=errors.horizon,

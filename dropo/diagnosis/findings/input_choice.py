@@ -3,14 +3,13 @@ lose.
 """
 
 from collections.abc import Mapping
-from typing import Any, cast
 
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.registry import find
 from dropo.data.outliers.input_choice import InputChoice, choose_input
-from dropo.diagnosis.search.library import declared
+from dropo.diagnosis.search.library import declared, robot_of
 
 LOSSES = ("joint_friction", "joint_armature")
 """What a torque on a joint is spent on before the link feels it: a first model lacks it, and would
@@ -24,7 +23,7 @@ def choose_problem_input(problems: Mapping[str, Problem]) -> InputChoice:
     inertia of every joint are fitted too.
     """
     first = next(iter(problems.values()))
-    simulator = cast(Any, first.simulator)
+    simulator = robot_of(first)
     losses = [
         instance for name in LOSSES for instance in find("effects", name)(simulator.effect_context)
     ]
@@ -32,7 +31,7 @@ def choose_problem_input(problems: Mapping[str, Problem]) -> InputChoice:
         [
             instance
             for instance in losses
-            if instance.target is not None and not declared(first.simulator, instance)
+            if instance.target is not None and not declared(simulator, instance)
         ]
     )
     start = np.clip(simulator.nominal, simulator.space.low, simulator.space.high)

@@ -13,13 +13,13 @@ from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.whitening import Whitener, learn_noise
+from dropo.mjmodel.joints import degrees_of_freedom
 
 # nats and standard errors on windows held out, from which the forces are there
 GAINED = 9.0
 CERTAIN = 2.5
 PIECES = 10  # of a window at most, in each of which a force is drawn anew
 LEARNED = 48  # windows at least that their size is learned from, where there are so many
-FREE, BALL, SLIDE, HINGE = range(4)
 
 
 def impulses(model: Any, length: int) -> list[EffectInstance]:
@@ -28,12 +28,12 @@ def impulses(model: Any, length: int) -> list[EffectInstance]:
 
     A piece is a control step, in long windows several.
     """
-    names = [_name(model, dof) for dof in range(model.nv)]
+    named = degrees_of_freedom(model)
     pieces = min(length, PIECES)
     return [
-        _impulse(model, dof, k, pieces, *names[dof])
+        _impulse(model, dof, k, pieces, *named[dof])
         for k in range(pieces)
-        for dof in range(model.nv)
+        for dof in range(len(named))
     ]
 
 
@@ -49,20 +49,6 @@ def _push(nv: int, dof: int, k: int, pieces: int, steps: int, sizes: Array) -> A
     out = np.zeros((steps, nv))
     out[np.arange(steps) * pieces // steps == k, dof] = sizes[0]
     return out
-
-
-def _name(model: Any, dof: int) -> tuple[str, str]:
-    """The joint of a degree of freedom, or its body where it has no name, with the number of the
-    axis where there are several.
-    """
-    joint = int(model.dof_jntid[dof])
-    body = model.body(int(model.jnt_bodyid[joint]))
-    number = f" {joint - int(body.jntadr[0])}" if int(body.jntnum[0]) > 1 else ""
-    name = model.joint(joint).name or f"{body.name or f'body {body.id}'}{number}"
-    kind = int(model.jnt_type[joint])
-    axis = dof - int(model.jnt_dofadr[joint])
-    straight = kind == SLIDE or (kind == FREE and axis < 3)
-    return (f"{name}[{axis}]" if kind in (FREE, BALL) else name), "N" if straight else "N m"
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ from scipy.stats import chi2
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.library import command_names
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.windows import Windows
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 BINS = 4  # quantile bins of each variable
 # p-value, corrected for the number of variables, below which the size differs between regimes
@@ -129,22 +129,19 @@ def regimes(windows: Windows, library: Library) -> dict[str, Array]:
     segments = windows.segments
     simulator = library.simulator
     found = {"time": segments.steps[:, 0].astype(float)}
-    if hasattr(simulator, "in_contact"):
-        found["contact"] = simulator.in_contact(segments).astype(float)
+    found["contact"] = simulator.in_contact(segments).astype(float)
     starts = segments.starts
     actions = segments.actions
-    names = getattr(
-        getattr(simulator, "layout", None), "names", [f"signal {i}" for i in range(starts.shape[1])]
-    )
+    if isinstance(simulator, RobotSimulator):
+        names = simulator.layout.names
+        drives = simulator.action_names
+    else:
+        names = [f"signal {i}" for i in range(starts.shape[1])]
+        drives = [f"column {i}" for i in range(actions.shape[2])]
     found |= {name: starts[:, i] for i, name in enumerate(names)}
     found |= {
         f"|{name}|": np.abs(starts[:, i]) for i, name in enumerate(names) if name.startswith("qvel")
     }
-    drives = (
-        command_names(simulator)
-        if hasattr(simulator, "controls")
-        else [f"column {i}" for i in range(actions.shape[2])]
-    )
     for i, name in enumerate(drives):
         found[f"the command of {name}"] = actions[:, :, i].mean(axis=1)
         found[f"the change of the command of {name}"] = np.abs(

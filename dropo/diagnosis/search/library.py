@@ -4,16 +4,15 @@ are.
 
 import copy
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
-from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.registry import names
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
 def instances_for(
@@ -27,12 +26,7 @@ def instances_for(
 
     Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
     """
-    robot = getattr(problem.simulator, "effect_context", None)
-    if robot is None:
-        raise Incompatible(
-            f"{type(problem.simulator).__name__} offers no effects. A diagnosis needs a "
-            "MuJoCo model."
-        )
+    simulator = robot_of(problem)
     wanted = (
         [text.partition(":") for text in effects]
         if effects is not None
@@ -40,11 +34,8 @@ def instances_for(
     )
     found: list[EffectInstance] = []
     for name, _, place in wanted:
-        found += [
-            instance
-            for instance in instances_of(robot, name, place)
-            if not declared(problem.simulator, instance, free)
-        ]
+        every = instances_of(simulator.effect_context, name, place)
+        found += [instance for instance in every if not declared(simulator, instance, free)]
     if not found:
         raise BadArgument(
             "No effect is left to look for: all that were named are declared as parameters."
@@ -52,32 +43,30 @@ def instances_for(
     return found
 
 
-def declared(simulator: Simulator, instance: EffectInstance, free: Ints | None = None) -> bool:
+def robot_of(problem: Problem) -> RobotSimulator:
+    """The problem's simulator; Incompatible where it has no model that effects can be added to."""
+    simulator = problem.simulator
+    if not isinstance(simulator, RobotSimulator):
+        raise Incompatible(
+            f"{type(simulator).__name__} offers no effects. A diagnosis needs a MuJoCo model."
+        )
+    return simulator
+
+
+def declared(simulator: RobotSimulator, instance: EffectInstance, free: Ints | None = None) -> bool:
     """Whether the atom is declared, or changes a number of the model that a declared parameter (one
     of `free`) stands for, at that place alone.
     """
-    if instance.label in {own.label for own in getattr(simulator, "effects", ())}:
+    if instance.label in {own.label for own in simulator.effects}:
         return True
     bindings = [
-        binding
-        for i, binding in enumerate(getattr(simulator, "bindings", ()))
-        if free is None or i in free
+        binding for i, binding in enumerate(simulator.bindings) if free is None or i in free
     ]
     if instance.model is None or instance.target is None or not bindings:
         return False
-    changed = copy.copy(simulator.model)  # type: ignore[attr-defined]
+    changed = copy.copy(simulator.model)
     instance.model(changed, np.array(instance.trials[0][0]))
     return any(
         not np.array_equal(binding.read(changed), binding.read(simulator.model))
         for binding in bindings
-    )  # type: ignore[attr-defined]
-
-
-def command_names(simulator: Any) -> list[str]:
-    """The name of each action column: its actuator's, else that of the joint that this one drives."""
-    model = simulator.model
-    given = [
-        (model.actuator(int(i)).name, model.joint(int(model.actuator_trnid[i, 0])).name, int(i))
-        for i in simulator.controls
-    ]
-    return [str(name or joint or f"actuator {i}") for name, joint, i in given]
+    )

@@ -7,7 +7,7 @@ from typing import Any
 
 from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import Joint
+from dropo.mjmodel.joints import Joint
 
 PROBES = (-1.0, -0.1, 0.1, 1.0)  # in natural sizes
 
@@ -71,11 +71,9 @@ class Field:
 
 def by_kind(joints: Sequence[Joint]) -> list[tuple[str, list[Joint]]]:
     """Hinges and slides apart, since a sum over metres and radians means nothing."""
-    return [
-        (kind, same)
-        for kind in ("hinges", "slides")
-        if (same := [joint for joint in joints if joint.kind == kind])
-    ]
+    hinges = [joint for joint in joints if joint.kind == "hinge"]
+    slides = [joint for joint in joints if joint.kind == "slide"]
+    return [(name, same) for name, same in (("hinges", hinges), ("slides", slides)) if same]
 
 
 def _add(field: str, places: Sequence[tuple[int, ...]], model: Any, magnitudes: Array) -> None:

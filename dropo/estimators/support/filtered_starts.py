@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from dropo.core.contracts.estimator import Run
@@ -108,6 +109,7 @@ class FilteredStarts(Simulator):
         self.signals = inner.signals
         self.nominal = inner.nominal
         self.steps_per_action = inner.steps_per_action
+        self.control_step = inner.control_step
 
     @property
     def start_size(self) -> int:
@@ -115,6 +117,9 @@ class FilteredStarts(Simulator):
 
     def targets(self, segments: Segments) -> Array:
         return self.inner.targets(segments)
+
+    def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
+        return self.inner.in_contact(segments)
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         first = segments.steps[:, 0]

@@ -5,18 +5,18 @@ clocks beside the log's.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.logs.mapping import Source
-from dropo.logs.model_joints import Joint, Machine
 from dropo.logs.recordings import Run, Series
 from dropo.logs.signals.delays import estimate_clock, estimate_delay
 from dropo.logs.signals.resampling import resample
 from dropo.logs.signals.velocities import estimate_velocities
+from dropo.mjmodel.forces import inverse_forces
+from dropo.mjmodel.joints import Joint, ModelJoints
 
 INSTANTS = 20000  # rows that a delay is estimated from at most
 LEAST = 50  # rows that it needs
@@ -76,13 +76,13 @@ class Lateness:
         )
 
 
-def aligned(runs: Sequence[Run], machine: Machine) -> tuple[list[Run], list[Lateness]]:
+def aligned(runs: Sequence[Run], machine: ModelJoints) -> tuple[list[Run], list[Lateness]]:
     """The runs with the delays taken off, and all that were found.
 
     A source with a clock of its own is brought to the log's by its velocities or positions, beside
     the same joint's on the log's clock, or by its commands, beside the forces that the motion
     needs. A velocity on the log's clock is brought to its position, as late behind it as the
-    model's own velocities are (`Machine.velocity_lag`), which is not counted as a delay.
+    model's own velocities are (`ModelJoints.velocity_lag`), which is not counted as a delay.
     """
     found: list[Lateness] = []
     runs = list(runs)
@@ -117,7 +117,7 @@ def _taken_off(run: Run, late: Lateness, labels: list[str]) -> Run:
     )
 
 
-def _velocity_delays(runs: list[Run], name: str, machine: Machine) -> list[Lateness]:
+def _velocity_delays(runs: list[Run], name: str, machine: ModelJoints) -> list[Lateness]:
     """How much later a measured velocity is than the position: one delay for all runs, or each its
     own where they disagree.
     """
@@ -149,7 +149,7 @@ def _linear(series: Series, joint: Joint) -> Array:
     )
 
 
-def _moved(series: Series, machine: Machine) -> tuple[Array, Array]:
+def _moved(series: Series, machine: ModelJoints) -> tuple[Array, Array]:
     """Displacements (n, k) of a joint in the WINDOW around each stamp (n,), from its position or
     velocity, of a part of a long log.
 
@@ -172,7 +172,7 @@ def _moved(series: Series, machine: Machine) -> tuple[Array, Array]:
     return inside, integral(inside + half) - integral(inside - half)
 
 
-def _velocity_delay(run: Run, name: str, machine: Machine) -> Lateness | None:
+def _velocity_delay(run: Run, name: str, machine: ModelJoints) -> Lateness | None:
     """How much later a measured velocity is than the position of the same joint, on one clock."""
     position = run.of("qpos", name)
     velocity = run.of("qvel", name)
@@ -194,7 +194,7 @@ def _velocity_delay(run: Run, name: str, machine: Machine) -> Lateness | None:
     return Lateness(velocity.label, position.label, late.seconds, late.se, run=run.name)
 
 
-def _clock(run: Run, source: Source, machine: Machine) -> Lateness | None:
+def _clock(run: Run, source: Source, machine: ModelJoints) -> Lateness | None:
     """How late and how fast a source's clock is."""
     for reference, signal in _pairs(run, source, machine):
         (time, one), (stamps, other) = reference[1:], signal[1:]
@@ -226,7 +226,7 @@ Curve = tuple[str, Array, Array]
 """Name, stamps (n,) and numbers (n, k)."""
 
 
-def _pairs(run: Run, source: Source, machine: Machine) -> list[tuple[Curve, Curve]]:
+def _pairs(run: Run, source: Source, machine: ModelJoints) -> list[tuple[Curve, Curve]]:
     """What the log's clock and the source's both saw: displacements of joints, else forces and
     commands.
     """
@@ -251,8 +251,8 @@ def _pairs(run: Run, source: Source, machine: Machine) -> list[tuple[Curve, Curv
             )
     for series in run.series:
         if series.channel.source == source and series.channel.field == "ctrl":
-            dof = machine.actuators[series.channel.name].dof
-            forces = None if dof is None else _forces(run, machine, dof)
+            driven = machine.actuators[series.channel.name].joint
+            forces = None if driven is None else _forces(run, machine, driven.qvel)
             if forces is not None:
                 held = (
                     float(np.median(np.diff(series.time))) / 2 - machine.velocity_lag
@@ -266,7 +266,7 @@ def _pairs(run: Run, source: Source, machine: Machine) -> list[tuple[Curve, Curv
     return out
 
 
-def _forces(run: Run, machine: Machine, dof: int) -> tuple[Array, Array] | None:
+def _forces(run: Run, machine: ModelJoints, dof: int) -> tuple[Array, Array] | None:
     """The generalised force (n, 1) at a dof that the motion needs (mj_inverse), at stamps (n,);
     None where a position is missing.
     """
@@ -283,14 +283,5 @@ def _forces(run: Run, machine: Machine, dof: int) -> tuple[Array, Array] | None:
     qpos = np.hstack([resample(s.time, s.values, time) for s in known])
     moved = estimate_velocities(time, qpos)
     accelerations = np.gradient(moved.velocities, time, axis=0)
-    data = mujoco.MjData(machine.model)
-    forces = np.empty((len(time), 1))
-    for i in range(len(time)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = (
-            moved.positions[i],
-            moved.velocities[i],
-            accelerations[i],
-        )
-        mujoco.mj_inverse(machine.model, data)
-        forces[i] = data.qfrc_inverse[dof]
-    return time, forces
+    forces = inverse_forces(machine.model, moved.positions, moved.velocities, accelerations)
+    return time, forces[:, [dof]]

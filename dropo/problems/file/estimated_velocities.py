@@ -10,9 +10,8 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
 from dropo.logs.signals.velocities import ORDER, Velocities, estimate_velocities
+from dropo.mjmodel.joints import all_joints
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-
-STRAIGHT = (2, 3)  # mjJNT_SLIDE, mjJNT_HINGE: joints of one position
 
 
 def with_velocities(problem: Problem) -> Problem:
@@ -53,12 +52,9 @@ def unmeasured(simulator: MujocoSimulator) -> dict[int, int]:
     """Column of each observed position -> its degree of freedom, of the joints whose velocity is
     not observed.
     """
-    model = simulator.model
     columns = [(column.field, column.place) for column in simulator.layout.columns]
-    straight = [j for j in range(model.njnt) if model.jnt_type[j] in STRAIGHT]
-    pairs = [
-        (("qpos", int(model.jnt_qposadr[j])), ("qvel", int(model.jnt_dofadr[j]))) for j in straight
-    ]
+    straight = [joint for joint in all_joints(simulator.model) if joint.kind in ("slide", "hinge")]
+    pairs = [(("qpos", joint.qpos), ("qvel", joint.qvel)) for joint in straight]
     return {
         columns.index(position): velocity[1]
         for position, velocity in pairs

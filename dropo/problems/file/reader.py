@@ -23,20 +23,14 @@ from dropo.core.services.validation import Array, known
 from dropo.data.checks.check import outside_control_range, verdict
 from dropo.data.reading import MINARI, read
 from dropo.data.reading import inputs_of as beside
-from dropo.mjmodel.fields import (
-    PREFIXES,
-    Binding,
-    FieldParameter,
-    element_names,
-    model_fields,
-    option_fields,
-)
+from dropo.mjmodel.fields import PREFIXES, Binding, FieldParameter, model_fields, option_fields
+from dropo.mjmodel.loading import load_model, specification
 from dropo.mjmodel.motors import motor_of, mount
+from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
 from dropo.problems.file.effect_entries import read_effects
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.problems.file.task_entries import read_task
-from dropo.simulators.mujoco.loading import load_model, specification
 from dropo.simulators.mujoco.simulator import MujocoSimulator, action_columns
 
 KEYS = (

@@ -58,12 +58,9 @@ def measured_starts(
     """Episodes begin where one of the recordings did; what is not observed, at the model's qpos0 or
     at rest.
     """
-    layout = simulator.layout
     model = simulator.model
     rows = data.observations[[first for first, _ in data.spans]]
-    states = np.zeros((len(rows), 1 + model.nq + model.nv + model.na))
-    states[:, 1 : 1 + model.nq] = model.qpos0
-    layout.write_start(states, rows, np.ones(len(layout), dtype=bool), model)
+    states = simulator.layout.full_states(rows, model)
     kept = states[:, 1 : 1 + model.nq + model.nv]
     return lambda rng, n: kept[rng.integers(len(kept), size=n)]
 

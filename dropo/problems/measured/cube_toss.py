@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
-from dropo.logs.model_joints import machine_of
 from dropo.logs.signals.resampling import resample
 from dropo.mjmodel.fields import FieldParameter
+from dropo.mjmodel.joints import model_joints
 from dropo.problems.measured.recordings import Channels, Runs, find_runs, measured
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -38,7 +38,7 @@ def cube_toss(threads: int = 0) -> Problem:
     simulator = MujocoSimulator(
         cube_spec(model), PARAMETERS, observation=["qpos", "qvel"], frame_skip=4, threads=threads
     )
-    lag = machine_of(simulator.model).velocity_lag
+    lag = model_joints(simulator.model).velocity_lag
     tosses = Runs(runs.names, tuple(toss(run, lag) for run in runs.channels))
     whole = measured("cube-toss", simulator, tosses, HORIZON)
     first = whole.trajectories.select(np.arange(FIRST))

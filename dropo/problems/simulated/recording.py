@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.simulators.mujoco.layers import lateness, sensed
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.worker import ActiveEffects
 
 Controller = Callable[[Array, Array], Array]
 """Actions (E, q) from what the sensors give (E, p) and standard normal numbers (E, q)."""

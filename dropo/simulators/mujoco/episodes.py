@@ -13,7 +13,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import magnitudes_of
+from dropo.core.contracts.effect import ActiveEffects, magnitudes_of
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
@@ -27,7 +27,7 @@ from dropo.simulators.mujoco.layers import (
 )
 from dropo.simulators.mujoco.simulator import HUGE, MujocoSimulator
 from dropo.simulators.mujoco.warnings import quiet
-from dropo.simulators.mujoco.worker import ActiveEffects, Worker, clamps_itself
+from dropo.simulators.mujoco.worker import Worker, clamps_itself
 
 STATE = (
     "time",

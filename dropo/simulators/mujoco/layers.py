@@ -5,11 +5,12 @@ on their way out.
 import mujoco
 import numpy as np
 
+from dropo.core.contracts.effect import ActiveEffects
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.mjmodel.observation import Layout
-from dropo.simulators.mujoco.worker import ActiveEffects, clamps_itself
+from dropo.simulators.mujoco.worker import clamps_itself
 
 
 def by_time_profile(

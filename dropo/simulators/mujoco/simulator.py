@@ -14,15 +14,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import EffectContext, EffectInstance, magnitudes_of
-from dropo.core.contracts.simulator import Simulator
+from dropo.core.contracts.effect import ActiveEffects, EffectContext, EffectInstance, magnitudes_of
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array, require
-from dropo.mjmodel.fields import MOVES_FRAMES, Binding, FieldParameter, element_names, item_columns
+from dropo.mjmodel.contacts import touching
+from dropo.mjmodel.fields import MOVES_FRAMES, Binding, FieldParameter, item_columns
+from dropo.mjmodel.loading import load_model, specification
+from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
-from dropo.simulators.mujoco.contacts import touching
+from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.simulators.mujoco.layers import (
     by_time_profile,
     changes_commands,
@@ -35,15 +37,14 @@ from dropo.simulators.mujoco.layers import (
     slopes_of,
     true_starts,
 )
-from dropo.simulators.mujoco.loading import load_model, specification
 from dropo.simulators.mujoco.warnings import quiet
-from dropo.simulators.mujoco.worker import ActiveEffects, Worker, clamps_itself
+from dropo.simulators.mujoco.worker import Worker, clamps_itself
 
 BUFFER = 1 << 25  # bytes of states that one call into C may return
 HUGE = 1e10  # mjMAXVAL: beyond it MuJoCo itself calls a state divergent
 
 
-class MujocoSimulator(Simulator):
+class MujocoSimulator(RobotSimulator):
     """Replays segments in MuJoCo, one C call for each parameter vector and block of segments, on
     Python threads.
 
@@ -86,6 +87,7 @@ class MujocoSimulator(Simulator):
         self.signals = self.layout.signals
         self.controls = action_columns(self.model, action)
         self.frame_skip = self.steps_per_action = frame_skip
+        self.control_step = float(self.model.opt.timestep) * frame_skip
         self.threads = threads or os.cpu_count() or 1
         self._hire()
 
@@ -182,11 +184,6 @@ class MujocoSimulator(Simulator):
         self.__dict__.update(state)
         self._source = self.model
         self._hire()
-
-    @property
-    def control_step(self) -> float:
-        """Seconds for which one action is held."""
-        return float(self.model.opt.timestep) * self.frame_skip
 
     def targets(self, segments: Segments) -> Array:
         return self.layout.coordinates(segments.targets, segments.targets)

@@ -7,12 +7,9 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, StepState
+from dropo.core.contracts.effect import ActiveEffects, StepState
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import Binding
-
-ActiveEffects = Sequence[tuple[EffectInstance, Array]]
-"""The effects that are there, with their sizes."""
 
 
 class Worker:

@@ -38,7 +38,7 @@ class Study(Report):
 
     def to_json(self) -> dict[str, Any]:
         """The study for machines: name, title, remarks and data."""
-        from dropo import __version__
+        from dropo._version import __version__
 
         return {
             "study": self.name,

@@ -237,7 +237,11 @@ def test_a_parameter_of_every_kind_at_once():
             r"No field of MjModel or mjOption called 'body_parentid'. .*",
         ),
         (parameter("body_mass", "bxo"), UnknownName, r"No body called 'bxo'. Did you mean 'box'\?"),
-        (parameter("dof_damping", "box"), UnknownName, r"No joint called 'box'. There is lid."),
+        (
+            parameter("dof_damping", "shell"),
+            UnknownName,
+            r"No joint called 'shell'. There is box, lid.",
+        ),
         (
             parameter("body_mass"),
             BadArgument,

@@ -26,7 +26,6 @@ def test_the_library_is_sound():
     motors = read_motors()
     assert all(motor.source.startswith("https://") and motor.label for motor in motors.values())
     assert motors["ak80-6"].armature == pytest.approx(36 * 6.0719e-5)
-    assert motors["ak80-6"].torque_per_ampere == pytest.approx(0.546)
     assert motors["mx-106"].armature is None
 
 
