@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 import dropo
-from dropo.cli import data, diagnose, evaluate, fit, recover, report, train
+from dropo.cli import data, diagnose, evaluate, fit, recover, report, schema, train
 from dropo.cli import list as list_
 from dropo.core.services.errors import BadArgument, DropoError, Refused
 
@@ -48,7 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="dropo", description=dropo.__doc__, allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"dropo {dropo.__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (fit, diagnose, train, evaluate, report, recover, data, list_):
+    for command in (fit, diagnose, train, evaluate, report, recover, data, list_, schema):
         command.add(commands)
     return parser
 

@@ -60,7 +60,7 @@ def _simulator(result: "Result") -> "Simulator":
     """The problem's own, where model and motion are still those of the run."""
     from dropo.cli.record import model_sum
     from dropo.core.services.errors import Incompatible
-    from dropo.problems.file.reader import load
+    from dropo.problems.loading import load
 
     if result.predictions is None or "problem" not in result.made:
         raise Incompatible(

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from dropo import __version__
 from dropo.core.services.errors import BadArgument, BadFile
+from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.tables import Printed, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding
@@ -325,10 +325,10 @@ def _check_place(out: Path) -> None:
     if not problem.exists():
         return
     try:
-        content = yaml.safe_load(problem.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError):
-        content = None
-    if not isinstance(content, dict) or set(content) - set(OURS):
+        changed = bool(set(read_yaml(problem, "a problem file")) - set(OURS))
+    except BadFile:
+        changed = True
+    if changed:
         expected = (
             "no file, or one that an import wrote, since this one would be lost (move it, or "
             "import into another folder)"
@@ -357,7 +357,7 @@ def _write(found: Import, out: Path, model: Path, machine: Machine) -> None:
             stack.callback(part.unlink, missing_ok=True)
         with places[out.name].open("wb") as file:
             np.savez(file, **found.arrays)  # type: ignore[arg-type]
-        places[PROBLEM].write_text(head + yaml.safe_dump(content, sort_keys=False, width=120))
+        places[PROBLEM].write_text(head + format_yaml(content), encoding="utf-8")
         places[RECORD].write_text(
             json.dumps(found.to_json() | {"model": str(model)}, indent=1, allow_nan=False) + "\n"
         )
