@@ -12,7 +12,7 @@ import dropo
 project = "dropo"
 author = "dropo's authors"
 version = release = dropo.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build", "**/.ipynb_checkpoints"]
 html_theme = "furo"
 html_title = "dropo"

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from dropo.logs.signals.states import estimate_states
     from dropo.logs.signals.velocities import estimate_velocities
     from dropo.mjmodel.fields import FieldParameter
-    from dropo.problems.file.reader import load
     from dropo.problems.file.writer import write_problem
+    from dropo.problems.loading import load
     from dropo.problems.simulated.hidden import hide
     from dropo.report.build import write_report
     from dropo.simulators.function import EnvSimulator, FunctionSimulator
@@ -102,7 +102,7 @@ _HOME = {
     "hide": "dropo.problems.simulated.hidden",
     "identify": "dropo.evaluation.identifiability",
     "import_logs": "dropo.logs.importing",
-    "load": "dropo.problems.file.reader",
+    "load": "dropo.problems.loading",
     "load_policy": "dropo.training.policy",
     "predict": "dropo.evaluation.predictions",
     "profile": "dropo.evaluation.profile",

@@ -96,7 +96,7 @@ def commands(text: str) -> list[str]:
         for line in block.splitlines()
     ]
     pieces = [
-        piece.split("#")[0].strip().removeprefix("$ ")
+        piece.split("#")[0].split(" > ")[0].strip().removeprefix("$ ")
         for line in lines
         for piece in line.split("&&")
     ]

@@ -165,7 +165,7 @@ def run_inputs(arguments: argparse.Namespace) -> int:
     """Prints the inputs, best first."""
     from dropo.core.services.errors import Incompatible
     from dropo.diagnosis.findings.input_choice import choose_problem_input
-    from dropo.problems.file.reader import inputs_of, load
+    from dropo.problems.loading import inputs_of, load
 
     names = inputs_of(arguments.problem)
     if len(names) < 2:
@@ -185,8 +185,8 @@ def run_states(arguments: argparse.Namespace) -> int:
     how well each signal is known.
     """
     from dropo.logs.signals.states import with_states
-    from dropo.problems.file.reader import load
     from dropo.problems.file.writer import write_problem
+    from dropo.problems.loading import load
 
     problem, found = with_states(
         load(arguments.problem, threads=arguments.threads),
@@ -268,7 +268,7 @@ def _target(target: str) -> tuple["Trajectories", "Problem | None"]:
     from dropo.data.reading import MINARI, read
 
     if target in names("problems") or target.endswith((".yaml", ".yml")):
-        from dropo.problems.file.reader import load
+        from dropo.problems.loading import load
 
         problem = load(target, checked=False)
         return problem.trajectories, problem

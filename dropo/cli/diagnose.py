@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _problem(arguments: argparse.Namespace) -> "Problem":
-    from dropo.problems.file.reader import load
+    from dropo.problems.loading import load
     from dropo.problems.simulated.hidden import hide
 
     if not arguments.hide:

@@ -201,7 +201,7 @@ def _undisturbed(
 def _problem(arguments: argparse.Namespace) -> "Problem":
     from dropo.core.services.errors import BadFile, Incompatible
     from dropo.data.checks.check import shorter_than_lambda
-    from dropo.problems.file.reader import load
+    from dropo.problems.loading import load
 
     problem = load(arguments.problem, threads=arguments.threads, checked=not arguments.unchecked)
     if len(problem.space) == 0:

@@ -61,7 +61,7 @@ def _simulator(result: "Result") -> "RobotSimulator":
     from dropo.cli.record import model_sum
     from dropo.core.services.errors import Incompatible
     from dropo.mjmodel.robot_simulator import RobotSimulator
-    from dropo.problems.file.reader import load
+    from dropo.problems.loading import load
 
     if result.predictions is None or "problem" not in result.made:
         raise Incompatible(

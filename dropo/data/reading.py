@@ -225,9 +225,15 @@ def _load(source: Source, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
     if isinstance(source, str) and source.startswith(MINARI):
         return _minari(source, source.removeprefix(MINARI)), []
     path = Path(source)
-    if path.is_dir():
+    try:
+        is_folder = path.is_dir()
+        exists = path.exists()
+    except OSError:  # a name that is too long for a file
+        is_folder = False
+        exists = False
+    if is_folder:
         return _folder(path, keys)
-    if not path.exists():
+    if not exists:
         raise BadFile(
             source, "", "an .npz file, a folder of .npy files or a Minari data set", "no such file"
         )

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from dropo._version import __version__
 from dropo.core.services.atomic_write import atomic_write, write_json, write_npz, write_text
 from dropo.core.services.errors import BadArgument, BadFile
+from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding
@@ -325,10 +325,10 @@ def _check_place(out: Path) -> None:
     if not problem.exists():
         return
     try:
-        content = yaml.safe_load(problem.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError):
-        content = None
-    if not isinstance(content, dict) or set(content) - set(OURS):
+        changed = bool(set(read_yaml(problem, "a problem file")) - set(OURS))
+    except BadFile:
+        changed = True
+    if changed:
         expected = (
             "no file, or one that an import wrote, since this one would be lost (move it, or "
             "import into another folder)"
@@ -352,5 +352,5 @@ def _write(found: Import, out: Path, model: Path, machine: ModelJoints) -> None:
         names = (out.name, PROBLEM, RECORD)
         parts = [stack.enter_context(atomic_write(out.parent / name)) for name in names]
         write_npz(parts[0], found.arrays)
-        write_text(parts[1], head + yaml.safe_dump(content, sort_keys=False, width=120))
+        write_text(parts[1], head + format_yaml(content))
         write_json(parts[2], found.to_json() | {"model": str(model)})

@@ -1,31 +1,40 @@
-"""The mapping file of an import: which column of a log is which joint or actuator, in which unit,
-with which sign and clock.
-"""
+"""Mapping files: which column of a log is which joint or actuator, its unit, sign and clock."""
 
-import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dropo.core.services.errors import BadFile
-from dropo.core.services.strict_yaml import Entries, named, read_yaml, shown
-from dropo.logs.units import SECONDS, UNITS, units_of
+from dropo.core.services.file_content import FileContent, describe_options, describe_value
+from dropo.logs.units import UNITS, units_of
 from dropo.mjmodel.joints import Joint, ModelJoints
 
-KEYS = ("time", "qpos", "qvel", "ctrl", "inputs", "run", "rate")
-COLUMN_KEYS = ("column", "columns", "unit", "sign", "offset", "file", "topic", "clock")
-CLOCK_KEYS = ("column", "unit")
+if TYPE_CHECKING:
+    from dropo.logs.mapping_schema import ChannelEntry, ClockEntry, MappingFile
+
+KIND = "a mapping file"
+"""What messages call such a file."""
 TORQUE_LIKE = ("N m", "N", "A", "V", "rad", "m", "rad/s", "m/s", "")
 """SI units that a command may have: what an actuator takes is the model's own."""
 COMMAND = "command"
 """The name of the only candidate where a mapping has `ctrl` and no `inputs`."""
-_SLICE = re.compile(r"^(?P<name>.+)\[(?P<start>\d+):(?P<stop>\d+)\]$")
+ONE_UNIT_EACH = "one unit for each column, of its kind"
+_SLICE = re.compile(r"(?P<name>.+)\[(?P<start>\d{1,9}):(?P<stop>\d{1,9})\]")
 
 
 @dataclass(frozen=True)
 class Clock:
-    """A column of time stamps; column None: the log's own, where its kind has one."""
+    """A column of time stamps.
+
+    Attributes
+    ----------
+    column
+        None: the log's own, where its kind has one.
+    unit
+        Of the stamps: "s", "ms", "us" or "ns".
+    """
 
     column: str | None = None
     unit: str = "s"
@@ -33,10 +42,18 @@ class Clock:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a column stands: a file beside the log ("{stem}_imu.csv"), a topic of it, and the clock
-    of its stamps.
+    """Where a column stands.
 
-    own_clock: its stamps come from another clock than those of the log.
+    Attributes
+    ----------
+    file
+        A file beside the log, such as "{stem}_imu.csv"; None: the log.
+    topic
+        A topic of the log.
+    clock
+        The clock of the stamps.
+    own_clock
+        Whether the stamps come from another clock than those of the log.
     """
 
     file: str | None = None
@@ -47,11 +64,24 @@ class Source:
 
 @dataclass(frozen=True)
 class Channel:
-    """One or more columns that are the numbers of a joint's "qpos" or "qvel", or of an actuator's
-    "ctrl".
+    """One or more columns that are the numbers of a joint or an actuator.
 
-    value = factor (sign column + offset), in the SI unit; candidate: of the commands, where a log
-    has several.
+    A value is factor (sign column + offset), in the SI unit.
+
+    Attributes
+    ----------
+    field
+        "qpos" or "qvel" of a joint, or "ctrl" of an actuator.
+    name
+        The joint or actuator.
+    columns, units, factors, signs, offsets
+        One for each number: column, SI unit, and how the column becomes a value.
+    source
+        Where the columns stand.
+    candidate
+        Of the commands, where a log has several.
+    key
+        Where the channel stands in the mapping file.
     """
 
     field: str
@@ -67,8 +97,9 @@ class Channel:
 
     @property
     def label(self) -> str:
-        """ "qpos.elbow"; a candidate's command is "inputs.current.motor"."""
-        prefix = f"inputs.{self.candidate}" if self.candidate not in ("", COMMAND) else self.field
+        """Name in tables: "qpos.elbow"; a candidate's command is "inputs.current.motor"."""
+        candidate = self.candidate not in ("", COMMAND)
+        prefix = f"inputs.{self.candidate}" if candidate else self.field
         return f"{prefix}.{self.name}"
 
 
@@ -76,8 +107,18 @@ class Channel:
 class Mapping:
     """A mapping file, checked against a model.
 
-    run: the column that tells runs apart; only: names or patterns of the runs to take; rate: of the
-    control step [Hz].
+    Attributes
+    ----------
+    path
+        The file.
+    channels
+        The columns of joints and actuators.
+    run
+        The column that tells runs apart.
+    only
+        Names or patterns of the runs to take.
+    rate
+        Of the control step [Hz].
     """
 
     path: Path
@@ -87,223 +128,231 @@ class Mapping:
     rate: float | None = None
 
     def of(self, field: str, candidate: str = "") -> tuple[Channel, ...]:
-        """The channels of "qpos", "qvel" or, by candidate, "ctrl"."""
-        return tuple(
-            channel
-            for channel in self.channels
-            if (channel.field, channel.candidate) == (field, candidate)
-        )
+        """Select channels.
+
+        Parameters
+        ----------
+        field
+            "qpos", "qvel" or "ctrl".
+        candidate
+            Of the commands.
+
+        Returns
+        -------
+        tuple of Channel
+            In the order of the file.
+        """
+        wanted = (field, candidate)
+        return tuple(one for one in self.channels if (one.field, one.candidate) == wanted)
 
     @property
     def candidates(self) -> tuple[str, ...]:
         """The commands that the log has: COMMAND alone, those under `inputs`, or none."""
-        return tuple(
-            dict.fromkeys(channel.candidate for channel in self.channels if channel.field == "ctrl")
-        )
+        commands = [channel.candidate for channel in self.channels if channel.field == "ctrl"]
+        return tuple(dict.fromkeys(commands))
 
     def refusal(self, key: str, expected: str, got: str) -> BadFile:
-        """What is raised where the log does not fit the mapping."""
+        """Make the error for an entry that does not fit the log.
+
+        Parameters
+        ----------
+        key
+            The entry's keys from the top of the file, joined by dots.
+        expected, got
+            What had to stand there, and what stands there.
+
+        Returns
+        -------
+        BadFile
+            To be raised by the caller.
+        """
         return BadFile(self.path, key, expected, got)
 
 
 def read_mapping(path: str | Path, machine: ModelJoints) -> Mapping:
-    """The mapping in a YAML file; names, units, widths and keys are checked against the model."""
-    entries = read_yaml(Path(path), KEYS, "a mapping file")
-    source = _main_source(entries)
-    channels = tuple(_channels(entries, machine, source))
-    if not any(channel.field == "qpos" for channel in channels):
-        raise BadFile(entries.path, "qpos", "at least one joint by name", "none")
-    run = entries.level("run", ("column", "only"))
-    rate = entries.number("rate") if "rate" in entries else None
-    if rate is not None and rate <= 0:
-        raise entries.bad("rate", "the control steps of a second [Hz], above 0")
-    column = run.text("column", "the column that tells runs apart") if "column" in run else None
-    return Mapping(
-        entries.path,
-        channels,
-        column,
-        run.texts("only", (), "names of runs, or patterns such as 'A0_*'") if "only" in run else (),
-        rate,
-    )
+    """Read a mapping file and check it against a model.
 
+    Parameters
+    ----------
+    path
+        The YAML file.
+    machine
+        The model's joints and actuators.
 
-def _main_source(entries: Entries) -> Source:
-    time = entries.level(
-        "time", (*CLOCK_KEYS, "file", "topic"), "a mapping such as {column: t, unit: s}"
-    )
-    return Source(_optional(time, "file"), _optional(time, "topic"), _clock(time))
+    Returns
+    -------
+    Mapping
+        Its channels in SI units.
 
-
-def _optional(entry: Entries, key: str) -> str | None:
-    return entry.text(key, "a text") if key in entry else None
-
-
-def _clock(entry: Entries) -> Clock:
-    unit = entry.choice("unit", tuple(SECONDS), "a unit of time")
-    return Clock(_optional(entry, "column"), unit)
-
-
-def _channels(entries: Entries, machine: ModelJoints, source: Source) -> Iterator[Channel]:
-    for field in ("qpos", "qvel"):
-        level = entries.level(field, what="a mapping from joint names to columns")
-        for name in level.content:
-            level.known(name, name, machine.joints, "the name of a joint of the model")
-            yield _joint_channel(
-                level.level(name, COLUMN_KEYS, "a mapping such as {column: q1, unit: rad}"),
-                field,
-                machine.joints[name],
-                source,
-            )
-    without = sorted(set(entries.level("qvel").content) - set(entries.level("qpos").content))
-    if without:
-        raise entries.bad(
-            "qvel",
-            "velocities of joints whose positions are mapped",
-            f"{', '.join(without)} without one",
-        )
-    if "ctrl" in entries and "inputs" in entries:
-        raise entries.bad("inputs", "either `ctrl` or, for several candidates, `inputs`", "both")
-    candidates = entries.level(
-        "inputs", what="a mapping from candidates to commands, each as under `ctrl`"
-    )
-    levels = {
-        name: candidates.level(name, what="a mapping from actuator names to columns")
-        for name in candidates.content
-    }
-    for candidate, level in (
-        levels.items()
-        if levels
-        else [(COMMAND, entries.level("ctrl", what="a mapping from actuator names to columns"))]
-    ):
-        yield from _commands(level, machine, source, candidate)
-    if len({frozenset(level.content) for level in levels.values()}) > 1:
-        raise entries.bad(
-            "inputs",
-            "the same actuators in every candidate",
-            "; ".join(f"{k}: {', '.join(v.content)}" for k, v in levels.items()),
-        )
-
-
-def _commands(
-    level: Entries, machine: ModelJoints, source: Source, candidate: str
-) -> Iterator[Channel]:
-    for name in level.content:
-        level.known(name, name, machine.actuators, "the name of an actuator of the model")
-        entry = level.level(name, COLUMN_KEYS, "a mapping such as {column: tau1, unit: N m}")
-        columns = _columns(entry, 1)
-        si, factors = _units(entry, ("",), TORQUE_LIKE)
-        yield _channel(entry, "ctrl", name, columns, si, factors, source, candidate)
-
-
-def _joint_channel(entry: Entries, field: str, joint: Joint, source: Source) -> Channel:
-    si = joint.units(field)
-    columns = _columns(entry, len(si))
-    found, factors = _units(entry, si, tuple(unit for unit in dict.fromkeys(si) if unit))
-    return _channel(entry, field, joint.name, columns, found, factors, source, "")
-
-
-def _channel(
-    entry: Entries,
-    field: str,
-    name: str,
-    columns: tuple[str, ...],
-    si: tuple[str, ...],
-    factors: tuple[float, ...],
-    source: Source,
-    candidate: str,
-) -> Channel:
-    signs = _numbers(entry, "sign", len(columns), 1.0)
-    offsets = _numbers(entry, "offset", len(columns), 0.0)
-    if any(abs(sign) != 1 for sign in signs):
-        raise entry.bad("sign", "1 or -1")
-    own = "clock" in entry
-    clock = (
-        _clock(entry.level("clock", CLOCK_KEYS, "a mapping such as {column: t, unit: us}"))
-        if own
-        else source.clock
-    )
-    place = Source(
-        _optional(entry, "file") or source.file,
-        _optional(entry, "topic") or source.topic,
-        clock,
-        own,
-    )
-    return Channel(
-        field,
-        name,
-        columns,
-        si,
-        factors,
-        signs,
-        offsets,
-        place,
-        candidate,
-        entry.prefix.removesuffix("."),
-    )
-
-
-def _columns(entry: Entries, width: int) -> tuple[str, ...]:
-    """The names of the columns, of which there must be `width`; "pose[0:7]" stands for seven."""
-    if width == 1:
-        return (entry.text("column", "the name of a column"),)
-    given = entry.content.get("columns")
-    listed = [given] if isinstance(given, str) else given
-    if not isinstance(listed, list) or not all(isinstance(name, str) and name for name in listed):
-        raise entry.bad(
-            "columns", f"a list of {width} columns, or a slice such as 'pose[0:{width}]'"
-        )
-    names = tuple(column for name in listed for column in _expanded(name))
-    if len(names) != width:
-        raise entry.bad("columns", f"{width} columns", f"{len(names)}")
-    return names
-
-
-def _expanded(name: str) -> list[str]:
-    found = _SLICE.match(name)
-    return (
-        [f"{found['name']}[{i}]" for i in range(int(found["start"]), int(found["stop"]))]
-        if found
-        else [name]
-    )
-
-
-def _units(
-    entry: Entries, si: tuple[str, ...], allowed: tuple[str, ...]
-) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """SI unit and factor of every column; one unit alone stands for the leading columns of its
-    kind.
+    Raises
+    ------
+    BadFile
+        If keys, names, units or widths are not those of the model.
     """
-    given = entry.content.get("unit")
-    if given is None:
-        return si, (1.0,) * len(si)
-    listed = given if isinstance(given, list) else [given]
-    for unit in listed:
-        if (
-            not isinstance(unit, str)
-            or unit not in UNITS
-            or UNITS[unit][0] not in (*allowed, *(si if len(si) > 1 else ()))
-        ):
-            raise entry.bad("unit", named("a unit", unit, units_of(allowed)), shown(unit))
-    if len(si) == 1 or len(listed) == len(si):
-        found = [UNITS[unit] for unit in listed[: len(si)]]
-        wrong = next(
-            (i for i, (base, _) in enumerate(found) if len(si) > 1 and base != si[i]), None
+    from dropo.core.services.file_schema import read_file
+    from dropo.logs.mapping_schema import MappingFile
+
+    file = read_file(Path(path), MappingFile, KIND)
+    content = file.content
+    time = content.time
+    source = Source(time.file, time.topic, _make_clock(time))
+    channels = (*_read_joints(file, machine, source), *_read_commands(file, machine, source))
+    only = tuple(content.run.only or ())
+    return Mapping(file.path, channels, content.run.column, only, content.rate)
+
+
+def _make_clock(entry: "ClockEntry") -> Clock:
+    """The clock that an entry describes."""
+    return Clock(entry.column, entry.unit)
+
+
+def _read_joints(
+    file: "FileContent[MappingFile]", machine: ModelJoints, source: Source
+) -> Iterator[Channel]:
+    """The channels of positions and velocities."""
+    content = file.content
+    for field, entries in (("qpos", content.qpos), ("qvel", content.qvel)):
+        for name, entry in entries.items():
+            key = f"{field}.{name}"
+            file.require_known(key, name, machine.joints, "the name of a joint of the model")
+            reader = _ChannelReader(file, key, entry, source)
+            yield reader.read_joint(field, machine.joints[name])
+
+
+def _read_commands(
+    file: "FileContent[MappingFile]", machine: ModelJoints, source: Source
+) -> Iterator[Channel]:
+    """The channels of the commands, candidate by candidate."""
+    content = file.content
+    candidates = content.inputs or {COMMAND: content.ctrl}
+    for candidate, entries in candidates.items():
+        prefix = f"inputs.{candidate}" if content.inputs else "ctrl"
+        for name, entry in entries.items():
+            key = f"{prefix}.{name}"
+            file.require_known(key, name, machine.actuators, "the name of an actuator of the model")
+            yield _ChannelReader(file, key, entry, source).read_command(name, candidate)
+
+
+@dataclass(frozen=True)
+class _ChannelReader:
+    """An entry of a joint or actuator, on its way to a channel."""
+
+    file: "FileContent[MappingFile]"
+    key: str
+    entry: "ChannelEntry"
+    main: Source
+
+    def read_joint(self, field: str, joint: Joint) -> Channel:
+        """The channel of a joint's positions or velocities."""
+        si = joint.units(field)
+        columns = self._read_columns(len(si))
+        allowed = tuple(unit for unit in dict.fromkeys(si) if unit)
+        units, factors = self._read_units(si, allowed)
+        return self._make_channel(field, joint.name, columns, units, factors, "")
+
+    def read_command(self, name: str, candidate: str) -> Channel:
+        """The channel of an actuator's command."""
+        columns = self._read_columns(1)
+        units, factors = self._read_units(("",), TORQUE_LIKE)
+        return self._make_channel("ctrl", name, columns, units, factors, candidate)
+
+    def _make_channel(
+        self,
+        field: str,
+        name: str,
+        columns: tuple[str, ...],
+        units: tuple[str, ...],
+        factors: tuple[float, ...],
+        candidate: str,
+    ) -> Channel:
+        """The channel, with a sign and an offset for every column."""
+        signs = self._repeat("sign", self.entry.sign, len(columns))
+        offsets = self._repeat("offset", self.entry.offset, len(columns))
+        source = self._make_source()
+        return Channel(
+            field, name, columns, units, factors, signs, offsets, source, candidate, self.key
         )
-        if wrong is not None or len(listed) != len(si):
-            raise entry.bad("unit", "one unit for each column, of its kind")
-        return tuple(base for base, _ in found), tuple(factor for _, factor in found)
-    return si, tuple(
-        next((UNITS[unit][1] for unit in listed if UNITS[unit][0] == base), 1.0) for base in si
-    )
+
+    def _make_source(self) -> Source:
+        """Where the columns stand: as the log's others, unless the entry says otherwise."""
+        entry = self.entry
+        own = entry.clock is not None
+        clock = self.main.clock if entry.clock is None else _make_clock(entry.clock)
+        return Source(entry.file or self.main.file, entry.topic or self.main.topic, clock, own)
+
+    def _read_columns(self, width: int) -> tuple[str, ...]:
+        """The names of the columns, of which there must be `width`; a slice stands for several."""
+        if width == 1:
+            if self.entry.column is None:
+                raise self._refusal("column", "the name of a column", describe_value(None))
+            return (self.entry.column,)
+        given = self.entry.columns
+        if given is None:
+            expected = f"a list of {width} columns, or a slice such as 'pose[0:{width}]'"
+            raise self._refusal("columns", expected, describe_value(None))
+        listed = [given] if isinstance(given, str) else given
+        count = sum(_count_columns(name) for name in listed)
+        if count != width:
+            raise self._refusal("columns", f"{width} columns", f"{count}")
+        return tuple(column for name in listed for column in _expand_slice(name))
+
+    def _read_units(
+        self, si: tuple[str, ...], allowed: tuple[str, ...]
+    ) -> tuple[tuple[str, ...], tuple[float, ...]]:
+        """SI unit and factor of every column; one unit alone stands for all columns of its kind."""
+        given = self.entry.unit
+        if given is None:
+            return si, (1.0,) * len(si)
+        listed = [given] if isinstance(given, str) else given
+        self._check_units(listed, (*allowed, *si) if len(si) > 1 else allowed, allowed)
+        if len(listed) == len(si):
+            return self._pair_units(si, listed)
+        if len(si) == 1:
+            raise self._refusal("unit", ONE_UNIT_EACH, describe_value(given))
+        factors = {UNITS[unit][0]: UNITS[unit][1] for unit in reversed(listed)}
+        return si, tuple(factors.get(unit, 1.0) for unit in si)
+
+    def _check_units(
+        self, listed: Sequence[str], bases: tuple[str, ...], shown: tuple[str, ...]
+    ) -> None:
+        """Refuse units of other kinds than `bases`; messages name those of the kinds `shown`."""
+        for unit in listed:
+            if unit not in UNITS or UNITS[unit][0] not in bases:
+                expected = describe_options("a unit", unit, units_of(shown))
+                raise self._refusal("unit", expected, describe_value(unit))
+
+    def _pair_units(
+        self, si: tuple[str, ...], listed: Sequence[str]
+    ) -> tuple[tuple[str, ...], tuple[float, ...]]:
+        """SI unit and factor of every column, each with a unit of its own."""
+        units = tuple(UNITS[unit][0] for unit in listed)
+        if len(si) > 1 and units != si:
+            raise self._refusal("unit", ONE_UNIT_EACH, describe_value(self.entry.unit))
+        return units, tuple(UNITS[unit][1] for unit in listed)
+
+    def _repeat(self, key: str, given: float | list[float], width: int) -> tuple[float, ...]:
+        """A number for every column: one for all, or a list."""
+        if not isinstance(given, list):
+            return (given,) * width
+        if len(given) != width:
+            expected = f"a number, or a list of {width}" if width > 1 else "a number"
+            raise self._refusal(key, expected, describe_value(given))
+        return tuple(given)
+
+    def _refusal(self, key: str, expected: str, got: str) -> BadFile:
+        """The error for a key of the entry."""
+        return self.file.refusal(f"{self.key}.{key}", expected, got)
 
 
-def _numbers(entry: Entries, key: str, width: int, default: float) -> tuple[float, ...]:
-    """A number for every column: one for all, or a list."""
-    given = entry.content.get(key, default)
-    listed = given if isinstance(given, list) else [given] * width
-    if len(listed) != width or any(
-        isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x)
-        for x in listed
-    ):
-        raise entry.bad(key, f"a number, or a list of {width}" if width > 1 else "a number")
-    return tuple(float(x) for x in listed)
+def _count_columns(name: str) -> int:
+    """How many columns a name or a slice stands for."""
+    found = _SLICE.fullmatch(name)
+    return max(int(found["stop"]) - int(found["start"]), 0) if found else 1
+
+
+def _expand_slice(name: str) -> list[str]:
+    """The columns of a slice such as "pose[0:7]"; any other name is one column."""
+    found = _SLICE.fullmatch(name)
+    if not found:
+        return [name]
+    return [f"{found['name']}[{i}]" for i in range(int(found["start"]), int(found["stop"]))]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadFile
-from dropo.core.services.strict_yaml import named, shown
+from dropo.core.services.file_content import describe_options, describe_value
 from dropo.core.services.validation import Array
 from dropo.logs.mapping import Channel, Mapping, Source
 from dropo.logs.readers.reader import Arrays, Log, Progress, open_log
@@ -209,7 +209,11 @@ def _own_stamps(log: Log, source: Source) -> str | None:
 
 def _known(column: str, columns: list[str], log: Log, mapping: Mapping, key: str) -> None:
     if column not in columns:
-        raise mapping.refusal(key, named(f"a column of {log.path}", column, columns), shown(column))
+        raise mapping.refusal(
+            key,
+            describe_options(f"a column of {log.path}", column, columns),
+            describe_value(column),
+        )
 
 
 def _run(

@@ -13,8 +13,8 @@ from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array, known
 from dropo.data.describe import controls, describe
 from dropo.problems.file.estimated_velocities import with_velocities
-from dropo.problems.file.reader import load_states
 from dropo.problems.file.writer import write_data
+from dropo.problems.loading import load_states
 from dropo.simulators.mujoco.inferred_actions import by_ideal_controllers, by_inverse_dynamics
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 

@@ -75,7 +75,7 @@ def randomize(
 
 def resolve(target: Target) -> Target:
     """A problem by its name or file; ids of Gymnasium and what is no text stay as they are."""
-    from dropo.problems.file.reader import is_file, load
+    from dropo.problems.loading import is_file, load
 
     if not isinstance(target, str | Path) or target in gymnasium.registry:
         return target

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.problems.file.reader import load
+from dropo.problems.loading import load
 
 
 def test_describe_a_problem(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:

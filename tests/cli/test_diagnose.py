@@ -5,8 +5,8 @@ import json
 import pytest
 
 from dropo.cli.main import main
-from dropo.problems.file.reader import load
 from dropo.problems.file.writer import write_problem
+from dropo.problems.loading import load
 from tests.diagnosis.arms import problem
 
 SOME = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]

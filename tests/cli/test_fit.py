@@ -17,7 +17,7 @@ from dropo.cli.main import main
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.services.tables import estimate
-from dropo.problems.file.reader import load
+from dropo.problems.loading import load
 
 SAMPLED = ("--likelihood", "monte-carlo", "--optimizer", "cma-es")
 SMALL = (*SAMPLED, "--draws", "10", "--budget", "60")

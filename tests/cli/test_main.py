@@ -10,7 +10,19 @@ import dropo
 from dropo.cli.main import main
 from dropo.core.services.errors import SimulationFailed
 
-HEAVY = ("numpy", "mujoco", "scipy", "torch", "cma", "emcee", "nlopt", "gymnasium", "yaml", "rich")
+HEAVY = (
+    "numpy",
+    "mujoco",
+    "scipy",
+    "torch",
+    "cma",
+    "emcee",
+    "nlopt",
+    "gymnasium",
+    "pydantic",
+    "ruamel",
+    "rich",
+)
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -33,7 +45,8 @@ def test_help_is_quick() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["fit"], ["data"], ["data", "check"], ["data", "describe"], ["list"]]
+    "command",
+    [[], ["fit"], ["data"], ["data", "check"], ["data", "describe"], ["list"], ["schema"]],
 )
 def test_every_command_has_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*command, "--help"]) == 0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.problems.file.reader import load
+from dropo.problems.loading import load
 from dropo.training.policy import load_policy
 
 REWARD = """import numpy as np

@@ -14,7 +14,7 @@ from dropo.core.services.errors import BadArgument, BadFile
 from dropo.data.checks.check import check
 from dropo.data.reading import read
 from dropo.logs.importing import Import, import_logs
-from dropo.problems.file.reader import load
+from dropo.problems.loading import load
 
 Columns = dict[str, Any]
 POSITIONS = """

@@ -7,8 +7,8 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.time_profile import place_in_data
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
-from dropo.problems.file.reader import load
 from dropo.problems.file.writer import write_problem
+from dropo.problems.loading import load
 from tests.effects.robots import ROBOTS
 from tests.effects.test_physics import instance
 

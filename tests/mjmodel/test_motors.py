@@ -10,7 +10,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, BadFile, InvalidInput, UnknownName
 from dropo.mjmodel.fields import Binding, FieldParameter
 from dropo.mjmodel.motors import Motor, motor_of, motor_parameters, mount, read_motors
-from dropo.problems.file.reader import load
+from dropo.problems.loading import load
 
 XML = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
@@ -104,11 +104,12 @@ def test_a_problem_file_names_motors(tmp_path):
     assert simulator.nominal.tolist() == [20]
     path.write_text(text.replace("MOTOR", "{gear_ratio: 10, rotor_inertia: 1.0e-5}"))
     assert load(path, threads=1).simulator.model.dof_armature[0] == pytest.approx(1e-3)
-    for wrong, message in (
-        ("ak80-7", "Did you mean 'ak80-6'"),
-        ("{gear: 10}", "Did you mean 'gear_ratio'"),
-        ("3", "the name of a motor"),
-    ):
+    wrong_motors = {
+        "ak80-7": "Did you mean 'ak80-6'",
+        "{gear: 10}": "the nearest is 'gear_ratio'",
+        "3": "the name of a motor",
+    }
+    for wrong, message in wrong_motors.items():
         path.write_text(text.replace("MOTOR", wrong))
         with pytest.raises(InvalidInput, match=message):
             load(path, threads=1)

@@ -13,7 +13,7 @@ from dropo.data.outliers.input_choice import choose_input
 from dropo.diagnosis.findings.input_choice import choose_problem_input
 from dropo.estimators.dropo import DROPO
 from dropo.likelihoods.emulated import Emulated
-from dropo.problems.file.reader import inputs_of
+from dropo.problems.loading import inputs_of
 from dropo.problems.measured.cube_toss import toss
 from dropo.problems.measured.external_data import find_data
 from dropo.problems.measured.recordings import Runs, gridded, measured, trajectories

@@ -13,8 +13,9 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, BadFile, InvalidInput, UnknownName
 from dropo.core.services.registry import find
+from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.mjmodel.fields import FieldParameter
-from dropo.problems.file.reader import load
+from dropo.problems.loading import load
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
@@ -593,7 +594,7 @@ def test_built_in_problems_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = find("problems", "slide")()
     still = replace(whole.trajectories, time=np.zeros(len(whole.trajectories)))
     monkeypatch.setattr(
-        "dropo.problems.file.reader.find",
+        "dropo.problems.loading.find",
         lambda kind, name: lambda threads: replace(whole, held_out=still),
     )
     with pytest.raises(
@@ -611,6 +612,154 @@ def test_numbers_are_those_of_yaml_1_2(folder: Path) -> None:
         "problem.yaml: parameters.cart_mass.name: expected the name of a body (there is "
         "cart, pole, world), got 'on'."
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e-3", 1e-3),
+        ("1.0e-3", 1e-3),
+        ("1E3", 1000.0),
+        (".5", 0.5),
+        ("014", 14),
+        ("0o14", 12),
+        ("0x1f", 31),
+        ("on", "on"),
+        ("yes", "yes"),
+        ("no", "no"),
+        ("off", "off"),
+        ("y", "y"),
+        ("1:30", "1:30"),
+        ("true", True),
+        ("~", None),
+        (".inf", np.inf),
+    ],
+)
+def test_words_and_numbers_are_those_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
+    """Where YAML 1.1 has booleans, octal and base 60."""
+    (tmp_path / "a.yaml").write_text(f"a: {text}\n")
+    found = read_yaml(tmp_path / "a.yaml", "a file")["a"]
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        1e-8,
+        -1.5e300,
+        0.1,
+        3,
+        "on",
+        "1e5",
+        "1:30",
+        "014",
+        "null",
+        "",
+        "a: b",
+        "é",
+        "x y " * 60,
+        None,
+        True,
+    ],
+)
+def test_what_is_written_is_read(tmp_path: Path, value: object) -> None:
+    """Texts that look like something else are quoted."""
+    content = {"z": [value], "a": {"b": value}}
+    (tmp_path / "a.yaml").write_text(format_yaml(content), encoding="utf-8")
+    found = read_yaml(tmp_path / "a.yaml", "a file")
+    assert found == content
+    assert list(found) == ["z", "a"]
+    assert type(found["a"]["b"]) is type(value)
+
+
+def test_numbers_are_written_for_every_reader() -> None:
+    """YAML 1.1 takes `1e-08` as a text."""
+    assert format_yaml({"epsilon": 1e-8}) == "epsilon: 1.0e-08\n"
+
+
+FORMER = """\
+model: robot.xml
+frame_skip: 2
+data: data.npz
+observation:
+- qpos
+- qvel
+action:
+- ctrl
+parameters:
+  cart_mass:
+    field: body_mass
+    low: 1
+    high: 4.0
+    name: cart
+    unit: kg
+lambda: 5
+epsilon:
+- 1.0e-08
+- 1.0e-08
+- 1.0e-06
+- 1.0e-06
+start_noise: true
+effects:
+- effect: actuator_delay
+  target: push
+  sizes:
+    delay: 0.007
+- effect: air_drag
+  target: null
+  variant: density
+  fit:
+    density: [0.0, 1.0]
+"""
+
+
+def test_files_of_earlier_versions_are_read(folder: Path) -> None:
+    """As they were written then, with blocks, null and whole numbers."""
+    (folder / "problem.yaml").write_text(FORMER)
+    problem = load(folder / "problem.yaml", threads=1)
+    assert problem.length == 5
+    assert problem.start_noise
+    np.testing.assert_array_equal(problem.epsilon, [1e-8, 1e-8, 1e-6, 1e-6])
+    assert problem.space["cart_mass"].low == 1
+
+
+FIRST = {
+    "frame_skip: 2": ("frame_skip: x\nlambda: 0", "frame_skip: expected"),
+    "low: 1, high: 4": ("high: x, low: y", "parameters.cart_mass.high: expected"),
+    "field: dof_damping": ("field: dof_damping, index: x", "parameters.damping.index: expected"),
+}
+
+
+@pytest.mark.parametrize("old", FIRST)
+def test_the_first_fault_of_the_file_is_told(folder: Path, old: str) -> None:
+    """In the order of the file, not of the schema."""
+    new, message = FIRST[old]
+    assert refusal(written(folder, old, new)).startswith(f"problem.yaml: {message}")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    {
+        "epsilon: null": "epsilon: expected a variance, 0 or more, got nothing.",
+        "epsilon: [1, 2, x, 4]": "epsilon[2]: expected a variance, 0 or more, got 'x'.",
+        "epsilon: {1: 2}": "epsilon.1: expected a word as a key, got 1 (quote it).",
+        "lambda: 100000000000000000000": (
+            "lambda: expected a whole number of at most 9007199254740992, got "
+            "100000000000000000000."
+        ),
+        "motors: {slide: {gear_ratio: 0}}": "motors.slide.gear_ratio: expected a number above 0, got 0.",
+        "motors: {slide: 3}": "motors.slide: expected the name of a motor, or a mapping with its numbers, got 3.",
+        "task: {alive: a:b}": (
+            "task.reward: expected a function as module:name, or file.py:name beside the "
+            "problem file, got nothing."
+        ),
+        "effects: [{effect: wind, target: null, fit: {wind: 3}}]": "effects[0].fit.wind: expected [low, high], two numbers, got 3.",
+    }.items(),
+)
+def test_refusals_deeper_in_the_file(folder: Path, line: str, message: str) -> None:
+    """The key is given down to the place in a list."""
+    assert refusal(written(folder, new=line + "\n")) == f"problem.yaml: {message}"
 
 
 def test_the_error_names_file_and_key(folder: Path) -> None:

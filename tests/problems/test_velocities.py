@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import yaml
 
 from dropo import load
+from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.estimators.least_squares import LeastSquares
 from tests.diagnosis.arms import UPPER
 from tests.diagnosis.arms import problem as arm_problem
@@ -45,9 +45,7 @@ def free_swings(folder, noise, reset=None):
         terminals=np.array(ends),
     )
     (folder / "model.xml").write_text(MODEL)
-    (folder / "problem.yaml").write_text(
-        yaml.safe_dump(PROBLEM | ({"reset": reset} if reset else {}))
-    )
+    (folder / "problem.yaml").write_text(format_yaml(PROBLEM | ({"reset": reset} if reset else {})))
     return folder / "problem.yaml"
 
 
@@ -86,8 +84,8 @@ def test_observed_velocities_are_left_alone():
 def test_other_resets_take_velocities_from_the_simulation(tmp_path, reset):
     """Where segments go on from each other, or begin with a trajectory, nothing is estimated."""
     path = free_swings(tmp_path, 1e-4, reset)
-    content = yaml.safe_load(path.read_text())
+    content = read_yaml(path, "a problem file")
     if reset == "start":
         del content["lambda"]
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(format_yaml(content))
     assert len(load(path).simulator.signals) == 1

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 
 from dropo import diagnose, fit, hide
 from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
 from dropo.core.services.registry import find, names
+from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.diagnosis.search.library import declared
 from dropo.mjmodel.fields import FieldParameter
-from dropo.problems.file.reader import load
 from dropo.problems.file.writer import write_problem
+from dropo.problems.loading import load
 from dropo.problems.simulated.slide import slide
 from tests.diagnosis.arms import UPPER, instance, problem
 
@@ -109,7 +109,7 @@ def test_effects_stand_in_mjcf_where_it_has_them(arm, tmp_path):
             ],
         ),
     )
-    content = yaml.safe_load(write_problem(has, tmp_path).read_text())
+    content = read_yaml(write_problem(has, tmp_path), "a problem file")
     assert content["effects"] == [
         {"effect": "actuator_delay", "target": None, "sizes": {"delay": 0.007}}
     ]
@@ -146,7 +146,7 @@ def test_effects_stand_in_mjcf_where_it_has_them(arm, tmp_path):
 def test_wrong_entries_are_refused(arm, tmp_path, entry, told):
     """A misspelt effect, place, quantity or variant in `effects` is refused with what was meant."""
     path = write_problem(arm, tmp_path)
-    path.write_text(path.read_text() + yaml.safe_dump({"effects": [entry]}))
+    path.write_text(path.read_text() + format_yaml({"effects": [entry]}))
     with pytest.raises(BadFile, match=told):
         load(path)
 
@@ -166,7 +166,7 @@ def test_effects_are_fitted_as_parameters(tmp_path):
         {"effect": "joint_friction", "target": "elbow", "fit": {"frictionloss": [0, 0.5]}},
         {"effect": "actuator_delay", "target": "shoulder_motor", "fit": {"delay": [0, 0.02]}},
     ]
-    path.write_text(path.read_text() + yaml.safe_dump({"effects": entries}))
+    path.write_text(path.read_text() + format_yaml({"effects": entries}))
     arm = load(path, threads=1)
     assert arm.space.names[2:] == (
         "joint_friction:elbow/frictionloss",
@@ -175,7 +175,7 @@ def test_effects_are_fitted_as_parameters(tmp_path):
     found = fit(arm.using(length=5))
     assert np.all(np.abs(found.mean - [1.0, 0.6, 0.12, 0.008]) < 4 * found.mean_se)
     assert np.all(found.mean_se < [1e-3, 1e-3, 1e-3, 1e-4])
-    again = yaml.safe_load(write_problem(arm, tmp_path / "again").read_text())
+    again = read_yaml(write_problem(arm, tmp_path / "again"), "a problem file")
     assert again["effects"] == entries
     told = diagnose(arm, ["joint_damping", "joint_friction", "actuator_gain"])
     assert told.verdict == "consistent"

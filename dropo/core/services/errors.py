@@ -28,6 +28,15 @@ class BadFile(InvalidInput):
         self.key = key
 
 
+class BadEntry(BadFile):
+    """An entry of a file that another part refused: its sentence, behind the file and the key."""
+
+    def __init__(self, path: object, key: str, sentence: str):
+        InvalidInput.__init__(self, f"{path}: {key}: {sentence}")
+        self.path = path
+        self.key = key
+
+
 class UnknownName(InvalidInput, LookupError):
     """A name that nothing answers to; the message gives the nearest valid one."""
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.services.errors import BadFile, InvalidInput
-from dropo.core.services.strict_yaml import named
+from dropo.core.services.file_content import describe_options
 from dropo.logs.readers.messages import LOG_TIME, STAMP, columns_of, getter
 from dropo.logs.readers.reader import Arrays, Log, Progress, joined, package
 
@@ -158,7 +158,9 @@ class McapLog(_Bag):
             or schema is None
             or schema.encoding not in ("ros2msg", "ros1msg")
         ):
-            wanted = named("messages in an encoding that is read", kind, ("json", "cdr", "ros1"))
+            wanted = describe_options(
+                "messages in an encoding that is read", kind, ("json", "cdr", "ros1")
+            )
             raise BadFile(
                 self.path,
                 channel.topic,

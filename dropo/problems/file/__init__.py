@@ -1,0 +1,1 @@
+"""Problem files: their schema, their reader and their writer."""

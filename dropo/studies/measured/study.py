@@ -8,7 +8,7 @@ from typing import Any
 from dropo import Diagnose, Diagnosis
 from dropo.core.services.tables import number
 from dropo.core.services.validation import known
-from dropo.problems.file.reader import load
+from dropo.problems.loading import load
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
 

@@ -1,0 +1,132 @@
+"""The measured data that a problem file names: those to fit, and those held out."""
+
+from pathlib import Path
+from typing import TypeGuard, cast
+
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.file_content import FileContent
+from dropo.data.reading import MINARI, read
+from dropo.problems.file.schema import ProblemFile
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+
+
+def read_data(
+    file: FileContent[ProblemFile], simulator: MujocoSimulator, input: str | None
+) -> tuple[Trajectories, Trajectories | None]:
+    """Read the data of a problem file.
+
+    Parameters
+    ----------
+    file
+        The problem file.
+    simulator
+        Its simulator, which says how many columns the data have.
+    input
+        Which of several logged commands are the actions.
+
+    Returns
+    -------
+    fitted, held_out
+        The trajectories to fit, and those that no fit sees, where there are some.
+
+    Raises
+    ------
+    BadFile
+        If data are missing, cannot be read or have other columns.
+    """
+    content = file.content
+    fitted = _read(file, "data", content.data, simulator, input)
+    held_out = None
+    if _are_numbers(content.held_out):
+        fitted, held_out = _split(file, fitted, content.held_out)
+    elif content.held_out is not None:
+        named = cast("str | list[str]", content.held_out)
+        held_out = _read(file, "held_out", named, simulator, input)
+    if content.transitions is not None:
+        fitted = fitted.head(content.transitions)
+    return fitted, held_out
+
+
+def read_states(file: FileContent[ProblemFile], simulator: MujocoSimulator) -> Trajectories:
+    """Read all data of the entry `data`, with actions of 0 whether or not it holds any.
+
+    Parameters
+    ----------
+    file
+        The problem file.
+    simulator
+        Its simulator, which says how many columns the data have.
+
+    Returns
+    -------
+    Trajectories
+        As they stand, with actions of 0.
+
+    Raises
+    ------
+    BadFile
+        If data are missing, cannot be read or have other columns.
+    """
+    return _read(file, "data", file.content.data, simulator, None, zero_actions=True)
+
+
+def locate_data(file: FileContent[ProblemFile], named: str | list[str]) -> dict[str, str | Path]:
+    """Find where data are that a problem file names.
+
+    Parameters
+    ----------
+    file
+        The problem file, whose folder paths are relative to.
+    named
+        One or several of them.
+
+    Returns
+    -------
+    dict
+        The place of each, by what the file calls it: a path, or the name of a Minari data set.
+    """
+    listed = [named] if isinstance(named, str) else named
+    folder = file.path.parent
+    return {name: name if name.startswith(MINARI) else folder / name for name in listed}
+
+
+def _are_numbers(held_out: str | list[str] | list[int] | None) -> TypeGuard[list[int]]:
+    """Whether trajectories are held out by number, rather than other data."""
+    return isinstance(held_out, list) and isinstance(held_out[0], int)
+
+
+def _read(
+    file: FileContent[ProblemFile],
+    key: str,
+    named: str | list[str],
+    simulator: MujocoSimulator,
+    input: str | None,
+    *,
+    zero_actions: bool = False,
+) -> Trajectories:
+    """The data under a key, with as many columns as the items give."""
+    places = locate_data(file, named)
+    columns = len(simulator.controls) if zero_actions else None
+    trajectories = read(list(places.values()), input=input, zero_actions=columns)
+    for what, wanted, columns in (
+        ("observation", len(simulator.layout), trajectories.observations.shape[1]),
+        ("action", len(simulator.controls), trajectories.actions.shape[1]),
+    ):
+        if columns != wanted:
+            expected = f"{wanted} {what} columns, as the {what} items give"
+            raise file.refusal(key, expected, f"{columns} in {', '.join(places)}")
+    return trajectories
+
+
+def _split(
+    file: FileContent[ProblemFile], everything: Trajectories, numbers: list[int]
+) -> tuple[Trajectories, Trajectories]:
+    """The trajectories without and with the numbers given."""
+    last = len(everything.spans) - 1
+    wrong = next((number for number in numbers if not 0 <= number <= last), None)
+    if wrong is not None:
+        raise file.refusal("held_out", f"trajectory numbers from 0 to {last}", str(wrong))
+    rest = sorted(set(range(last + 1)) - set(numbers))
+    if not rest:
+        raise file.refusal("held_out", "some trajectories left to fit", f"all {last + 1} of them")
+    return everything.select(rest), everything.select(numbers)

@@ -1,0 +1,145 @@
+"""Problems by a built-in name or from a problem file, with their data checked."""
+
+import inspect
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.registry import find, names
+from dropo.core.services.validation import known
+from dropo.problems.file.data_errors import find_data_error
+
+INPUTS = ("commanded", "current")
+"""Inputs of built-in problems that know several: the torque asked for, and the motors' current."""
+
+
+def load(
+    problem: str | Path, *, threads: int = 0, checked: bool = True, input: str | None = None
+) -> Problem:
+    """Load a built-in problem by its name, or the one that a YAML file describes.
+
+    Parameters
+    ----------
+    problem
+        The name, or the path of the file; paths in the file are relative to it.
+    threads
+        Of the simulator, 0 for all cores.
+    checked
+        Refuse data, held-out ones too, in which `dropo.check` finds an error.
+    input
+        Which of several logged commands drives the model, one of `inputs_of`; by default as the
+        problem says.
+
+    Returns
+    -------
+    Problem
+        Simulator, data, and how they are compared.
+
+    Raises
+    ------
+    UnknownName
+        If there is no built-in problem of that name.
+    BadFile
+        If something is wrong in the file or its data; the message names the key, what was
+        expected, what was got, and the nearest valid name.
+    BadArgument
+        If the data of a built-in problem hold an error.
+    """
+    if is_file(problem):
+        from dropo.problems.file.reader import read_problem
+
+        return read_problem(Path(problem), threads=threads, checked=checked, input=input)
+    make = find("problems", known("problem", str(problem), names("problems")))
+    chosen = {} if input is None else {"input": known("input", input, inputs_of(problem))}
+    found = cast(Problem, make(threads=threads, **chosen))
+    if checked:
+        _require_sound_data(found, str(problem))
+    return found
+
+
+def load_states(problem: str | Path, *, threads: int = 0) -> Problem:
+    """Load what a problem says of the motion alone: all its data, without commands.
+
+    Parameters
+    ----------
+    problem
+        A problem file, whose data need not hold actions, or a built-in name.
+    threads
+        Of the simulator, 0 for all cores.
+
+    Returns
+    -------
+    Problem
+        The model and the data with the columns that they hold. Velocities are not estimated.
+
+    Raises
+    ------
+    UnknownName
+        If there is no built-in problem of that name.
+    BadFile
+        If something is wrong in the file or its data.
+    """
+    if is_file(problem):
+        from dropo.problems.file.reader import read_motion
+
+        return read_motion(Path(problem), threads=threads)
+    make = find("problems", known("problem", str(problem), names("problems")))
+    found = cast(Problem, make(threads=threads))
+    return replace(found, trajectories=found.everything or found.trajectories)
+
+
+def is_file(problem: str | Path) -> bool:
+    """Tell whether a problem file is meant, rather than a built-in name.
+
+    Parameters
+    ----------
+    problem
+        As `load` takes it.
+
+    Returns
+    -------
+    bool
+        True for a path, for a name that ends in .yaml or .yml, and for any file that exists.
+    """
+    if isinstance(problem, Path):
+        return True
+    return problem.endswith((".yaml", ".yml")) or Path(problem).is_file()
+
+
+def inputs_of(problem: str | Path) -> tuple[str, ...]:
+    """Name the logged commands of a problem, where there are several.
+
+    Parameters
+    ----------
+    problem
+        As `load` takes it.
+
+    Returns
+    -------
+    tuple of str
+        NAME of every `actions.NAME` in a file's data, or what a built-in problem takes.
+
+    Raises
+    ------
+    UnknownName
+        If there is no built-in problem of that name.
+    BadFile
+        If something is wrong in the problem file or its data.
+    """
+    if is_file(problem):
+        from dropo.problems.file.reader import read_inputs
+
+        return read_inputs(Path(problem))
+    make = find("problems", known("problem", str(problem), names("problems")))
+    return INPUTS if "input" in inspect.signature(make).parameters else ()
+
+
+def _require_sound_data(problem: Problem, name: str) -> None:
+    """Refuse a built-in problem whose data, as far as they are used, hold an error."""
+    whole = problem.everything or problem.trajectories
+    for key, trajectories in (("data", whole), ("held_out", problem.held_out)):
+        error = find_data_error(trajectories, problem.simulator)
+        if error is not None:
+            raise BadArgument(f"{name}: {key}: {error}")
