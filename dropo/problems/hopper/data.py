@@ -144,7 +144,7 @@ class _Hopper:
     threads: int
 
     def run(self, n: int, steps: int, rng: Generator) -> tuple[Runs, Array]:
-        """n trajectories of up to so many control steps, and the masses of their blocks (n, B, 4)."""
+        """N trajectories of up to so many control steps, and the masses of their blocks (n, B, 4)."""
         blocks = -(-steps // self.hold)
         masses = float_array(
             "masses",

@@ -115,7 +115,7 @@ def drive(
     fields: Mapping[str, Array] | None = None,
     rng: np.random.Generator,
 ) -> Runs:
-    """n arms led by a hand for so many control steps, from boxes (n, 3) moved and turned away from
+    """N arms led by a hand for so many control steps, from boxes (n, 3) moved and turned away from
     the model's own place.
 
     noise: sd [m, rad] with which the hand sees the boxes; fields: (n, 1, ...) as in `closed_loop`,
@@ -140,7 +140,7 @@ def drive(
 
 
 def boxes_of(states: Array) -> Array:
-    """x [m], y [m] and turn [rad] (..., 3) of the boxes in states (..., nq + nv)."""
+    """X [m], y [m] and turn [rad] (..., 3) of the boxes in states (..., nq + nv)."""
     w, i, j, k = np.moveaxis(states[..., BOX + 3 : BOX + 7], -1, 0)
     turn = np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
     return np.concatenate([states[..., BOX : BOX + 2], turn[..., None]], axis=-1)

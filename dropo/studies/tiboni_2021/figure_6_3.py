@@ -149,7 +149,7 @@ def figure_6_3(work: Work, seeds: int | None = None, *, size: Size = FULL) -> St
 
 
 def by_distribution(runs: Sequence[dict[str, Any]], key: str) -> dict[str, Array]:
-    """law -> what its runs have under that key, (bounds, seeds); one row where there are no bounds."""
+    """Law -> what its runs have under that key, (bounds, seeds); one row where there are no bounds."""
     out = {}
     for name in dict.fromkeys(run["law"] for run in runs):
         own = sorted((run["number"], run["seed"], run[key]) for run in runs if run["law"] == name)
@@ -187,7 +187,7 @@ def interval(values: Array) -> tuple[float, float]:
 
 
 def holm(p: Array) -> Array:
-    """p values (m,) adjusted for so many tests (Holm, "A simple sequentially rejective multiple
+    """P values (m,) adjusted for so many tests (Holm, "A simple sequentially rejective multiple
     test procedure", 1979).
     """
     order = np.argsort(p)

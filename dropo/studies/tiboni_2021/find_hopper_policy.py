@@ -54,7 +54,7 @@ ALGORITHM = ARS(updates=300, directions=16, best=8, step=0.02, size=0.03, trials
 
 
 def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> Runs:
-    """n trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
+    """N trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
     trajectory.
     """
     noise = rng.standard_normal((n, SETTINGS.steps, model.nu))

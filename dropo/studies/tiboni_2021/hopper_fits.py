@@ -158,7 +158,7 @@ def compared(item: Item) -> dict[str, Any]:
 
 
 def distribution(family: TruncatedGaussian, mean: Array, sd: Array) -> Array:
-    """phi of the truncated Gaussian of that mean and standard deviation; the least scale where it
+    """Phi of the truncated Gaussian of that mean and standard deviation; the least scale where it
     is below.
     """
     share = family.sd(family.phi(mean, family.unknowns.high[4:])) / family.unknowns.high[4:]
