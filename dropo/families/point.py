@@ -43,5 +43,5 @@ class Point(Family):
         return self.sd(phi)
 
     def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
-        """Returns the member (m,) with the mean (d,), clipped to the bounds; the scale is ignored."""
+        """Returns the member (m,) with the mean (d,), clipped to its bounds; scale is ignored."""
         return np.clip(np.asarray(mean, dtype=float), self.unknowns.low, self.unknowns.high)

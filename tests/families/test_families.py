@@ -50,7 +50,7 @@ def test_moments_and_quantiles_are_those_of_the_distribution(family, distributio
 
 
 def test_truncated_gaussian_has_sd_below_its_scale():
-    """sd = 0.8796 sigma, to the four digits of the published remark, and no draw is beyond 2 sigma."""
+    """sd = 0.8796 sigma, to the four digits of the published remark; no draw is beyond 2 sigma."""
     family = TruncatedGaussian(SPACE)
     phi = family.phi([2.0, 0.5, 3.0], [0.2, 0.05, 0.4])
     np.testing.assert_allclose(family.sd(phi) / family.scale(phi), 0.8796, atol=5e-5)
