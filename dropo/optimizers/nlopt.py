@@ -82,7 +82,7 @@ class _Objective:
     """The cost as NLopt calls it.
 
     Some of NLopt's methods go on after an exception in the objective. It is therefore stored in
-    `error`, and NLopt is told to stop.
+    `error`, and NLopt is asked to stop.
     """
 
     def __init__(self, cost: Cost):

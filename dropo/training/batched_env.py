@@ -65,6 +65,7 @@ class _Streams:
 
     @classmethod
     def from_seed(cls, seed: int | None) -> "_Streams":
+        """Returns three independent generators."""
         draws, starts, noise = np.random.default_rng(seed).spawn(3)
         return cls(draws, starts, noise)
 

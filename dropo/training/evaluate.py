@@ -238,7 +238,7 @@ def motion(
     qpos : (L + 1, nq) array
         Joint positions, from the start on.
     model : mujoco.MjModel
-        The model that moved.
+        The simulated model.
     control_step : float
         Time between positions [s].
 
