@@ -86,7 +86,7 @@ def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
         runs = run(model, policies, 2 * ALGORITHM.directions, rng)
         ALGORITHM.improve(state, tried, returns(model, runs).reshape(2, ALGORITHM.directions))
         visited = runs.states[:, :-1].reshape(-1, 12)
-        state.see(observe(visited[np.isfinite(visited).all(axis=1)]))
+        state.add_observations(observe(visited[np.isfinite(visited).all(axis=1)]))
         yield LinearPolicy(state.weights, state.mean, state.deviation, SETTINGS.action_noise)
 
 
