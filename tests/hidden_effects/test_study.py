@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dropo.core.services.registry import find
-from dropo.problems.simulated.robots import MACHINES, machine
+from dropo.problems.simulated.robots import ROBOTS, simulated_robot
 from dropo.studies.engine.work import Work
 from dropo.studies.hidden_effects.study import CASES, draw, hidden_effects, interval, judge, run
 
@@ -27,7 +27,7 @@ def test_hopper():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("case", CASES)
 def test_matrix(name, case):
     """Two runs of each case on each machine; a cause outside the library may be missed."""
@@ -122,7 +122,7 @@ def test_intervals():
 
 def test_draws_are_within_bounds():
     """Every kind of effect that an arm can have is drawn within its bounds, and not 0."""
-    arm = machine("torque-arm")
+    arm = simulated_robot("torque-arm")
     rng = np.random.default_rng(0)
     for kind in (
         "joint_damping",
@@ -159,7 +159,7 @@ def test_judging():
         def __init__(self, *causes):
             self.causes = causes
 
-    arm = machine("torque-arm")
+    arm = simulated_robot("torque-arm")
     hidden = [
         (
             next(
