@@ -6,7 +6,7 @@ import pytest
 from dropo.core.services.registry import find
 from dropo.problems.simulated.robots import ROBOTS, simulated_robot
 from dropo.studies.engine.work import Work
-from dropo.studies.hidden_effects.study import CASES, draw, hidden_effects, interval, judge, run
+from dropo.studies.hidden_effects.study import CASES, draw, evaluate, hidden_effects, interval, run
 
 QUICK = [("torque-arm", "one", 0), ("torque-arm", "nothing", 1), ("position-arm", "two", 0)]
 
@@ -141,8 +141,8 @@ def test_draws_are_within_bounds():
         )
 
 
-def test_judging():
-    """A second name is extra; a name in the ambiguity set is among; nothing hidden wants no name."""
+def test_evaluation():
+    """A second name is extra; one in the ambiguity set is among; nothing hidden wants no name."""
 
     class Found:
         def __init__(self, effect, confused=()):
@@ -170,13 +170,13 @@ def test_judging():
             np.array([0.1]),
         )
     ]
-    right = judge("one", hidden, Diagnosis(Found("joint_damping")))
+    right = evaluate("one", hidden, Diagnosis(Found("joint_damping")))
     assert (right["right"], right["among"], right["extra"]) == (True, True, False)
     assert right["error"] == pytest.approx(0.1)
-    other = judge(
+    other = evaluate(
         "one",
         hidden,
         Diagnosis(Found("joint_friction", ({"effect": "joint_damping", "target": "elbow"},))),
     )
     assert (other["right"], other["among"], other["extra"]) == (False, True, True)
-    assert not judge("nothing", [], Diagnosis(Found("joint_damping")))["right"]
+    assert not evaluate("nothing", [], Diagnosis(Found("joint_damping")))["right"]
