@@ -102,7 +102,20 @@ def healthy(states: Array) -> NDArray[np.bool_]:
 
 
 def start_states(rng: Generator, n: int) -> Array:
-    """Draws n start states (n, 12): upright at rest within Gymnasium's noise, nothing travelled."""
+    """Draws start states: upright at rest, within Gymnasium's noise, nothing travelled yet.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of the noise.
+    n : int
+        Number of states.
+
+    Returns
+    -------
+    (n, 12) array
+        States, `qpos` then `qvel`.
+    """
     states = UPRIGHT + rng.uniform(-START_NOISE, START_NOISE, (n, 12))
     states[:, 0] = 0
     return states

@@ -1,6 +1,6 @@
-"""Hides effects of random kind, place and magnitude in simulated data: are they named?
+"""Hides effects of random kind, place and magnitude in simulated data, and sees if they are named.
 
-And what is said if nothing, or nothing that the library has, is hidden?
+Also, what is said if nothing is hidden, or nothing that the library of effects has.
 """
 
 import re
