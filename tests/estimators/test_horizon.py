@@ -76,7 +76,7 @@ def test_close_scores_are_settled_by_standard_errors():
     made = lambda n, gain, se: type(
         "C",
         (),
-        {"length": n, "scores": scores + gain, "fit": replace(base, mean_se=np.full(2, se))},
+        {"horizon": n, "scores": scores + gain, "fit": replace(base, mean_se=np.full(2, se))},
     )()
     wobble = np.array([1.0, -1.0] * 4)
     sure = made(1, 0.0, 0.02)
