@@ -358,7 +358,7 @@ class _Evaluate:
 
 
 def _unit_width(space: ParameterSpace, mean: Array, error: Array) -> Array:
-    """(d,) standard errors in the unit box, between rounding and a tenth; 0.01 for a missing one."""
+    """(d,) standard errors in the unit box, at most a tenth; 0.01 for a missing one."""
     known_error = np.nan_to_num(error)
     above = space.to_unit(np.clip(mean + known_error, space.low, space.high))
     below = space.to_unit(np.clip(mean - known_error, space.low, space.high))
@@ -367,7 +367,7 @@ def _unit_width(space: ParameterSpace, mean: Array, error: Array) -> Array:
 
 
 def _gaussian(family: Any, values: Array) -> tuple[Array, Array]:
-    """phi (m,) of the Gaussian with the mean and covariance of draws (K, d), and their mean (d,)."""
+    """phi (m,) of the Gaussian with the moments of draws (K, d), and their mean (d,)."""
     mean = values.mean(axis=0)
     d = values.shape[1]
     phi = np.array(family.phi_of(mean, np.cov(values.T).reshape(d, d)))

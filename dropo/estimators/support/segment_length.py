@@ -252,13 +252,13 @@ def choose(candidates: Sequence[Candidate]) -> tuple[Candidate, HorizonChoice]:
     gaps = []
     errors = []
     for candidate in candidates:
-        gap = np.full(len(best.scores), np.inf)
+        below = np.full(len(best.scores), np.inf)
         if np.isfinite(candidate.scores).all():
-            gap = best.scores - candidate.scores
+            below = best.scores - candidate.scores
         error = 0.0
-        if np.isfinite(gap).all() and len(gap) > 1:
-            error = float(np.sqrt(len(gap)) * np.std(gap, ddof=1))
-        gaps.append(float(gap.sum()))
+        if np.isfinite(below).all() and len(below) > 1:
+            error = float(np.sqrt(len(below)) * np.std(below, ddof=1))
+        gaps.append(float(below.sum()))
         errors.append(error)
 
     close = []
@@ -318,7 +318,7 @@ def _error_variance(problem: Problem, fit: Fit, settings: HorizonSettings) -> Ar
 
 
 def _predict(problem: Problem, fit: Fit) -> tuple[Array, Array]:
-    """Residuals (R, p) at the fit's mean, and the covariance (R, p, p) of its spread, linearized."""
+    """Residuals (R, p) at the fit's mean, and the linearized covariance (R, p, p) of its spread."""
     predicted, jacobian = problem.simulator.linearize(fit.mean, problem.segments)
     covariance = fit.correlation * np.outer(fit.sd, fit.sd)
     spread = jacobian @ covariance @ jacobian.swapaxes(1, 2)
