@@ -60,7 +60,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "adr": "dropo.estimators.adr:ADR",
     },
     "likelihoods": {
-        "monte-carlo": "dropo.likelihoods.monte_carlo:Gaussian",
+        "monte-carlo": "dropo.likelihoods.monte_carlo:MonteCarlo",
         "emulated": "dropo.likelihoods.emulated:Emulated",
         "linear": "dropo.likelihoods.linear:Linear",
         "unscented": "dropo.likelihoods.unscented:Unscented",

@@ -20,7 +20,7 @@ from dropo.estimators.least_squares import LeastSquares
 from dropo.estimators.random_effects import RandomEffects
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.published import hopper_published, hopper_published_noisy, published
 from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size, data_set, every
 
@@ -199,7 +199,7 @@ def compared(item: Item) -> dict[str, Any]:
     )
     base = family.base(Size(**item["size"]).draws, rng)
     targets = problem.simulator.targets(problem.segments)
-    gaussian = Gaussian(base.shape[1])
+    gaussian = MonteCarlo(base.shape[1])
     out = {}
     for name, phi in members.items():
         values = family.draw(phi, base)
@@ -250,7 +250,7 @@ def evaluated(item: Item) -> dict[str, Any]:
     problem, _ = problem_of(item)
     family = TruncatedGaussian(problem.space)
     assert problem.epsilon is not None
-    gaussian = Gaussian(Size(**item["size"]).draws)
+    gaussian = MonteCarlo(Size(**item["size"]).draws)
     objective = gaussian.bind(
         problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0)
     )

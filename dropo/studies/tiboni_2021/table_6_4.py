@@ -13,7 +13,7 @@ from dropo.estimators.droid import DROID
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.families.truncated_gaussian import TruncatedGaussian
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.model import hopper_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.engine.study import Study, Table
@@ -154,7 +154,7 @@ def likelihoods(item: Item) -> dict[str, Any]:
     """
     problem = light_torso(item)
     family = TruncatedGaussian(problem.space)
-    gaussian = Gaussian(Size(**item["size"]).draws)
+    gaussian = MonteCarlo(Size(**item["size"]).draws)
     base = family.base(gaussian.draws, np.random.default_rng(0))
     targets = problem.simulator.targets(problem.segments)
     out = {}
