@@ -19,6 +19,7 @@ KINDS = (
     "problems",
     "studies",
     "effects",
+    "readers",
 )
 
 

@@ -7,6 +7,7 @@ To add a check, write a module named after the contract and list its `check_...`
 from dropo.testing.effects import check_effect as check_effect
 from dropo.testing.families import check_family as check_family
 from dropo.testing.likelihoods import check_likelihood as check_likelihood
+from dropo.testing.log_readers import check_log_reader as check_log_reader
 from dropo.testing.optimizers import check_optimizer as check_optimizer
 from dropo.testing.samplers import check_sampler as check_sampler
 from dropo.testing.simulators import check_simulator as check_simulator

@@ -57,7 +57,7 @@ class Library:
         )
 
     def slopes(self, theta: Array, free: np.ndarray, windows: Windows, share: float = 1.0) -> Array:
-        """D prediction / d theta (f, W, n) in the free numbers, by central differences within the
+        """d prediction / d theta (f, W, n) in the free numbers, by central differences within the
         bounds; share: of `steps`.
         """
         space = self.simulator.space

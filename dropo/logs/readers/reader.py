@@ -1,4 +1,7 @@
-"""Raw logs: the contract of their readers, and which reader a file takes."""
+"""Raw logs: the contract of their readers, and which reader a file takes.
+
+A reader is a plug-in of kind "readers"; its name is the ending of the files that it reads.
+"""
 
 import importlib
 from abc import ABC, abstractmethod
@@ -10,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.errors import BadFile
+from dropo.core.services.registry import find, names
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, str], None]
@@ -63,29 +67,20 @@ def open_log(path: str | Path) -> Log:
         raise BadFile(path, "", "a log", "no such file")
     if place.is_file() and place.stat().st_size == 0:
         raise BadFile(path, "", "a log", "an empty file")
-    module, name = _reader(place)
-    return cast(Log, getattr(importlib.import_module(f"dropo.logs.readers.{module}"), name)(place))
+    return cast(Log, find("readers", _reader_name(place))(place))
 
 
-_BY_SUFFIX = {
-    ".csv": ("tables", "CsvLog"),
-    ".tsv": ("tables", "CsvLog"),
-    ".txt": ("tables", "CsvLog"),
-    ".parquet": ("tables", "ParquetLog"),
-    ".pq": ("tables", "ParquetLog"),
-    ".npz": ("archives", "npz_log"),
-    ".mcap": ("bags", "McapLog"),
-    ".bag": ("bags", "RosLog"),
-    ".db3": ("bags", "RosLog"),
-}
+_FOLDERS = ("lerobot", "minari", "ros2")
+"""Readers that are chosen by the layout of a folder, not by the ending of a file."""
 
 
-def _reader(place: Path) -> tuple[str, str]:
+def _reader_name(place: Path) -> str:
+    """The name of the reader for a file, which is its ending, or for a folder."""
     if place.is_dir():
         if (place / "meta" / "info.json").is_file():
-            return "episodes", "LeRobotLog"
+            return "lerobot"
         if (place / "metadata.yaml").is_file():
-            return "bags", "RosLog"
+            return "ros2"
         if any(
             (place / name).exists()
             for name in (
@@ -95,18 +90,19 @@ def _reader(place: Path) -> tuple[str, str]:
                 "main_data.hdf5",
             )
         ):
-            return "episodes", "MinariLog"
+            return "minari"
         raise BadFile(
             place,
             "",
             "a ROS 2 bag (metadata.yaml), LeRobot episodes (meta/info.json) or a Minari data set",
             "another folder",
         )
-    if place.suffix.lower() not in _BY_SUFFIX:
-        raise BadFile(
-            place, "", f"a log that ends in {', '.join(_BY_SUFFIX)}", f"a file {place.suffix!r}"
-        )
-    return _BY_SUFFIX[place.suffix.lower()]
+    endings = [name for name in names("readers") if name not in _FOLDERS]
+    ending = place.suffix.lower().removeprefix(".")
+    if ending not in endings:
+        listed = ", ".join(f".{name}" for name in endings)
+        raise BadFile(place, "", f"a log that ends in {listed}", f"a file {place.suffix!r}")
+    return ending
 
 
 def package(name: str, path: Path, extra: str) -> Any:
