@@ -36,8 +36,8 @@ def load_model(
 
     Notes
     -----
-    A single kinematic tree is one island of constraints or none. Not to look for islands saves 8 %
-    of a step of the hopper, and changes no bit.
+    A single kinematic tree is one island of constraints or none. Not to search for islands saves
+    8 % of a step of the hopper, and changes no bit.
     """
     if isinstance(model, mujoco.MjModel):
         frames = sorted(set(fields) & set(MOVES_FRAMES))

@@ -19,7 +19,7 @@ from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, float_array, require
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, TRUTH, hopper_model
-from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
+from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 
 Masses = Callable[[Generator, int], ArrayLike]
 """Draws the four masses [kg] of so many blocks, (blocks, 4): masses(rng, blocks)."""
@@ -143,7 +143,7 @@ class _Hopper:
     hold: int
     threads: int
 
-    def run(self, n: int, steps: int, rng: Generator) -> tuple[Runs, Array]:
+    def run(self, n: int, steps: int, rng: Generator) -> tuple[Rollouts, Array]:
         """n trajectories of up to so many control steps, and the masses of their blocks (n, B, 4)."""
         blocks = -(-steps // self.hold)
         masses = float_array(
@@ -212,7 +212,7 @@ def _collect(hopper: _Hopper, steps: int, total: int, rng: Generator) -> tuple[T
     return data, np.concatenate([part[3] for part in parts])[: groups[total - 1] + 1]
 
 
-def _part(runs: Runs, masses: Array, i: int, hold: int) -> tuple[Array, Array, Ints, Array]:
+def _part(runs: Rollouts, masses: Array, i: int, hold: int) -> tuple[Array, Array, Ints, Array]:
     """One run's states (L + 1, 12), actions (L, 3), blocks (L,) from 0, and their masses (blocks,
     4).
     """

@@ -10,7 +10,7 @@ from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
-from dropo.simulators.mujoco.layers import lateness, sensed
+from dropo.simulators.mujoco.layers import measured_signals, total_delays
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 Controller = Callable[[Array, Array], Array]
@@ -108,12 +108,12 @@ class _Sensors:
             (), [(replace(instance, start=None), magnitudes) for instance, magnitudes in effects]
         )
         self.values = values
-        late = lateness(self.simulator.fixed, len(simulator.signals)).max()
+        late = total_delays(self.simulator.fixed, len(simulator.signals)).max()
         self.reach = 1 + int(np.ceil(late / simulator.control_step))
 
     def at_once(self, starts: Array) -> Array:
         """(n, p) what they show of a machine that has stood still."""
-        return sensed(starts, self.simulator.fixed)
+        return measured_signals(starts, self.simulator.fixed)
 
     def seen(self, so_far: Trajectories, now: Ints, t: int) -> Array:
         """(n, p) what they show a control step behind the rows, the t-th of their trajectories."""
