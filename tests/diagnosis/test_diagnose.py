@@ -135,7 +135,7 @@ def test_same_answer_on_any_number_of_threads():
     one = problem([("joint_damping:elbow", [0.02])])
     two = problem([("joint_damping:elbow", [0.02])])
     two.simulator.threads = 2
-    two.simulator._hire()
+    two.simulator._start_threads()
     found = [
         Diagnose(("joint_damping", "joint_friction"), windows=40).run(p).to_json()
         for p in (one, two)

@@ -85,7 +85,7 @@ def test_all_together():
 
 
 def test_coupling():
-    """A share of the clamped motor command reaches the servo."""
+    """A fraction of the clamped motor command also acts on the servo."""
     robot = arm()
     model = mujoco.MjModel.from_xml_string(ARM)
     model.actuator_ctrllimited[:] = 0

@@ -26,7 +26,7 @@ def test_every_effect_has_a_row():
 
 
 def test_quantities_and_layers_are_named():
-    """Every quantity and every hook of every atom on all robots stands in its effect's row."""
+    """Every quantity and every hook of every instance on all robots stands in its effect's row."""
     hooks = (
         "start",
         "command",

@@ -185,7 +185,10 @@ def test_a_simulator_without_gradients_refuses_tensors():
     part = data().segments()
     with pytest.raises(
         Incompatible,
-        match=r"SlidingBlock gives no gradients, so it takes no tensors. Use likelihood 'emulated'.*'cma-es'",
+        match=(
+            r"SlidingBlock gives no gradients, so it takes no tensors. Use "
+            r"likelihood 'emulated'.*'cma-es'"
+        ),
     ):
         SlidingBlock().predict(torch.tensor(draws()), part)
 

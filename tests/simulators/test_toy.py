@@ -1,6 +1,5 @@
 """The toy simulators against what their closed forms claim."""
 
-
 import numpy as np
 import pytest
 
@@ -150,7 +149,10 @@ def test_refusals():
     """Matrices of another shape, and a time step that is none."""
     with pytest.raises(
         BadArgument,
-        match=r"^The 'matrices' of LinearSimulator must be of shape \(any, any, any\). Got \(3, 2\) instead.$",
+        match=(
+            r"^The 'matrices' of LinearSimulator must be of shape \(any, "
+            r"any, any\). Got \(3, 2\) instead.$"
+        ),
     ):
         LinearSimulator(np.ones((3, 2)))
     with pytest.raises(

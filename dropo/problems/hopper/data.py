@@ -20,7 +20,7 @@ from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, float_array, require
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, TRUTH, hopper_model
-from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
+from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 
 Masses = Callable[[Generator, int], ArrayLike]
 """Draws the four masses [kg] of a number of blocks, (blocks, 4): masses(rng, blocks)."""
@@ -206,11 +206,8 @@ class _Hopper:
     hold: int
     threads: int
 
-    def run(self, n: int, steps: int, rng: Generator) -> tuple[Runs, Array]:
-        """Runs n trajectories of up to `steps` control steps; with the masses of their blocks.
-
-        The masses have the shape (n, B, 4), with B blocks a trajectory.
-        """
+    def run(self, n: int, steps: int, rng: Generator) -> tuple[Rollouts, Array]:
+        """n trajectories of up to so many control steps, and the masses of their blocks (n, B, 4)."""
         blocks = -(-steps // self.hold)
         masses = self._draw_masses(rng, n, blocks)
         body_mass = np.broadcast_to(self.model.body_mass, (n, blocks, self.model.nbody)).copy()
@@ -293,8 +290,10 @@ def _collect(hopper: _Hopper, steps: int, total: int, rng: Generator) -> tuple[T
     return data, masses[: group[total - 1] + 1]
 
 
-def _trajectory(runs: Runs, masses: Array, i: int, hold: int) -> _Trajectory:
-    """The i-th run, as far as it lasted, with the masses of the blocks it saw."""
+def _part(runs: Rollouts, masses: Array, i: int, hold: int) -> tuple[Array, Array, Ints, Array]:
+    """One run's states (L + 1, 12), actions (L, 3), blocks (L,) from 0, and their masses (blocks,
+    4).
+    """
     length = runs.lengths[i]
     block = np.arange(length) // hold
     return _Trajectory(

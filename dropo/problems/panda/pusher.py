@@ -10,7 +10,7 @@ import numpy as np
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.problems.panda.reaching import joint_path
-from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
+from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 
 HEIGHT = 0.04  # [m] of the pin's tip above the table
 FIRST = np.array([0.1, 0.2, -0.1, -2.6, 0.0, 2.8, 0.0])
@@ -181,8 +181,9 @@ def drive(
     noise: float = 0.0,
     fields: Mapping[str, Array] | None = None,
     rng: np.random.Generator,
-) -> Runs:
-    """Runs n arms under a pushing policy.
+) -> Rollouts:
+    """n arms led by a hand for so many control steps, from boxes (n, 3) moved and turned away from
+    the model's own place.
 
     Parameters
     ----------
