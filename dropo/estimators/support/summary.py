@@ -7,8 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.likelihood import LogLikelihood
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood, LogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import ModelCheck
