@@ -186,7 +186,7 @@ class Posterior(Estimator):
     def _start(
         self, problem: Problem, run: Run, target: Target, family: Family
     ) -> tuple[Array, Array]:
-        """phi (m,) to start from, and the walkers' spread (m,) in the unit box."""
+        """Phi (m,) to start from, and the walkers' spread (m,) in the unit box."""
         unknowns = target.unknowns
         start = unknowns.from_unit(np.full(len(unknowns), 0.5))
         spread = np.full(len(unknowns), 0.05)
@@ -317,7 +317,7 @@ def _unit_width(space: ParameterSpace, mean: Array, error: Array) -> Array:
 
 
 def _gaussian(family: Any, values: Array) -> tuple[Array, Array]:
-    """phi (m,) of the Gaussian with the mean and covariance of draws (K, d), as narrow as they are;
+    """Phi (m,) of the Gaussian with the mean and covariance of draws (K, d), as narrow as they are;
     and that mean (d,).
     """
     mean = values.mean(axis=0)

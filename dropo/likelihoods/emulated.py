@@ -97,7 +97,7 @@ class EmulatedRows(GaussianRows):
         )
 
     def _member_slopes(self, own: Array) -> Array:
-        """dA / dphi (n, M, M), by central differences: A is a polynomial of a low order in phi."""
+        """DA / dphi (n, M, M), by central differences: A is a polynomial of a low order in phi."""
         step = (
             1e-5
             * np.maximum(np.abs(own), 1e-3 * (self.family.unknowns.high - self.family.unknowns.low))

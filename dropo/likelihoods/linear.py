@@ -162,7 +162,7 @@ def moments_of(family: Family, own: Any) -> tuple[Any, Any]:
 
 
 def slopes_of_moments(family: Family, own: Array) -> tuple[Array, Array]:
-    """d mean (n, d) and d covariance (n, d, d) of `moments_of` in each of the family's unknowns, by
+    """D mean (n, d) and d covariance (n, d, d) of `moments_of` in each of the family's unknowns, by
     central differences.
     """
     box = family.unknowns.high - family.unknowns.low

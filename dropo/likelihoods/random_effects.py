@@ -258,7 +258,7 @@ class _RandomEffects(GroupedLogLikelihood):
         return float(at.values.sum()), np.concatenate([scores, own], axis=1), whole
 
     def _population_slopes(self, phi: Array) -> tuple[Array, Array]:
-        """d mean (n, d) and d S (n, d, d) by each of the family's unknowns, by central differences."""
+        """D mean (n, d) and d S (n, d, d) by each of the family's unknowns, by central differences."""
         n = len(self.family.unknowns)
         step = (
             1e-6

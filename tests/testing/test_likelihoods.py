@@ -184,6 +184,6 @@ def test_broken_bindings_are_caught(fault, words):
         check_likelihood(Faulty(fault))
 
 
-def test_a_sound_binding_passes():
+def test_a_valid_binding_passes():
     """The control: without a fault the same wrapper is silent."""
     check_likelihood(Faulty("none"))

@@ -69,7 +69,7 @@ class Columns:
         )
 
     def whole(self) -> tuple[Array, Array]:
-        """d mean (m, r, p) and d Sigma (m, r, p, p), where a and b are equal."""
+        """D mean (m, r, p) and d Sigma (m, r, p, p), where a and b are equal."""
         return np.einsum("rpk,ik->irp", self.mean, self.by_mean), (
             self.a * self.by_spread[:, None, None]
         ) @ self.a.swapaxes(1, 2)
@@ -232,7 +232,7 @@ class GaussianRows(LocalLogLikelihood):
         return namespace(*out).concat(out)
 
     def _density(self, mean: Any, sigma: Any, rows: slice) -> tuple[Any, Any, Any, Any]:
-        """log density (r,), L^-1 (r, p, p), z = L^-1 residual (r, p) and z' z (r,)."""
+        """Log density (r,), L^-1 (r, p, p), z = L^-1 residual (r, p) and z' z (r,)."""
         xp = namespace(sigma)
         p = sigma.shape[-1]
         nu = self.noise.noise.degrees

@@ -88,7 +88,7 @@ class Emulator:
         return products((x - constant(self.centre, x)) / constant(self.width, x), self.indices)
 
     def slopes(self, values: Array) -> Array:
-        """d basis / d value (K, M, d) at parameter vectors (K, d), where the coordinates are the
+        """D basis / d value (K, M, d) at parameter vectors (K, d), where the coordinates are the
         values themselves.
         """
         u = (values - self.centre) / self.width

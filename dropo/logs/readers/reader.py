@@ -64,7 +64,7 @@ def open_log(path: str | Path) -> Log:
     if place.is_file() and place.stat().st_size == 0:
         raise BadFile(path, "", "a log", "an empty file")
     module, name = _reader(place)
-    return cast(Log, getattr(importlib.import_module(f"dropo.data.{module}"), name)(place))
+    return cast(Log, getattr(importlib.import_module(f"dropo.logs.readers.{module}"), name)(place))
 
 
 _BY_SUFFIX = {
