@@ -7,8 +7,12 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.likelihood import Likelihood, LogLikelihood
-from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.likelihood import (
+    Likelihood,
+    LocalLikelihood,
+    LocalLogLikelihood,
+    LogLikelihood,
+)
 from dropo.core.contracts.maximize import SearchResult, maximize
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.optimizer import Optimizer

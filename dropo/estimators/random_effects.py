@@ -8,8 +8,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.grouped_likelihood import GroupedLogLikelihood, Groups
-from dropo.core.contracts.likelihood import LogLikelihood
+from dropo.core.contracts.likelihood import GroupedLogLikelihood, Groups, LogLikelihood
 from dropo.core.contracts.maximize import SearchResult
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit

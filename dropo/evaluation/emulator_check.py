@@ -9,7 +9,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array

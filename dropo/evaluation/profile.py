@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from dropo.core.contracts.fisher_scoring import maximize_locally
-from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon, Noise
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
