@@ -207,7 +207,10 @@ class _Hopper:
     threads: int
 
     def run(self, n: int, steps: int, rng: Generator) -> tuple[Rollouts, Array]:
-        """n trajectories of up to so many control steps, and the masses of their blocks (n, B, 4)."""
+        """Rollouts n trajectories of up to `steps` control steps; with the masses of their blocks.
+
+        The masses have the shape (n, B, 4), with B blocks a trajectory.
+        """
         blocks = -(-steps // self.hold)
         masses = self._draw_masses(rng, n, blocks)
         body_mass = np.broadcast_to(self.model.body_mass, (n, blocks, self.model.nbody)).copy()
@@ -290,10 +293,8 @@ def _collect(hopper: _Hopper, steps: int, total: int, rng: Generator) -> tuple[T
     return data, masses[: group[total - 1] + 1]
 
 
-def _part(runs: Rollouts, masses: Array, i: int, hold: int) -> tuple[Array, Array, Ints, Array]:
-    """One run's states (L + 1, 12), actions (L, 3), blocks (L,) from 0, and their masses (blocks,
-    4).
-    """
+def _trajectory(runs: Rollouts, masses: Array, i: int, hold: int) -> _Trajectory:
+    """The i-th run, as far as it lasted, with the masses of the blocks it saw."""
     length = runs.lengths[i]
     block = np.arange(length) // hold
     return _Trajectory(

@@ -182,8 +182,7 @@ def drive(
     fields: Mapping[str, Array] | None = None,
     rng: np.random.Generator,
 ) -> Rollouts:
-    """n arms led by a hand for so many control steps, from boxes (n, 3) moved and turned away from
-    the model's own place.
+    """Rollouts n arms under a pushing policy.
 
     Parameters
     ----------
@@ -206,7 +205,7 @@ def drive(
 
     Returns
     -------
-    Runs
+    Rollouts
         Their actions are the joint angles commanded [rad].
     """
     arms = Arms(model, len(boxes), frame_skip * float(model.opt.timestep))

@@ -156,11 +156,11 @@ class _Sensors:
         steady = [(replace(instance, start=None), magnitudes) for instance, magnitudes in effects]
         self.simulator = simulator.with_effects((), steady)
         self.values = values
-        late = total_delays(self.simulator.fixed, len(simulator.signals)).max()
-        self.reach = 1 + int(np.ceil(late / simulator.control_step))
+        delay = total_delays(self.simulator.fixed, len(simulator.signals)).max()
+        self.horizon = 1 + int(np.ceil(delay / simulator.control_step))
 
-    def at_once(self, starts: Array) -> Array:
-        """(n, p) what they show of a machine that has stood still."""
+    def at_rest(self, starts: Array) -> Array:
+        """What sensors show (n, p) of robots that have stood still at `starts` (n, p)."""
         return measured_signals(starts, self.simulator.fixed)
 
     def measure(self, past: Trajectories, rows: Ints, t: int) -> Array:
