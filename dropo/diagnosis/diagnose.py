@@ -25,7 +25,7 @@ from dropo.diagnosis.findings.unexplained_forces import impulses
 from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.library import instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.review import Review, review, together
+from dropo.diagnosis.search.review import Review, review, merge
 from dropo.diagnosis.search.selection import Progress, Selection, State
 from dropo.diagnosis.search.window_length import choose_length, first_noise
 from dropo.diagnosis.search.windows import Windows, split, spread_of
@@ -247,7 +247,7 @@ def _search(
         if found is last:
             break
         last, reviews = review(selection, found)
-    whole = together(selection, last, instances)
+    whole = merge(selection, last, instances)
     return first, whole, reviews if whole is last else review(selection, whole)[1]
 
 

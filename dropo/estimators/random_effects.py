@@ -109,9 +109,8 @@ class _Population(DROPO):
         d = len(fit.mean)
         spread = fit.correlation * np.outer(fit.sd, fit.sd)
         kept, covariance = _posterior(groups, spread, information[:d, :d])
-        tests = VarianceComponentTests.from_json(
-            variance_component_tests(objective, problem.space.names, found.point, run.rng)
-        )
+        names = problem.space.names
+        tests = variance_component_tests(objective, names, found.point, run.rng)
         effects = _effects(problem, fit, groups, kept, covariance, tests)
         message = f"{fit.message} {_sentence(tests)}\n{_table(fit, effects)}"
         warnings = (*fit.warnings, *_doubts(groups, fit))

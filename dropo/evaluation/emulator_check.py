@@ -2,7 +2,6 @@
 comparison is not lost in noise."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.local_likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit_parts import EmulatorCheck
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 
@@ -44,7 +44,7 @@ def check_emulator(
     phi: Array,
     rng: np.random.Generator,
     settings: EmulatorCheckSettings = SETTINGS,
-) -> tuple[dict[str, Any], list[str]]:
+) -> tuple[EmulatorCheck, list[str]]:
     """Compare the log-likelihoods of an emulator and of its simulator at a fit.
 
     Both predict the same draws of the fitted distribution on the same rows; the log-likelihoods
@@ -65,12 +65,12 @@ def check_emulator(
     rng
         Draws the parameters.
     settings
-        How many draws and rows, and what difference is told.
+        How many draws and rows, and which difference is reported.
 
     Returns
     -------
-    found : dict
-        "emulator_check", for fit.json.
+    check : EmulatorCheck
+        Both log-likelihoods.
     warnings : list of str
         Where simulator and emulator differ too much, or draws are physically impossible.
     """
@@ -90,16 +90,11 @@ def check_emulator(
     true = gaussian.log_density(simulated, targets, epsilon).sum()
     emulated = gaussian.log_density(local.predict(values)[:, rows], targets, epsilon).sum()
     difference = float(true - emulated)
-    found = {
-        "draws": settings.draws,
-        "rows": count,
-        "simulator": _finite(true),
-        "emulator": _finite(emulated),
-    }
+    check = EmulatorCheck(settings.draws, count, _or_nan(true), _or_nan(emulated))
     if not (np.isfinite(difference) and abs(difference) <= settings.tolerance * count):
         apart = f"the simulator and its emulator differ by {difference / count:.2g} nat a row"
         warnings.append(f"at the fit {apart}: check with likelihood 'monte-carlo'")
-    return {"emulator_check": found}, warnings
+    return check, warnings
 
 
 def _impossible_draws(family: Family, values: Array) -> list[str]:
@@ -115,9 +110,9 @@ def _impossible_draws(family: Family, values: Array) -> list[str]:
     return [f"draws of {', '.join(names)} lie beyond what is possible: {remedy}"]
 
 
-def _finite(value: float) -> float | None:
-    """The value, or None where it is not finite."""
-    return float(value) if np.isfinite(value) else None
+def _or_nan(value: float) -> float:
+    """The value, or NaN where it is not finite."""
+    return float(value) if np.isfinite(value) else np.nan
 
 
 def parameters_without_spread(

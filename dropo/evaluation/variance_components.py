@@ -2,7 +2,6 @@
 of what they may be."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
@@ -10,6 +9,7 @@ from scipy.stats import chi2
 
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.records.fit_parts import VarianceComponentTests, VarianceTest
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -44,7 +44,7 @@ def variance_component_tests(
     phi: Array,
     rng: np.random.Generator,
     settings: VarianceTestSettings = SETTINGS,
-) -> dict[str, Any]:
+) -> VarianceComponentTests:
     """Test whether parameters differ between groups, by restricted likelihood ratios.
 
     Overall, all standard deviations without correlations are tested against none, by the
@@ -68,9 +68,8 @@ def variance_component_tests(
 
     Returns
     -------
-    dict
-        "statistic", twice the gain in log-likelihood, and "p_value" overall, and of each
-        parameter under "parameters".
+    VarianceComponentTests
+        Overall, and of each parameter.
 
     References
     ----------
@@ -85,7 +84,7 @@ def variance_component_tests(
     information = _information_at_none(objective, none.whole(nowhere), settings.small)
     weights = boundary_weights(information, rng, settings)
     independent_value = restricted(independent, independent.maximum(phi))
-    overall = _entry(independent_value - restricted(none, nowhere), weights)
+    overall = _test(independent_value - restricted(none, nowhere), weights)
     whole = _Held(objective, {})
     best = restricted(whole, whole.maximum(phi))
     parameters = {}
@@ -94,8 +93,8 @@ def variance_component_tests(
         without = _Held(objective, {f"scale.{name}": 0.0} | own)
         mixture = np.eye(len(own) + 2)[-2:].mean(axis=0)
         gain = best - restricted(without, without.maximum(phi))
-        parameters[name] = _entry(gain, mixture)
-    return {**overall, "parameters": parameters}
+        parameters[name] = _test(gain, mixture)
+    return VarianceComponentTests(overall, parameters)
 
 
 def _correlations_of(
@@ -172,11 +171,11 @@ def boundary_weights(
     return np.bincount(positive, minlength=len(size) + 1) / settings.draws
 
 
-def _entry(gain: float, weights: Array) -> dict[str, float]:
+def _test(gain: float, weights: Array) -> VarianceTest:
     """Twice the gain, at least 0, and its p-value sum_k weights_k P(chi2_k >= statistic)."""
     statistic = max(0.0, 2 * gain)
     tails = np.append(statistic <= 0, chi2.sf(statistic, np.arange(1, len(weights))))
-    return {"statistic": statistic, "p_value": min(1.0, float(weights @ tails))}
+    return VarianceTest(statistic, min(1.0, float(weights @ tails)))
 
 
 def _places(objective: LocalLogLikelihood, kinds: str | tuple[str, ...]) -> Ints:

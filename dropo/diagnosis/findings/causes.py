@@ -19,7 +19,7 @@ from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
 from dropo.diagnosis.search.review import Review, ambiguity
 from dropo.diagnosis.search.screening import Candidate
-from dropo.diagnosis.search.selection import Selection, State, by_block, gain_of
+from dropo.diagnosis.search.selection import Selection, State, gain_by_block, gain_of
 
 # effects in an ambiguity set for which an experiment is looked for; [s] that it may take
 TOLD_APART = 2
@@ -76,7 +76,7 @@ def _cause(
     """The summary of one effect."""
     gain = gain_of(found.without.test, last.test)[0]
     steps = last.test.windows.steps
-    blocks = by_block(found.without.test, last.test)
+    blocks = gain_by_block(found.without.test, last.test)
     held = invariance(library, last.test, instance)
     return Cause(
         effect=instance.effect,
@@ -170,15 +170,15 @@ def standard_errors(library: Library, last: State, close: float = REFIT.close) -
 
 def _sandwich(library: Library, last: State, share: float) -> Array:
     """The same with slopes over so large a share of the usual width."""
-    seen = last.train
+    linearized = last.train
     free = last.free
-    slopes = seen.flat(library.slopes(seen.theta, free, seen.windows, share)).reshape(
-        len(free), len(seen.windows), -1
+    slopes = linearized.flat(library.jacobian(linearized.theta, free, linearized.windows, share)).reshape(
+        len(free), len(linearized.windows), -1
     )
-    rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
+    rest = linearized.flat(linearized.residuals).reshape(len(linearized.windows), -1)
     scores = np.einsum("fwn,wn->wf", slopes, rest)
     information = np.einsum("fwn,gwn->fg", slopes, slopes)
-    block = np.unique(seen.windows.block, return_inverse=True)[1]
+    block = np.unique(linearized.windows.block, return_inverse=True)[1]
     units = Units(block, False, np.argsort(block, kind="stable"), "blocks")
     return np.sqrt(np.diagonal(sandwich(scores, information, units)[0]))
 

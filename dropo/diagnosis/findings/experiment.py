@@ -147,9 +147,9 @@ def _windows(library: Library, last: State, starts: Array, commands: Array) -> S
     diverges, begin at the experiment's start instead, where they tell no more than the first.
     """
     states = open_loop(library.simulator, last.theta, starts, commands)[:, :-1]
-    seen = last.train.windows.segments.trajectories.observations
-    room = BEYOND * np.ptp(seen, axis=0)
-    inside = ((states >= seen.min(axis=0) - room) & (states <= seen.max(axis=0) + room)).all(axis=2)
+    linearized = last.train.windows.segments.trajectories.observations
+    room = BEYOND * np.ptp(linearized, axis=0)
+    inside = ((states >= linearized.min(axis=0) - room) & (states <= linearized.max(axis=0) + room)).all(axis=2)
     good = np.logical_and.accumulate(inside, axis=1)[:, :, None]
     rows = np.where(good, states, starts[:, None]).reshape(-1, starts.shape[1])
     ends = np.tile(np.arange(LENGTH) == LENGTH - 1, len(starts))

@@ -127,7 +127,7 @@ def _against_axis(
         simulator.signals[k].name,
         simulator.signals[k].unit,
         _numbers(x[good]),
-        *(_numbers(seen.residuals[good, -p:][:, k]) for seen in (before, after)),
+        *(_numbers(linearized.residuals[good, -p:][:, k]) for linearized in (before, after)),
     )
 
 
@@ -155,16 +155,16 @@ def own_axis(library: Library, instance: EffectInstance) -> str | None:
 
 
 def _sizes(
-    library: Library, seen: LinearizedWindows, instance: EffectInstance, response: Array
+    library: Library, linearized: LinearizedWindows, instance: EffectInstance, response: Array
 ) -> list[Sizes]:
     """By the effect's own axis, by the variable in which it differs most, and by time."""
-    variables = regimes(seen.windows, library)
-    wanted = [own_axis(library, instance), differing(seen, response, variables).variable, "time"]
+    variables = regimes(linearized.windows, library)
+    wanted = [own_axis(library, instance), differing(linearized, response, variables).variable, "time"]
     out = []
     for name in dict.fromkeys(one for one in wanted if one in variables):
         assert name is not None
         values = variables[name]
-        found = differing(seen, response, {name: variables[name]})
+        found = differing(linearized, response, {name: variables[name]})
         at = [float(np.median(values[mask])) for mask in bins_of(values)]
         kept = [i for i, error in enumerate(found.errors) if error > 0]
         out.append(
@@ -196,11 +196,11 @@ def _similarity(selection: Selection) -> Similarity:
     return Similarity(tuple(candidate.instance.label for candidate in top), cosines)
 
 
-def _sums(seen: LinearizedWindows, instance: EffectInstance, response: Array) -> Sums:
+def _sums(linearized: LinearizedWindows, instance: EffectInstance, response: Array) -> Sums:
     """Of the estimate's share in the residuals, window by window in the data's order."""
-    slope = seen.flat(response).reshape(len(seen.windows), -1)
-    rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
-    order = np.argsort(seen.windows.segments.steps[:, 0], kind="stable")
+    slope = linearized.flat(response).reshape(len(linearized.windows), -1)
+    rest = linearized.flat(linearized.residuals).reshape(len(linearized.windows), -1)
+    order = np.argsort(linearized.windows.segments.steps[:, 0], kind="stable")
     score, weight = ((slope * one).sum(axis=1)[order] for one in (rest, slope))
     centred = score - score.sum() / max(float(weight.sum()), 1e-300) * weight
     bridge = np.cumsum(centred) / max(float(np.sqrt(np.sum(centred**2))), 1e-300)

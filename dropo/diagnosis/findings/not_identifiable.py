@@ -15,12 +15,12 @@ def undetermined(library: Library, last: State) -> tuple[str, ...]:
     """
     if not len(last.free):
         return ()
-    seen = last.train
+    linearized = last.train
     space = library.simulator.space
     own = ParameterSpace(tuple(list(space)[i] for i in last.free))
-    slopes = seen.flat(library.slopes(seen.theta, last.free, seen.windows))
+    slopes = linearized.flat(library.jacobian(linearized.theta, last.free, linearized.windows))
     return tuple(
         sentences(
-            own, seen.theta[last.free], null_directions(own, slopes.T[:, None, :], np.ones(1))
+            own, linearized.theta[last.free], null_directions(own, slopes.T[:, None, :], np.ones(1))
         )
     )

@@ -95,8 +95,8 @@ def unexplained_force(
     unit = np.array([instance.quantities[0].probes[0] for instance in instances[:nv]])
     answers = answers or (_answers(library, train, instances), _answers(library, test, instances))
     ways = [
-        np.concatenate([seen.loadings, way], axis=2)
-        for seen, way in zip((train, test), answers, strict=True)
+        np.concatenate([linearized.loadings, way], axis=2)
+        for linearized, way in zip((train, test), answers, strict=True)
     ]
     sigma, sd = learn_noise(
         ways[0][good],
@@ -105,11 +105,11 @@ def unexplained_force(
         floor,
         unit,
         pieces=pieces,
-        known=train.doubts[good],
+        known=train.extra_loadings[good],
     )
-    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces), np.ones(test.doubts.shape[2])])
+    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces), np.ones(test.extra_loadings.shape[2])])
     with_forces = replace(
-        test, whiten=Whitener(np.concatenate([ways[1], test.doubts], axis=2), scale, sigma)
+        test, whiten=Whitener(np.concatenate([ways[1], test.extra_loadings], axis=2), scale, sigma)
     )
     return Unexplained(
         sd,
@@ -120,11 +120,11 @@ def unexplained_force(
     )
 
 
-def _answers(library: Library, seen: LinearizedWindows, instances: list[EffectInstance]) -> Array:
+def _answers(library: Library, linearized: LinearizedWindows, instances: list[EffectInstance]) -> Array:
     """d residual / d force (W, n, pieces nv)."""
     free = np.concatenate([library.places[instance.label] for instance in instances])
     push = library.steps[free]
-    tried = np.repeat(seen.theta[None], len(free), axis=0)
+    tried = np.repeat(linearized.theta[None], len(free), axis=0)
     tried[np.arange(len(free)), free] = push
-    moved = np.nan_to_num(library.predict(tried, seen.windows) - seen.predicted)
+    moved = np.nan_to_num(library.predict(tried, linearized.windows) - linearized.predicted)
     return np.moveaxis(moved / push[:, None, None], 0, 2)

@@ -36,42 +36,42 @@ class Invariance:
         return self.p_value > DIFFERS
 
 
-def invariance(library: Library, seen: LinearizedWindows, instance: EffectInstance) -> Invariance:
+def invariance(library: Library, linearized: LinearizedWindows, instance: EffectInstance) -> Invariance:
     """The test on windows that the effect was not fitted to: one-step estimates of its size in each
     bin, compared by chi-square.
     """
-    return differing(seen, response_of(library, seen, instance), regimes(seen.windows, library))
+    return differing(linearized, response_of(library, linearized, instance), regimes(linearized.windows, library))
 
 
-def response_of(library: Library, seen: LinearizedWindows, instance: EffectInstance) -> Array:
+def response_of(library: Library, linearized: LinearizedWindows, instance: EffectInstance) -> Array:
     """(W, n) how the predictions change as the effect's size doubles, by their slope."""
     place = library.places[instance.label]
     space = library.simulator.space
-    halves = np.stack([seen.theta, seen.theta])
+    halves = np.stack([linearized.theta, linearized.theta])
     halves[:, place] *= np.array([[1.05], [0.95]])
-    ends = library.predict(np.clip(halves, space.low, space.high), seen.windows)
+    ends = library.predict(np.clip(halves, space.low, space.high), linearized.windows)
     return np.asarray(np.nan_to_num(ends[0] - ends[1]) / 0.1)
 
 
-def drifting(library: Library, seen: LinearizedWindows, names: tuple[str, ...]) -> list[str]:
+def drifting(library: Library, linearized: LinearizedWindows, names: tuple[str, ...]) -> list[str]:
     """The declared parameters whose size differs with time in the data."""
     if not names:
         return []
-    slopes = library.slopes(seen.theta, np.arange(len(names)), seen.windows)
-    time = {"time": regimes(seen.windows, library)["time"]}
+    slopes = library.jacobian(linearized.theta, np.arange(len(names)), linearized.windows)
+    time = {"time": regimes(linearized.windows, library)["time"]}
     return [
         n
         for n, slope in zip(names, slopes, strict=True)
-        if differing(seen, slope, time).p_value * len(names) < DIFFERS
+        if differing(linearized, slope, time).p_value * len(names) < DIFFERS
     ]
 
 
-def differing(seen: LinearizedWindows, response: Array, variables: dict[str, Array]) -> Invariance:
+def differing(linearized: LinearizedWindows, response: Array, variables: dict[str, Array]) -> Invariance:
     """The variable over whose bins the estimate of the response's share (W, n) in the residuals
     differs most.
     """
-    slope = seen.flat(response).reshape(len(seen.windows), -1)
-    rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
+    slope = linearized.flat(response).reshape(len(linearized.windows), -1)
+    rest = linearized.flat(linearized.residuals).reshape(len(linearized.windows), -1)
     score = (slope * rest).sum(axis=1)
     weight = (slope**2).sum(axis=1)
     found = [_test(name, values, score, weight) for name, values in variables.items()]

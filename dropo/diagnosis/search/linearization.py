@@ -56,7 +56,7 @@ class Library:
             len(values), len(windows), -1
         )
 
-    def slopes(self, theta: Array, free: np.ndarray, windows: Windows, share: float = 1.0) -> Array:
+    def jacobian(self, theta: Array, free: np.ndarray, windows: Windows, share: float = 1.0) -> Array:
         """d prediction / d theta (f, W, n) in the free numbers, by central differences within the
         bounds; share: of `steps`.
         """
@@ -100,7 +100,7 @@ class LinearizedWindows:
         return self.whiten.loadings[:, :, : 2 * len(self.whiten.sigma)]
 
     @property
-    def doubts(self) -> Array:
+    def extra_loadings(self) -> Array:
         """(W, n, e) the loadings of e standard normal numbers: what starts of late signals are off
         by beside noise.
         """
@@ -167,18 +167,18 @@ def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) ->
     )
 
 
-def moved(
-    library: Library, seen: LinearizedWindows, theta: Array, sigma: Array
+def shift_linearization(
+    library: Library, linearized: LinearizedWindows, theta: Array, sigma: Array
 ) -> LinearizedWindows:
     """A look at another theta and noise that takes the start noise's way from `seen`: one
     simulation a window.
     """
-    predictions = library.predict(theta[None], seen.windows)[0]
-    lost = np.logical_or(seen.lost, ~np.isfinite(predictions).all(axis=1))
-    residuals = seen.windows.measured - predictions - seen.shift
-    residuals[lost] = LOST * np.tile(sigma, seen.windows.length)
-    whiten = whitener(library, seen.windows, theta, sigma, seen.loadings)
-    return LinearizedWindows(seen.windows, theta, residuals, seen.shift, whiten, lost)
+    predictions = library.predict(theta[None], linearized.windows)[0]
+    lost = np.logical_or(linearized.lost, ~np.isfinite(predictions).all(axis=1))
+    residuals = linearized.windows.measured - predictions - linearized.shift
+    residuals[lost] = LOST * np.tile(sigma, linearized.windows.length)
+    whiten = whitener(library, linearized.windows, theta, sigma, linearized.loadings)
+    return LinearizedWindows(linearized.windows, theta, residuals, linearized.shift, whiten, lost)
 
 
 def whitener(
@@ -197,14 +197,14 @@ def whitener(
     )
 
 
-def noise_of(seen: LinearizedWindows, sigma: Array, floor: Array, rounds: int = 60) -> Array:
+def estimate_noise(linearized: LinearizedWindows, sigma: Array, floor: Array, rounds: int = 60) -> Array:
     """sigma (p,) that the windows are most likely under, at the theta of a look."""
-    good = ~seen.lost
+    good = ~linearized.lost
     return learn_noise(
-        seen.loadings[good],
-        seen.residuals[good],
+        linearized.loadings[good],
+        linearized.residuals[good],
         sigma,
         floor,
-        known=seen.doubts[good],
+        known=linearized.extra_loadings[good],
         rounds=rounds,
     )[0]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
-from dropo.diagnosis.search.linearization import moved
+from dropo.diagnosis.search.linearization import shift_linearization
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import (
     ALIKE,
@@ -17,7 +17,7 @@ from dropo.diagnosis.search.selection import (
     Selection,
     State,
     Trial,
-    confirmed,
+    is_confirmed,
     gain_of,
 )
 
@@ -36,7 +36,7 @@ class Review:
 
     without: State
     origin: Round | None
-    rivals: Sequence[Trial]
+    alternatives: Sequence[Trial]
 
 
 def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]]:
@@ -63,8 +63,8 @@ def _review(selection: Selection, state: State, instance: EffectInstance) -> Rev
             [t for t in origin.trials if t.candidate.instance.label != instance.label],
         )
     bare = _bare(selection, state, instance)
-    rivals = [] if origin is None else selection.tried(bare, _rivals(origin, state, instance))
-    return Review(selection.polish(bare), origin, rivals)
+    alternatives = [] if origin is None else selection.try_candidates(bare, _rivals(origin, state, instance))
+    return Review(selection.polish(bare), origin, alternatives)
 
 
 def _rivals(origin: Round, state: State, instance: EffectInstance) -> list[Candidate]:
@@ -72,11 +72,11 @@ def _rivals(origin: Round, state: State, instance: EffectInstance) -> list[Candi
     the sizes that it would have had.
     """
     taken = {other.label for other in state.accepted}
-    worth = next(t.worth for t in origin.trials if t.candidate.instance.label == instance.label)
+    penalized_gain = next(t.penalized_gain for t in origin.trials if t.candidate.instance.label == instance.label)
     others = [
         t
         for t in origin.trials
-        if t.candidate.instance.label not in taken and t.worth > RIVAL * worth
+        if t.candidate.instance.label not in taken and t.penalized_gain > RIVAL * penalized_gain
     ]
     return [trial.sized for trial in others[:RIVALS]]
 
@@ -88,13 +88,13 @@ def _better(selection: Selection, state: State, found: Review) -> State | None:
     if len(state.accepted) > 1 and gain_of(found.without.test, state.test)[0] < DEFICIT:
         return found.without
     nothing = value(found.without)
-    for trial in found.rivals if len(state.accepted) > 1 else ():
+    for trial in found.alternatives if len(state.accepted) > 1 else ():
         if value(trial.state) - nothing > NEARLY * (value(state) - nothing):
             polished = selection.polish(trial.state)
             if (
                 found.origin
                 and value(polished) > value(state) + DEFICIT
-                and confirmed(state.test, polished.test, DEFICIT)
+                and is_confirmed(state.test, polished.test, DEFICIT)
             ):
                 selection.origins[trial.candidate.instance.label] = found.origin
                 return polished
@@ -115,11 +115,11 @@ def _bare(selection: Selection, state: State, instance: EffectInstance) -> State
     theta = state.theta.copy()
     theta[place] = 0.0
     left = tuple(other for other in state.accepted if other.label != instance.label)
-    begun = moved(selection.library, state.train, theta, state.train.whiten.sigma)
+    begun = shift_linearization(selection.library, state.train, theta, state.train.whiten.sigma)
     return State(begun, state.test, np.setdiff1d(state.free, place), left)
 
 
-def together(selection: Selection, state: State, instances: Sequence[EffectInstance]) -> State:
+def merge(selection: Selection, state: State, instances: Sequence[EffectInstance]) -> State:
     """The state with one effect that acts everywhere alike in the place of several of its kind,
     where it needs fewer numbers for as much (Schwarz 1978).
     """
@@ -143,7 +143,7 @@ def together(selection: Selection, state: State, instances: Sequence[EffectInsta
         gone = np.concatenate([places[instance.label] for instance in single])
         theta[gone] = 0.0
         free = np.append(np.setdiff1d(state.free, gone), places[whole.label])
-        begun = moved(selection.library, state.train, theta, state.train.whiten.sigma)
+        begun = shift_linearization(selection.library, state.train, theta, state.train.whiten.sigma)
         kept = tuple(instance for instance in state.accepted if instance not in single)
         fewer = selection.polish(replace(state, train=begun, free=free, accepted=(*kept, whole)))
         if -gain_of(state.train, fewer.train)[0] < 0.5 * (len(gone) - 1) * np.log(
@@ -175,7 +175,7 @@ def ambiguity(
         same = abs(float(candidate.signature @ own.signature))
         if same > ALIKE:
             told[candidate.instance.label] = candidate, f"similarity {same:.3f}"
-    for rival in found.rivals:
+    for rival in found.alternatives:
         deficit, z = gain_of(rival.state.test, state.test)
         if rival.candidate.instance.label not in told and (z < UNTOLD or deficit < DEFICIT):
             told[rival.candidate.instance.label] = (

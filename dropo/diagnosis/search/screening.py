@@ -9,7 +9,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library, LinearizedWindows, noise_of, whitener
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows, estimate_noise, whitener
 
 BATCH = 64  # probes simulated at once
 FINALISTS = 18  # atoms that are looked at on all windows
@@ -54,55 +54,55 @@ class Screening:
     remembered: Known = field(default_factory=dict)
 
     def __call__(
-        self, seen: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]
+        self, linearized: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]
     ) -> list[Candidate]:
         """The atoms by what they promise, most first: all of them on a quarter of the windows, the
         best of these on all windows.
         """
-        if len(instances) > FINALISTS and len(seen.windows) >= COARSE * LEAST:
-            some = seen.take(np.arange(0, len(seen.windows), COARSE))
+        if len(instances) > FINALISTS and len(linearized.windows) >= COARSE * LEAST:
+            some = linearized.take(np.arange(0, len(linearized.windows), COARSE))
             first = self._score(
                 some,
                 free,
-                [(instance, trial) for instance in instances for trial in few(instance)],
+                [(instance, trial) for instance in instances for trial in coarse_probes(instance)],
                 self.remembered,
             )
             instances = [candidate.instance for candidate in first[:FINALISTS]]
         return self._score(
-            seen,
+            linearized,
             free,
-            [(instance, trial) for instance in instances for trial in thorough(instance)],
+            [(instance, trial) for instance in instances for trial in all_probes(instance)],
             {},
         )
 
     def _score(
-        self, seen: LinearizedWindows, free: np.ndarray, trials: Sequence[Trial], known: Known
+        self, linearized: LinearizedWindows, free: np.ndarray, trials: Sequence[Trial], known: Known
     ) -> list[Candidate]:
         """The atoms that the windows answer to, by what the score test promises, most first."""
-        free = _within(self.library, seen.theta, free)
+        free = _within(self.library, linearized.theta, free)
         basis = (
-            np.linalg.qr(seen.flat(self.library.slopes(seen.theta, free, seen.windows)).T)[0]
+            np.linalg.qr(linearized.flat(self.library.jacobian(linearized.theta, free, linearized.windows)).T)[0]
             if len(free)
             else None
         )
-        target = _rest(seen.flat(seen.residuals), basis)
-        size = max(float(target @ target) / max(seen.residuals[~seen.lost].size, 1), LEAST_NOISE)
+        target = _rest(linearized.flat(linearized.residuals), basis)
+        size = max(float(target @ target) / max(linearized.residuals[~linearized.lost].size, 1), LEAST_NOISE)
         best: dict[str, Candidate] = {}
-        for (instance, trial), response in self._responses(seen, trials, known):
+        for (instance, trial), response in self._responses(linearized, trials, known):
             promises = [
                 _score(
                     self.library,
-                    seen,
+                    linearized,
                     instance,
                     np.array(trial),
-                    _rest(seen.flat(response), basis),
+                    _rest(linearized.flat(response), basis),
                     target,
                     size,
                 )
             ]
             if instance.sensor_delay is not None:
                 promises += [
-                    self._with_other_noise(seen, instance, np.array(sizes), one)
+                    self._with_other_noise(linearized, instance, np.array(sizes), one)
                     for sizes, one in zip(trial, response, strict=True)
                 ]
             for found in promises:
@@ -113,28 +113,28 @@ class Screening:
         return sorted(best.values(), key=lambda candidate: -candidate.gain)
 
     def _with_other_noise(
-        self, seen: LinearizedWindows, instance: EffectInstance, sizes: Array, response: Array
+        self, linearized: LinearizedWindows, instance: EffectInstance, sizes: Array, response: Array
     ) -> Candidate:
         """An atom of sensors with sizes under which starts are in doubt, and the noise learned
         anew: without it, noise stands for it.
         """
-        theta = seen.theta.copy()
+        theta = linearized.theta.copy()
         place = self.library.places[instance.label]
         theta[place] += sizes
-        way = whitener(self.library, seen.windows, theta, seen.whiten.sigma, seen.loadings)
-        there = replace(seen, residuals=seen.residuals - response, whiten=way)
-        sigma = noise_of(there, seen.whiten.sigma, self.floor, rounds=ROUNDS)
+        way = whitener(self.library, linearized.windows, theta, linearized.whiten.sigma, linearized.loadings)
+        there = replace(linearized, residuals=linearized.residuals - response, whiten=way)
+        sigma = estimate_noise(there, linearized.whiten.sigma, self.floor, rounds=ROUNDS)
         learned = replace(
-            there, whiten=whitener(self.library, seen.windows, theta, sigma, seen.loadings)
+            there, whiten=whitener(self.library, linearized.windows, theta, sigma, linearized.loadings)
         )
-        moves = seen.flat(response)
-        gain = float((learned.log_likelihood - seen.log_likelihood)[~seen.lost].sum())
+        moves = linearized.flat(response)
+        gain = float((learned.log_likelihood - linearized.log_likelihood)[~linearized.lost].sum())
         return Candidate(
             instance, theta[place], gain, moves / max(float(np.linalg.norm(moves)), 1e-300)
         )
 
     def _responses(
-        self, seen: LinearizedWindows, trials: Sequence[Trial], known: Known
+        self, linearized: LinearizedWindows, trials: Sequence[Trial], known: Known
     ) -> Iterator[tuple[Trial, Array]]:
         """Each trial with how far its sizes move the predictions (t, W, n); `known` is taken where
         it has them, and filled.
@@ -144,16 +144,16 @@ class Screening:
         ]
         for first in range(0, len(missing), BATCH):
             part = missing[first : first + BATCH]
-            moved = np.nan_to_num(self._predictions(seen, part) - seen.predicted)
+            moved = np.nan_to_num(self._predictions(linearized, part) - linearized.predicted)
             ends = np.cumsum([len(trial) for _, trial in part])
             for (instance, trial), response in zip(part, np.split(moved, ends[:-1]), strict=True):
                 known[instance.label, trial] = response
         for instance, trial in trials:
             yield (instance, trial), known[instance.label, trial]
 
-    def _predictions(self, seen: LinearizedWindows, trials: Sequence[Trial]) -> Array:
+    def _predictions(self, linearized: LinearizedWindows, trials: Sequence[Trial]) -> Array:
         """(sum of sizes tried, W, n)."""
-        rows = np.repeat(seen.theta[None], sum(len(trial) for _, trial in trials), axis=0)
+        rows = np.repeat(linearized.theta[None], sum(len(trial) for _, trial in trials), axis=0)
         tried = [
             (self.library.places[instance.label], sizes)
             for instance, trial in trials
@@ -163,7 +163,7 @@ class Screening:
             row[place] += sizes
         return self.library.predict(
             np.clip(rows, self.library.simulator.space.low, self.library.simulator.space.high),
-            seen.windows,
+            linearized.windows,
         )
 
 
@@ -175,7 +175,7 @@ def _within(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:
     return free[(theta[free] > space.low[free]) & (theta[free] < space.high[free])]
 
 
-def few(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
+def coarse_probes(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
     """What a first choice tries: where predictions are smooth, the smallest probe; else one of each
     sign, or several sizes.
     """
@@ -193,10 +193,10 @@ def few(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
     return [upwards[-1], downwards[-1]] if upwards and downwards else tried[1::2] or tried
 
 
-def thorough(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
+def all_probes(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
     """What the best are tried at: every probe, but a single smooth number at its smallest alone."""
     return (
-        few(instance)
+        coarse_probes(instance)
         if len(instance.quantities) == 1 and instance.quantities[0].smooth
         else list(instance.trials)
     )
@@ -213,7 +213,7 @@ def _rest(rows: Array, basis: Array | None) -> Array:
 
 def _score(
     library: Library,
-    seen: LinearizedWindows,
+    linearized: LinearizedWindows,
     instance: EffectInstance,
     trials: Array,
     responses: Array,
@@ -229,9 +229,9 @@ def _score(
     share = np.linalg.lstsq(responses.T, target, rcond=1e-8)[0]
     place = library.places[instance.label]
     space = library.simulator.space
-    wanted = seen.theta[place] + share @ trials
+    wanted = linearized.theta[place] + share @ trials
     sizes = np.clip(wanted, space.low[place], space.high[place])
-    moves = sizes - seen.theta[place]
+    moves = sizes - linearized.theta[place]
     if not np.any(moves * (share @ trials) > 0):  # it would have to leave its bounds
         return None
     fitted = share @ responses

@@ -18,13 +18,13 @@ from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
     linearize,
-    moved,
-    noise_of,
+    shift_linearization,
+    estimate_noise,
 )
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
 from dropo.diagnosis.search.refit import refit, settle, with_noise
 from dropo.diagnosis.search.screening import Candidate, Screening, shortlist, with_constant
-from dropo.diagnosis.search.single_steps import only_over_windows
+from dropo.diagnosis.search.single_steps import absent_in_single_steps
 from dropo.diagnosis.search.windows import Windows
 
 # of the split likelihood-ratio test: gain > log(atoms / FALSE_ALARM) (Wasserman, Ramdas,
@@ -91,7 +91,7 @@ class Trial:
         return replace(self.candidate, sizes=self.sizes)
 
     @property
-    def worth(self) -> float:
+    def penalized_gain(self) -> float:
         """[nats] gained in all, less what each number beyond the first gains by chance (Schwarz
         1978).
         """
@@ -140,7 +140,7 @@ class Selection:
                 "the parameters at their nominal values. Check"
                 " the model, the time step and the units of the data."
             )
-        first = linearize(self.library, train, theta, noise_of(rough, sigma, self.floor))
+        first = linearize(self.library, train, theta, estimate_noise(rough, sigma, self.floor))
         fitted = refit(
             self.library,
             with_noise(self.library, first, self.floor),
@@ -177,15 +177,15 @@ class Selection:
         for begin in range(
             0, max(len(listed), 1), TRIED
         ):  # the next ones only where none of those before is confirmed
-            trials = self.tried(state, listed[begin : begin + TRIED])
+            trials = self.try_candidates(state, listed[begin : begin + TRIED])
             self.rounds.append(Round(state, screened, trials))
             promising = [t for t in trials if t.trained > TRAINED]
-            sure = [t for t in promising if confirmed(state.test, t.state.test, least)]
+            sure = [t for t in promising if is_confirmed(state.test, t.state.test, least)]
             found = self._accepted(state, sure, least)
             if found is not None:
                 return found
             held_up += [
-                t for t in promising if t not in sure and quieter(state.train, t.state.train)
+                t for t in promising if t not in sure and has_less_noise(state.train, t.state.train)
             ]
         return self._accepted(
             state, (replace(t, state=self.polish(t.state)) for t in held_up), least
@@ -195,7 +195,7 @@ class Selection:
         """The first of so many trials that windows held out confirm when it is fitted to the end."""
         for trial in islice(trials, POLISHED):
             polished = None if self._of_feedback(trial.state) else self.polish(trial.state)
-            if polished is not None and confirmed(state.test, polished.test, least):
+            if polished is not None and is_confirmed(state.test, polished.test, least):
                 self.origins[trial.candidate.instance.label] = self._origin(trial.candidate)
                 return polished
         return None
@@ -207,12 +207,12 @@ class Selection:
             if any(trial.candidate is candidate for trial in r.trials)
         )
 
-    def tried(self, state: State, candidates: Sequence[Candidate]) -> list[Trial]:
+    def try_candidates(self, state: State, candidates: Sequence[Candidate]) -> list[Trial]:
         """Each candidate added to the state and fitted with the rest, by what it is worth, most
         first.
         """
         known = (
-            self.library.slopes(state.theta, state.free, state.train.windows)
+            self.library.jacobian(state.theta, state.free, state.train.windows)
             if len(state.free) and candidates
             else None
         )
@@ -223,11 +223,11 @@ class Selection:
                 f"fitting {candidate.instance.label}",
             )
             trials.append(self._try(state, candidate, known))
-        return commonest_first(sorted(trials, key=lambda trial: -trial.worth))
+        return commonest_first(sorted(trials, key=lambda trial: -trial.penalized_gain))
 
     def _of_feedback(self, state: State) -> bool:
         """Whether the state's last effect is in the windows only because commands answer to chance."""
-        return only_over_windows(
+        return absent_in_single_steps(
             self.library, (state.train, state.test), state.accepted[-1], self.floor
         )
 
@@ -235,7 +235,7 @@ class Selection:
         """The same effects with everything fitted to the end."""
         rough = rough_numbers(self.library, state.accepted)
         fitted = refit(self.library, state.train, state.free, self.floor, rough=rough)
-        known = moved(self.library, state.train, fitted.theta, fitted.whiten.sigma)
+        known = shift_linearization(self.library, state.train, fitted.theta, fitted.whiten.sigma)
         if (
             abs(float(known.log_likelihood.sum() - fitted.log_likelihood.sum()))
             < REFIT.renewal_gain
@@ -243,7 +243,7 @@ class Selection:
             return replace(
                 state,
                 train=fitted,
-                test=moved(self.library, state.test, fitted.theta, fitted.whiten.sigma),
+                test=shift_linearization(self.library, state.test, fitted.theta, fitted.whiten.sigma),
             )
         return replace(state, train=fitted, test=self._held_out(fitted, state.test.windows))
 
@@ -253,13 +253,13 @@ class Selection:
         theta[place] = candidate.sizes
         free = np.concatenate([state.free, place]).astype(np.int64)
         rough = rough_numbers(self.library, (candidate.instance,))
-        begun = moved(self.library, state.train, theta, state.train.whiten.sigma)
+        begun = shift_linearization(self.library, state.train, theta, state.train.whiten.sigma)
         if candidate.instance.sensor_delay is None:
             fitted = settle(self.library, begun, free, self.floor, rough=rough, known=known)
-            held_out = moved(self.library, state.test, fitted.theta, fitted.whiten.sigma)
+            held_out = shift_linearization(self.library, state.test, fitted.theta, fitted.whiten.sigma)
         else:  # without it noise stands for it, which is then far from what it is with it
             begun = linearize(
-                self.library, begun.windows, theta, noise_of(begun, begun.whiten.sigma, self.floor)
+                self.library, begun.windows, theta, estimate_noise(begun, begun.whiten.sigma, self.floor)
             )
             fitted = refit(self.library, begun, free, self.floor, rough=rough, renewals=1)
             held_out = self._held_out(fitted, state.test.windows)
@@ -293,7 +293,7 @@ def commonest_first(trials: list[Trial]) -> list[Trial]:
     best = min(
         (trial for trial in trials if _untold(trial, trials[0])), key=lambda trial: len(trial.sizes)
     )
-    near = [trial for trial in trials if best.worth - trial.worth < EQUAL]
+    near = [trial for trial in trials if best.penalized_gain - trial.penalized_gain < EQUAL]
     same = [
         trial
         for trial in near
@@ -324,14 +324,14 @@ def rough_numbers(library: Library, instances: Sequence[EffectInstance]) -> Ints
     return np.array(found, dtype=np.int64)
 
 
-def by_block(before: LinearizedWindows, after: LinearizedWindows) -> Array:
+def gain_by_block(before: LinearizedWindows, after: LinearizedWindows) -> Array:
     """(B,) nats gained in each block of the windows."""
     gain = after.log_likelihood - before.log_likelihood
     block = before.windows.block
     return np.asarray(np.bincount(np.unique(block, return_inverse=True)[1], gain), dtype=float)
 
 
-def confirmed(before: LinearizedWindows, after: LinearizedWindows, least: float) -> bool:
+def is_confirmed(before: LinearizedWindows, after: LinearizedWindows, least: float) -> bool:
     """Whether windows held out gain at least so many nats, and not a few of them or a single block
     alone: their mean is certain, or most of them gain; of what acts seldom (a joint's limit) a
     few windows will do where none loses.
@@ -340,7 +340,7 @@ def confirmed(before: LinearizedWindows, after: LinearizedWindows, least: float)
     windows = after.log_likelihood - before.log_likelihood
     many = (
         float(windows.sum()) > CERTAIN * float(windows.std(ddof=1)) * np.sqrt(len(windows))
-        or ranked(windows) > CERTAIN
+        or signed_rank_score(windows) > CERTAIN
     )
     answers = windows[np.abs(windows) > ANSWERS]
     return (
@@ -350,7 +350,7 @@ def confirmed(before: LinearizedWindows, after: LinearizedWindows, least: float)
     )
 
 
-def quieter(before: LinearizedWindows, after: LinearizedWindows) -> bool:
+def has_less_noise(before: LinearizedWindows, after: LinearizedWindows) -> bool:
     """Whether some signal's noise is far less, so that the start noise's way, which a trial keeps,
     is no longer right: where an error of a sensor is taken for noise, the trial of its cause
     goes a part of the way only.
@@ -358,7 +358,7 @@ def quieter(before: LinearizedWindows, after: LinearizedWindows) -> bool:
     return bool(np.any(after.whiten.sigma < before.whiten.sigma / REFIT.other_noise))
 
 
-def ranked(windows: Array) -> float:
+def signed_rank_score(windows: Array) -> float:
     """How many standard errors the signed ranks of windows' gains are above chance: that most of
     them gain (Wilcoxon 1945).
     """
@@ -369,6 +369,6 @@ def ranked(windows: Array) -> float:
 
 def gain_of(before: LinearizedWindows, after: LinearizedWindows) -> tuple[float, float]:
     """Nats gained on the windows, and how many of its standard errors by block that is."""
-    blocks = by_block(before, after)
+    blocks = gain_by_block(before, after)
     error = blocks.std(ddof=1) * np.sqrt(len(blocks)) if len(blocks) > 1 else np.inf
     return float(blocks.sum()), float(blocks.sum() / error) if error > 0 else 0.0

@@ -18,8 +18,8 @@ from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
     linearize,
-    moved,
-    noise_of,
+    shift_linearization,
+    estimate_noise,
 )
 from dropo.diagnosis.search.windows import Windows
 
@@ -29,24 +29,24 @@ ROUNDS = 10  # of weighting by what is left
 MOST = 240  # single steps of each look, evenly spread
 
 
-def only_over_windows(
+def absent_in_single_steps(
     library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array
 ) -> bool:
     """Whether single steps say, against the windows of the looks, that the effect is not there."""
     windows = looks[0].windows
     if windows.length == 1 or not np.diff(windows.segments.actions.ravel()).any():
         return False
-    share, error = size_in_single_steps(library, looks, instance, floor)
+    share, error = magnitude_in_single_steps(library, looks, instance, floor)
     return error > 0 and share < CLEAR * error and share < 1 - CLEAR * error
 
 
-def size_in_single_steps(
+def magnitude_in_single_steps(
     library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array
 ) -> tuple[float, float]:
     """The effect's size in single steps as a share of the one that it has, by reweighted least
     squares, and its standard error, by window.
     """
-    singles = [_single(library, seen, floor) for seen in looks]
+    singles = [_single(library, linearized, floor) for linearized in looks]
     slopes = [response_of(library, single, instance) for single in singles]
     more = 0.0
     for _ in range(ROUNDS):
@@ -60,10 +60,10 @@ def size_in_single_steps(
     return 1 + more, float(np.sqrt((score**2).sum()) / weight.sum())
 
 
-def _single(library: Library, seen: LinearizedWindows, floor: Array) -> LinearizedWindows:
+def _single(library: Library, linearized: LinearizedWindows, floor: Array) -> LinearizedWindows:
     """Steps of the windows by themselves, under the noise that they have."""
-    begun = linearize(library, _apart(library, seen.windows), seen.theta, seen.whiten.sigma)
-    return moved(library, begun, seen.theta, noise_of(begun, begun.whiten.sigma, floor))
+    begun = linearize(library, _apart(library, linearized.windows), linearized.theta, linearized.whiten.sigma)
+    return shift_linearization(library, begun, linearized.theta, estimate_noise(begun, begun.whiten.sigma, floor))
 
 
 def _by_window(single: LinearizedWindows, slope: Array, more: float) -> tuple[Array, Array]:

@@ -68,11 +68,11 @@ def _judged(library: Library, windows: Windows, theta: Array, sigma: Array) -> t
     """How many times the noise's reach most windows are off at their last step, in the signal where
     that is most; and what share of the noise's reach there is of second order, on average.
     """
-    seen = linearize(library, windows, theta, sigma)
+    linearized = linearize(library, windows, theta, sigma)
     p = len(sigma)
-    linear, bent = np.split((seen.loadings[:, -p:] * np.tile(sigma, 2)) ** 2, 2, axis=2)
+    linear, bent = np.split((linearized.loadings[:, -p:] * np.tile(sigma, 2)) ** 2, 2, axis=2)
     variance = sigma**2 + linear.sum(axis=2) + bent.sum(axis=2)
-    off = np.abs(seen.residuals[:, -p:]) / (0.6745 * np.sqrt(variance))
+    off = np.abs(linearized.residuals[:, -p:]) / (0.6745 * np.sqrt(variance))
     return float(np.median(off, axis=0).max()), float(np.mean(bent.sum(axis=2) / variance))
 
 

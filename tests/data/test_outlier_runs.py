@@ -7,7 +7,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.data.outliers.outlier_runs import compare_runs
-from tests.analysis.test_disturbances import NOISE, STEP, XML, simulator  # noqa: F401 - a fixture
+from tests.data.test_disturbances import NOISE, STEP, XML, simulator  # noqa: F401 - a fixture
 
 
 def recorded(payloads, seed=0):
