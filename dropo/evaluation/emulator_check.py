@@ -20,11 +20,11 @@ class EmulatorCheckSettings:
 
     Attributes
     ----------
-    draws
+    draws : int
         Draws of the fitted distribution.
-    segments
+    segments : int
         About how many segments are simulated.
-    tolerance
+    tolerance : float
         Nats a row by which emulator and simulator may differ.
     """
 
@@ -52,19 +52,19 @@ def check_emulator(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Its simulator is the true one.
-    run
+    run : Run
         Counts the simulations.
-    family
+    family : Family
         Of the fitted distribution.
-    local
+    local : LocalLogLikelihood
         The emulator's likelihood.
-    phi
-        (m,) the fit's unknowns, those of the family first.
-    rng
+    phi : (m,) array
+        The fit's unknowns, those of the family first.
+    rng : numpy.random.Generator
         Draws the parameters.
-    settings
+    settings : EmulatorCheckSettings
         How many draws and rows, and which difference is reported.
 
     Returns
@@ -122,13 +122,13 @@ def parameters_without_spread(
 
     Parameters
     ----------
-    family
+    family : Family
         Of the fitted distribution.
-    local
+    local : LocalLogLikelihood
         A local likelihood, which has scores.
-    phi
-        (m,) its maximum.
-    tolerance
+    phi : (m,) array
+        Its maximum.
+    tolerance : float
         Relative distance to the lower bound at which a scale is on it.
 
     Returns

@@ -21,11 +21,11 @@ class VarianceTestSettings:
 
     Attributes
     ----------
-    draws
+    draws : int
         Draws of the distribution on the boundary; with 4000 its weights are right to 0.008.
-    no_information
+    no_information : float
         Share of the largest root of an information, below which a variance has none.
-    small
+    small : float
         Standard deviation, as a share of the mean's standard error, at which the information of
         variances is that at 0.
     """
@@ -55,15 +55,15 @@ def variance_component_tests(
 
     Parameters
     ----------
-    objective
+    objective : LocalLogLikelihood
         Its unknowns are means, scales, "partial." correlations, and noise.
-    names
+    names : tuple of str
         The parameters.
-    phi
-        (m,) a maximum of the objective.
-    rng
+    phi : (m,) array
+        A maximum of the objective.
+    rng : numpy.random.Generator
         Draws the weights of the chi-bar-square distribution.
-    settings
+    settings : VarianceTestSettings
         Draws and tolerances.
 
     Returns
@@ -116,10 +116,10 @@ def restricted(objective: LocalLogLikelihood, phi: Array) -> float:
 
     Parameters
     ----------
-    objective
+    objective : LocalLogLikelihood
         A local likelihood.
-    phi
-        (m,) where.
+    phi : (m,) array
+        Where.
 
     Returns
     -------
@@ -148,11 +148,11 @@ def boundary_weights(
 
     Parameters
     ----------
-    information
-        (d, d) of the variances.
-    rng
+    information : (d, d) array
+        Of the variances.
+    rng : numpy.random.Generator
         Draws.
-    settings
+    settings : VarianceTestSettings
         How many, and below what a variance has no information.
 
     Returns

@@ -9,7 +9,13 @@ from dropo import diagnose
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.registry import find
-from dropo.diagnosis.search.linearization import Library, linearize, shift_linearization, estimate_noise, whitener
+from dropo.diagnosis.search.linearization import (
+    Library,
+    estimate_noise,
+    linearize,
+    shift_linearization,
+    whitener,
+)
 from dropo.diagnosis.search.whitening import Whitener
 from dropo.diagnosis.search.windows import split
 from dropo.problems.simulated.robots import machine
@@ -42,9 +48,15 @@ def test_starts_of_a_late_velocity_are_in_doubt():
     theta = np.array([0.002])
     sigma = np.full(4, NOISE)
     linearized = linearize(library, windows, theta, sigma)
-    length = np.median(linearized.whiten.distances(linearized.residuals)) / linearized.residuals.shape[1]
+    length = (
+        np.median(linearized.whiten.distances(linearized.residuals)) / linearized.residuals.shape[1]
+    )
     certain = whitener(
-        Library(machine("torque-arm").simulator, (), 0), windows, np.zeros(0), sigma, linearized.loadings
+        Library(machine("torque-arm").simulator, (), 0),
+        windows,
+        np.zeros(0),
+        sigma,
+        linearized.loadings,
     )
     assert 0.5 < length < 2
     assert np.median(certain.distances(linearized.residuals)) / linearized.residuals.shape[1] > 100
@@ -64,7 +76,8 @@ def test_doubt_follows_theta():
         there.extra_loadings[..., 0], there.loadings[..., 3] * doubt[:, 3:], rtol=1e-12
     )
     assert np.array_equal(
-        shift_linearization(library, there, np.zeros(1), sigma).log_likelihood, prompt.log_likelihood
+        shift_linearization(library, there, np.zeros(1), sigma).log_likelihood,
+        prompt.log_likelihood,
     )
 
 

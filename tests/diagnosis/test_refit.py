@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dropo.diagnosis.findings.causes import standard_errors
-from dropo.diagnosis.search.linearization import Library, linearize, estimate_noise
+from dropo.diagnosis.search.linearization import Library, estimate_noise, linearize
 from dropo.diagnosis.search.refit import DEFAULTS, RefitSettings, refit
 from dropo.diagnosis.search.windows import split
 from tests.diagnosis import arms

@@ -11,7 +11,7 @@ from dropo.diagnosis.findings.omnibus import omnibus
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.review import ambiguity, review
 from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
-from dropo.diagnosis.search.selection import Round, commonest_first, is_confirmed, gain_of
+from dropo.diagnosis.search.selection import Round, commonest_first, gain_of, is_confirmed
 from tests.diagnosis.toy import instances, measured, selection
 
 SIZES = {
@@ -97,7 +97,7 @@ def test_noise_is_learned():
 
 
 def added(search, state, effect):
-    """The state with one more effect, whether it is the best or not, and the round that it is of."""
+    """The state with one more effect, whether it is the best or not."""
     screened = search.screening(state.train, state.free, instances())
     chosen = [
         c

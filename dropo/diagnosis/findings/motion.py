@@ -11,10 +11,16 @@ from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.horizons import Horizon
-from dropo.diagnosis.search.linearization import Library, LinearizedWindows, linearize, shift_linearization
+from dropo.diagnosis.search.linearization import (
+    Library,
+    LinearizedWindows,
+    linearize,
+    shift_linearization,
+)
 from dropo.diagnosis.search.selection import State
 from dropo.diagnosis.search.whitening import DEGREES
-from dropo.diagnosis.search.windows import FEWEST, Windows, windows_from
+from dropo.diagnosis.search.windows import SETTINGS as WINDOWS
+from dropo.diagnosis.search.windows import Windows, windows_from
 from dropo.evaluation.held_out import (
     DataPart,
     held_out_part,
@@ -30,14 +36,14 @@ class MotionSettings:
 
     Attributes
     ----------
-    lengths
+    lengths : tuple of int
         Control steps in a window that is drawn: the longest of which there are enough, unless the
         diagnosis has longer ones.
-    steps
+    steps : int
         Control steps, about, in the windows from which neighbours are taken.
-    shown
+    shown : int
         Windows that are drawn.
-    entries
+    entries : int
         Measurements of a window that are made independent of each other for the calibration.
     """
 
@@ -63,15 +69,15 @@ def motion(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Whose held-out part is shown.
-    library
+    library : Library
         The simulator with every effect.
-    first, last
+    first, last : State
         The model as it is, and with what was found.
-    before, after
+    before, after : sequence of Horizon
         Their errors by horizon, which are shown as they are.
-    settings
+    settings : MotionSettings
         How much is shown.
 
     Returns
@@ -137,7 +143,8 @@ def _deviations(linearized: LinearizedWindows) -> Array:
 
 def _pit(linearized: LinearizedWindows, entries: int) -> Array:
     """Probabilities below the residuals of some steps, made independent by the Cholesky factor of
-    each window's covariance."""
+    each window's covariance.
+    """
     p = len(linearized.whiten.sigma)
     good = ~linearized.lost
     length = linearized.windows.length
@@ -146,7 +153,9 @@ def _pit(linearized: LinearizedWindows, entries: int) -> Array:
     places = (steps[:, None] * p + np.arange(p)).ravel()
     loadings = (linearized.whiten.loadings * linearized.whiten.scale)[good][:, places]
     covariance = loadings @ loadings.swapaxes(1, 2) + np.diag(linearized.whiten.rows[places] ** 2)
-    white = np.linalg.solve(np.linalg.cholesky(covariance), linearized.residuals[good][:, places, None])
+    white = np.linalg.solve(
+        np.linalg.cholesky(covariance), linearized.residuals[good][:, places, None]
+    )
     return np.asarray(stats.t.cdf(white.ravel(), DEGREES))
 
 
@@ -156,13 +165,14 @@ def _neighbours(
     """Windows one after another, of the block that has most; None where there are too few."""
     for length in sorted({*settings.lengths, longest}, reverse=True):
         starts = window_starts(part, length)
-        if len(starts) < FEWEST:
+        if len(starts) < WINDOWS.fewest:
             continue
-        starts = thin(starts, max(FEWEST, settings.steps // length))
+        starts = thin(starts, max(WINDOWS.fewest, settings.steps // length))
         block = part.block[starts]
-        most: Ints = np.flatnonzero(block == np.bincount(block).argmax())[: settings.shown]
-        segments = part.trajectories.from_rows(starts[most], length, every_step=True)
-        return windows_from(library.simulator, segments, block[most])
+        largest = np.bincount(block).argmax()
+        chosen: Ints = np.flatnonzero(block == largest)[: settings.shown]
+        segments = part.trajectories.from_rows(starts[chosen], length, every_step=True)
+        return windows_from(library.simulator, segments, block[chosen])
     return None
 
 

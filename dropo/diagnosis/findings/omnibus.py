@@ -1,5 +1,6 @@
 """Whether anything smooth in state and command still predicts the residuals of windows that nothing
-was fitted to."""
+was fitted to.
+"""
 
 from dataclasses import dataclass
 
@@ -18,15 +19,15 @@ class OmnibusSettings:
 
     Attributes
     ----------
-    regression
+    regression : ResidualTestSettings
         Of the ridge regression.
-    commands
+    commands : int
         How many commands a residual may follow: the present one and those before it.
-    least_z
-        Standard errors by block above which something is there ...
-    least_share
-        ... if it is also more than this share of the noise's variance: where predictions are right
-        to rounding, the noise is held at its least.
+    least_z : float
+        Standard errors by block above which structure is left ...
+    least_share : float
+        ... if it is also more than this fraction of the noise's variance: where predictions are
+        right to rounding, the noise is at its lower bound.
     """
 
     regression: ResidualTestSettings = REGRESSION
@@ -44,13 +45,13 @@ class Omnibus:
 
     Attributes
     ----------
-    z
+    z : float
         Normal score of the fall of all signals.
-    signals
+    signals : tuple of float
         Normal score of each signal's.
-    share
-        The fall as a share of the noise's variance.
-    present
+    share : float
+        The fall as a fraction of the noise's variance.
+    present : bool
         Whether structure is left.
     """
 
@@ -70,13 +71,13 @@ def omnibus(
 
     Parameters
     ----------
-    train
+    train : LinearizedWindows
         Windows that the regression is fitted to.
-    test
+    test : LinearizedWindows
         Windows held out, which it predicts.
-    rng
+    rng : numpy.random.Generator
         Draws the random features.
-    settings
+    settings : OmnibusSettings
         Of the regression.
 
     Returns
@@ -95,7 +96,10 @@ def omnibus(
     design = np.concatenate([np.ones((len(both), 1)), scaled, smooth], axis=1)
     residuals = np.concatenate([_whitened(train), _whitened(test)])
     unseen = np.arange(len(both)) >= len(rows[0])
-    blocks = [np.repeat(linearized.windows.block, linearized.windows.length) for linearized in (train, test)]
+    blocks = [
+        np.repeat(linearized.windows.block, linearized.windows.length)
+        for linearized in (train, test)
+    ]
     found = predictability(
         design, residuals, [(~unseen, unseen)], np.concatenate(blocks), settings.regression
     )

@@ -10,13 +10,14 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
+    estimate_noise,
     linearize,
     shift_linearization,
-    estimate_noise,
     whitener,
 )
 
 NONE = np.zeros(0, dtype=np.int64)
+"""No numbers of theta."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class RefitSettings:
     steps : GaussNewtonSettings
         Steps under a fixed noise; gains in nats.
     close : float
-        Fraction of the usual half widths of differences, where predictions bend within those.
+        Fraction of the usual half widths of differences, where predictions curve within those.
     renewals : int
         How often at most the effect of the start's noise is found anew in a fit.
     renewal_gain : float
@@ -73,7 +74,7 @@ def refit(
     ----------
     library : Library
         The simulator with every effect.
-    seen : Look
+    linearized : LinearizedWindows
         The windows at the first theta.
     free : (f,) int array
         Which numbers of theta are fitted.
@@ -90,10 +91,13 @@ def refit(
 
     Returns
     -------
-    Look
+    LinearizedWindows
         The windows at the most likely theta and noise.
     """
-    linearized = settle(library, linearized, free, floor, rounds=rounds, rough=rough, settings=settings)
+    linearized = settle(
+        library, linearized, free, floor, rounds=rounds, rough=rough, settings=settings
+    )
+    # Linearize anew where theta has gone, until that changes nothing any more.
     for _ in range(settings.renewals if renewals is None else renewals):
         renewed = linearize(library, linearized.windows, linearized.theta, linearized.whiten.sigma)
         change = float(renewed.log_likelihood.sum() - linearized.log_likelihood.sum())
@@ -101,24 +105,28 @@ def refit(
             linearized = renewed
             break
         linearized = settle(library, renewed, free, floor, settings=settings)
+    # Without noise, errors are so small that usual differences are too wide.
     if np.median(linearized.whiten.sigma / floor) < settings.noiseless:
         return settle(library, linearized, free, floor, close=True, settings=settings)
     return linearized
 
 
 def with_noise(
-    library: Library, linearized: LinearizedWindows, floor: Array, settings: RefitSettings = DEFAULTS
+    library: Library,
+    linearized: LinearizedWindows,
+    floor: Array,
+    settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
     """Give windows the noise that their residuals have.
 
     Parameters
     ----------
-    library, seen, floor, settings
+    library, linearized, floor, settings
         As of `refit`.
 
     Returns
     -------
-    Look
+    LinearizedWindows
         The windows at the same theta; the effect of the start's noise is found anew where the
         noise is quite another.
     """
@@ -145,7 +153,7 @@ def settle(
 
     Parameters
     ----------
-    library, seen, free, floor, rounds, rough, settings
+    library, linearized, free, floor, rounds, rough, settings
         As of `refit`.
     known : (k, W, n) array, optional
         Jacobian by the first k free numbers that may stand for theirs at any theta near by.
@@ -154,18 +162,22 @@ def settle(
 
     Returns
     -------
-    Look
+    LinearizedWindows
     """
     problem = _Steps(library, free, known, settings)
     jacobian = None
     for _ in range(rounds):
         before = float(linearized.log_likelihood.sum())
+        # Line scans of numbers that have no useful derivative; in the first round only.
         for number in rough:
             linearized = _scan(library, linearized, int(number), settings)
             jacobian = None
         rough = NONE
+        # Theta under this noise, then the noise at this theta.
         if len(free):
-            linearized, jacobian = maximize(problem, linearized, settings.steps, jacobian=jacobian, close=close)
+            linearized, jacobian = maximize(
+                problem, linearized, settings.steps, jacobian=jacobian, close=close
+            )
         sigma = estimate_noise(linearized, linearized.whiten.sigma, floor)
         linearized = shift_linearization(library, linearized, linearized.theta, sigma)
         if abs(float(linearized.log_likelihood.sum()) - before) < settings.steps.tolerance:
@@ -199,47 +211,58 @@ class _Steps:
         here = linearized.theta[self.free]
         prior_sd = self.settings.steps.prior_width * (high - low)
         room = (low - here, high - here)
-        return damped_step(linearized.flat(jacobian), linearized.flat(linearized.residuals), room, prior_sd)
+        rows = linearized.flat(jacobian)
+        residuals = linearized.flat(linearized.residuals)
+        return damped_step(rows, residuals, room, prior_sd)
 
-    def try_steps(self, linearized: LinearizedWindows, steps: Array) -> tuple[LinearizedWindows, float]:
+    def try_steps(
+        self, linearized: LinearizedWindows, steps: Array
+    ) -> tuple[LinearizedWindows, float]:
         """The best of several steps (K, f), and the nats gained."""
         space = self.library.simulator.space
         free = self.free
-        tried = np.repeat(linearized.theta[None], len(steps), axis=0)
-        tried[:, free] = np.clip(linearized.theta[free] + steps, space.low[free], space.high[free])
-        return _best(self.library, linearized, tried)
+        thetas = np.repeat(linearized.theta[None], len(steps), axis=0)
+        stepped = linearized.theta[free] + steps
+        thetas[:, free] = np.clip(stepped, space.low[free], space.high[free])
+        return _best(self.library, linearized, thetas)
 
 
 def _scan(
     library: Library, linearized: LinearizedWindows, number: int, settings: RefitSettings
 ) -> LinearizedWindows:
-    """One number of theta at multiples of its size."""
+    """One number of theta at multiples of its present value."""
     space = library.simulator.space
     multiples = np.array(settings.scan)
-    tried = np.repeat(linearized.theta[None], len(multiples), axis=0)
+    candidates = np.repeat(linearized.theta[None], len(multiples), axis=0)
     scanned = multiples * linearized.theta[number]
-    tried[:, number] = np.clip(scanned, space.low[number], space.high[number])
-    return _best(library, linearized, tried)[0]
+    candidates[:, number] = np.clip(scanned, space.low[number], space.high[number])
+    return _best(library, linearized, candidates)[0]
 
 
 def _best(
-    library: Library, linearized: LinearizedWindows, tried: Array
+    library: Library, linearized: LinearizedWindows, candidates: Array
 ) -> tuple[LinearizedWindows, float]:
-    """The best of several thetas (K, m) where it is better than the present one, and its gain."""
-    predictions = library.predict(tried, linearized.windows)
+    """The best of several thetas (K, m) if it is better than the present one, and its gain."""
+    windows = linearized.windows
     sigma = linearized.whiten.sigma
-    ways = [whitener(library, linearized.windows, theta, sigma, linearized.loadings) for theta in tried]
-    values = np.array(
-        [
-            replace(linearized, whiten=way).of(one).sum()
-            for way, one in zip(ways, predictions, strict=True)
-        ]
-    )
-    k = int(np.nanargmax(np.where(np.isfinite(values), values, -np.inf)))
-    gain = float(values[k] - linearized.log_likelihood.sum())
+    predictions = library.predict(candidates, windows)
+    # Evaluate each theta under the covariance that it implies.
+    whiteners = []
+    values = []
+    for theta, predicted in zip(candidates, predictions, strict=True):
+        whiten = whitener(library, windows, theta, sigma, linearized.loadings)
+        there = replace(linearized, whiten=whiten)
+        whiteners.append(whiten)
+        values.append(there.log_likelihood_of(predicted).sum())
+    finite = np.where(np.isfinite(values), values, -np.inf)
+    best = int(np.nanargmax(finite))
+    gain = float(values[best] - linearized.log_likelihood.sum())
     if not gain > 0:
         return linearized, 0.0
-    residuals = linearized.windows.measured - predictions[k] - linearized.shift
-    bad = linearized.lost | ~np.isfinite(residuals).all(axis=1)
-    residuals[bad] = linearized.residuals[bad]
-    return replace(linearized, theta=tried[k], residuals=residuals, whiten=ways[k]), gain
+    # Windows that diverge keep the residuals that they had.
+    residuals = windows.measured - predictions[best] - linearized.shift
+    diverged = linearized.lost | ~np.isfinite(residuals).all(axis=1)
+    residuals[diverged] = linearized.residuals[diverged]
+    theta = candidates[best]
+    better = replace(linearized, theta=theta, residuals=residuals, whiten=whiteners[best])
+    return better, gain
