@@ -19,7 +19,7 @@ from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
 from dropo.core.records.fit import Fit
-from dropo.core.records.fit_parts import EmulatorCheck, StartFilter
+from dropo.core.records.fit_parts import StartFilter
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible, SimulationFailed
@@ -234,7 +234,7 @@ class DROPO(Estimator):
             )
 
         # Hold the local model against the simulator at the fit.
-        checked, warnings = check_emulator(problem, run, family, objective, found.point, rng)
+        check, warnings = check_emulator(problem, run, family, objective, found.point, rng)
         return self._summarise(
             problem,
             run,
@@ -242,7 +242,7 @@ class DROPO(Estimator):
             objective,
             found,
             warnings=warnings,
-            emulator_check=EmulatorCheck.from_json(checked, {}),
+            emulator_check=check,
             start_filter=start_filter,
             constant_parameters=tuple(parameters_without_spread(family, objective, found.point)),
         )

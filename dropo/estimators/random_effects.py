@@ -143,12 +143,8 @@ class _Population(DROPO):
         d = len(fit.mean)
         spread = fit.correlation * np.outer(fit.sd, fit.sd)
         kept, covariance = _posterior(groups, spread, information[:d, :d])
-
-        # Whether they differ.
         names = problem.space.names
-        found_tests = variance_component_tests(objective, names, found.point, run.rng)
-        tests = VarianceComponentTests.from_json(found_tests)
-
+        tests = variance_component_tests(objective, names, found.point, run.rng)
         effects = _effects(problem, fit, groups, kept, covariance, tests)
         sentence = _describe_tests(tests, self.settings)
         message = f"{fit.message} {sentence}\n{_table(fit, effects)}"

@@ -33,18 +33,18 @@ class Horizon:
 
     Attributes
     ----------
-    steps
+    steps : int
         The horizon in control steps.
-    seconds
+    seconds : float or None
         The horizon [s]; None where the simulator does not know its control step.
-    rmse
+    rmse : float
         Root mean square error of all signals, each in units of its noise-free spread.
-    noise
+    noise : float
         The part of `rmse` that noise explains.
-    units
+    units : dict of str to tuple
         For each unit the root mean square error over its signals, and the noise's part.
-    by_signal
-        (p,) root mean square error of each signal, in its unit.
+    by_signal : (p,) array
+        Root mean square error of each signal, in its unit.
     """
 
     steps: int
@@ -78,17 +78,17 @@ def horizons(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Whose held-out part is predicted.
-    library
+    library : Library
         The simulator with every effect.
-    thetas
+    thetas : sequence of array
         The models: (m,) each.
-    last
+    last : State
         Its noise is taken: starts are drawn anew under it, so that it is known at impacts too.
-    rng
+    rng : numpy.random.Generator
         Draws the noise of the starts.
-    settings
+    settings : HeldOutSettings
         Which horizons, beside that of the windows, and which windows.
 
     Returns
