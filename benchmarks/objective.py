@@ -28,7 +28,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Segments
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP
 from dropo.problems.hopper.problem import hopper
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -123,7 +123,7 @@ def monte_carlo(sizes: Sizes, threads: int) -> Timing:
     family = TruncatedGaussian(problem.space)
     truth = truth_of(problem)
     phi = family.phi(truth, 0.02 * truth)
-    objective = Gaussian(sizes.draws).bind(
+    objective = MonteCarlo(sizes.draws).bind(
         problem.simulator, problem.segments, family, EPSILON, np.random.default_rng(0)
     )
     seconds = np.median([timed(lambda: objective(phi)) for _ in range(sizes.repeats)])

@@ -21,7 +21,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.atomic_write import write_text
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.studies.tiboni_2021.hopper_sets import EPSILON, SPREAD, data_set
 
 # of the published method
@@ -59,7 +59,7 @@ def reference(problem: Problem) -> tuple[int, float]:
     family = TruncatedGaussian(problem.space)
     truth = problem.space.vector(problem.truth or {})
     assert problem.epsilon is not None
-    objective = Gaussian(DRAWS).bind(
+    objective = MonteCarlo(DRAWS).bind(
         problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0)
     )
     before = problem.simulator.steps

@@ -10,7 +10,6 @@ import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from xml.sax.saxutils import escape
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,7 +20,6 @@ GAP = 6  # between boxes
 MARGIN = 8  # of a layer around its boxes
 ARROW = 20  # between layers
 LINE = "#868e96"  # a grey that shows on white and on black
-FLOORS = "contracts, records, numerics, services"
 PHRASES = {
     "cli": ("the commands", "#5c4b8a"),
     "studies": ("the papers' tables", "#5c4b8a"),
@@ -41,7 +39,7 @@ PHRASES = {
     "likelihoods": ("how well a draw fits", "#1b6e53"),
     "optimizers": ("searches, samplers", "#1b6e53"),
     "mjmodel": ("the only reader of MuJoCo models", "#444b52"),
-    "core": (FLOORS, "#444b52"),
+    "core": ("what all stand on", "#444b52"),
 }
 """What each room holds, and a colour for its kind: uses, steps, plug-ins, ground."""
 
@@ -56,43 +54,41 @@ class Box:
     width: float
 
 
-def read_layers(pyproject: Path) -> list[list[str]]:
-    """Reads the layers of rooms from the import contracts, the highest first.
+def read_layers(pyproject: Path, container: str = "dropo") -> list[list[str]]:
+    """Reads the layers of a package from the import contracts, the highest first.
 
     Parameters
     ----------
     pyproject : Path
-        A file with `[[tool.importlinter.contracts]]` of type "layers". Among several, the one with
-        the most rooms is taken.
+        A file with `[[tool.importlinter.contracts]]` of type "layers".
+    container : str
+        The package whose parts are in layers: the contract with it among its `containers`.
 
     Returns
     -------
     list of lists of str
-        The names of the rooms, without "dropo.", layer by layer.
+        The names of the parts, layer by layer.
 
     Raises
     ------
     SystemExit
-        If the file has no contract of layers of rooms.
+        If the file has no such contract.
     """
     tool = tomllib.loads(pyproject.read_text()).get("tool", {})
-    contracts = tool.get("importlinter", {}).get("contracts", [])
-    found = [layers_of(one) for one in contracts if one.get("type") == "layers"]
-    rooms = [layers for layers in found if not any("." in room for row in layers for room in row)]
-    if not rooms:
-        raise SystemExit(f"{pyproject} has no contract of layers of rooms under tool.importlinter.")
-    return max(rooms, key=lambda layers: sum(map(len, layers)))
+    for contract in tool.get("importlinter", {}).get("contracts", []):
+        if contract.get("type") == "layers" and container in contract.get("containers", []):
+            layers = [parts_of(layer) for layer in contract["layers"]]
+            return [layer for layer in layers if layer]
+    raise SystemExit(f"{pyproject} has no import contract of layers in {container!r}.")
 
 
-def layers_of(contract: dict[str, Any]) -> list[list[str]]:
-    """Returns the rooms of one contract; a layer is "a", "a | b" or "a : b", optional ones in
-    parentheses.
+def parts_of(layer: str) -> list[str]:
+    """Returns the names in a layer: "a", "a | b" or "a : b", optional ones in parentheses.
+
+    Single files such as _version.py are no rooms, and are left out.
     """
-    layers = []
-    for layer in contract["layers"]:
-        names = re.split(r"[|:]", layer)
-        layers.append([name.strip(" ()").removeprefix("dropo.") for name in names])
-    return layers
+    names = [name.strip(" ()") for name in re.split(r"[|:]", layer)]
+    return [name for name in names if not name.startswith("_")]
 
 
 def check_rooms(layers: list[list[str]], package: Path) -> None:
@@ -139,13 +135,15 @@ def place(layers: list[list[str]]) -> tuple[list[Box], list[tuple[float, float]]
     return boxes, bands
 
 
-def draw(layers: list[list[str]]) -> str:
+def draw(layers: list[list[str]], floors: list[list[str]]) -> str:
     """Draws the layers.
 
     Parameters
     ----------
     layers : list of lists of str
         The rooms, layer by layer, the highest first.
+    floors : list of lists of str
+        The parts of `core`, likewise, which stand in its box.
 
     Returns
     -------
@@ -168,7 +166,10 @@ def draw(layers: list[list[str]]) -> str:
     for top, tall in bands[:-1]:
         lines.append(arrow(top + tall))
     for box in boxes:
-        lines += room_box(box)
+        phrase, colour = PHRASES[box.room]
+        if box.room == "core":
+            phrase = ", ".join(part for floor in floors for part in floor)
+        lines += room_box(box, phrase, colour)
     return "\n".join([*lines, "</svg>", ""])
 
 
@@ -180,9 +181,8 @@ def arrow(y: float) -> str:
     return f'<path d="{path}" fill="none" stroke="{LINE}" stroke-width="2"/>'
 
 
-def room_box(box: Box) -> list[str]:
+def room_box(box: Box, phrase: str, colour: str) -> list[str]:
     """Draws a room: its name above what it holds."""
-    phrase, colour = PHRASES[box.room]
     middle = box.x + box.width / 2
     common = f'x="{middle:g}" fill="#ffffff" text-anchor="middle"'
     return [
@@ -201,7 +201,8 @@ def main() -> None:
     arguments = parser.parse_args()
     layers = read_layers(arguments.pyproject)
     check_rooms(layers, ROOT / "dropo")
-    arguments.out.write_text(draw(layers))
+    floors = read_layers(arguments.pyproject, "dropo.core")
+    arguments.out.write_text(draw(layers, floors))
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from benchmarks.objective import (
     report,
 )
 from benchmarks.robots import problem_of as problem_with
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP
 from tests.reference.published_loop import log_likelihood
 
@@ -45,7 +45,7 @@ def test_loop_and_likelihood_are_the_same_number():
         problem.simulator.model, BODIES, masses, problem.trajectories, EPSILON, FRAME_SKIP
     )
     predictions = problem.simulator.predict(masses, problem.segments)
-    rows = Gaussian().log_density(predictions, problem.simulator.targets(problem.segments), EPSILON)
+    rows = MonteCarlo().log_density(predictions, problem.simulator.targets(problem.segments), EPSILON)
     assert total == pytest.approx(rows.sum(), rel=1e-9)
     assert steps == problem.simulator.steps == 20 * 40 * FRAME_SKIP
 

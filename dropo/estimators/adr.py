@@ -24,17 +24,32 @@ SIGNATURE = "(values, rng) -> float"
 
 @dataclass(frozen=True, kw_only=True)
 class ADR(InteractiveEstimator):
-    """Automatic domain randomization: a uniform law that grows as far as the policy can follow
-    (OpenAI 2019, arXiv:1910.07113, section 5).
+    """Automatic domain randomization: a uniform distribution that grows with the policy's success.
 
     It begins as a point, the model's own values, in the middle of the box where there are none.
-    Each of `budget` calls puts one parameter on one of its two bounds, both drawn at random, draws
-    the others from the present law, and asks performance(values, rng), which runs the policy there
-    in simulation and may train it too. After `buffer` calls on a bound their average decides
-    (algorithm 1): at least `thresholds`[1], the bound moves outwards by `step` of the search
-    interval; at most `thresholds`[0], inwards; the box is never left. The thresholds are in the
-    unit of the performance, by default a rate of success. No target data are used; draws: for the
-    log-likelihood of the problem's data.
+    Each call puts one parameter on one of its two bounds, both drawn at random, and draws the
+    others from the present distribution. Once a bound has been tried often enough, the average
+    performance on it moves the bound (algorithm 1); the box is never left. No target data are used.
+
+    Attributes
+    ----------
+    performance : callable
+        performance(values, rng) runs the policy in simulation at the values, and may train it too.
+    thresholds : (float, float)
+        In the unit of the performance, by default a rate of success: a bound moves inwards if the
+        average is at most the first, outwards if it is at least the second.
+    step : float
+        How far a bound moves, as a fraction of the search interval.
+    buffer : int
+        Calls on a bound after which it is decided.
+    budget : int
+        Calls in all.
+    draws : int
+        By which the log-likelihood of the problem's data is estimated.
+
+    References
+    ----------
+    OpenAI, "Solving Rubik's cube with a robot hand", 2019, arXiv:1910.07113, section 5.
     """
 
     performance: Performance | None = None
@@ -47,42 +62,31 @@ class ADR(InteractiveEstimator):
 
     def __post_init__(self) -> None:
         self._check_callback("performance", SIGNATURE)
-        require(
-            self.thresholds[0] < self.thresholds[1],
-            "thresholds",
-            "the lower one first",
-            self.thresholds,
-            "ADR",
-        )
-        require(
-            0 < self.step <= 0.5, "step", "a share of the interval in (0, 0.5]", self.step, "ADR"
-        )
-        require(
-            min(self.buffer, self.budget) >= 1,
-            "buffer, budget",
-            "at least 1",
-            (self.buffer, self.budget),
-            "ADR",
-        )
+        ordered = self.thresholds[0] < self.thresholds[1]
+        require(ordered, "thresholds", "the lower one first", self.thresholds, "ADR")
+        rule = "a fraction of the interval in (0, 0.5]"
+        require(0 < self.step <= 0.5, "step", rule, self.step, "ADR")
+        counts = (self.buffer, self.budget)
+        require(min(counts) >= 1, "buffer, budget", "at least 1", counts, "ADR")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
+        """Try the policy on the bounds until the budget is spent."""
         calls = Callbacks(run)
-        bounds = Bounds(problem.space, _start(problem), self)
+        bounds = Bounds(problem.space, _first_values(problem), self)
         history = [bounds.ends.copy()]
         status = Status.OUT_OF_BUDGET
         message = f"The bounds after {self.budget} calls; ADR has no end of its own."
         try:
-            for done in range(self.budget):
+            for done in range(1, self.budget + 1):
                 place, values = bounds.ask(run.rng)
-                bounds.tell(place, self._performance(calls, values))
+                bounds.tell(place, self._call_performance(calls, values))
                 history.append(bounds.ends.copy())
-                run.progress(
-                    (done + 1) / self.budget,
-                    f"{done + 1} calls, entropy {bounds.entropy:.3g} nat a parameter",
-                )
+                text = f"{done} calls, entropy {bounds.entropy:.3g} nat a parameter"
+                run.progress(done / self.budget, text)
         except KeyboardInterrupt:
             status = Status.INTERRUPTED
             message = f"Interrupted after {len(history) - 1} calls: these are the bounds so far."
+
         low, high = bounds.ends
         family = find("families", "uniform")(problem.space)
         fit = distribution(
@@ -96,24 +100,36 @@ class ADR(InteractiveEstimator):
         )
         return evaluate_fit(problem, run, fit, self.draws, run.rng.spawn(1)[0])
 
-    def _performance(self, calls: Callbacks, values: Array) -> float:
+    def _call_performance(self, calls: Callbacks, values: Array) -> float:
+        """The performance at the values (d,), counted."""
         assert self.performance is not None
         performance = self.performance
         return calls.number(values, lambda rng: performance(values, rng))
 
 
-def _start(problem: Problem) -> Array:
-    """(d,) the model's own values, inside the box."""
+def _first_values(problem: Problem) -> Array:
+    """(d,) the model's own values inside the box, or its middle."""
     space = problem.space
     nominal = problem.simulator.nominal
-    return (
-        (space.low + space.high) / 2 if nominal is None else np.clip(nominal, space.low, space.high)
-    )
+    if nominal is None:
+        return (space.low + space.high) / 2
+    return np.clip(nominal, space.low, space.high)
 
 
 class Bounds:
-    """The bounds `ends` (2, d) of ADR, low before high, and what was seen on each of them since it
-    last moved.
+    """The bounds of ADR's distribution, and the performances on each since it last moved.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    start : (d,) array
+        The point at which both bounds begin, and which neither passes.
+    settings : ADR
+
+    Attributes
+    ----------
+    ends : (2, d) array
+        The lower and the upper bounds.
     """
 
     def __init__(self, space: ParameterSpace, start: Array, settings: ADR):
@@ -121,18 +137,27 @@ class Bounds:
         self.start = start
         self.settings = settings
         self.ends = np.stack([start, start])
-        self._seen: dict[tuple[int, int], list[float]] = {
-            (side, i): [] for side in (0, 1) for i in range(len(space))
-        }
+        self._performances: dict[tuple[int, int], list[float]] = {}
 
     @property
     def entropy(self) -> float:
-        """Of the law, a parameter: mean log width [nats], -inf while one has none."""
+        """Mean logarithm of the widths [nats a parameter]; -inf while one is 0."""
         with np.errstate(divide="ignore"):
             return float(np.log(self.ends[1] - self.ends[0]).mean())
 
     def ask(self, rng: np.random.Generator) -> tuple[tuple[int, int], Array]:
-        """A bound (side, parameter), and values (d,) on it."""
+        """Draw a bound and parameter values on it.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        place : (int, int)
+            The side, 0 for lower and 1 for upper, and the parameter.
+        values : (d,) array
+        """
         side = int(rng.integers(2))
         i = int(rng.integers(len(self.space)))
         values = self.ends[0] + rng.random(len(self.space)) * (self.ends[1] - self.ends[0])
@@ -140,24 +165,29 @@ class Bounds:
         return (side, i), values
 
     def tell(self, place: tuple[int, int], performance: float) -> None:
-        """Takes in what was seen on the bound, and moves it when that is enough; it never passes
-        the start.
+        """Record the performance on a bound, and move it once there are enough of them.
+
+        Parameters
+        ----------
+        place : (int, int)
+            The side and the parameter.
+        performance : float
         """
-        seen, (side, i), settings = self._seen[place], place, self.settings
-        seen.append(performance)
-        if len(seen) < settings.buffer:
+        settings = self.settings
+        side, i = place
+        performances = self._performances.setdefault(place, [])
+        performances.append(performance)
+        if len(performances) < settings.buffer:
             return
-        average = np.mean(seen)
+        average = np.mean(performances)
+        performances.clear()
+
         outwards = settings.step * self.space[i].width * (1 if side else -1)
-        seen.clear()
-        move = (
-            outwards
-            if average >= settings.thresholds[1]
-            else -outwards
-            if average <= settings.thresholds[0]
-            else 0.0
-        )
-        low, high = (
-            (self.start[i], self.space.high[i]) if side else (self.space.low[i], self.start[i])
-        )
+        move = 0.0
+        if average >= settings.thresholds[1]:
+            move = outwards
+        elif average <= settings.thresholds[0]:
+            move = -outwards
+        low = self.start[i] if side else self.space.low[i]
+        high = self.space.high[i] if side else self.start[i]
         self.ends[side, i] = np.clip(self.ends[side, i] + move, low, high)

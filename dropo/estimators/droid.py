@@ -1,6 +1,7 @@
 """DROID: means by squared distance, the distribution from the search's own covariance."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +19,21 @@ from dropo.estimators.support.summary import summarize
 
 @dataclass(frozen=True, kw_only=True)
 class DROID(Estimator):
-    """Least squared distance of simulated to measured states over the means alone, by CMA-ES
-    (thesis, section 6.1).
+    """Minimise the squared distance of simulated to measured states over the means, by CMA-ES.
 
-    Its distribution is the final covariance of CMA-ES itself: how far the search had converged, not
-    how much the parameters vary. optimizer: the name of one that ends with a `covariance` (m, m) in
-    the unit box; budget: evaluations of the distance at most, one simulation of all segments each.
+    The distribution is the final covariance of CMA-ES itself: how far the search had converged, not
+    how much the parameters vary.
+
+    Attributes
+    ----------
+    optimizer : str
+        The name of one that ends with a `covariance` (m, m) in the unit box.
+    budget : int
+        Evaluations of the distance at most, one simulation of all segments each.
+
+    References
+    ----------
+    Tiboni 2021, section 6.1.
     """
 
     optimizer: str = "cma-es"
@@ -34,6 +44,7 @@ class DROID(Estimator):
         require(self.budget >= 1, "budget", "at least 1", self.budget, "DROID")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
+        """The Gaussian around the least distance, with the covariance of the search."""
         simulator = problem.simulator
         segments = problem.segments
         space = problem.space
@@ -43,40 +54,41 @@ class DROID(Estimator):
             predictions = simulator.predict(space.from_unit(points), segments)
             return -np.sum((predictions - targets) ** 2, axis=(1, 2))
 
-        search = find("optimizers", self.optimizer)(
-            len(space),
-            run.rng,
-            budget=self.budget,
-            **({"restarts": 0} if self.optimizer == "cma-es" else {}),
-        )
-        if not hasattr(search, "covariance"):
-            raise Incompatible(
-                "DROID reads its distribution from the optimizer's covariance, and "
-                f"{self.optimizer!r} has none. Use 'cma-es'."
-            )
-        result = maximize(minus_distance, space, search, run, batched=True)
+        search = self._make_search(len(space), run.rng)
+        found = maximize(minus_distance, space, search, run, batched=True)
         width = space.high - space.low
         covariance = search.covariance * np.outer(width, width)
         family = find("families", "full")(space)
+
+        # The noise is what the means leave.
         with run.counting():
-            predicted = simulator.predict(result.point[None], segments)[0]
+            predicted = simulator.predict(found.point[None], segments)[0]
         residual = np.mean((predicted - targets) ** 2, axis=0)
         noise = np.maximum(residual, rounding(problem))
-        log_likelihood = (
-            -0.5 * float(np.sum(np.log(2 * np.pi * noise) + residual / noise)) * len(targets)
-        )
+        density = float(np.sum(np.log(2 * np.pi * noise) + residual / noise))
         return summarize(
             problem,
             run,
             method=self.name,
             family=family,
             family_name="full",
-            phi=family.phi_of(result.point, covariance),
+            phi=family.phi_of(found.point, covariance),
             epsilon=noise,
             weighted_by=np.ones(targets.shape[1]),
-            log_likelihood=log_likelihood,
+            log_likelihood=-0.5 * density * len(targets),
             mean_prediction=predicted,
-            message=result.reason,
-            status=result.status,
-            search_record=DistanceSearch(-result.value),
+            message=found.reason,
+            status=found.status,
+            search_record=DistanceSearch(-found.value),
         )
+
+    def _make_search(self, d: int, rng: np.random.Generator) -> Any:
+        """The optimizer, which must have a covariance."""
+        further = {"restarts": 0} if self.optimizer == "cma-es" else {}
+        search = find("optimizers", self.optimizer)(d, rng, budget=self.budget, **further)
+        if not hasattr(search, "covariance"):
+            raise Incompatible(
+                "DROID reads its distribution from the optimizer's covariance, and"
+                f" {self.optimizer!r} has none. Use 'cma-es'."
+            )
+        return search

@@ -1,8 +1,5 @@
-"""Ensemble adaptation as in EPOpt: particles of the parameters, weighed by the likelihood of target
-data and drawn again.
-"""
+"""Ensemble adaptation as in EPOpt: particles weighted by the likelihood of target data."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,27 +16,49 @@ from dropo.core.services.validation import Array, require
 from dropo.estimators.support.distribution_fit import point_likelihood, posterior_fit
 from dropo.estimators.support.posterior_targets import PointLikelihood
 
-# times the covariance of the particles is that of the Gaussian which proposes the next ones: wider
-# tails than its target's
-WIDER = 1.5
+Gaussian = tuple[Array, Array]
+"""Mean (d,) and lower Cholesky factor (d, d) of the covariance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EPOpt(Estimator):
-    """The posterior of parameters that are the same in all rows, by importance weights (Rajeswaran
-    et al. 2017, section 3.2).
+    """Sample the posterior of parameters that are the same in all rows, by importance weights.
 
-    p(xi | data) is proportional to p(xi) times the product over rows of N(target; prediction under
-    xi, diag(epsilon)). `particles` are drawn from the prior, weighed by likelihood x prior /
-    proposal, and a Gaussian with their moments proposes the next ones. Where the data say much more
-    than the prior, all weight would fall on one particle; so the likelihood is raised to a power
-    that grows from round to round as far as it leaves the share `least` of the particles effective,
-    (sum w)^2 / sum w^2, until it is 1 (Del Moral, Doucet, Jasra 2012); in the paper
-    (arXiv:1610.01283) it is 1 throughout: `tempered` False. rounds: at most; the last one's
-    particles, drawn again by weight, are `search_record.draws`. The prior is the problem's own,
-    else uniform on the box.
-    epsilon: the noise variance, one or for each signal; None, the problem's own, else the variance
-    that least squares leaves.
+    Particles are drawn from the prior (the problem's own, else uniform on the box), weighted by
+    likelihood x prior / proposal, and a Gaussian with their moments proposes the next ones. If the
+    data say much more than the prior, all weight would fall on one particle; so the likelihood is
+    raised to a power that grows from round to round until it is 1, as far as enough particles stay
+    effective [2]_. The last particles, drawn again by weight, are `search_record.draws`.
+
+    Attributes
+    ----------
+    particles : int
+        In each round; at least 10 for each parameter.
+    rounds : int
+        At most.
+    least : float
+        The power grows as far as it leaves this fraction of the particles effective,
+        (sum w)^2 / sum w^2.
+    tempered : bool
+        False: the power is 1 throughout, as in the paper.
+    epsilon : float or tuple of float, optional
+        The noise variance, one or for each signal [signal unit^2]. None: the problem's own, else
+        the variance that least squares leaves.
+    widening : float
+        Factor on the particles' covariance in the proposal, whose tails must be wider than its
+        target's.
+
+    Notes
+    -----
+    p(xi | data) is proportional to p(xi) times the product over the rows of
+    N(target; prediction under xi, diag(epsilon)).
+
+    References
+    ----------
+    .. [1] Rajeswaran et al., "EPOpt: learning robust neural network policies using model
+       ensembles", 2017, arXiv:1610.01283, section 3.2.
+    .. [2] Del Moral, Doucet, Jasra, "An adaptive sequential Monte Carlo method for approximate
+       Bayesian computation", Statistics and Computing 22 (2012).
     """
 
     particles: int = 200
@@ -47,43 +66,42 @@ class EPOpt(Estimator):
     least: float = 0.5
     tempered: bool = True
     epsilon: float | tuple[float, ...] | None = None
+    widening: float = 1.5
     name = "epopt"
 
     def __post_init__(self) -> None:
         require(self.rounds >= 1, "rounds", "at least 1", self.rounds, "EPOpt")
-        require(0 < self.least < 1, "least", "a share in (0, 1)", self.least, "EPOpt")
+        require(0 < self.least < 1, "least", "a fraction in (0, 1)", self.least, "EPOpt")
+        require(self.widening >= 1, "widening", "at least 1", self.widening, "EPOpt")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
+        """Raise the power of the likelihood round by round."""
         d = len(problem.space)
-        require(
-            self.particles >= 10 * d,
-            "particles",
-            f"at least {10 * d}, ten a parameter",
-            self.particles,
-            "EPOpt",
-        )
+        rule = f"at least {10 * d}, ten a parameter"
+        require(self.particles >= 10 * d, "particles", rule, self.particles, "EPOpt")
         target = point_likelihood(problem, run, self.name, self.epsilon)
         prior = LogPrior(problem.priors, problem.space)
         rng = run.rng.spawn(1)[0]
         powers = [0.0]
         proposal = None
         while True:
+            # Draw particles, and weight them with as high a power as leaves enough effective.
             points, density = _draw(proposal, self.particles, d, rng)
-            log_likelihood, log_ratio = self._weigh(problem, run, target, prior, points, density)
-            powers.append(
-                self._power(log_likelihood, log_ratio, powers[-1]) if self.tempered else 1.0
-            )
-            weights = _weights(powers[-1] * log_likelihood + log_ratio)
-            run.progress(
-                min(0.99, len(powers) / self.rounds),
-                f"round {len(powers) - 1}, likelihood to the power {powers[-1]:.3g}",
-            )
-            if powers[-1] >= 1 or len(powers) > self.rounds:
+            log_likelihood, log_ratio = self._evaluate(problem, run, target, prior, points, density)
+            power = 1.0
+            if self.tempered:
+                power = self._next_power(log_likelihood, log_ratio, powers[-1])
+            powers.append(power)
+            weights = _normalize(power * log_likelihood + log_ratio)
+            text = f"round {len(powers) - 1}, likelihood to the power {power:.3g}"
+            run.progress(min(0.99, len(powers) / self.rounds), text)
+            if power >= 1 or len(powers) > self.rounds:
                 break
-            proposal = _moments(points, weights)
+
+            proposal = _moments(points, weights, self.widening)
         return self._summary(problem, run, target, points, weights, powers, rng)
 
-    def _weigh(
+    def _evaluate(
         self,
         problem: Problem,
         run: Run,
@@ -92,47 +110,46 @@ class EPOpt(Estimator):
         points: Array,
         density: Array,
     ) -> tuple[Array, Array]:
-        """(K,) log-likelihoods, -inf where a simulation failed, and logs of prior / proposal, -inf
-        outside the box, of points (K, d).
+        """(K,) log-likelihoods and (K,) log(prior / proposal) of points (K, d).
+
+        The first is -inf if a simulation failed, both are outside the box.
         """
         inside = ((points >= 0) & (points <= 1)).all(axis=1)
         values = problem.space.from_unit(points[inside])
-        log_likelihood, log_prior = np.full((2, len(points)), -np.inf)
+        log_likelihood = np.full(len(points), -np.inf)
         log_likelihood[inside] = np.nan_to_num(run.evaluate(values, target.many), nan=-np.inf)
+        log_prior = np.full(len(points), -np.inf)
         log_prior[inside] = prior(values)
         if not np.isfinite(log_likelihood + log_prior).any():
             raise SimulationFailed(
-                "No particle of EPOpt has a likelihood: all simulations diverged. Narrow "
-                "the bounds."
+                "No particle of EPOpt has a likelihood: all simulations diverged. Narrow the"
+                " bounds."
             )
         return log_likelihood, log_prior - density
 
-    def _power(self, log_likelihood: Array, log_ratio: Array, before: float) -> float:
-        """The largest power of the likelihood, from the one `before` up to 1, that leaves `least`
-        of the particles effective.
+    def _next_power(self, log_likelihood: Array, log_ratio: Array, before: float) -> float:
+        """The largest power, from the one before up to 1, that leaves `least` effective.
 
-        Where fewer are effective at the power before already, as a poor proposal leaves them, nine
-        tenths of those.
+        If fewer are effective at the power before already, as a poor proposal leaves them, it
+        leaves nine tenths of those.
         """
-        counting = np.isfinite(log_likelihood + log_ratio)
-        log_likelihood = log_likelihood[counting]
-        log_ratio = log_ratio[counting]
-        left: Callable[[float], float] = lambda power: _effective(
-            _weights(power * log_likelihood + log_ratio)
-        )
-        few = min(self.least * self.particles, 0.9 * left(before))
-        if left(1.0) >= few:
+        finite = np.isfinite(log_likelihood + log_ratio)
+        log_likelihood = log_likelihood[finite]
+        log_ratio = log_ratio[finite]
+
+        def effective_at(power: float) -> float:
+            return _effective(_normalize(power * log_likelihood + log_ratio))
+
+        wanted = min(self.least * self.particles, 0.9 * effective_at(before))
+        if effective_at(1.0) >= wanted:
             return 1.0
-        return float(
-            np.exp(
-                brentq(
-                    lambda exponent: left(np.exp(exponent)) - few,
-                    np.log(max(before, 1e-30)),
-                    0.0,
-                    xtol=1e-6,
-                )
-            )
+        exponent = brentq(
+            lambda exponent: effective_at(np.exp(exponent)) - wanted,
+            np.log(max(before, 1e-30)),
+            0.0,
+            xtol=1e-6,
         )
+        return float(np.exp(exponent))
 
     def _summary(
         self,
@@ -144,46 +161,44 @@ class EPOpt(Estimator):
         powers: list[float],
         rng: np.random.Generator,
     ) -> Fit:
-        draws = problem.space.from_unit(points[_again(weights, rng)])
+        """The fit of the last particles, and what speaks against them."""
+        draws = problem.space.from_unit(points[_resample(weights, rng)])
         effective = _effective(weights)
         warnings = []
         if effective < 0.1 * self.particles:
             warnings.append(
-                f"{effective:.1f} of {self.particles} particles are effective: take more, "
-                "or tempered=True"
+                f"{effective:.1f} of {self.particles} particles are effective: take more, or"
+                " tempered=True"
             )
-        done = powers[-1] >= 1
         message = (
             f"{len(powers) - 1} rounds, {effective:.0f} of {self.particles} particles effective."
         )
+        status = Status.CONVERGED
+        if powers[-1] < 1:
+            status = Status.OUT_OF_BUDGET
+            message += (
+                f" The likelihood counts to the power {powers[-1]:.2g} alone: take more rounds."
+            )
+        particles = problem.space.from_unit(points)
         return posterior_fit(
             problem,
             run,
             self.name,
             draws,
             target,
-            status=Status.CONVERGED if done else Status.OUT_OF_BUDGET,
-            message=message
-            if done
-            else (
-                f"{message} The likelihood counts to the power {powers[-1]:.2g} alone: take "
-                "more rounds."
-            ),
-            search_record=ParticlePosterior(
-                draws, problem.space.from_unit(points), weights, np.array(powers), effective
-            ),
+            status=status,
+            message=message,
+            search_record=ParticlePosterior(draws, particles, weights, np.array(powers), effective),
             warnings=tuple(warnings),
         )
-
-
-Gaussian = tuple[Array, Array]  # mean (d,) and lower factor (d, d) of the covariance
 
 
 def _draw(
     proposal: Gaussian | None, count: int, d: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Points (K, d) of the unit box, or around it, and the log of the density that they are drawn
-    from; None: uniform on the box.
+    """Points (K, d) and the log of the density (K,) that they are drawn from.
+
+    Without a proposal they are uniform on the unit box; with one, some lie outside.
     """
     if proposal is None:
         return rng.random((count, d)), np.zeros(count)
@@ -193,14 +208,16 @@ def _draw(
     return mean + normal @ factor.T, -0.5 * (normal**2).sum(axis=1) - log_volume
 
 
-def _moments(points: Array, weights: Array) -> Gaussian:
+def _moments(points: Array, weights: Array, widening: float) -> Gaussian:
+    """The Gaussian with the particles' mean and their covariance, widened and never singular."""
     mean = weights @ points
-    covariance = WIDER * (points - mean).T @ ((points - mean) * weights[:, None])
-    floor = 1e-12 * np.trace(covariance) / len(mean) + 1e-30
-    return mean, np.linalg.cholesky(covariance + floor * np.eye(len(mean)))
+    covariance = widening * (points - mean).T @ ((points - mean) * weights[:, None])
+    lowest = 1e-12 * np.trace(covariance) / len(mean) + 1e-30
+    return mean, np.linalg.cholesky(covariance + lowest * np.eye(len(mean)))
 
 
-def _weights(logarithms: Array) -> Array:
+def _normalize(logarithms: Array) -> Array:
+    """(K,) weights that sum to 1, from their logarithms."""
     return np.exp(logarithms - logsumexp(logarithms))
 
 
@@ -209,8 +226,8 @@ def _effective(weights: Array) -> float:
     return float(1 / (weights**2).sum())
 
 
-def _again(weights: Array, rng: np.random.Generator) -> Array:
+def _resample(weights: Array, rng: np.random.Generator) -> Array:
     """(K,) the particles drawn again by weight, systematically (Kitagawa 1996)."""
     count = len(weights)
-    places = (np.arange(count) + rng.random()) / count
-    return np.minimum(np.searchsorted(np.cumsum(weights), places), count - 1)
+    positions = (np.arange(count) + rng.random()) / count
+    return np.minimum(np.searchsorted(np.cumsum(weights), positions), count - 1)

@@ -13,15 +13,36 @@ from dropo.core.records.fit import Fit, Status
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, float_array, known, require
-from dropo.estimators.support.standard_errors import DIFFERENCES, rounding
+from dropo.estimators.support.standard_errors import (
+    DIFFERENCES,
+    DifferenceSettings,
+    rounding,
+)
 from dropo.estimators.support.summary import summarize
 
 
 @dataclass(frozen=True)
 class PointEstimate:
-    """value: (d,); noise: (p,) the residuals' variance; weighted_by: (p,) the variances behind the
-    weights; predicted: (R, p); jacobian: (R, p, d) where the search ended; evaluations: of the
-    residuals and Jacobian.
+    """An estimate by least squares.
+
+    Attributes
+    ----------
+    value : (d,) array
+        The parameters.
+    noise : (p,) array
+        Mean squared residual of each signal [signal unit^2].
+    weighted_by : (p,) array
+        The variances whose inverses were the weights.
+    predicted : (R, p) array
+        The predictions there.
+    jacobian : (R, p, d) array
+        Their Jacobian in the parameters.
+    evaluations : int
+        Of the residuals and the Jacobian.
+    converged : bool
+        Whether the search came to its own end.
+    message : str
+        How it ended.
     """
 
     value: Array
@@ -36,16 +57,25 @@ class PointEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class LeastSquares(Estimator):
-    """The parameters with the least weighted squared error, xi* = argmin sum_t |s_{t+1} -
-    s_{t+1}^xi|_W^2 (thesis, eq. 3.1).
+    """Find the parameters with the least weighted squared error.
 
-    weights: "noise", the inverse variance of each signal's residuals, found in a second pass;
-    "equal", as in eq. 3.1; or one number for each signal. By Gauss-Newton in a trust region
-    (scipy's "trf"), Jacobians by central differences.
-    budget: evaluations of the residuals in each pass at most. step: half the width of the
-    differences, as a share of each parameter's interval; None: a hundredth in a first pass, one
-    standard error in a second, but no less than a thousandth: contacts that switch give slopes
-    without bound as differences shrink.
+    By Gauss-Newton in a trust region (scipy's "trf"), with Jacobians by central differences.
+
+    Attributes
+    ----------
+    weights : {"noise", "equal"} or tuple of float
+        "noise": the inverse variance of each signal's residuals, found in a second pass. "equal":
+        1, as in eq. 3.1. Or one number for each signal.
+    budget : int
+        Evaluations of the residuals in each pass, at most.
+    step : float or None
+        Half the width of the differences, as a fraction of each parameter's interval. None: a
+        hundredth in a first pass, one standard error in a second, but no less than a thousandth:
+        contacts that switch give slopes without bound as differences shrink.
+
+    Notes
+    -----
+    xi* = argmin sum_t |s_{t+1} - s_{t+1}^xi|_W^2 (Tiboni 2021, eq. 3.1).
     """
 
     weights: Literal["noise", "equal"] | tuple[float, ...] = "noise"
@@ -55,24 +85,19 @@ class LeastSquares(Estimator):
 
     def __post_init__(self) -> None:
         require(self.budget >= 1, "budget", "at least 1", self.budget, "LeastSquares")
-        require(
-            self.step is None or 0 < self.step <= 0.5,
-            "step",
-            "a share of the interval in (0, 0.5]",
-            self.step,
-            "LeastSquares",
-        )
+        possible = self.step is None or 0 < self.step <= 0.5
+        rule = "a fraction of the interval in (0, 0.5]"
+        require(possible, "step", rule, self.step, "LeastSquares")
         if isinstance(self.weights, str):
             known("weights", self.weights, ("noise", "equal"))
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
+        """The estimate as a family without spread."""
         found = estimate(problem, run, self.weights, self.budget, self.step)
         family = find("families", "point")(problem.space)
         rows = len(problem.segments.rows[0])
         noise = np.maximum(found.noise, rounding(problem))  # a perfect fit would have no density
-        log_likelihood = (
-            -0.5 * rows * float(np.sum(np.log(2 * np.pi * noise) + found.noise / noise))
-        )
+        density = np.log(2 * np.pi * noise) + found.noise / noise
         return summarize(
             problem,
             run,
@@ -82,7 +107,7 @@ class LeastSquares(Estimator):
             phi=family.phi(found.value, np.zeros(len(problem.space))),
             epsilon=noise,
             weighted_by=found.weighted_by,
-            log_likelihood=log_likelihood,
+            log_likelihood=-0.5 * rows * float(np.sum(density)),
             mean_prediction=found.predicted,
             status=Status.CONVERGED if found.converged else Status.OUT_OF_BUDGET,
             message=found.message,
@@ -95,110 +120,168 @@ def estimate(
     weights: str | tuple[float, ...] = "noise",
     budget: int = 100,
     step: float | None = None,
+    settings: DifferenceSettings = DIFFERENCES,
 ) -> PointEstimate:
-    """The point estimate from the middle of the box, in two passes: the second from the first one's
-    end, with its noise and steps.
+    """Estimate the parameters by least squares in two passes from the middle of the box.
+
+    The second pass begins where the first ended, with the noise and the steps found there.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+        Counts the simulations.
+    weights, budget, step
+        As those of `LeastSquares`.
+    settings : DifferenceSettings
+        Limits of the steps that are not given.
+
+    Returns
+    -------
+    PointEstimate
+
+    Raises
+    ------
+    BadArgument
+        If weights are not one finite number for each signal.
+    SimulationFailed
+        If a simulation on the way diverges.
     """
     space = problem.space
     targets = problem.simulator.targets(problem.segments)
-    p = targets.shape[1]
-    middle = space.from_unit(np.full(len(space), 0.5))
     width = space.high - space.low
+    middle = space.from_unit(np.full(len(space), 0.5))
+
+    variances = _first_variances(problem, run, weights)
+    largest = settings.largest if step is None else step
+    first = _solve(problem, run, variances, middle, budget, largest * width)
+
     if weights == "noise":
-        given = misfit(problem, run)
-    else:
-        given = 1 / (
-            np.ones(p)
-            if weights == "equal"
-            else float_array("weights", weights, (p,), "LeastSquares")
-        )
-    first = _solve(
-        problem, run, given, middle, budget, (DIFFERENCES.largest if step is None else step) * width
-    )
-    if weights == "noise":
-        given = np.maximum(
-            first.noise, np.maximum(1e-16 * np.var(targets, axis=0), 1e-300)
-        )  # rounding, where the model is perfect
-    second = _solve(
-        problem,
-        run,
-        given,
-        first.value,
-        budget,
-        plain_errors(first, width) if step is None else step * width,
-    )
+        # A perfect model leaves rounding errors.
+        lowest = np.maximum(1e-16 * np.var(targets, axis=0), 1e-300)
+        variances = np.maximum(first.noise, lowest)
+    half = plain_errors(first, width, settings) if step is None else step * width
+    second = _solve(problem, run, variances, first.value, budget, half)
     return replace(second, evaluations=first.evaluations + second.evaluations)
 
 
-def plain_errors(found: PointEstimate, width: Array) -> Array:
-    """(d,) standard errors of a point estimate with independent noise, kept between `DIFFERENCES`
-    of the intervals (d,).
+def _first_variances(problem: Problem, run: Run, weights: str | tuple[float, ...]) -> Array:
+    """(p,) the variances whose inverses are the weights of the first pass."""
+    signals = len(problem.simulator.signals)
+    if weights == "noise":
+        return misfit(problem, run)
+    if weights == "equal":
+        return np.ones(signals)
+    return 1 / float_array("weights", weights, (signals,), "LeastSquares")
+
+
+def plain_errors(
+    found: PointEstimate, width: Array, settings: DifferenceSettings = DIFFERENCES
+) -> Array:
+    """Find the standard errors of a point estimate if the noise is independent.
+
+    Parameters
+    ----------
+    found : PointEstimate
+    width : (d,) array
+        Of the parameters' intervals.
+    settings : DifferenceSettings
+
+    Returns
+    -------
+    (d,) array
+        Kept within the least and the largest step of differences.
     """
-    white = (found.jacobian * width / np.sqrt(np.maximum(found.noise, 1e-300))[:, None]).reshape(
-        -1, len(width)
-    )
-    values, vectors = np.linalg.eigh(white.T @ white)
-    errors = np.sqrt(
-        np.sum(vectors**2 / np.maximum(values, 1e-14 * max(float(values[-1]), 1.0)), axis=1)
-    )
-    return np.asarray(np.clip(errors, DIFFERENCES.least, DIFFERENCES.largest) * width)
+    whitened = found.jacobian * width / np.sqrt(np.maximum(found.noise, 1e-300))[:, None]
+    flat = whitened.reshape(-1, len(width))
+    values, vectors = np.linalg.eigh(flat.T @ flat)
+    lowest = 1e-14 * max(float(values[-1]), 1.0)
+    errors = np.sqrt(np.sum(vectors**2 / np.maximum(values, lowest), axis=1))
+    return np.asarray(np.clip(errors, settings.least, settings.largest) * width)
 
 
 def misfit(problem: Problem, run: Run) -> Array:
-    """(p,) the mean squared error of each signal at the middle of the box: the scale of what is to
-    be explained.
+    """Find the mean squared error of each signal in the middle of the box.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+        Counts the simulation.
+
+    Returns
+    -------
+    (p,) array
+        At least 1e-16 of the signal's variance.
+
+    Raises
+    ------
+    SimulationFailed
+        If all predictions diverge.
     """
     middle = problem.space.from_unit(np.full(len(problem.space), 0.5))
     targets = problem.simulator.targets(problem.segments)
     with run.counting(evaluations=1):
         predicted = problem.simulator.predict(middle[None], problem.segments)
     if not np.isfinite(predicted).any():
-        raise SimulationFailed(
-            "In the middle of the box, "
-            f"{describe_failures(predicted, middle[None], problem.space)} Narrow the "
-            "bounds."
-        )
+        failures = describe_failures(predicted, middle[None], problem.space)
+        raise SimulationFailed(f"In the middle of the box, {failures} Narrow the bounds.")
     errors = predicted[0] - targets
-    floor = np.maximum(1e-16 * np.var(targets, axis=0), 1e-30)
-    return np.maximum(np.nanmean(errors**2, axis=0), floor)
+    lowest = np.maximum(1e-16 * np.var(targets, axis=0), 1e-30)
+    return np.maximum(np.nanmean(errors**2, axis=0), lowest)
+
+
+class _Residuals:
+    """Weighted residuals and their Jacobian over the unit box, both from one linearization."""
+
+    def __init__(self, problem: Problem, run: Run, variances: Array, budget: int, step: Array):
+        self.problem = problem
+        self.run = run
+        self.budget = budget
+        self.step = step
+        self.weight = 1 / np.sqrt(variances)
+        self.width = problem.space.high - problem.space.low
+        self.targets = problem.simulator.targets(problem.segments)
+        self._point: Array | None = None
+        self._linearized = (np.empty(0), np.empty(0))
+
+    def linearize(self, unit: Array) -> tuple[Array, Array]:
+        """Predictions (R, p) and Jacobian (R, p, d); the last point's are kept."""
+        if self._point is None or not np.array_equal(self._point, unit):
+            value = self.problem.space.low + unit * self.width
+            with self.run.counting(evaluations=1):
+                self._linearized = self.problem.simulator.linearize(
+                    value, self.problem.segments, step=self.step
+                )
+            self._point = unit.copy()
+            done = self.run.evaluations
+            self.run.progress(min(0.99, done / self.budget), f"least squares, {done} evaluations")
+        return self._linearized
+
+    def residuals(self, unit: Array) -> Array:
+        """(R p,) weighted."""
+        return ((self.linearize(unit)[0] - self.targets) * self.weight).ravel()
+
+    def jacobian(self, unit: Array) -> Array:
+        """(R p, d) of the residuals in the coordinates of the unit box."""
+        slopes = self.linearize(unit)[1] * self.weight[:, None] * self.width
+        return slopes.reshape(-1, len(self.width))
 
 
 def _solve(
     problem: Problem, run: Run, variances: Array, start: Array, budget: int, step: Array
 ) -> PointEstimate:
-    simulator = problem.simulator
-    segments = problem.segments
+    """One pass from a start (d,), weighted by the inverse of variances (p,), with steps (d,)."""
     space = problem.space
-    targets = simulator.targets(segments)
-    root = 1 / np.sqrt(variances)
     width = space.high - space.low
-    kept: dict[bytes, tuple[Array, Array]] = {}
-
-    def linearized(unit: Array) -> tuple[Array, Array]:
-        if unit.tobytes() not in kept:
-            with run.counting(evaluations=1):
-                kept.clear()
-                kept[unit.tobytes()] = simulator.linearize(
-                    space.low + unit * width, segments, step=step
-                )
-            run.progress(
-                min(0.99, run.evaluations / budget), f"least squares, {run.evaluations} evaluations"
-            )
-        return kept[unit.tobytes()]
-
-    def residuals(unit: Array) -> Array:
-        return ((linearized(unit)[0] - targets) * root).ravel()
-
-    def jacobian(unit: Array) -> Array:
-        return (linearized(unit)[1] * root[:, None] * width).reshape(-1, len(space))
-
     before = run.evaluations
+    function = _Residuals(problem, run, variances, budget, step)
     unit = np.clip((start - space.low) / width, 1e-9, 1 - 1e-9)
     try:
         result = scipy.optimize.least_squares(
-            residuals,
+            function.residuals,
             unit,
-            jacobian,
+            function.jacobian,
             bounds=(0.0, 1.0),
             xtol=1e-14,
             ftol=1e-14,
@@ -209,21 +292,19 @@ def _solve(
         raise SimulationFailed(
             f"Least squares met a simulation that diverged: {error} Narrow the bounds."
         ) from None
-    value = space.low + result.x * width
-    predicted, slopes = linearized(result.x)
-    noise = np.mean((predicted - targets) ** 2, axis=0)
-    message = (
-        "The estimate stopped moving."
-        if result.status > 0
-        else f"The budget of {budget} evaluations ran out first."
-    )
+
+    predicted, jacobian = function.linearize(result.x)
+    converged = result.status > 0
+    message = "The estimate stopped moving."
+    if not converged:
+        message = f"The budget of {budget} evaluations ran out first."
     return PointEstimate(
-        value,
-        noise,
-        variances,
-        predicted,
-        slopes,
-        run.evaluations - before,
-        result.status > 0,
-        message,
+        value=space.low + result.x * width,
+        noise=np.mean((predicted - function.targets) ** 2, axis=0),
+        weighted_by=variances,
+        predicted=predicted,
+        jacobian=jacobian,
+        evaluations=run.evaluations - before,
+        converged=converged,
+        message=message,
     )

@@ -1,10 +1,8 @@
-"""Neural posterior estimation, as in BayesSim: a network that learned from simulations which
-parameters go with which data.
-"""
+"""Neural posterior estimation, as in BayesSim: a network learns parameters from simulations."""
 
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import StringIO
 from typing import Any, Literal
 
@@ -24,36 +22,82 @@ from dropo.estimators.support.posterior_targets import PointLikelihood
 
 DENSITIES = ("mdn", "maf", "nsf")
 SUMMARIES = ("slopes", "moments")
-MARGIN = 0.25  # a box reaches so much of the draws' own range beyond them
-STEP = 0.01  # half width of the differences behind the slopes, as a share of the box
-SETTLED = (
-    0.8  # a round whose draws leave more of every side of its box than this has nothing left to cut
-)
-EDGE = 0.01  # of a side of the box
-RATE = 3e-3  # of learning: networks this small take six times what sbi gives large ones
 
-Summarise = Callable[[Array], Array]  # predictions or measurements (K, R, p) -> (K, n)
+Summarize = Callable[[Array], Array]
+"""From predictions or measurements (K, R, p) to summaries (K, n)."""
+
+
+@dataclass(frozen=True)
+class RoundSettings:
+    """What decides how each round learns, and how the box of the next one is cut.
+
+    Attributes
+    ----------
+    margin : float
+        The next box extends beyond the draws by this fraction of their own range, and ...
+    edge : float
+        ... by this fraction of the box before.
+    settled : float
+        A round whose draws leave more than this fraction of every side of its box ends the search.
+    step : float
+        Half width of the differences behind the slopes, as a fraction of the box.
+    minimum_simulations : int
+        That must not diverge in a round.
+    batch : int
+        Parameter vectors that are simulated at once: all rows of all signals are kept.
+    learning_rate : float
+        Of the network: small ones take six times what sbi gives large ones.
+    """
+
+    margin: float = 0.25
+    edge: float = 0.01
+    settled: float = 0.8
+    step: float = 0.01
+    minimum_simulations: int = 50
+    batch: int = 50
+    learning_rate: float = 3e-3
+
+
+DEFAULTS = RoundSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
 class NPE(Estimator):
-    """The posterior of parameters that are the same in all rows, learned from simulations without a
-    likelihood (Ramos et al. 2019).
+    """Learn the posterior of parameters that are the same in all rows, without a likelihood.
 
-    Parameters are drawn from the box, the segments simulated with noise of variance epsilon, and
-    `density` learns the law of the parameters given a summary of what came out: "mdn", the mixture
-    of Gaussians of BayesSim (Ramos, Possas, Fox 2019, arXiv:1906.01728); "maf", a masked
-    autoregressive flow; "nsf", a neural spline flow (package sbi; extra `sbi`). Asked at the
-    measured data, it gives draws.
-    One round from a wide box tells little: each of `rounds` takes the box around the draws of the
-    one before, its prior cut to where the posterior is (Deistler et al. 2022, arXiv:2210.04815),
-    until a round cuts nothing. simulations: in each round.
-    summary: "slopes", the residuals projected on the simulator's slopes in the middle of the box, a
-    number for each parameter, which loses nothing where the simulator is linear; "moments", as in
-    BayesSim: each signal's mean and variance, and its products with the actions, of the residuals
-    from the box's middle. draws: of the posterior, kept in `search_record.draws`; the problem's
-    priors weigh them. epsilon: the noise variance, one or for each signal; None, the problem's own,
-    else what least squares leaves.
+    Parameters are drawn from the box, the segments simulated with noise of variance epsilon, and a
+    network learns the distribution of the parameters given a summary of the simulations. Asked at
+    the measured data, it gives draws. One round from a wide box says little: each takes the box
+    around the draws of the one before, its prior cut to where the posterior is [2]_, until a round
+    cuts nothing. The problem's priors weight the draws.
+
+    Attributes
+    ----------
+    density : {"mdn", "maf", "nsf"}
+        "mdn": the mixture of Gaussians of BayesSim [1]_; "maf": a masked autoregressive flow;
+        "nsf": a neural spline flow (package sbi; extra `sbi`).
+    summary : {"slopes", "moments"}
+        "slopes": the residuals projected on the simulator's slopes in the middle of the box, a
+        number for each parameter, which loses nothing if the simulator is linear. "moments": as in
+        BayesSim, each signal's mean and variance, and its products with the actions, of the
+        residuals from the box's middle.
+    simulations : int
+        In each round; at least 50.
+    rounds : int
+        At most.
+    draws : int
+        Of the posterior, at least 100, kept in `search_record.draws`.
+    epsilon : float or tuple of float, optional
+        The noise variance, one or for each signal [signal unit^2]. None: the problem's own, else
+        what least squares leaves.
+    settings : RoundSettings
+
+    References
+    ----------
+    .. [1] Ramos, Possas, Fox, "BayesSim: adaptive domain randomization via probabilistic inference
+       for robotics simulators", 2019, arXiv:1906.01728.
+    .. [2] Deistler et al., "Truncated proposals for scalable and hassle-free simulation-based
+       inference", 2022, arXiv:2210.04815.
     """
 
     density: str = "mdn"
@@ -62,6 +106,7 @@ class NPE(Estimator):
     rounds: int = 8
     draws: int = 1000
     epsilon: float | tuple[float, ...] | None = None
+    settings: RoundSettings = field(default_factory=RoundSettings)
     name = "npe"
 
     def __post_init__(self) -> None:
@@ -69,41 +114,35 @@ class NPE(Estimator):
         known("density", self.density, DENSITIES)
         known("summary", self.summary, SUMMARIES)
         require(self.simulations >= 50, "simulations", "at least 50", self.simulations, "NPE")
-        require(
-            min(self.rounds, self.draws - 99) >= 1,
-            "rounds, draws",
-            "at least 1 and 100",
-            (self.rounds, self.draws),
-            "NPE",
-        )
+        counts = (self.rounds, self.draws)
+        enough = self.rounds >= 1 and self.draws >= 100
+        require(enough, "rounds, draws", "at least 1 and 100", counts, "NPE")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
+        """Cut the box round by round to where the posterior is."""
+        d = len(problem.space)
         target = point_likelihood(problem, run, self.name, self.epsilon)
-        boxes = [_whole(problem)]
+        boxes = [np.stack([np.zeros(d), np.ones(d)])]
         settled = False
-        for done in range(self.rounds):
-            low, high = boxes[-1]
-            draws = _weighed(
-                problem,
-                low + (high - low) * self._round(problem, run, target, boxes[-1]),
-                run.rng.spawn(1)[0],
-            )
-            run.progress(
-                (done + 1) / self.rounds,
-                f"round {done + 1}, box of {np.prod(high - low):.3g} of the first",
-            )
-            cut = _around(draws, boxes[-1])
-            settled = bool(((cut[1] - cut[0]) / (high - low) > SETTLED).all())
+        for done in range(1, self.rounds + 1):
+            box = boxes[-1]
+            low, high = box
+            draws = low + (high - low) * self._round(problem, run, target, box)
+            draws = _resample(problem, draws, run.rng.spawn(1)[0])
+            text = f"round {done}, box of {np.prod(high - low):.3g} of the first"
+            run.progress(done / self.rounds, text)
+
+            cut = _box_around(draws, box, self.settings)
+            settled = bool(((cut[1] - cut[0]) / (high - low) > self.settings.settled).all())
             if settled:
                 break
             boxes.append(cut)
-        end = (
-            "the last one cut nothing"
-            if settled
-            else "each cut the box: take more of them, or more simulations"
-        )
+
+        end = "each cut the box: take more of them, or more simulations"
+        if settled:
+            end = "the last one cut nothing"
         parameters = problem.space.from_unit(draws)
-        bounds = problem.space.from_unit(np.array(boxes[: done + 1]))
+        bounds = problem.space.from_unit(np.array(boxes[:done]))
         return posterior_fit(
             problem,
             run,
@@ -111,7 +150,7 @@ class NPE(Estimator):
             parameters,
             target,
             status=Status.CONVERGED if settled else Status.OUT_OF_BUDGET,
-            message=f"{done + 1} rounds of {self.simulations} simulations; {end}.",
+            message=f"{done} rounds of {self.simulations} simulations; {end}.",
             search_record=NeuralPosterior(parameters, bounds, self.density, self.summary),
         )
 
@@ -120,47 +159,72 @@ class NPE(Estimator):
         low, high = box
         rng = run.rng.spawn(1)[0]
         seed = int(run.rng.integers(2**63))
-        summarize = (
-            _slopes(problem, run, target, box)
-            if self.summary == "slopes"
-            else _moments(problem, run, box)
-        )
+        if self.summary == "slopes":
+            summarize = _summarize_by_slopes(problem, run, target, box, self.settings.step)
+        else:
+            summarize = _summarize_by_moments(problem, run, box)
         noise = np.sqrt(target.epsilon(np.zeros(len(problem.space))))
 
         def simulate(points: Array) -> Array:
-            out = []
-            for part in np.array_split(
-                points, -(-len(points) // 50)
-            ):  # few at once: all rows of all signals are kept
-                predictions = problem.simulator.predict(
-                    problem.space.from_unit(part), problem.segments
-                )
-                out.append(summarize(predictions + noise * rng.standard_normal(predictions.shape)))
-            return np.concatenate(out)
+            summaries = []
+            for part in np.array_split(points, -(-len(points) // self.settings.batch)):
+                values = problem.space.from_unit(part)
+                predictions = problem.simulator.predict(values, problem.segments)
+                errors = noise * rng.standard_normal(predictions.shape)
+                summaries.append(summarize(predictions + errors))
+            return np.concatenate(summaries)
 
         points = rng.random((self.simulations, len(problem.space)))
         summaries = run.evaluate(low + (high - low) * points, simulate)
-        good = np.isfinite(summaries).all(axis=1)
-        if good.sum() < 50:
+        finite = np.isfinite(summaries).all(axis=1)
+        if finite.sum() < self.settings.minimum_simulations:
             raise SimulationFailed(
-                f"Only {good.sum()} of {len(points)} simulations did not diverge: narrow "
-                "the bounds."
+                f"Only {finite.sum()} of {len(points)} simulations did not diverge: narrow the"
+                " bounds."
             )
+        observed = summarize(target.targets[None])[0]
         return learn(
-            points[good],
-            summaries[good],
-            summarize(target.targets[None])[0],
+            points[finite],
+            summaries[finite],
+            observed,
             self.density,
             self.draws,
             seed,
+            self.settings.learning_rate,
         )
 
 
 def learn(
-    points: Array, summaries: Array, observed: Array, density: str, draws: int, seed: int
+    points: Array,
+    summaries: Array,
+    observed: Array,
+    density: str,
+    draws: int,
+    seed: int,
+    learning_rate: float = DEFAULTS.learning_rate,
 ) -> Array:
-    """Draws of the points given the summary that was observed (n,), from points (K, d) of the unit
-    box and their summaries (K, n).
+    """Learn the distribution of points given a summary, and draw from it.
+
+    Parameters
+    ----------
+    points : (K, d) array
+        Of the unit box, drawn uniformly.
+    summaries : (K, n) array
+        Of the simulations at these points.
+    observed : (n,) array
+        Summary of the measurements.
+    density : str
+        The name of the network.
+    draws : int
+        How many.
+    seed : int
+        Of torch.
+    learning_rate : float
+
+    Returns
+    -------
+    (draws, d) array
+        Points given the observed summary.
     """
     import torch
     from sbi.inference import NPE as Trainer
@@ -168,25 +232,28 @@ def learn(
 
     centre = summaries.mean(axis=0)
     size = summaries.std(axis=0) + 1e-300
-    single: Callable[[Array], Any] = lambda array: torch.as_tensor(array, dtype=torch.float32)
     d = points.shape[1]
+
+    def single(array: Array) -> Any:
+        return torch.as_tensor(array, dtype=torch.float32)
+
     with isolated_torch(seed):
         prior = BoxUniform(torch.zeros(d), torch.ones(d))
         trainer = Trainer(
             prior, density_estimator=density, show_progress_bars=False, tracker=_Silent()
         )
         with redirect_stdout(StringIO()):  # sbi prints when it is done
-            network = trainer.append_simulations(
-                single(points), single((summaries - centre) / size)
-            ).train(learning_rate=RATE)
-        found = trainer.build_posterior(network).sample(
+            trainer.append_simulations(single(points), single((summaries - centre) / size))
+            network = trainer.train(learning_rate=learning_rate)
+        posterior = trainer.build_posterior(network)
+        found = posterior.sample(
             (draws,), x=single((observed - centre) / size), show_progress_bars=False
         )
     return np.asarray(found.numpy(), dtype=float)
 
 
 class _Silent:
-    """Keeps none of the training's figures; sbi else writes them into the present folder."""
+    """Keeps none of the training's figures; otherwise sbi writes them into the present folder."""
 
     log_dir = None
 
@@ -194,8 +261,8 @@ class _Silent:
         return lambda *arguments, **more: None
 
 
-def _weighed(problem: Problem, draws: Array, rng: np.random.Generator) -> Array:
-    """The draws (K, d) of the unit box, drawn again by the problem's priors where it has some."""
+def _resample(problem: Problem, draws: Array, rng: np.random.Generator) -> Array:
+    """The draws (K, d) of the unit box, drawn again by the problem's priors if it has some."""
     if not problem.priors:
         return draws
     logarithms = LogPrior(problem.priors, problem.space)(problem.space.from_unit(draws))
@@ -203,43 +270,41 @@ def _weighed(problem: Problem, draws: Array, rng: np.random.Generator) -> Array:
     return draws[rng.choice(len(draws), len(draws), p=weights / weights.sum())]
 
 
-def _whole(problem: Problem) -> Array:
-    return np.stack([np.zeros(len(problem.space)), np.ones(len(problem.space))])
-
-
-def _around(draws: Array, box: Array) -> Array:
+def _box_around(draws: Array, box: Array, settings: RoundSettings) -> Array:
     """The box (2, d) around draws (K, d), inside the one before."""
     low = draws.min(axis=0)
     high = draws.max(axis=0)
-    margin = MARGIN * (high - low) + EDGE * (box[1] - box[0])
+    margin = settings.margin * (high - low) + settings.edge * (box[1] - box[0])
     return np.stack([np.maximum(box[0], low - margin), np.minimum(box[1], high + margin)])
 
 
 def _middle(problem: Problem, box: Array) -> Array:
+    """(d,) parameters in the middle of a box of the unit box."""
     return problem.space.from_unit(box.mean(axis=0))
 
 
-def _slopes(problem: Problem, run: Run, target: PointLikelihood, box: Array) -> Summarise:
-    """(J' W J)^-1 J' W r of residuals r from the middle, W = diag(1 / epsilon): in linear models
-    the estimate of least squares.
+def _summarize_by_slopes(
+    problem: Problem, run: Run, target: PointLikelihood, box: Array, step: float
+) -> Summarize:
+    """(J' W J)^-1 J' W r of residuals r from the middle, W = diag(1 / epsilon).
+
+    In linear models this is the estimate of least squares.
     """
-    ends = problem.space.from_unit(box)
+    low, high = problem.space.from_unit(box)
+    width = high - low
+    d = len(problem.space)
     with run.counting(evaluations=1):
         middle, jacobian = problem.simulator.linearize(
-            _middle(problem, box), problem.segments, step=STEP * (ends[1] - ends[0])
+            _middle(problem, box), problem.segments, step=step * width
         )
-    variance = np.maximum(target.epsilon(np.zeros(len(problem.space))), 1e-300)
-    white = (jacobian * (ends[1] - ends[0]) / np.sqrt(variance)[:, None]).reshape(
-        -1, len(problem.space)
-    )
-    project = np.linalg.pinv(white, rcond=1e-12)
-    return lambda rows: ((rows - middle) / np.sqrt(variance)).reshape(len(rows), -1) @ project.T
+    sd = np.sqrt(np.maximum(target.epsilon(np.zeros(d)), 1e-300))
+    whitened = (jacobian * width / sd[:, None]).reshape(-1, d)
+    project = np.linalg.pinv(whitened, rcond=1e-12)
+    return lambda rows: ((rows - middle) / sd).reshape(len(rows), -1) @ project.T
 
 
-def _moments(problem: Problem, run: Run, box: Array) -> Summarise:
-    """Of residuals from the middle: mean and variance of each signal, and its mean products with
-    the actions of its rows.
-    """
+def _summarize_by_moments(problem: Problem, run: Run, box: Array) -> Summarize:
+    """Mean and variance of each signal's residuals, and their mean products with the actions."""
     with run.counting(evaluations=1):
         middle = problem.simulator.predict(_middle(problem, box)[None], problem.segments)[0]
     segment, step = problem.segments.rows
@@ -248,8 +313,7 @@ def _moments(problem: Problem, run: Run, box: Array) -> Summarise:
     def summarize(rows: Array) -> Array:
         residuals = rows - middle
         products = np.einsum("krp,rq->kpq", residuals, actions) / len(actions)
-        return np.concatenate(
-            [residuals.mean(axis=1), residuals.var(axis=1), products.reshape(len(rows), -1)], axis=1
-        )
+        parts = [residuals.mean(axis=1), residuals.var(axis=1), products.reshape(len(rows), -1)]
+        return np.concatenate(parts, axis=1)
 
     return summarize

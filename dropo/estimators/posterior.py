@@ -1,6 +1,4 @@
-"""The posterior by sampling: of the parameters themselves, or of the distribution that they are
-drawn from.
-"""
+"""The posterior by sampling: of the parameters, or of the distribution that they are drawn from."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -34,34 +32,68 @@ from dropo.estimators.support.posterior_targets import (
 )
 from dropo.estimators.support.summary import at_bounds
 
-# what Vehtari et al. 2021 ask for before draws are used
-R_HAT = 1.01
-ESS = 400
-KEPT = 4000, 1_000_000  # row log-likelihoods are kept of at most so many draws, and so many numbers
+
+@dataclass(frozen=True)
+class DrawSettings:
+    """What draws must fulfil, and how much of them is kept.
+
+    Attributes
+    ----------
+    r_hat : float
+        Largest split R-hat before draws are used.
+    effective_sample_size : float
+        Least effective sample size.
+    kept_draws, kept_numbers : int
+        The log-likelihoods of the rows are kept of at most so many draws, and so many numbers.
+
+    References
+    ----------
+    Vehtari et al., "Rank-normalization, folding, and localization", Bayesian Analysis 16 (2021).
+    """
+
+    r_hat: float = 1.01
+    effective_sample_size: float = 400
+    kept_draws: int = 4000
+    kept_numbers: int = 1_000_000
+
+
+DEFAULTS = DrawSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior(Estimator):
-    """Draws from the posterior.
+    """Draw from the posterior of the parameters, or of the distribution that they are drawn from.
 
-    A prior is flat on the box, in the logarithm where a parameter is on a log scale, unless given.
-
-    over: "parameters", one value of the parameters for all the data, with Gaussian errors of
-    variance epsilon: the fit is the Gaussian of the draws' mean and covariance; "distribution", the
-    phi of a `family`: the fit is the member at the draws' mean in the unit box, its standard errors
-    their standard deviations.
-    likelihood: a local one ("emulated", "linear") is built around its maximum and has gradients;
-    None, the simulator itself for parameters, "monte-carlo" for a distribution, and "emulated" in
-    both where the sampler needs gradients.
-    priors: by the unknowns' names, "torso_mass" over parameters, "mean.torso_mass",
-    "scale.torso_mass", "partial.a.b" over a distribution, "epsilon" or "epsilon[0]", ... for
-    factors of a learned noise; the problem's own priors count for parameters or their means. Each
-    is a text such as "normal(3.5, 0.2)" or a frozen distribution of scipy.stats.
-    epsilon: the noise variance, one or for each signal; "learn", found with the rest: by a local
-    likelihood a factor on each signal's variance, else one on the problem's own or on what least
-    squares leaves; a Noise; None, the problem's own where it names one, else "learn". start: where
-    walkers begin on other than local likelihoods, a least-squares estimate or the middle of the
-    box.
+    Attributes
+    ----------
+    over : {"parameters", "distribution"}
+        "parameters": one value of the parameters for all the data, with Gaussian errors of variance
+        epsilon. The fit is the Gaussian of the draws' mean and covariance. "distribution": the phi
+        of a `family`. The fit is the member at the draws' mean in the unit box, and its standard
+        errors are the draws' standard deviations.
+    likelihood : str or Likelihood, optional
+        A local one ("emulated", "linear") is built around its maximum and has gradients. None: the
+        simulator itself for parameters, "monte-carlo" for a distribution, and "emulated" in both if
+        the sampler needs gradients.
+    family : str
+        The family of distributions.
+    epsilon : float, tuple of float, Noise, "learn", optional
+        The noise variance, one or for each signal [signal unit^2]. "learn": found with the rest; by
+        a local likelihood a factor on each signal's variance, else one on the problem's own
+        variances or on those that least squares leaves. None: the problem's own where it names one,
+        else "learn".
+    sampler : str or Sampler
+        A name, or one with settings of its own.
+    priors : mapping of str to Prior
+        By the unknowns' names: "torso_mass" over parameters, "mean.torso_mass", "scale.torso_mass",
+        "partial.a.b" over a distribution, "epsilon" or "epsilon[0]", ... for factors of a learned
+        noise. Each is a text such as "normal(3.5, 0.2)" or a frozen distribution of scipy.stats.
+        The problem's own priors count for parameters or their means. Without one, the prior is flat
+        on the box, in the logarithm where a parameter is on a log scale.
+    start : {"least-squares", "middle"}
+        Where walkers begin on likelihoods that are not local: a least-squares estimate or the
+        middle of the box.
+    settings : DrawSettings
     """
 
     over: Literal["parameters", "distribution"] = "parameters"
@@ -71,82 +103,76 @@ class Posterior(Estimator):
     sampler: str | Sampler = "emcee"
     priors: Mapping[str, Prior] = field(default_factory=dict)
     start: Literal["least-squares", "middle"] = "least-squares"
+    settings: DrawSettings = field(default_factory=DrawSettings)
     name = "posterior"
 
     def __post_init__(self) -> None:
         known("posterior over", self.over, ("parameters", "distribution"))
         known("start", self.start, ("least-squares", "middle"))
-        require(
-            not isinstance(self.epsilon, str) or self.epsilon == "learn",
-            "epsilon",
-            "a variance or 'learn'",
-            self.epsilon,
-            "Posterior",
-        )
+        valid = not isinstance(self.epsilon, str) or self.epsilon == "learn"
+        require(valid, "epsilon", "a variance or 'learn'", self.epsilon, "Posterior")
+
+    @property
+    def _of_parameters(self) -> bool:
+        """Whether the posterior is of the parameters themselves."""
+        return self.over == "parameters"
+
+    # --- what is sampled: the likelihood, the noise, the prior
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        sampler: Sampler = (
-            find("samplers", self.sampler)() if isinstance(self.sampler, str) else self.sampler
-        )
-        likelihood = self._likelihood(sampler)
-        points = self.over == "parameters"
-        family: Family = find("families", "full" if points else self.family)(problem.space)
-        noise = self._noise(problem, run, isinstance(likelihood, LocalLikelihood))
-        own = NoiseModel(noise, len(problem.simulator.signals)).unknowns
-        prior = self._prior(
-            problem, ParameterSpace((*(problem.space if points else family.unknowns), *own))
-        )
+        """Draws from a local model of the likelihood, or from the likelihood itself."""
+        sampler = self.sampler
+        if isinstance(sampler, str):
+            sampler = find("samplers", sampler)()
+        likelihood = self._make_likelihood(sampler)
+        family = find("families", "full" if self._of_parameters else self.family)(problem.space)
+        noise = self._make_noise(problem, run, isinstance(likelihood, LocalLikelihood))
+        prior = self._make_prior(problem, family, noise)
+
         target: Target
         if isinstance(likelihood, LocalLikelihood):
-            named = "point" if points else self.family
-            place = AroundMaximum(
-                problem,
-                run,
-                find("families", named)(problem.space),
-                named,
-                likelihood,
-                noise,
-                problem.space if points else None,
-            )
-            target, draws, notes = self._sample_locally(place, run, sampler, prior)
-            return self._summary(problem, run, family, target, draws, notes)
+            around = self._around_maximum(problem, run, likelihood, noise)
+            target, draws, notes = self._sample_locally(around, run, sampler, prior)
+            return self._summarise(problem, run, family, target, draws, notes)
+
         if likelihood is None:
             target = PointLikelihood(problem, noise)
         else:
-            target = OneByOne(
-                likelihood.bind(
-                    problem.simulator, problem.segments, family, noise, run.rng.spawn(1)[0]
-                )
-            )
-        draws = _sample(run, sampler, target, prior, *self._start(problem, run, target, family))
-        return self._summary(problem, run, family, target, draws, [])
+            rng = run.rng.spawn(1)[0]
+            bound = likelihood.bind(problem.simulator, problem.segments, family, noise, rng)
+            target = OneByOne(bound)
+        start, spread = self._start(problem, run, target, family)
+        draws = _sample(run, sampler, target, prior, start, spread)
+        return self._summarise(problem, run, family, target, draws, [])
 
-    def _likelihood(self, sampler: Sampler) -> Likelihood | None:
+    def _make_likelihood(self, sampler: Sampler) -> Likelihood | None:
+        """The likelihood that the settings name, or that the sampler needs; None: the simulator."""
         chosen = self.likelihood
-        if chosen is None and (sampler.needs_gradients or self.over == "distribution"):
-            chosen = "emulated" if sampler.needs_gradients else "monte-carlo"
-        made: Likelihood | None = (
-            find("likelihoods", chosen)() if isinstance(chosen, str) else chosen
-        )
-        if self.over == "parameters" and not (made is None or isinstance(made, LocalLikelihood)):
+        if chosen is None and sampler.needs_gradients:
+            chosen = "emulated"
+        elif chosen is None and not self._of_parameters:
+            chosen = "monte-carlo"
+        if isinstance(chosen, str):
+            chosen = find("likelihoods", chosen)()
+        made: Likelihood | None = chosen
+        possible = made is None or isinstance(made, LocalLikelihood)
+        if self._of_parameters and not possible:
             raise Incompatible(
-                "The likelihood of Posterior(over='parameters') is the simulator's own, or "
-                "a local model of it."
-                f" Leave it out, or use 'emulated' or 'linear'. Got {self.likelihood!r} instead."
+                "The likelihood of Posterior(over='parameters') is the simulator's own, or a local"
+                " model of it. Leave it out, or use 'emulated' or 'linear'. Got"
+                f" {self.likelihood!r} instead."
             )
         return made
 
-    def _noise(self, problem: Problem, run: Run, local: bool) -> Noise:
+    def _make_noise(self, problem: Problem, run: Run, local: bool) -> Noise:
+        """The noise that the settings or the problem name, or learned factors on a scale."""
         epsilon: Any = problem.epsilon if self.epsilon is None else self.epsilon
         if isinstance(epsilon, Noise):
             return epsilon
         learned: Literal["factor", "each"] | None = None
         if epsilon is None or isinstance(epsilon, str):
-            epsilon, learned = (
-                (noise_scale(problem, run), "each")
-                if local
-                else (noise_shape(problem, run), "factor")
-            )
+            learned = "each" if local else "factor"
+            epsilon = noise_scale(problem, run) if local else noise_shape(problem, run)
         return Noise(
             np.asarray(epsilon, dtype=float),
             learned,
@@ -154,54 +180,77 @@ class Posterior(Estimator):
             degrees=problem.noise_degrees,
         )
 
-    def _prior(self, problem: Problem, space: ParameterSpace) -> LogPrior:
-        own = {
-            name if self.over == "parameters" else f"mean.{name}": prior
-            for name, prior in problem.priors.items()
-        }
-        return LogPrior({**own, **self.priors}, space)
+    def _make_prior(self, problem: Problem, family: Family, noise: Noise) -> LogPrior:
+        """The priors of the settings before those of the problem."""
+        learned = NoiseModel(noise, len(problem.simulator.signals)).unknowns
+        unknowns = problem.space if self._of_parameters else family.unknowns
+        priors = {}
+        for name, prior in problem.priors.items():
+            priors[name if self._of_parameters else f"mean.{name}"] = prior
+        return LogPrior({**priors, **self.priors}, ParameterSpace((*unknowns, *learned)))
+
+    # --- sampling
+
+    def _around_maximum(
+        self, problem: Problem, run: Run, likelihood: LocalLikelihood, noise: Noise
+    ) -> AroundMaximum:
+        """What builds the local likelihood; parameters are a family without spread."""
+        family_name = "point" if self._of_parameters else self.family
+        return AroundMaximum(
+            problem,
+            run,
+            find("families", family_name)(problem.space),
+            family_name,
+            likelihood,
+            noise,
+            problem.space if self._of_parameters else None,
+        )
 
     def _sample_locally(
-        self, place: AroundMaximum, run: Run, sampler: Sampler, prior: LogPrior
+        self, around: AroundMaximum, run: Run, sampler: Sampler, prior: LogPrior
     ) -> tuple[Local, Draws, list[str]]:
-        """The draws from the local model around the maximum; where they reach its edge, from a
-        wider one around them.
+        """Draws from the local model around the maximum, and a warning.
+
+        If draws crowd at the edge of the region in which the model is trusted, they are drawn again
+        from a wider model around them.
         """
-        target = place.head()
+        target = around.head()
         draws = _sample(run, sampler, target, prior, target.best, unit_spread(target))
-        edges = place.edges(draws, target)
+        edges = around.edges(draws, target)
         if edges:
-            target = place.wider(draws, edges)
+            target = around.wider(draws, edges)
             draws = _sample(run, sampler, target, prior, target.best, unit_spread(target))
-            edges = place.edges(draws, target)
-        told = (
-            f"draws of {', '.join(edges)} reach the edge of where the local model is trusted, "
-            "so the posterior is wider than they are"
+            edges = around.edges(draws, target)
+        if not edges:
+            return target, draws, []
+        note = (
+            f"draws of {', '.join(edges)} reach the edge of where the local model is trusted, so"
+            " the posterior is wider than they are: check with sampler 'emcee' and the simulator"
+            " itself"
         )
-        return (
-            target,
-            draws,
-            [f"{told}: check with sampler 'emcee' and the simulator itself"] if edges else [],
-        )
+        return target, draws, [note]
 
     def _start(
         self, problem: Problem, run: Run, target: Target, family: Family
     ) -> tuple[Array, Array]:
-        """phi (m,) to start from, and the walkers' spread (m,) in the unit box."""
+        """Phi (m,) to start from, and the walkers' spread (m,) in the unit box."""
         unknowns = target.unknowns
         start = unknowns.from_unit(np.full(len(unknowns), 0.5))
         spread = np.full(len(unknowns), 0.05)
         if self.start == "middle":
             return start, spread
         found = find("methods", "least-squares")()._fit(problem, run)
-        if self.over == "parameters":
-            start[: len(problem.space)] = found.mean
-            spread[: len(problem.space)] = _unit_width(problem.space, found.mean, found.mean_se)
+        d = len(problem.space)
+        if self._of_parameters:
+            start[:d] = found.mean
+            spread[:d] = _unit_width(problem.space, found.mean, found.mean_se)
         else:
             start[: len(family.unknowns)] = family.phi(found.mean)
         return start, spread
 
-    def _summary(
+    # --- the fit
+
+    def _summarise(
         self,
         problem: Problem,
         run: Run,
@@ -210,31 +259,42 @@ class Posterior(Estimator):
         draws: Draws,
         notes: list[str],
     ) -> Fit:
-        flat = draws.flat()
-        m = len(family.unknowns)
-        centre = target.unknowns.from_unit(target.unknowns.to_unit(flat).mean(axis=0))
-        if self.over == "parameters":
-            phi, centre[: len(problem.space)] = _gaussian(family, flat[:, : len(problem.space)])
+        """The fit of the draws, with what speaks against them."""
+        d = len(problem.space)
+        values = draws.flat()
+        centre = target.unknowns.from_unit(target.unknowns.to_unit(values).mean(axis=0))
+        if self._of_parameters:
+            phi, centre[:d] = _gaussian(family, values[:, :d])
             mean_se = family.sd(phi)
-            scale_se = np.full(len(problem.space), np.nan)
+            scale_se = np.full(d, np.nan)
         else:
-            phi = centre[:m]
-            sd = dict(zip(draws.names, flat.std(axis=0), strict=True))
-            mean_se, scale_se = (
-                np.array([sd.get(f"{kind}.{n}", np.nan) for n in problem.space.names])
-                for kind in ("mean", "scale")
-            )
+            phi = centre[: len(family.unknowns)]
+            sd = dict(zip(draws.names, values.std(axis=0), strict=True))
+            mean_se = np.array([sd.get(f"mean.{name}", np.nan) for name in problem.space.names])
+            scale_se = np.array([sd.get(f"scale.{name}", np.nan) for name in problem.space.names])
+
         with run.counting(evaluations=1):
-            value = float(target.many(centre[None])[0])
+            log_likelihood = float(target.many(centre[None])[0])
             predicted = target.mean(centre)
         targets = problem.simulator.targets(problem.segments)
-        doubts, diagnostics = evaluate_draws(draws)
-        notes = [*draws.notes, *doubts, *notes]
+        sentences, diagnostics = evaluate_draws(draws, self.settings)
+        notes = [*draws.notes, *sentences, *notes]
+        end = "see the warnings." if notes else "the walkers agree."
+        posterior = PosteriorDraws(
+            over=self.over,
+            unknowns=tuple(draws.names),
+            diagnostics=diagnostics,
+            chain=draws.chain,
+            log_density=draws.log_density,
+            observed=targets,
+            diverging=draws.diverging,
+            row_log_likelihood=self._row_log_likelihood(draws, target, len(targets)),
+        )
         return Fit(
             method=self.name,
             problem=problem.name,
             space=problem.space,
-            family="full" if self.over == "parameters" else self.family,
+            family="full" if self._of_parameters else self.family,
             phi=phi,
             mean=family.mean(phi),
             scale=family.scale(phi),
@@ -243,31 +303,31 @@ class Posterior(Estimator):
             scale_se=scale_se,
             correlation=family.correlation(phi),
             epsilon=target.epsilon(centre),
-            log_likelihood=value,
+            log_likelihood=log_likelihood,
             mse=float(np.mean((predicted - targets) ** 2)),
             transitions=int(problem.segments.lengths.sum()),
             simulator_steps=0,
             failed_simulations=0,
             objective_evaluations=0,
             status=Status.OUT_OF_BUDGET if notes else Status.CONVERGED,
-            message=f"{len(flat)} draws: {'see the warnings.' if notes else 'the walkers agree.'}",
+            message=f"{len(values)} draws: {end}",
             warnings=(*problem.warnings, *notes, *at_bounds(family.unknowns, phi)),
-            posterior=PosteriorDraws(
-                over=self.over,
-                unknowns=tuple(draws.names),
-                diagnostics=diagnostics,
-                chain=draws.chain,
-                log_density=draws.log_density,
-                observed=targets,
-                diverging=draws.diverging,
-                row_log_likelihood=_row_log_likelihood(draws, target, len(targets)),
-            ),
+            posterior=posterior,
         )
+
+    def _row_log_likelihood(self, draws: Draws, target: Target, rows: int) -> Array | None:
+        """(S, W, R) of a local model, if it is small enough to keep."""
+        count = draws.log_density.size
+        small = count <= self.settings.kept_draws and count * rows <= self.settings.kept_numbers
+        if not isinstance(target, Local) or not small:
+            return None
+        return target.rows(draws.flat()).reshape(*draws.log_density.shape, -1)
 
 
 def _sample(
     run: Run, sampler: Sampler, target: Target, prior: LogPrior, start: Array, spread: Array
 ) -> Draws:
+    """Draws from likelihood x prior, begun at phi (m,) with a spread (m,) in the unit box."""
     unit = np.clip(target.unknowns.to_unit(start), 0.0, 1.0)
     evaluate = _Evaluate(run, sampler.evaluations(len(unit)))
     return sampler.sample(
@@ -278,14 +338,6 @@ def _sample(
         start=unit,
         spread=spread,
     )
-
-
-def _row_log_likelihood(draws: Draws, target: Target, rows: int) -> Array | None:
-    """(S, W, R), where a local model gives it and it is small enough to keep."""
-    count = draws.log_density.size
-    if not isinstance(target, Local) or count > KEPT[0] or count * rows > KEPT[1]:
-        return None
-    return target.rows(draws.flat()).reshape(*draws.log_density.shape, -1)
 
 
 class _Evaluate:
@@ -299,42 +351,50 @@ class _Evaluate:
     def __call__(self, points: Array, function: Density) -> Array:
         answers = self.run.evaluate(points, function)
         self.done += len(points)
-        self.run.progress(
-            min(1.0, self.done / self.planned),
-            f"{self.done} points, highest here {answers.reshape(len(points), -1)[:, 0].max():.6g}",
-        )
+        highest = answers.reshape(len(points), -1)[:, 0].max()
+        text = f"{self.done} points, highest here {highest:.6g}"
+        self.run.progress(min(1.0, self.done / self.planned), text)
         return answers
 
 
 def _unit_width(space: ParameterSpace, mean: Array, error: Array) -> Array:
-    """(d,) standard errors in the unit box, kept between rounding and a tenth of it; a hundredth
-    where there is none.
-    """
-    above, below = (
-        space.to_unit(np.clip(mean + sign * np.nan_to_num(error), space.low, space.high))
-        for sign in (1, -1)
-    )
-    return np.where(np.isfinite(error), np.clip((above - below) / 2, 1e-9, 0.1), 0.01)
+    """(d,) standard errors in the unit box, at most a tenth; 0.01 for a missing one."""
+    known_error = np.nan_to_num(error)
+    above = space.to_unit(np.clip(mean + known_error, space.low, space.high))
+    below = space.to_unit(np.clip(mean - known_error, space.low, space.high))
+    width = np.clip((above - below) / 2, 1e-9, 0.1)
+    return np.where(np.isfinite(error), width, 0.01)
 
 
 def _gaussian(family: Any, values: Array) -> tuple[Array, Array]:
-    """phi (m,) of the Gaussian with the mean and covariance of draws (K, d), as narrow as they are;
-    and that mean (d,).
-    """
+    """phi (m,) of the Gaussian with the moments of draws (K, d), and their mean (d,)."""
     mean = values.mean(axis=0)
     d = values.shape[1]
     phi = np.array(family.phi_of(mean, np.cov(values.T).reshape(d, d)))
-    for i, name in enumerate(
-        family.space.names
-    ):  # a posterior may be narrower than the least scale of a search
-        phi[family.unknowns.names.index(f"mean.{name}")] = mean[i]
-        phi[family.unknowns.names.index(f"scale.{name}")] = values[:, i].std(ddof=1)
+    # A posterior may be narrower than the least scale of a search.
+    names = family.unknowns.names
+    for i, name in enumerate(family.space.names):
+        phi[names.index(f"mean.{name}")] = mean[i]
+        phi[names.index(f"scale.{name}")] = values[:, i].std(ddof=1)
     return phi, mean
 
 
-def evaluate_draws(draws: Draws) -> tuple[list[str], PosteriorDiagnostics]:
-    """What speaks against using the draws, a sentence each; and the diagnostics of each unknown by
-    name.
+def evaluate_draws(
+    draws: Draws, settings: DrawSettings = DEFAULTS
+) -> tuple[list[str], PosteriorDiagnostics]:
+    """Diagnose draws: whether the walkers agree, and whether there are enough.
+
+    Parameters
+    ----------
+    draws : Draws
+    settings : DrawSettings
+
+    Returns
+    -------
+    notes : list of str
+        What speaks against using the draws, a sentence each.
+    diagnostics : PosteriorDiagnostics
+        Of each unknown, by name.
     """
     notes = []
     r_hat = draws.split_r_hat()
@@ -344,19 +404,29 @@ def evaluate_draws(draws: Draws) -> tuple[list[str], PosteriorDiagnostics]:
     except ChainTooShort as error:
         times = error.estimate
         notes.append(str(error))
-    if (r_hat > R_HAT).any():
-        named = ", ".join(
-            f"{n} {r:.3f}" for n, r in zip(draws.names, r_hat, strict=True) if r > R_HAT
-        )
+
+    large = [
+        f"{name} {r:.3f}" for name, r in zip(draws.names, r_hat, strict=True) if r > settings.r_hat
+    ]
+    if large:
         notes.append(
-            f"split R-hat is above {R_HAT} ({named}): the walkers do not agree yet; take more steps"
+            f"split R-hat is above {settings.r_hat} ({', '.join(large)}): the walkers do not agree"
+            " yet; take more steps"
         )
-    if (ess < ESS).any():
-        named = ", ".join(f"{n} {e:.0f}" for n, e in zip(draws.names, ess, strict=True) if e < ESS)
-        notes.append(f"the effective sample size is below {ESS} ({named}): take more steps")
+    least = settings.effective_sample_size
+    small = [f"{name} {e:.0f}" for name, e in zip(draws.names, ess, strict=True) if e < least]
+    if small:
+        notes.append(
+            f"the effective sample size is below {least} ({', '.join(small)}): take more steps"
+        )
     found = PosteriorDiagnostics(
-        autocorrelation_time=dict(zip(draws.names, times.tolist(), strict=True)),
-        split_r_hat=dict(zip(draws.names, r_hat.tolist(), strict=True)),
-        effective_sample_size=dict(zip(draws.names, ess.tolist(), strict=True)),
+        autocorrelation_time=_by_name(draws, times),
+        split_r_hat=_by_name(draws, r_hat),
+        effective_sample_size=_by_name(draws, ess),
     )
     return notes, found
+
+
+def _by_name(draws: Draws, values: Array) -> dict[str, float]:
+    """The values (m,) by unknown."""
+    return dict(zip(draws.names, values.tolist(), strict=True))

@@ -1,9 +1,7 @@
-"""Random effects: the population that recordings are drawn from, each recording's own parameters,
-and whether they differ.
-"""
+"""Random effects: the population that recordings are drawn from, and whether they differ."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -22,74 +20,109 @@ from dropo.core.services.validation import Array, known
 from dropo.estimators.dropo import DROPO
 from dropo.evaluation.variance_components import variance_component_tests
 
-LEVEL = 0.05  # p-values below it count as a difference
-# groups below which a spread's relative standard error, 1 / sqrt(2 (G - 1)), is above a quarter
-FEW = 10
-# of the information of the group that tells most about a parameter: below it a group tells nothing
-UNTOLD = 1e-6
+
+@dataclass(frozen=True)
+class GroupSettings:
+    """What counts as a difference, and as too few data for one.
+
+    Attributes
+    ----------
+    level : float
+        P-values below it count as a difference.
+    few : int
+        With fewer groups the spreads are warned of: their relative standard error,
+        1 / sqrt(2 (G - 1)), is above a quarter.
+    uninformative : float
+        A group says nothing about a parameter if its information is below this fraction of the
+        most informative group's.
+    """
+
+    level: float = 0.05
+    few: int = 10
+    uninformative: float = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomEffects(Estimator):
-    """Each group (the data's, else each trajectory) has one draw of the parameters from a
-    population, which is fitted.
+    """Fit the population from which each group of recordings has one draw of the parameters.
 
-    The likelihood "random-effects" is maximised as DROPO's are. The Fit is the population: sd is
-    the spread to train under, mean_se the ignorance of its mean, which more groups would shrink.
-    `groups` of the fit holds each group's own parameters given all data, with the ignorance of the
-    mean (Henderson 1975, Biometrics 31), not that of the spread; whether the groups differ; and the
-    standard deviation of a new group, sqrt(sd^2 + mean_se^2).
+    Groups are the data's, else each trajectory is one. The likelihood "random-effects" is maximised
+    as DROPO's are. The Fit is the population: `sd` is the spread to train under, `mean_se` the
+    standard error of its mean, which more groups would shrink. `groups` of the fit holds each
+    group's own parameters given all data [1]_, with the uncertainty of the mean, not that of the
+    spread; whether the groups differ; and the standard deviation of a new group,
+    sqrt(sd^2 + mean_se^2).
 
+    Attributes
+    ----------
+    family : {"truncated_gaussian", "full"}
+        "truncated_gaussian": its spreads need 2 groups, however many parameters there are, as each
+        is fitted on its own. "full": its covariance needs more groups than parameters, else it is
+        singular.
+    epsilon, start, start_noise
+        As those of `DROPO`.
+    settings : GroupSettings
+
+    Notes
+    -----
     Maximum likelihood takes the mean as known: with G groups its variances are (G - 1) / G of an
-    unbiased estimate. family: "truncated_gaussian", whose spreads need 2 groups, however many
-    parameters there are, as each is fitted on its own; or "full", whose covariance needs more
-    groups than parameters, else it is singular. epsilon, start, start_noise: as DROPO's.
+    unbiased estimate.
+
+    References
+    ----------
+    .. [1] Henderson, "Best linear unbiased estimation and prediction under a selection model",
+       Biometrics 31 (1975).
     """
 
     family: Literal["truncated_gaussian", "full"] = "truncated_gaussian"
     epsilon: float | tuple[float, ...] | Literal["learn", "tune"] | None = None
     start: Literal["least-squares", "middle", "random"] = "middle"
     start_noise: bool | None = None
+    settings: GroupSettings = field(default_factory=GroupSettings)
     name = "random-effects"
 
     def __post_init__(self) -> None:
         known("family of random effects", self.family, ("truncated_gaussian", "full"))
-        self._recipe()
+        self._make_estimator()
 
-    def _recipe(self) -> "_Population":
-        settings: Any = {
+    def _make_estimator(self) -> "_Population":
+        """DROPO with these settings."""
+        further: Any = {
             "epsilon": self.epsilon,
             "start": self.start,
             "start_noise": self.start_noise,
         }
-        return _Population(likelihood="random-effects", family=self.family, **settings)
+        return _Population(
+            likelihood="random-effects", family=self.family, settings=self.settings, **further
+        )
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
+        """The population's fit, where there are groups enough."""
         count = len(np.unique(problem.segments.group))
-        d = len(problem.space)
-        _enough(count, d, self.family)
-        return self._recipe()._fit(problem, run)
+        _require_groups(count, len(problem.space), self.family)
+        return self._make_estimator()._fit(problem, run)
 
 
-def _enough(count: int, d: int, family: str) -> None:
+def _require_groups(count: int, d: int, family: str) -> None:
+    """Raise Incompatible if so few groups cannot determine the spread of d parameters."""
     if count == 1:
         raise Incompatible(
-            "All data are one group, and one group cannot tell a spread. Use method "
-            "'dropo', or name the groups of rows that share"
-            " one draw of the parameters ('group' in the data)."
+            "All data are one group, and one group cannot tell a spread. Use method 'dropo', or"
+            " name the groups of rows that share one draw of the parameters ('group' in the data)."
         )
     if family == "full" and count <= d:
         raise Incompatible(
-            f"{count} groups cannot tell a covariance of {d} parameters: with fewer than "
-            f"{d + 1} it is singular."
-            " Use family 'truncated_gaussian', whose spreads are independent, or bring more groups."
+            f"{count} groups cannot tell a covariance of {d} parameters: with fewer than {d + 1} it"
+            " is singular. Use family 'truncated_gaussian', whose spreads are independent, or bring"
+            " more groups."
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Population(DROPO):
     """DROPO's fit with the groups beside it."""
 
+    settings: GroupSettings = field(default_factory=GroupSettings)
     name = "random-effects"
 
     def _summarise(
@@ -104,31 +137,37 @@ class _Population(DROPO):
         """The population's fit, with each group's own parameters and whether the groups differ."""
         assert isinstance(objective, GroupedLogLikelihood)
         fit = super()._summarise(problem, run, family, objective, found, **further)
+
+        # Each group's own parameters.
         groups = objective.groups(found.point)
         information = objective.value_score_information(found.point)[2]
         d = len(fit.mean)
         spread = fit.correlation * np.outer(fit.sd, fit.sd)
         kept, covariance = _posterior(groups, spread, information[:d, :d])
-        tests = VarianceComponentTests.from_json(
-            variance_component_tests(objective, problem.space.names, found.point, run.rng)
-        )
+
+        # Whether they differ.
+        names = problem.space.names
+        found_tests = variance_component_tests(objective, names, found.point, run.rng)
+        tests = VarianceComponentTests.from_json(found_tests)
+
         effects = _effects(problem, fit, groups, kept, covariance, tests)
-        message = f"{fit.message} {_sentence(tests)}\n{_table(fit, effects)}"
-        warnings = (*fit.warnings, *_doubts(groups, fit))
+        sentence = _describe_tests(tests, self.settings)
+        message = f"{fit.message} {sentence}\n{_table(fit, effects)}"
+        warnings = (*fit.warnings, *_warnings(groups, fit, self.settings))
         return replace(fit, groups=effects, warnings=warnings, message=message)
 
 
 def _posterior(groups: Groups, spread: Array, information: Array) -> tuple[Array, Array]:
-    """How much of the mean each group's parameters keep, W = (I + S G)^-1 (G, d, d), and their
-    covariance (G, d, d).
+    """How much of the mean each group's parameters keep (G, d, d), and their covariance (G, d, d).
 
-    (S^-1 + G)^-1 if the mean were known, and W V W' for V, the covariance of its estimate; NaN
-    where no group tells a mean.
+    The first is W = (I + S G)^-1. The second is (S^-1 + G)^-1, as if the mean were known, plus
+    W V W' for V, the covariance of its estimate; NaN where no group determines a mean.
     """
     kept = np.asarray(np.linalg.inv(np.eye(len(spread)) + spread @ groups.precision), dtype=float)
     of_mean = np.full_like(spread, np.nan)
-    told = np.diagonal(information) > 0
-    of_mean[np.ix_(told, told)] = np.linalg.pinv(information[np.ix_(told, told)], hermitian=True)
+    determined = np.diagonal(information) > 0
+    block = np.ix_(determined, determined)
+    of_mean[block] = np.linalg.pinv(information[block], hermitian=True)
     covariance: Array = kept @ (spread + of_mean @ kept.swapaxes(1, 2))
     return kept, covariance
 
@@ -164,62 +203,66 @@ def _by_name(names: Sequence[str], values: Array) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def _doubts(groups: Groups, fit: Fit) -> list[str]:
-    """What so few groups, or groups that say so little, cannot tell."""
+def _warnings(groups: Groups, fit: Fit, settings: GroupSettings) -> list[str]:
+    """What so few groups, or groups with so little information, cannot determine."""
     count = len(groups)
     d = len(fit.mean)
-    out = []
-    if count < FEW:
+    sentences = []
+    if count < settings.few:
         error = 100 / np.sqrt(2 * (count - 1))
-        out.append(
-            f"every spread rests on {count} groups: its relative standard error is at "
-            f"least {error:.0f} %, whatever their rows"
+        sentences.append(
+            f"every spread rests on {count} groups: its relative standard error is at least"
+            f" {error:.0f} %, whatever their rows"
         )
     if count <= d:
-        out.append(
-            f"{count} groups cannot show whether the {d} parameters vary together: their "
-            "spreads are fitted as independent"
+        sentences.append(
+            f"{count} groups cannot show whether the {d} parameters vary together: their spreads"
+            " are fitted as independent"
         )
+
+    # Groups that say nothing about a parameter.
     own = np.einsum("gdd->gd", groups.precision)
-    tells = own > UNTOLD * own.max(axis=0)
+    informative = own > settings.uninformative * own.max(axis=0)
     for i, name in enumerate(fit.space.names):
-        silent = groups.label[~tells[:, i]]
-        if tells[:, i].sum() < 2:
-            out.append(
-                f"{int(tells[:, i].sum())} of {count} groups tell anything about {name}: "
-                "its spread rests on nothing"
+        telling = int(informative[:, i].sum())
+        silent = groups.label[~informative[:, i]]
+        if telling < 2:
+            sentences.append(
+                f"{telling} of {count} groups tell anything about {name}: its spread rests on"
+                " nothing"
             )
         elif len(silent):
             shown = ", ".join(map(str, silent[:5])) + (", ..." if len(silent) > 5 else "")
-            out.append(
-                f"{len(silent)} of {count} groups tell nothing about {name}, and get the "
-                f"population's ({shown})"
+            sentences.append(
+                f"{len(silent)} of {count} groups tell nothing about {name}, and get the"
+                f" population's ({shown})"
             )
-    return out
+    return sentences
 
 
-def _sentence(tests: VarianceComponentTests) -> str:
-    """What the tests say."""
-    overall = _p(tests.overall)
-    if tests.overall.p_value >= LEVEL:
+def _describe_tests(tests: VarianceComponentTests, settings: GroupSettings) -> str:
+    """Say in a sentence which parameters differ between the groups."""
+    overall = _describe_p(tests.overall)
+    if tests.overall.p_value >= settings.level:
         return f"No difference between recordings is found ({overall})."
-    parameters = tests.parameters.items()
-    differ = [f"{name} ({_p(test)})" for name, test in parameters if test.p_value < LEVEL]
-    same = [f"{name} ({_p(test)})" for name, test in parameters if test.p_value >= LEVEL]
+    differ = []
+    same = []
+    for name, test in tests.parameters.items():
+        group = differ if test.p_value < settings.level else same
+        group.append(f"{name} ({_describe_p(test)})")
     if not differ:
         return f"Recordings differ ({overall}), in which parameter the data do not tell."
-    return f"Recordings differ in {', '.join(differ)}" + (
-        f"; no difference is found in {', '.join(same)}." if same else "."
-    )
+    end = f"; no difference is found in {', '.join(same)}." if same else "."
+    return f"Recordings differ in {', '.join(differ)}{end}"
 
 
-def _p(test: VarianceTest) -> str:
+def _describe_p(test: VarianceTest) -> str:
     """The p-value in words."""
     return f"p = {test.p_value:.1g}" if test.p_value > 0 else "p < 1e-300"
 
 
 def _table(fit: Fit, groups: GroupEffects) -> str:
-    """The spread to train under beside what is not known."""
+    """The spread to train under beside the uncertainties."""
     header = [
         "",
         "spread to train under",
@@ -241,4 +284,5 @@ def _table(fit: Fit, groups: GroupEffects) -> str:
     sizes = f"{groups.fewest_rows}"
     if groups.fewest_rows < groups.most_rows:
         sizes += f" to {groups.most_rows}"
-    return f"{len(groups)} {groups.kind} of {sizes} rows, standard deviations:\n{text_table(header, rows)}"
+    title = f"{len(groups)} {groups.kind} of {sizes} rows, standard deviations:"
+    return f"{title}\n{text_table(header, rows)}"

@@ -1,8 +1,6 @@
-"""SimOpt: a Gaussian over the parameters, moved towards target data that the present policy
-collects.
-"""
+"""SimOpt: a Gaussian that moves towards target data which the present policy collects."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,28 +22,75 @@ from dropo.core.services.validation import Array, require
 from dropo.estimators.support.distribution_fit import evaluate_fit
 from dropo.estimators.support.summary import at_bounds
 
-TEMPERATURES = np.geomspace(1e-6, 1e6, 241)  # eta, in units of the costs' spread
 SIGNATURE = "(fit, rng) -> Trajectories"
+
+Gaussian = tuple[Array, Array]
+"""Mean (d,) and covariance (d, d)."""
+
+
+@dataclass(frozen=True)
+class TemperatureSettings:
+    """Which temperatures of the weights are tried, from the hottest down.
+
+    Attributes
+    ----------
+    lowest, highest : float
+        In units of the standard deviation of the costs.
+    count : int
+        How many, with equal ratios.
+    """
+
+    lowest: float = 1e-6
+    highest: float = 1e6
+    count: int = 241
+
+
+DEFAULTS = TemperatureSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimOpt(InteractiveEstimator):
-    """Moves a Gaussian over the parameters so that simulated motion comes near the target's
-    (Chebotar et al. 2019, arXiv:1810.05687).
+    """Move a Gaussian over the parameters so that simulated motion comes near the target's.
 
-    In each of `iterations`, collect(fit, rng) trains a policy under the present law and brings data
-    that it collected on the target. Then `updates` times: `samples` parameter vectors are drawn
-    from the law, each costs the discrepancy D = `l1` sum |e| + `l2` sum e^2 on average over the
-    rows, and the law becomes the Gaussian with the moments of the samples weighted by exp(-D /
-    eta), as in relative entropy policy search (Peters, Muelling, Altun 2010); eta is the least
-    whose Gaussian has a Kullback-Leibler divergence from the one before of at most `bound` [nats].
-    e is prediction - measurement, each signal divided by its root mean square under the first law's
-    mean. The first law has its mean in the middle of the box and standard deviations of `spread` of
-    each interval.
+    In each iteration, a policy trained under the present Gaussian collects data on the target. Then
+    the Gaussian is updated: parameter vectors are drawn from it, and it becomes the Gaussian with
+    their moments, weighted by exp(-D / eta) with D the discrepancy of each, as in relative entropy
+    policy search [2]_. eta is the least whose Gaussian is within the bound of the divergence.
 
+    Attributes
+    ----------
+    collect : callable
+        collect(fit, rng) trains a policy under the present distribution and brings data that it
+        collected on the target.
+    iterations : int
+        Collections of data.
+    updates : int
+        Updates after each.
+    samples : int
+        Parameter vectors in each update; at least 4 for each parameter.
+    bound : float
+        Largest Kullback-Leibler divergence of the new Gaussian from the old one [nats].
+    l1, l2 : float
+        Weights of the discrepancy D = l1 sum |e| + l2 sum e^2 on average over the rows, with e
+        prediction - measurement, each signal divided by its root mean square error under the first
+        mean.
+    spread : float
+        Standard deviations of the first Gaussian, as a fraction of each interval; its mean is the
+        middle of the box.
+    draws : int
+        By which the log-likelihood is estimated.
+    temperatures : TemperatureSettings
+
+    Notes
+    -----
     The simulator replays the collected actions over segments as the problem cuts them, where the
     paper runs the policy itself for whole episodes. The problem's own trajectories say what is
-    measured, and are not fitted. draws: for the log-likelihood.
+    measured, and are not fitted.
+
+    References
+    ----------
+    .. [1] Chebotar et al., "Closing the sim-to-real loop", 2019, arXiv:1810.05687.
+    .. [2] Peters, Muelling, Altun, "Relative entropy policy search", AAAI 2010.
     """
 
     collect: Collect | None = None
@@ -57,85 +102,83 @@ class SimOpt(InteractiveEstimator):
     l2: float = 1.0
     spread: float = 0.25
     draws: int = 100
+    temperatures: TemperatureSettings = field(default_factory=TemperatureSettings)
     name = "simopt"
 
     def __post_init__(self) -> None:
         self._check_callback("collect", SIGNATURE)
-        require(
-            min(self.iterations, self.updates) >= 1,
-            "iterations, updates",
-            "at least 1",
-            (self.iterations, self.updates),
-            "SimOpt",
-        )
+        counts = (self.iterations, self.updates)
+        require(min(counts) >= 1, "iterations, updates", "at least 1", counts, "SimOpt")
         require(self.bound > 0, "bound", "above 0 nats", self.bound, "SimOpt")
-        require(
-            min(self.l1, self.l2) >= 0 < self.l1 + self.l2,
-            "l1, l2",
-            "not negative, one above 0",
-            (self.l1, self.l2),
-            "SimOpt",
-        )
+        weights = (self.l1, self.l2)
+        positive = min(weights) >= 0 < sum(weights)
+        require(positive, "l1, l2", "not negative, one above 0", weights, "SimOpt")
         require(0 < self.spread <= 0.5, "spread", "in (0, 0.5]", self.spread, "SimOpt")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        d = len(problem.space)
-        require(
-            self.samples >= 4 * d,
-            "samples",
-            f"at least {4 * d}, four a parameter",
-            self.samples,
-            "SimOpt",
-        )
-        family = find("families", "full")(problem.space)
+        """Collect and update in turn."""
+        space = problem.space
+        d = len(space)
+        rule = f"at least {4 * d}, four a parameter"
+        require(self.samples >= 4 * d, "samples", rule, self.samples, "SimOpt")
+        family = find("families", "full")(space)
         calls = Callbacks(run)
-        mean = (problem.space.low + problem.space.high) / 2
-        covariance = np.diag((self.spread * (problem.space.high - problem.space.low)) ** 2)
+        mean = (space.low + space.high) / 2
+        covariance = np.diag((self.spread * (space.high - space.low)) ** 2)
         phi = family.phi_of(mean, covariance)
         means = [mean]
         covariances = [covariance]
-        seen = list[Trajectories]()
+        collected: list[Trajectories] = []
+        size = None
         status = Status.DONE
         message = f"All {self.iterations} iterations were made."
-        size = None
         try:
             for iteration in range(self.iterations):
-                data = self._collect(problem, calls, phi)
-                seen.append(data)
+                # Collect data under the present Gaussian; the first sets the scale of errors.
+                data = self._call_collect(problem, calls, phi)
+                collected.append(data)
                 segments = problem.cut(data)
-                size = _size(problem, run, segments, mean) if size is None else size
+                if size is None:
+                    size = _error_scale(problem, run, segments, mean)
+
+                # Move the Gaussian towards them.
                 for update in range(self.updates):
                     values = family.sample(phi, self.samples, run.rng.spawn(1)[0])
                     costs = self._costs(problem, run, segments, values, size)
-                    mean, covariance = step((mean, covariance), values, costs, self.bound)
+                    present = (mean, covariance)
+                    mean, covariance = step(present, values, costs, self.bound, self.temperatures)
                     phi = family.phi_of(mean, covariance)
                     means.append(mean)
                     covariances.append(covariance)
                     done = (iteration + (update + 1) / self.updates) / self.iterations
-                    run.progress(
-                        done, f"iteration {iteration + 1}, least discrepancy {np.min(costs):.4g}"
-                    )
+                    text = f"iteration {iteration + 1}, least discrepancy {np.min(costs):.4g}"
+                    run.progress(done, text)
         except KeyboardInterrupt:
-            status = Status.INTERRUPTED
-            message = f"Interrupted after {len(means) - 1} updates: this is the law so far."
-            if not seen:
+            if not collected:
                 raise
-        everything = replace(problem, trajectories=joined(seen), everything=None)
+            status = Status.INTERRUPTED
+            message = (
+                f"Interrupted after {len(means) - 1} updates: this is the distribution so far."
+            )
+
+        whole = replace(problem, trajectories=joined(collected), everything=None)
+        history = GaussianHistory(
+            np.array(means), np.array(covariances), target_transitions=calls.transitions
+        )
         fit = distribution(
-            everything,
+            whole,
             self.name,
             "full",
             phi,
             status=status,
             message=message,
             warnings=tuple(at_bounds(family.unknowns, phi)),
-            search_record=GaussianHistory(
-                np.array(means), np.array(covariances), target_transitions=calls.transitions
-            ),
+            search_record=history,
         )
-        return evaluate_fit(everything, run, fit, self.draws, run.rng.spawn(1)[0])
+        return evaluate_fit(whole, run, fit, self.draws, run.rng.spawn(1)[0])
 
-    def _collect(self, problem: Problem, calls: Callbacks, phi: Array) -> Trajectories:
+    def _call_collect(self, problem: Problem, calls: Callbacks, phi: Array) -> Trajectories:
+        """The data of a policy trained under the member phi (m,), counted."""
         assert self.collect is not None
         collect = self.collect
         present = distribution(problem, self.name, "full", phi)
@@ -144,7 +187,7 @@ class SimOpt(InteractiveEstimator):
     def _costs(
         self, problem: Problem, run: Run, segments: Segments, values: Array, size: Array
     ) -> Array:
-        """(K,) the discrepancy under each of the values (K, d); infinite where a simulation failed."""
+        """(K,) discrepancies under values (K, d); infinite if a simulation failed."""
         targets = problem.simulator.targets(segments)
 
         def minus_discrepancy(values: Array) -> Array:
@@ -154,42 +197,60 @@ class SimOpt(InteractiveEstimator):
         costs = -run.evaluate(values, minus_discrepancy)
         if not np.isfinite(costs).any():
             raise SimulationFailed(
-                "All simulations under SimOpt's law diverged: narrow the bounds, or take a "
-                "smaller spread."
+                "All simulations under SimOpt's distribution diverged: narrow the bounds, or take"
+                " a smaller spread."
             )
         return np.where(np.isfinite(costs), costs, np.inf)
 
 
-def _size(problem: Problem, run: Run, segments: Segments, mean: Array) -> Array:
-    """(p,) each signal's root mean square error under the mean, kept off 0."""
+def _error_scale(problem: Problem, run: Run, segments: Segments, mean: Array) -> Array:
+    """(p,) each signal's root mean square error under the mean (d,), never 0."""
     targets = problem.simulator.targets(segments)
     with run.counting(evaluations=1):
         errors = problem.simulator.predict(mean[None], segments)[0] - targets
     if not np.isfinite(errors).all():
         raise SimulationFailed(
-            "A simulation in the middle of the box diverged, where SimOpt begins: narrow "
-            "the bounds."
+            "A simulation in the middle of the box diverged, where SimOpt begins: narrow the"
+            " bounds."
         )
-    return np.sqrt(
-        np.maximum(
-            np.mean(errors**2, axis=0), np.maximum(1e-24 * np.mean(targets**2, axis=0), 1e-300)
-        )
-    )
+    lowest = np.maximum(1e-24 * np.mean(targets**2, axis=0), 1e-300)
+    return np.sqrt(np.maximum(np.mean(errors**2, axis=0), lowest))
 
 
 def step(
-    before: tuple[Array, Array], values: Array, costs: Array, bound: float
-) -> tuple[Array, Array]:
-    """The next mean (d,) and covariance (d, d), from samples (K, d) of the law before and their
-    costs (K,); the same law, where none fits.
+    before: Gaussian,
+    values: Array,
+    costs: Array,
+    bound: float,
+    settings: TemperatureSettings = DEFAULTS,
+) -> Gaussian:
+    """Find the next Gaussian from samples of the one before and their costs.
 
-    The hottest of `TEMPERATURES` is nearly the samples' own moments; from there the temperature
-    falls while the bound holds.
+    The hottest temperature weights all samples almost equally; from there the temperature falls
+    while the divergence stays within the bound.
+
+    Parameters
+    ----------
+    before : ((d,) array, (d, d) array)
+        Mean and covariance.
+    values : (K, d) array
+        Samples.
+    costs : (K,) array
+        Infinite ones have no weight.
+    bound : float
+        Of the Kullback-Leibler divergence [nats].
+    settings : TemperatureSettings
+
+    Returns
+    -------
+    ((d,) array, (d, d) array)
+        Mean and covariance; those before if no temperature keeps the bound.
     """
     finite = costs[np.isfinite(costs)]
     spread = max(float(np.std(finite)), 1e-300)
+    temperatures = np.geomspace(settings.lowest, settings.highest, settings.count)
     found = before
-    for eta in TEMPERATURES[::-1] * spread:
+    for eta in temperatures[::-1] * spread:
         weights = np.exp(-(costs - finite.min()) / eta)
         moments = _moments(values, weights / weights.sum())
         if not divergence(moments, before) <= bound:
@@ -198,22 +259,31 @@ def step(
     return found
 
 
-def _moments(values: Array, weights: Array) -> tuple[Array, Array]:
+def _moments(values: Array, weights: Array) -> Gaussian:
+    """Mean and covariance of weighted samples."""
     mean = weights @ values
     return mean, (values - mean).T @ ((values - mean) * weights[:, None])
 
 
-def divergence(after: tuple[Array, Array], before: tuple[Array, Array]) -> float:
-    """KL(after || before) of two Gaussians, each a mean (d,) and covariance (d, d) [nats]; infinite
-    where the first is degenerate.
+def divergence(after: Gaussian, before: Gaussian) -> float:
+    """Find the Kullback-Leibler divergence of one Gaussian from another.
+
+    Parameters
+    ----------
+    after, before : ((d,) array, (d, d) array)
+        Mean and covariance.
+
+    Returns
+    -------
+    float
+        KL(after || before) [nats]; infinite if the first is degenerate.
     """
-    (mean, covariance), (old, wide) = after, before
-    root = np.linalg.cholesky(wide)
-    shift = np.linalg.solve(root, mean - old)
+    mean, covariance = after
+    old_mean, old_covariance = before
+    root = np.linalg.cholesky(old_covariance)
+    shift = np.linalg.solve(root, mean - old_mean)
     inner = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
     sign, logarithm = np.linalg.slogdet(inner)
-    return (
-        float(0.5 * (np.trace(inner) + shift @ shift - len(mean) - logarithm))
-        if sign > 0
-        else np.inf
-    )
+    if sign <= 0:
+        return np.inf
+    return float(0.5 * (np.trace(inner) + shift @ shift - len(mean) - logarithm))

@@ -15,12 +15,21 @@ from dropo.estimators.support.summary import summarize
 
 @dataclass(frozen=True, kw_only=True)
 class UniformRandomization(Estimator):
-    """Uniform distributions on `count` bounds drawn at random from the search space (thesis,
-    section 6.1); fits nothing.
+    """Draw bounds of uniform distributions at random from the search space; nothing is fitted.
 
-    The fit is the one number `which` of them; all are in `search_record.bounds` (count, 2, d). Its
-    log-likelihood, at the problem's epsilon or else the residuals' variance, is that of `draws`
-    draws.
+    Attributes
+    ----------
+    count : int
+        Distributions that are drawn; all are in `search_record.bounds` (count, 2, d).
+    which : int
+        The one that is the fit, counted from 0.
+    draws : int
+        From it, by which the log-likelihood is estimated: at the problem's epsilon, else at the
+        variance of the residuals.
+
+    References
+    ----------
+    Tiboni 2021, section 6.1.
     """
 
     count: int = 10
@@ -29,34 +38,32 @@ class UniformRandomization(Estimator):
     name = "uniform-randomization"
 
     def __post_init__(self) -> None:
-        require(self.count >= 1, "count", "at least 1", self.count, "UniformRandomization")
-        require(
-            0 <= self.which < self.count,
-            "which",
-            f"0 to {self.count - 1}",
-            self.which,
-            "UniformRandomization",
-        )
+        made = "UniformRandomization"
+        require(self.count >= 1, "count", "at least 1", self.count, made)
+        inside = 0 <= self.which < self.count
+        require(inside, "which", f"0 to {self.count - 1}", self.which, made)
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        randomness, base = run.rng.spawn(2)
-        bounds = random_bounds(problem, self.count, randomness)
+        """One of the distributions, with the log-likelihood of the data under it."""
+        bounds_rng, base_rng = run.rng.spawn(2)
+        bounds = random_bounds(problem, self.count, bounds_rng)
         low, high = bounds[self.which]
         family = find("families", "uniform")(problem.space)
         phi = family.phi((low + high) / 2, (high - low) / 2)
+
+        # First the mean, which does not depend on the noise, then the likelihood at its residuals.
         likelihood = find("likelihoods", "monte-carlo")(draws=self.draws)
-        targets = problem.simulator.targets(problem.segments)
+        simulator = problem.simulator
+        segments = problem.segments
         with run.counting(evaluations=1):
-            mean = likelihood.bind(problem.simulator, problem.segments, family, 1.0, base).mean(phi)
-        epsilon = (
-            np.mean((mean - targets) ** 2, axis=0)
-            if problem.epsilon is None
-            else np.broadcast_to(problem.epsilon, targets.shape[1:])
-        )
+            mean = likelihood.bind(simulator, segments, family, 1.0, base_rng).mean(phi)
+        if problem.epsilon is None:
+            epsilon = np.mean((mean - simulator.targets(segments)) ** 2, axis=0)
+        else:
+            epsilon = np.broadcast_to(problem.epsilon, mean.shape[1:])
+        epsilon = np.asarray(epsilon, dtype=float)
         with run.counting(evaluations=1):
-            value = likelihood.bind(
-                problem.simulator, problem.segments, family, np.asarray(epsilon, dtype=float), base
-            )(phi)
+            value = likelihood.bind(simulator, segments, family, epsilon, base_rng)(phi)
         return summarize(
             problem,
             run,
@@ -64,7 +71,7 @@ class UniformRandomization(Estimator):
             family=family,
             family_name="uniform",
             phi=phi,
-            epsilon=np.asarray(epsilon, dtype=float),
+            epsilon=epsilon,
             log_likelihood=value,
             mean_prediction=mean,
             status=Status.DONE,
@@ -74,6 +81,18 @@ class UniformRandomization(Estimator):
 
 
 def random_bounds(problem: Problem, count: int, rng: np.random.Generator) -> Array:
-    """(count, 2, d): for each parameter two points of its interval, the lower first."""
+    """Draw two points of each parameter's interval, the lower first.
+
+    Parameters
+    ----------
+    problem : Problem
+    count : int
+        How often.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (count, 2, d) array
+    """
     points = np.sort(rng.random((count, 2, len(problem.space))), axis=1)
     return problem.space.low + points * (problem.space.high - problem.space.low)

@@ -1,5 +1,6 @@
 """Checks a local likelihood against the true simulator at the fit, at the same draws, so that the
-comparison is not lost in noise."""
+comparison is not lost in noise.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -104,7 +105,8 @@ def check_emulator(
 
 def _impossible_draws(family: Family, values: Array) -> list[str]:
     """A warning where draws (K, d), as they come, leave what is physically possible: local
-    likelihoods take the distribution without redraws."""
+    likelihoods take the distribution without redraws.
+    """
     space = family.space
     share = ((values < space.lower) | (values > space.upper)).mean(axis=0)
     pairs = zip(space.names, share, strict=True)

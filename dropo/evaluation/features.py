@@ -1,5 +1,6 @@
 """What a residual of a correct model cannot follow: state, command, their signs and sizes,
-and smooth functions of them."""
+and smooth functions of them.
+"""
 
 from dataclasses import dataclass
 

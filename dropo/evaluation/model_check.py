@@ -1,5 +1,6 @@
 """Whether the fitted model can be right: the size of its residuals, and structure that a correct
-model cannot leave."""
+model cannot leave.
+"""
 
 from dataclasses import dataclass, field
 
@@ -180,7 +181,8 @@ def _noise(
 
 def _groups(problem: Problem, p: int, d: int) -> Ints:
     """(R,) the groups that may each have parameters of their own: the data's, where they have
-    numbers enough, else one."""
+    numbers enough, else one.
+    """
     own = problem.segments.group[problem.segments.rows[0]]
     group = np.unique(own, return_inverse=True)[1]
     return group if np.median(np.bincount(group)) * p >= 4 * d else np.zeros_like(group)
@@ -188,7 +190,8 @@ def _groups(problem: Problem, p: int, d: int) -> Ints:
 
 def _coefficients(slopes: Array, moments: Array, group: Ints) -> Array:
     """(G, d, k) least squares on the slopes (R, p, d) within each group; moments: (R, d, k) slopes'
-    values."""
+    values.
+    """
     count = int(group.max()) + 1
     gram = np.zeros((count, slopes.shape[2], slopes.shape[2]))
     right = np.zeros((count, *moments.shape[1:]))
@@ -199,7 +202,8 @@ def _coefficients(slopes: Array, moments: Array, group: Ints) -> Array:
 
 def _without_draws(white: Array, slopes: Array, group: Ints) -> Array:
     """The residuals (R, p) without what other parameters in each group would explain: those may
-    vary from draw to draw."""
+    vary from draw to draw.
+    """
     moments = np.einsum("rpd,rp->rd", slopes, white)[:, :, None]
     fitted = _coefficients(slopes, moments, group)
     return white - np.einsum("rpd,rd->rp", slopes, fitted[group, :, 0])
@@ -216,7 +220,8 @@ def _structure(
     left: _Residuals, features: Features, settings: ModelCheckSettings
 ) -> tuple[ResidualStructure, list[str]]:
     """The strongest dependence of a signal's residuals on one feature, and on all of them in
-    held-out data."""
+    held-out data.
+    """
     scores = _scores(left, features, settings.own)  # (p, F)
     signal, feature = np.unravel_index(np.abs(scores).argmax(), scores.shape)
     strongest = float(scores[signal, feature])
@@ -241,7 +246,8 @@ def _structure(
 
 def _scores(left: _Residuals, features: Features, own_share: float) -> Array:
     """(p, F) normal scores of the product of residuals and features, these too without what
-    parameters explain (Frisch and Waugh 1933)."""
+    parameters explain (Frisch and Waugh 1933).
+    """
     rest = left.rest
     named = np.zeros((len(rest), features.named.shape[1]))
     named[features.rows] = features.named
@@ -258,7 +264,8 @@ def _scores(left: _Residuals, features: Features, own_share: float) -> Array:
 
 def _score_of_sum(values: Array, units: Units) -> Array:
     """(k,) normal scores of the t-tests that the columns of rows (R, k) sum to 0 over independent
-    units."""
+    units.
+    """
     if units.serial:
         variance, degrees = variance_of_sum(values - values.mean(axis=0), units)
         error = np.sqrt(np.diagonal(variance))
@@ -273,7 +280,8 @@ def _score_of_sum(values: Array, units: Units) -> Array:
 
 def _predictability(left: _Residuals, features: Features, settings: ModelCheckSettings) -> Array:
     """(p,) normal scores of the regression on all features, each block of rows predicted from the
-    others."""
+    others.
+    """
     block = _blocks(left.units, features.rows, settings.blocks)
     fold = block % settings.folds
     if left.units.serial:  # neighbouring blocks together, as they depend on each other

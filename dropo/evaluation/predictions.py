@@ -56,7 +56,8 @@ SETTINGS = PredictionSettings()
 @dataclass(frozen=True, eq=False)
 class _Places:
     """Which of the data are predicted: shown one after another, for the calibration, for errors by
-    horizon, and for errors by signal."""
+    horizon, and for errors by signal.
+    """
 
     part: DataPart
     shown: Segments
@@ -166,7 +167,8 @@ def _places(problem: Problem, settings: PredictionSettings) -> _Places:
 
 def _shown(problem: Problem, part: DataPart, length: int, count: int) -> Segments:
     """Windows one after another, in the middle of the longest trajectory; the first trajectories
-    where the state in the middle of one is not all measured."""
+    where the state in the middle of one is not all measured.
+    """
     data = part.trajectories
     starts = [np.arange(start, stop - length + 1, length) for start, stop in data.spans]
     if problem.reset != "transition":

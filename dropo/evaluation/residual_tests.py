@@ -132,7 +132,8 @@ def predictability(
 
 def normal_score(sums: Array) -> Array:
     """Return the normal scores (k,) of t-tests that block sums (B, k) have mean 0; 0 where they do
-    not vary."""
+    not vary.
+    """
     count = len(sums)
     error = sums.std(axis=0, ddof=1) * np.sqrt(count)
     with np.errstate(divide="ignore", invalid="ignore"):

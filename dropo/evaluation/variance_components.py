@@ -1,5 +1,6 @@
 """Whether groups differ at all: likelihood-ratio tests of variances of 0, which lie on the boundary
-of what they may be."""
+of what they may be.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -187,7 +188,8 @@ def _places(objective: LocalLogLikelihood, kinds: str | tuple[str, ...]) -> Ints
 
 def _information_at_none(objective: LocalLogLikelihood, phi: Array, small: float) -> Array:
     """The information (d, d) of the variances where all of them are 0, up to a factor for each,
-    with noise and means estimated too."""
+    with noise and means estimated too.
+    """
     mean = _places(objective, "mean.")
     scale = _places(objective, "scale.")
     other = _places(objective, ("mean.", "epsilon"))

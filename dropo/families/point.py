@@ -1,4 +1,4 @@
-"""A single value of every parameter: what a point estimate is as a distribution."""
+"""A point estimate as a distribution: a single value of every parameter."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,13 @@ from dropo.core.services.validation import Array
 
 
 class Point(Family):
-    """All draws equal the mean: no spread, and no scale to find."""
+    """A distribution without spread: all draws equal the mean, and there is no scale to find.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        The d parameters.
+    """
 
     standard = NORMAL
 
@@ -25,13 +31,17 @@ class Point(Family):
         return phi + constant(np.zeros(base.shape), phi)
 
     def mean(self, phi: Array) -> Array:
+        """Returns the mean (d,), which is phi."""
         return phi
 
     def sd(self, phi: Array) -> Array:
+        """Returns the standard deviation (d,), which is 0."""
         return namespace(phi).zeros_like(phi)
 
     def scale(self, phi: Array) -> Array:
+        """Returns the scale (d,), which is 0."""
         return self.sd(phi)
 
     def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
+        """Returns the member (m,) with the mean (d,), clipped to its bounds; scale is ignored."""
         return np.clip(np.asarray(mean, dtype=float), self.unknowns.low, self.unknowns.high)

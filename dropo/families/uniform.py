@@ -10,7 +10,18 @@ from dropo.core.services.validation import Array
 
 
 class Uniform(Family):
-    """xi_i uniform on mean_i -+ scale_i: the scale is the half width, sd = scale / sqrt(3)."""
+    """Independent uniform distributions around their means.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        The d parameters.
+
+    Notes
+    -----
+    xi_i is uniform on [mean_i - scale_i, mean_i + scale_i]: the scale is half the width, and
+    sd = scale / sqrt(3).
+    """
 
     standard = UNIFORM
 
@@ -22,7 +33,9 @@ class Uniform(Family):
         return self.mean(phi) + self.scale(phi) * constant(UNIFORM.quantile(base), phi)
 
     def mean(self, phi: Array) -> Array:
+        """Returns the mean (d,), the middle of the interval."""
         return phi[: len(self.space)]
 
     def sd(self, phi: Array) -> Array:
+        """Returns the standard deviation (d,)."""
         return self.scale(phi) / float(np.sqrt(3))

@@ -1,6 +1,4 @@
-"""The Gaussian likelihood with exact moments of a polynomial emulator: no draws, with gradient and
-Fisher information.
-"""
+"""The Gaussian likelihood with exact moments of a polynomial emulator, with Fisher information."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,12 +20,20 @@ from dropo.likelihoods.support.polynomials import Emulator, build, orders_for, p
 
 @dataclass(frozen=True)
 class Emulated(LocalLikelihood):
-    """Polynomials in place of the simulator near the estimate; their moments under a member of the
-    family are exact.
+    """A Gaussian for each row, with the exact moments of polynomials in the simulator's place.
 
-    y ~ N(E f, Cov f + R + diag(epsilon)), R the covariance of what the polynomials leave. One
-    design of 1.7 M + 6 simulations of each segment, M polynomials, is shared by all rows and serves
-    every member near by. order: None, by the width, or one order for all.
+    One design of 1.7 M + 6 simulations of each segment, for M polynomials, is shared by all rows
+    and serves every member near by. Nothing is drawn.
+
+    Attributes
+    ----------
+    order : int, optional
+        One order for all polynomials; None: by the width.
+
+    Notes
+    -----
+    y ~ N(E f, Cov f + R + diag(epsilon)), with f the polynomials and R the covariance of what they
+    leave.
     """
 
     order: int | None = None
@@ -44,20 +50,40 @@ class Emulated(LocalLikelihood):
         *,
         rough: bool = False,
     ) -> LocalLogLikelihood:
+        """Return the log-likelihood of members with means near the centre (d,).
+
+        Raises
+        ------
+        Incompatible
+            If the family's moments are not known.
+        SimulationFailed
+            If too many simulations of the design diverge.
+        """
         if family.standard is None:
             raise Incompatible(
-                f"The family {type(family).__name__} names no standard law, so its moments "
-                "are not known. Use likelihood 'monte-carlo'."
+                f"The family {type(family).__name__} names no standard distribution, so its moments"
+                " are not known. Use likelihood 'monte-carlo'."
             )
         orders = orders_for(width, simulator.space, self.order, rough)
         logarithmic = family.logarithmic
-        c, h = (np.log(centre), width / centre) if logarithmic else (centre, width)
-        emulator = build(simulator, segments, c, h, orders, rng, logarithmic=logarithmic)
+        own_centre = np.log(centre) if logarithmic else centre
+        own_width = width / centre if logarithmic else width
+        emulator = build(
+            simulator, segments, own_centre, own_width, orders, rng, logarithmic=logarithmic
+        )
         return EmulatedRows(emulator, simulator, segments, family, epsilon, centre, width)
 
 
 class EmulatedRows(GaussianRows):
-    """Moments from the polynomials expanded in the orthonormal ones of the member."""
+    """Rows of polynomials, whose moments come from the orthonormal polynomials of the member.
+
+    Parameters
+    ----------
+    emulator : Emulator
+        The polynomials.
+    simulator, segments, family, epsilon, centre, width
+        As those of `GaussianRows`.
+    """
 
     def __init__(
         self,
@@ -72,40 +98,36 @@ class EmulatedRows(GaussianRows):
         assert family.standard is not None
         terms = len(emulator.indices)
         p = len(simulator.signals)
-        m = len(family.unknowns) + len(simulator.signals)
-        super().__init__(
-            simulator, segments, family, epsilon, centre, width, 3 * m * p * p + 4 * terms * p
-        )
+        m = len(family.unknowns) + p
+        row_floats = 3 * m * p * p + 4 * terms * p
+        super().__init__(simulator, segments, family, epsilon, centre, width, row_floats)
         self.emulator = emulator
-        base = qmc.Sobol(len(centre), rng=np.random.default_rng(0)).random_base2(
-            int(np.ceil(np.log2(2 * terms))) + 1
-        )
+
+        # Points of the unit box that determine the polynomials of any member.
+        sobol = qmc.Sobol(len(centre), rng=np.random.default_rng(0))
+        base = sobol.random_base2(int(np.ceil(np.log2(2 * terms))) + 1)
         self._base = np.clip(base, 1e-6, 1 - 1e-6)
-        self._inverse = np.linalg.pinv(
-            products(family.standard.quantile(self._base), emulator.indices, family.standard)
-        )
+        standard = family.standard.quantile(self._base)
+        self._inverse = np.linalg.pinv(products(standard, emulator.indices, family.standard))
 
     def predict(self, values: Array) -> Array:
+        """Return the polynomials' predictions (K, R, p) at values (K, d)."""
         return self.emulator.predict(values)
 
     def _member(self, own: Any) -> Any:
-        """A (M, M): the emulator's polynomials in the orthonormal ones of the member, psi_j(x) =
-        sum_k A_kj phi_k.
-        """
-        return constant(self._inverse, own) @ self.emulator.basis(
-            self.family.map(own, constant(self._base, own))
-        )
+        """A (M, M): polynomials in the member's orthonormal ones, psi_j(x) = sum_k A_kj phi_k."""
+        values = self.family.map(own, constant(self._base, own))
+        return constant(self._inverse, own) @ self.emulator.basis(values)
 
     def _member_slopes(self, own: Array) -> Array:
         """dA / dphi (n, M, M), by central differences: A is a polynomial of a low order in phi."""
-        step = (
-            1e-5
-            * np.maximum(np.abs(own), 1e-3 * (self.family.unknowns.high - self.family.unknowns.low))
-            * np.eye(len(own))
-        )
-        return np.stack(
-            [(self._member(own + s) - self._member(own - s)) / (2 * s.sum()) for s in step]
-        )
+        box = self.family.unknowns.high - self.family.unknowns.low
+        steps = 1e-5 * np.maximum(np.abs(own), 1e-3 * box) * np.eye(len(own))
+        slopes = []
+        for step in steps:
+            change = self._member(own + step) - self._member(own - step)
+            slopes.append(change / (2 * step.sum()))
+        return np.stack(slopes)
 
     def _expanded(self, member: Any, rows: slice) -> tuple[Any, Any]:
         """Mean (r, p) and factor F (r, p, M - 1) of the predictions: their covariance is F F'."""
@@ -115,9 +137,8 @@ class EmulatedRows(GaussianRows):
 
     def _spread(self, member: Any, rows: slice) -> tuple[Any, Any]:
         mean, factor = self._expanded(member, rows)
-        return mean, factor @ namespace(factor).matrix_transpose(factor) + constant(
-            self.emulator.residual[rows], mean
-        )
+        residual = constant(self.emulator.residual[rows], mean)
+        return mean, factor @ namespace(factor).matrix_transpose(factor) + residual
 
     def _parts(
         self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns
@@ -130,7 +151,7 @@ class EmulatedRows(GaussianRows):
             by_mean.append((whiten @ mean[:, :, None])[:, :, 0])
             half = whiten @ factor @ white_factor
             by_spread.append(half + half.swapaxes(1, 2))
-        own_mean, own_spread = noise.whole()
+        noise_mean, noise_spread = noise.whole()
         return parts_of_matrices(
-            z, np.concatenate([by_mean, own_mean]), np.concatenate([by_spread, own_spread])
+            z, np.concatenate([by_mean, noise_mean]), np.concatenate([by_spread, noise_spread])
         )

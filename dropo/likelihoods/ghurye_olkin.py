@@ -24,21 +24,27 @@ from dropo.likelihoods.monte_carlo import (
 
 @dataclass(frozen=True)
 class GhuryeOlkin(SampledLikelihood):
-    """The unbiased estimator of a normal density from K > p + 3 independent samples, for each row.
+    """The unbiased estimator of a normal density from K > p + 3 independent samples of each row.
 
+    Its mean over samples is N(y; mean, covariance) exactly if predictions are normal; the density
+    is unbiased, its logarithm is not. epsilon enters as noise added to the predictions, so that the
+    samples carry it.
+
+    A row with q >= 1 is -inf: a target some sqrt(K) standard deviations away has no density, so
+    start a search where the spread covers the data, or take more draws.
+
+    Notes
+    -----
     With n = K, M = (n - 1) Cov and q = (y - m)' M^-1 (y - m) / (1 - 1/n), the estimate is
-        Gamma((n-1)/2) / Gamma((n-p-1)/2) (pi (1 - 1/n))^(-p/2) |M|^(-1/2) max(0, 1 -
-        q)^((n-p-3)/2),
-    which is the ratio of constants in its source put together (Ghurye, Olkin 1969, Annals of
-    Mathematical Statistics 40;
-    used by Price, Drovandi, Lee, Nott 2018, J. Computational and Graphical Statistics 27), with |M
-    - u u'| = |M| (1 - u' M^-1 u). Its mean over samples is N(y; mean, covariance) exactly where
-    predictions are normal; the density is unbiased, its logarithm is not. epsilon enters as noise
-    added to the predictions, so that the samples carry it.
+    Gamma((n-1)/2) / Gamma((n-p-1)/2) (pi (1 - 1/n))^(-p/2) |M|^(-1/2) max(0, 1 - q)^((n-p-3)/2),
+    the ratio of constants in its source [1]_ put together, with |M - u u'| = |M| (1 - u' M^-1 u).
 
-    Where q >= 1 the positive part vanishes and the row is -inf: a target some sqrt(K) standard
-    deviations away has no density, so start a search where the spread covers the data, or take more
-    draws.
+    References
+    ----------
+    .. [1] Ghurye, Olkin, "Unbiased estimation of some multivariate probability densities", Annals
+       of Mathematical Statistics 40 (1969).
+    .. [2] Price, Drovandi, Lee, Nott, "Bayesian synthetic likelihood", Journal of Computational and
+       Graphical Statistics 27 (2018).
     """
 
     independent: ClassVar[bool] = True
@@ -51,6 +57,7 @@ class GhuryeOlkin(SampledLikelihood):
         epsilon: Epsilon,
         rng: np.random.Generator,
     ) -> LogLikelihood:
+        """Return the log-likelihood of the segments; BadArgument with too few draws."""
         _require_draws(self.draws, len(simulator.signals))
         return super().bind(simulator, segments, family, epsilon, rng)
 
@@ -58,16 +65,11 @@ class GhuryeOlkin(SampledLikelihood):
         self, predictions: Array, targets: Array, epsilon: Array, noise: Array | None
     ) -> Array:
         xp = namespace(predictions)
-        (n, _, p) = predictions.shape
+        n, _, p = predictions.shape
         _require_draws(n, p)
         if (epsilon > 0).any():
-            require(
-                noise is not None,
-                "noise",
-                "given where epsilon is not 0",
-                None,
-                "GhuryeOlkin.log_density",
-            )
+            caller = "GhuryeOlkin.log_density"
+            require(noise is not None, "noise", "given where epsilon is not 0", None, caller)
             predictions = predictions + xp.sqrt(epsilon) * noise
         mean, covariance = sample_moments(predictions)
         factor = cholesky_rows((n - 1) * covariance)  # of M
@@ -77,19 +79,12 @@ class GhuryeOlkin(SampledLikelihood):
             - math.lgamma((n - p - 1) / 2)
             - 0.5 * p * math.log(math.pi * (1 - 1 / n))
         )
-        density: Array = (
-            constant
-            - 0.5 * log_determinant(factor)
-            + 0.5 * (n - p - 3) * xp.log(xp.where(q < 1, 1 - q, 0.0))
-        )
+        log_distance = xp.log(xp.where(q < 1, 1 - q, 0.0))
+        density: Array = constant - 0.5 * log_determinant(factor) + 0.5 * (n - p - 3) * log_distance
         return density
 
 
 def _require_draws(draws: int, signals: int) -> None:
-    require(
-        draws > signals + 3,
-        "draws",
-        f"above p + 3 = {signals + 3}, for p = {signals} signals",
-        draws,
-        "GhuryeOlkin",
-    )
+    """Raise BadArgument if there are too few draws for so many signals."""
+    rule = f"above p + 3 = {signals + 3}, for p = {signals} signals"
+    require(draws > signals + 3, "draws", rule, draws, "GhuryeOlkin")

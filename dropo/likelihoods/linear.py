@@ -1,5 +1,6 @@
-"""The Gaussian likelihood of a simulator that is linear around the estimate: 2 d + 1 simulations of
-a segment, for many parameters.
+"""The Gaussian likelihood of a simulator that is linear around the estimate.
+
+It takes 2 d + 1 simulations of each segment, and so suits many parameters.
 """
 
 from dataclasses import dataclass
@@ -17,19 +18,25 @@ from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import Axial, along_parameters
 from dropo.likelihoods.support.gaussian_rows import Columns, GaussianRows, Parts, parts_of_columns
 
-SHARE = 0.5  # of the width: the step of the differences
-
 
 @dataclass(frozen=True)
 class Linear(LocalLikelihood):
-    """y ~ N(f(c) + J (mean - c), J S J' + diag(epsilon)), S the covariance of the member, J by
-    central differences at c.
+    """A Gaussian for each row, with the moments of a linear model of the simulator.
 
-    The differences take half the width as their step. Parameters of a logarithmic family are taken
-    as their logarithms.
-    Nothing stands for what the linear model leaves: with a small epsilon and a wide member,
-    'emulated' is the exact one.
+    Attributes
+    ----------
+    step : float
+        Half width of the differences, as a fraction of the width around the centre.
+
+    Notes
+    -----
+    y ~ N(f(c) + J (mean - c), J S J' + diag(epsilon)), with S the covariance of the member and J by
+    central differences at the centre c. Parameters of a logarithmic family are taken as their
+    logarithms. Nothing stands for what the linear model leaves: with a small epsilon and a wide
+    member, 'emulated' is the exact one.
     """
+
+    step: float = 0.5
 
     def linearize_at(
         self,
@@ -43,12 +50,21 @@ class Linear(LocalLikelihood):
         *,
         rough: bool = False,
     ) -> LocalLogLikelihood:
-        axial = along(simulator, segments, family, centre, SHARE * width)
+        """Return the log-likelihood of members with means near the centre (d,)."""
+        axial = along(simulator, segments, family, centre, self.step * width)
         return LinearRows(axial, simulator, segments, family, epsilon, centre, width)
 
 
 class LinearRows(GaussianRows):
-    """f(x) = value + slope (x - c), x the parameters or their logarithms."""
+    """Rows of f(x) = value + slope (x - c), with x the parameters or their logarithms.
+
+    Parameters
+    ----------
+    axial : Axial
+        Values and slopes.
+    simulator, segments, family, epsilon, centre, width
+        As those of `GaussianRows`.
+    """
 
     def __init__(
         self,
@@ -63,16 +79,15 @@ class LinearRows(GaussianRows):
         d = len(centre)
         p = len(simulator.signals)
         columns = 2 * max(d, len(family.unknowns) - d) + 3 * p
-        super().__init__(
-            simulator, segments, family, epsilon, centre, width, 3 * columns**2 + 3 * columns * p
-        )
+        row_floats = 3 * columns**2 + 3 * columns * p
+        super().__init__(simulator, segments, family, epsilon, centre, width, row_floats)
         self.axial = axial
         self.centre = coordinates(family, centre)
 
     def predict(self, values: Array) -> Array:
-        return self.axial.value + np.moveaxis(
-            self.axial.slope @ (coordinates(self.family, values) - self.centre).T, -1, 0
-        )
+        """Return the linear model's predictions (K, R, p) at values (K, d)."""
+        away = coordinates(self.family, values) - self.centre
+        return self.axial.value + np.moveaxis(self.axial.slope @ away.T, -1, 0)
 
     def _member(self, own: Any) -> Any:
         """The member's mean from the centre (d,) and covariance (d, d)."""
@@ -81,7 +96,8 @@ class LinearRows(GaussianRows):
 
     def _spread(self, member: Any, rows: slice) -> tuple[Any, Any]:
         away, covariance = member
-        value, slope = (constant(x[rows], away) for x in (self.axial.value, self.axial.slope))
+        value = constant(self.axial.value[rows], away)
+        slope = constant(self.axial.slope[rows], away)
         return value + slope @ away, slope @ covariance @ namespace(slope).matrix_transpose(slope)
 
     def _member_slopes(self, own: Array) -> tuple[Array, "Entries"]:
@@ -99,10 +115,16 @@ class LinearRows(GaussianRows):
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """The l entries of the members' covariance that move, first <= second: their places (l,),
-    slopes (n, l), and weights (n, l).
+    """The l entries of a member's covariance that depend on its n unknowns.
 
-    A weight counts an entry beside the diagonal twice, for it stands for its mirror image too.
+    Attributes
+    ----------
+    first, second : (l,) array
+        Row and column of each, first <= second.
+    slopes : (n, l) array
+        d entry / d unknown.
+    weights : (n, l) array
+        The same, twice for an entry beside the diagonal, which stands for its mirror image too.
     """
 
     first: Ints
@@ -112,42 +134,80 @@ class Entries:
 
     @staticmethod
     def of(slopes: Array) -> "Entries":
-        """From d S (n, d, d)."""
-        first, second = (
-            places.astype(np.int64)
-            for places in np.nonzero(np.triu(np.abs(slopes).max(axis=0, initial=0.0)))
-        )
-        moved = slopes[:, first, second]
-        return Entries(first, second, moved, moved * np.where(first == second, 1, 2))
+        """Collect the entries with a slope, from d S / d unknown (n, d, d)."""
+        upper = np.triu(np.abs(slopes).max(axis=0, initial=0.0))
+        rows, columns = np.nonzero(upper)
+        first = rows.astype(np.int64)
+        second = columns.astype(np.int64)
+        own = slopes[:, first, second]
+        return Entries(first, second, own, own * np.where(first == second, 1, 2))
 
     def pairs(self, columns: Array) -> tuple[Array, Array]:
-        """The columns (r, p, d) of each entry's first and second place, (r, p, l); one object where
-        all are on the diagonal.
+        """Return the columns (r, p, l) of each entry's row and of its column.
+
+        Parameters
+        ----------
+        columns : (r, p, d) array
+
+        Returns
+        -------
+        (r, p, l) array, (r, p, l) array
+            One object if all entries are on the diagonal.
         """
         a = columns[:, :, self.first]
-        return a, a if np.array_equal(self.first, self.second) else columns[:, :, self.second]
+        if np.array_equal(self.first, self.second):
+            return a, a
+        return a, columns[:, :, self.second]
 
 
 def along(
     simulator: Simulator, segments: Segments, family: Family, centre: Array, step: Array
 ) -> Axial:
-    """The simulator along the coordinates in which the family is taken, from steps (d,) in the
-    parameters' units.
+    """Differentiate a simulator along the coordinates in which a family is taken.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    segments : Segments
+    family : Family
+    centre : (d,) array
+        Parameters.
+    step : (d,) array
+        In the parameters' units.
+
+    Returns
+    -------
+    Axial
+
+    Raises
+    ------
+    SimulationFailed
+        If a simulation diverges.
     """
-    relative = step / centre if family.logarithmic else step
+    own_step = step / centre if family.logarithmic else step
     return along_parameters(
-        simulator, segments, coordinates(family, centre), relative, logarithmic=family.logarithmic
+        simulator, segments, coordinates(family, centre), own_step, logarithmic=family.logarithmic
     )
 
 
 def coordinates(family: Family, values: Array) -> Array:
-    """The values, or their logarithms where the family is logarithmic."""
+    """Return the values, or their logarithms if the family is logarithmic."""
     return np.log(values) if family.logarithmic else values
 
 
 def moments_of(family: Family, own: Any) -> tuple[Any, Any]:
-    """Mean (d,) and covariance (d, d) of the member, or of its logarithms where the family is
-    logarithmic; arrays or tensors.
+    """Find the moments of a member, or of its logarithms if the family is logarithmic.
+
+    Parameters
+    ----------
+    family : Family
+    own : (n,) array or tensor
+        The family's unknowns.
+
+    Returns
+    -------
+    mean : (d,) array or tensor
+    covariance : (d, d) array or tensor
     """
     xp = namespace(own)
     mean = family.mean(own)
@@ -155,20 +215,32 @@ def moments_of(family: Family, own: Any) -> tuple[Any, Any]:
     covariance = constant(family.correlation(own), own) * sd[:, None] * sd[None, :]
     if not family.logarithmic:
         return mean, covariance
-    covariance = xp.log1p(
-        covariance / (mean[:, None] * mean[None, :])
-    )  # exact for multivariate log-normals
+    # Exact for multivariate log-normals.
+    covariance = xp.log1p(covariance / (mean[:, None] * mean[None, :]))
     return xp.log(mean) - 0.5 * xp.linalg.diagonal(covariance), covariance
 
 
 def slopes_of_moments(family: Family, own: Array) -> tuple[Array, Array]:
-    """d mean (n, d) and d covariance (n, d, d) of `moments_of` in each of the family's unknowns, by
-    central differences.
+    """Differentiate `moments_of` in each of the family's unknowns, by central differences.
+
+    Parameters
+    ----------
+    family : Family
+    own : (n,) array
+
+    Returns
+    -------
+    of_mean : (n, d) array
+    of_covariance : (n, d, d) array
     """
     box = family.unknowns.high - family.unknowns.low
-    step = 1e-6 * np.maximum(np.abs(own), 1e-6 * box) * np.eye(len(own))
-    sides = [(moments_of(family, own + s), moments_of(family, own - s), 2 * s.sum()) for s in step]
-    mean, covariance = zip(
-        *(((up[0] - down[0]) / h, (up[1] - down[1]) / h) for up, down, h in sides), strict=True
-    )
-    return np.stack(mean), np.stack(covariance)
+    steps = 1e-6 * np.maximum(np.abs(own), 1e-6 * box) * np.eye(len(own))
+    of_mean = []
+    of_covariance = []
+    for step in steps:
+        mean_above, covariance_above = moments_of(family, own + step)
+        mean_below, covariance_below = moments_of(family, own - step)
+        width = 2 * step.sum()
+        of_mean.append((mean_above - mean_below) / width)
+        of_covariance.append((covariance_above - covariance_below) / width)
+    return np.stack(of_mean), np.stack(of_covariance)

@@ -14,29 +14,38 @@ BLOCK = 4_000_000  # numbers of predictions in one block of rows: 32 MB, whateve
 
 
 @dataclass(frozen=True)
-class Gaussian(SampledLikelihood):
-    """log N(y; m, S), where m and Cov are the mean and unbiased covariance of K predictions and S =
-    Cov + diag(epsilon).
+class MonteCarlo(SampledLikelihood):
+    """A Gaussian for each row, with the moments of the predictions of K draws.
 
-    Thesis, eq. 5.3 to 5.5, with log|S| = 2 sum_i log L_ii (the logarithm is missing in its text).
-    With few draws the density is biased; that of `GhuryeOlkin` is not. degrees: None, or a
-    multivariate Student t of so many degrees of freedom and the same covariance S in the Gaussian's
-    place (Kotz, Nadarajah 2004, Multivariate t Distributions, eq. 1.1).
+    Attributes
+    ----------
+    draws : int
+        K. With few draws the density is biased; that of `GhuryeOlkin` is not.
+    degrees : float, optional
+        Degrees of freedom, above 2, of a multivariate Student t in the Gaussian's place, with the
+        same covariance S [2]_.
+
+    Notes
+    -----
+    log N(y; m, S), where m and Cov are the mean and unbiased covariance of the predictions and
+    S = Cov + diag(epsilon) [1]_, with log|S| = 2 sum_i log L_ii; the logarithm is missing in the
+    thesis' text.
+
+    References
+    ----------
+    .. [1] Tiboni 2021, eq. 5.3 to 5.5.
+    .. [2] Kotz, Nadarajah, "Multivariate t distributions and their applications", 2004, eq. 1.1.
     """
 
     degrees: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(
-            self.degrees is None or self.degrees > 2,
-            "degrees",
-            "above 2, to have a covariance",
-            self.degrees,
-            "Gaussian",
-        )
+        valid = self.degrees is None or self.degrees > 2
+        require(valid, "degrees", "above 2, to have a covariance", self.degrees, "MonteCarlo")
 
     def with_degrees(self, degrees: float) -> Self:
+        """Return the same likelihood with a Student t of so many degrees of freedom."""
         return replace(self, degrees=degrees)
 
     def _log_density(
@@ -44,24 +53,20 @@ class Gaussian(SampledLikelihood):
     ) -> Array:
         xp = namespace(predictions)
         p = targets.shape[1]
-        if (
-            len(predictions) - 1 + int(xp.count_nonzero(epsilon)) < p
-        ):  # the most that the rank of S can be
+        largest_rank = len(predictions) - 1 + int(xp.count_nonzero(epsilon))
+        if largest_rank < p:
             return xp.full_like(targets[:, 0], np.nan)
         mean, covariance = sample_moments(predictions)
         factor = cholesky_rows(covariance + epsilon * constant(np.eye(p), covariance))  # eq. 5.3
-        density: Array = self._log_kernel(
-            square_distance(factor, targets - mean), p
-        ) - 0.5 * log_determinant(factor)  # eq. 5.5
+        kernel = self._log_kernel(square_distance(factor, targets - mean), p)
+        density: Array = kernel - 0.5 * log_determinant(factor)  # eq. 5.5
         return density
 
     def _log_kernel(self, square: Array, p: int) -> Array:
-        """(R,) the log density of squared distances r' S^-1 r in p dimensions, without the
-        determinant.
-        """
+        """(R,) log densities of squared distances r' S^-1 r in p dimensions, but for log|S|."""
         if self.degrees is None:
             return -0.5 * (p * math.log(2 * math.pi) + square)
-        # S is degrees / scale times the matrix in the t's own formula
+        # S is degrees / scale times the matrix in the t's own formula.
         half = self.degrees / 2
         scale = self.degrees - 2
         peak = math.lgamma(half + p / 2) - math.lgamma(half) - 0.5 * p * math.log(math.pi * scale)
@@ -70,50 +75,89 @@ class Gaussian(SampledLikelihood):
 
 
 def sample_moments(samples: Array) -> tuple[Array, Array]:
-    """Mean (R, p) and unbiased covariance (R, p, p) over K samples (K, R, p) (thesis, eq. 5.4), by
-    blocks of rows.
+    """Find mean and unbiased covariance of each row over samples, by blocks of rows.
+
+    Parameters
+    ----------
+    samples : (K, R, p) array or tensor
+
+    Returns
+    -------
+    mean : (R, p) array or tensor
+    covariance : (R, p, p) array or tensor
+
+    References
+    ----------
+    Tiboni 2021, eq. 5.4.
     """
     xp = namespace(samples)
-    (k, rows, p) = samples.shape
+    k, rows, p = samples.shape
     size = max(1, BLOCK // (k * p))
     means = []
     covariances = []
     for first in range(0, rows, size):
         block = xp.moveaxis(samples[:, first : first + size], 0, 1)  # (rows of the block, K, p)
-        means.append(xp.mean(block, axis=1))
-        centred = block - means[-1][:, None]
+        mean = xp.mean(block, axis=1)
+        centred = block - mean[:, None]
+        means.append(mean)
         covariances.append(xp.matrix_transpose(centred) @ centred / (k - 1))
     return xp.concat(means), xp.concat(covariances)
 
 
 def cholesky_rows(covariance: Array) -> Array:
-    """Lower factors L (R, p, p) of R covariances; NaN where one is singular, as far as rounding
-    lets tell.
+    """Factorize covariances.
+
+    Parameters
+    ----------
+    covariance : (R, p, p) array or tensor
+
+    Returns
+    -------
+    (R, p, p) array or tensor
+        Lower factors; NaN if a covariance is singular, as far as rounding lets one see.
     """
     xp = namespace(covariance)
     factor = cholesky(covariance)
-    rounding = (
-        4 * covariance.shape[1] * np.finfo(float).eps
-    )  # a pivot below this share of its variance is a rounding error
-    lost = xp.linalg.diagonal(factor) ** 2 <= rounding * xp.linalg.diagonal(covariance)
+    # A pivot below this fraction of its variance is a rounding error.
+    rounding = 4 * covariance.shape[1] * np.finfo(float).eps
+    pivots = xp.linalg.diagonal(factor) ** 2
+    lost = pivots <= rounding * xp.linalg.diagonal(covariance)
     good: Array = xp.where(xp.any(lost, axis=1)[:, None, None], np.nan, factor)
     return good
 
 
 def log_determinant(factor: Array) -> Array:
-    """(R,) log|L L'| from lower factors (R, p, p)."""
+    """Find log|L L'| of lower factors.
+
+    Parameters
+    ----------
+    factor : (R, p, p) array or tensor
+
+    Returns
+    -------
+    (R,) array or tensor
+    """
     xp = namespace(factor)
     total: Array = 2 * xp.sum(xp.log(xp.linalg.diagonal(factor)), axis=1)
     return total
 
 
 def square_distance(factor: Array, residual: Array) -> Array:
-    """(R,) r' (L L')^-1 r of residuals (R, p): the square of L^-1 r, by forward substitution in all
-    rows at once.
+    """Find r' (L L')^-1 r by forward substitution in all rows at once.
+
+    Parameters
+    ----------
+    factor : (R, p, p) array or tensor
+        Lower factors L.
+    residual : (R, p) array or tensor
+
+    Returns
+    -------
+    (R,) array or tensor
     """
     total = 0.0 * residual[:, 0]
     for i in range(residual.shape[1]):
-        white = residual[:, i] / factor[:, i, i]
-        residual = residual - white[:, None] * factor[:, :, i]
-        total = total + white**2
+        whitened = residual[:, i] / factor[:, i, i]
+        residual = residual - whitened[:, None] * factor[:, :, i]
+        total = total + whitened**2
     return total

@@ -1,6 +1,6 @@
 """The Gaussian likelihood that integrates over a draw shared by all segments of a group."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,22 +20,53 @@ from dropo.likelihoods.support.blocks import row_blocks
 from dropo.likelihoods.support.gaussian_rows import trusted
 from dropo.likelihoods.support.polynomials import Emulator, build, orders_for
 
-MODE_STEPS = 20  # Gauss-Newton steps to the groups' modes at most
-AT_MODE = 1e-9  # of the width: a step so short ends them
+
+@dataclass(frozen=True)
+class ModeSettings:
+    """How the modes of the groups are searched.
+
+    Attributes
+    ----------
+    steps : int
+        Gauss-Newton steps, at most.
+    tolerance : float
+        They end with a step shorter than this fraction of the width.
+    span : float
+        Modes stay within this multiple of the width around the centre.
+    """
+
+    steps: int = 20
+    tolerance: float = 1e-9
+    span: float = 4.0
 
 
 @dataclass(frozen=True)
 class RandomEffects(LocalLikelihood):
-    """xi_g ~ N(mean, S) for each group g, y_g | xi_g ~ N(f(xi_g), R + diag(epsilon)), with xi_g
-    integrated out.
+    """A Gaussian for each group of rows, which share one draw of the parameters, integrated out.
 
-    f is the polynomial emulator of the emulated likelihood and R what it leaves, linear around each
-    group's own mode (Lindstrom and Bates 1990; exact for a linear simulator). Groups are the
-    data's, else trajectories. The family enters by its mean and covariance. Noise of the start
-    states adds D diag(epsilon) D' to its row, D the slopes of f in them.
+    Groups are the data's, else trajectories. The family enters by its mean and covariance.
+
+    Attributes
+    ----------
+    order : int, optional
+        One order for all polynomials; None: by the width.
+    modes : ModeSettings
+
+    Notes
+    -----
+    xi_g ~ N(mean, S) for each group g, and y_g | xi_g ~ N(f(xi_g), R + diag(epsilon)). f is the
+    polynomial emulator of the emulated likelihood and R what it leaves, linear around each group's
+    own mode [1]_; this is exact for a linear simulator. Noise of the start states adds
+    D diag(epsilon) D' to its row, with D the slopes of f in them.
+
+    References
+    ----------
+    .. [1] Lindstrom, Bates, "Nonlinear mixed effects models for repeated measures data",
+       Biometrics 46 (1990).
     """
 
     order: int | None = None
+    modes: ModeSettings = field(default_factory=ModeSettings)
 
     def linearize_at(
         self,
@@ -49,43 +80,78 @@ class RandomEffects(LocalLikelihood):
         *,
         rough: bool = False,
     ) -> GroupedLogLikelihood:
-        if family.logarithmic:
-            raise Incompatible(
-                f"{type(family).__name__} is no Gaussian, as random effects are. Use "
-                "'truncated_gaussian' or 'full'."
-            )
-        noise = NoiseModel(epsilon, len(simulator.signals)).positive("RandomEffects")
-        if noise.noise.rows is not None:
-            raise Incompatible(
-                "RandomEffects takes no filtered starts. Use starts='measured', or 'emulated'."
-            )
-        if noise.noise.degrees is not None:
-            raise Incompatible(
-                "RandomEffects knows no Student t: its integral is Gaussian. Leave degrees "
-                "out, or use 'emulated'."
-            )
-        emulator = build(
-            simulator,
-            segments,
-            centre,
-            width,
-            orders_for(width, simulator.space, self.order, rough),
-            rng,
-        )
+        """Return the log-likelihood of populations with means near the centre (d,).
+
+        Raises
+        ------
+        BadArgument
+            If an epsilon is 0.
+        Incompatible
+            If the family is no Gaussian, or the noise has other parts than a likelihood of groups
+            knows.
+        SimulationFailed
+            If too many simulations of the design diverge.
+        """
+        noise = _check_noise(family, epsilon, len(simulator.signals))
+        orders = orders_for(width, simulator.space, self.order, rough)
+        emulator = build(simulator, segments, centre, width, orders, rng)
         columns = [np.broadcast_to(np.eye(len(noise.shape)), emulator.residual.shape)]
         if noise.noise.start:
             columns.append(along_starts(simulator, segments, centre, noise).slope)
         return _RandomEffects(
-            emulator, simulator, segments, family, noise, width, np.concatenate(columns, axis=2)
+            emulator,
+            simulator,
+            segments,
+            family,
+            noise,
+            width,
+            np.concatenate(columns, axis=2),
+            self.modes,
         )
+
+
+def _check_noise(family: Family, epsilon: Epsilon, signals: int) -> NoiseModel:
+    """The noise, or a refusal of what the integral over the groups' draws cannot have."""
+    if family.logarithmic:
+        raise Incompatible(
+            f"{type(family).__name__} is no Gaussian, as random effects are. Use"
+            " 'truncated_gaussian' or 'full'."
+        )
+    noise = NoiseModel(epsilon, signals).positive("RandomEffects")
+    if noise.noise.rows is not None:
+        raise Incompatible(
+            "RandomEffects takes no filtered starts. Use starts='measured', or 'emulated'."
+        )
+    if noise.noise.degrees is not None:
+        raise Incompatible(
+            "RandomEffects knows no Student t: its integral is Gaussian. Leave degrees out, or use"
+            " 'emulated'."
+        )
+    return noise
 
 
 @dataclass(frozen=True, eq=False)
 class _Integrals:
-    """Of the rows rho = L^-1 r (R, p), J = L^-1 slopes (R, p, d) and L^-1 (R, p, p), N = L L' the
-    noise and r the residuals at the population's mean; of the groups their values (G,), G = sum
-    J'J (G, d, d), e = sum J'rho (G, d), (I + G S)^-1, and S (I + G S)^-1 e (G, d), by which
-    their parameters stand off the mean.
+    """The rows and groups linear around the modes, with S the population's covariance.
+
+    Attributes
+    ----------
+    rho : (R, p) array
+        L^-1 r, with N = L L' the noise and r the residuals at the population's mean.
+    jacobian : (R, p, d) array
+        J = L^-1 slopes.
+    whiten : (R, p, p) array
+        L^-1.
+    values : (G,) array
+        Log-likelihoods of the groups [nats].
+    precision : (G, d, d) array
+        G = sum J'J.
+    e : (G, d) array
+        sum J'rho.
+    inner : (G, d, d) array
+        (I + G S)^-1.
+    offset : (G, d) array
+        S (I + G S)^-1 e, the groups' parameters less the mean.
     """
 
     rho: Array
@@ -99,10 +165,11 @@ class _Integrals:
 
 
 class _RandomEffects(GroupedLogLikelihood):
-    """log p(y_g | phi) = sum_t log N(rho_t; 0, N_t) - (log|I + G S| - e' S (I + G S)^-1 e) / 2, for
-    each group.
+    """The groups' log-likelihoods, with rows linear around the modes found anew for every phi.
 
-    All rows are linear around the modes of their groups, which are found anew for every phi.
+    log p(y_g | phi) = sum_t log N(rho_t; 0, N_t) - (log|I + G S| - e' S (I + G S)^-1 e) / 2. The
+    noise of a row is R + sum_k epsilon_k c_k c_k' with columns c (R, p, k), the p epsilons over and
+    over.
     """
 
     has_gradients = True
@@ -116,22 +183,21 @@ class _RandomEffects(GroupedLogLikelihood):
         noise: NoiseModel,
         width: Array,
         columns: Array,
+        modes: ModeSettings,
     ):
-        """columns: (R, p, k) the noise of a row is R + sum_k epsilon_k c_k c_k', the p epsilons
-        over and over.
-        """
+        self.modes = modes
         self.emulator = emulator
         self.family = family
         self.noise = noise
         self.columns = columns
         self.copies = columns.shape[2] // columns.shape[1]
         self.targets = simulator.targets(segments)
+        # The group of each row, and the rows in the order of their groups.
         self.label, self.of_row = np.unique(segments.group[segments.rows[0]], return_inverse=True)
         self._order = np.argsort(self.of_row, kind="stable")
         self._first = np.searchsorted(self.of_row[self._order], np.arange(len(self.label)))
-        self.blocks = row_blocks(
-            len(self.of_row), 8 * len(emulator.indices) * (1 + len(emulator.centre))
-        )
+        row_bytes = 8 * len(emulator.indices) * (1 + len(emulator.centre))
+        self.blocks = row_blocks(len(self.of_row), row_bytes)
         self.unknowns = ParameterSpace((*trusted(family, emulator.centre, width), *noise.unknowns))
         self._known = None if noise.unknowns else self._whitener(noise.epsilon(np.zeros(0)))
 
@@ -139,172 +205,175 @@ class _RandomEffects(GroupedLogLikelihood):
         return self._integrate(phi, self._modes(plain(phi))).values
 
     def gradient(self, phi: Any) -> Array:
+        """Return d log L / d phi (m,)."""
         return self.value_score_information(np.asarray(phi, dtype=float))[1].sum(axis=0)
 
     def mean(self, phi: Array) -> Array:
-        """(R, p) the prediction at each group's own mode: what the population explains, the noise
-        left out.
-        """
+        """Return the prediction (R, p) at each group's own mode, without noise."""
         return self._linear(self._modes(phi))[0]
 
     def epsilon(self, phi: Array) -> Array:
+        """Return the noise variances (p,)."""
         return self.noise.epsilon(phi[len(self.family.unknowns) :])
 
     def predict(self, values: Array) -> Array:
+        """Return the polynomials' predictions (K, R, p) at values (K, d)."""
         return self.emulator.predict(values)
 
     def groups(self, phi: Array) -> Groups:
+        """Return the groups under the population that phi (m,) names."""
         modes = self._modes(phi)
-        return Groups(
-            self.label, np.bincount(self.of_row), modes, self._integrate(phi, modes).precision
-        )
+        precision = self._integrate(phi, modes).precision
+        return Groups(self.label, np.bincount(self.of_row), modes, precision)
 
     def _population(self, phi: Array) -> tuple[Array, Array]:
+        """Mean (d,) and covariance (d, d)."""
         own = phi[: len(self.family.unknowns)]
         sd = self.family.sd(own)
         return self.family.mean(own), self.family.correlation(own) * sd[:, None] * sd
 
     def _linear(self, modes: Array) -> tuple[Array, Array]:
         """Predictions (R, p) and slopes (R, p, d) of every row at its group's mode (G, d)."""
-        terms = np.concatenate(
-            [self.emulator.basis(modes)[:, None], self.emulator.slopes(modes).swapaxes(1, 2)],
-            axis=1,
-        )
-        c = self.emulator.coefficients
-        out = np.concatenate(
-            [terms[self.of_row[rows]] @ c[:, rows].swapaxes(0, 1) for rows in self.blocks]
-        )  # (R, 1 + d, M) (R, M, p)
+        values = self.emulator.basis(modes)[:, None]
+        slopes = self.emulator.slopes(modes).swapaxes(1, 2)
+        terms = np.concatenate([values, slopes], axis=1)  # (G, 1 + d, M)
+        parts = []
+        for rows in self.blocks:
+            coefficients = self.emulator.coefficients[:, rows].swapaxes(0, 1)  # (r, M, p)
+            parts.append(terms[self.of_row[rows]] @ coefficients)
+        out = np.concatenate(parts)
         return out[:, 0], out[:, 1:].swapaxes(1, 2)
 
     def _whitener(self, epsilon: Array) -> Array:
         """L^-1 (R, p, p) of the noise N = L L' of every row."""
         xp = namespace(epsilon)
         columns = constant(self.columns, epsilon)
-        noise = constant(self.emulator.residual, epsilon) + (
-            columns * xp.concat([epsilon] * self.copies)
-        ) @ xp.matrix_transpose(columns)
+        weighted = columns * xp.concat([epsilon] * self.copies)
+        residual = constant(self.emulator.residual, epsilon)
+        noise = residual + weighted @ xp.matrix_transpose(columns)
         whiten: Array = xp.linalg.inv(xp.linalg.cholesky(noise))
         return whiten
 
     def _modes(self, phi: Array) -> Array:
-        """(G, d) by Gauss-Newton from the population's mean, kept where the emulator is to be
-        trusted.
-        """
+        """(G, d) by Gauss-Newton from the population's mean, kept where the emulator is sound."""
         mean = self._population(phi)[0]
-        reach = 4 * self.emulator.width
+        width = self.emulator.width
+        low = self.emulator.centre - self.modes.span * width
+        high = self.emulator.centre + self.modes.span * width
         modes = np.repeat(mean[None], len(self.label), axis=0)
-        for _ in range(MODE_STEPS):
-            following = mean + self._integrate(phi, modes).offset
-            following = np.clip(
-                following, self.emulator.centre - reach, self.emulator.centre + reach
-            )
+        for _ in range(self.modes.steps):
+            following = np.clip(mean + self._integrate(phi, modes).offset, low, high)
             step = np.abs(following - modes)
             modes = following
-            if (step <= AT_MODE * self.emulator.width).all():
+            if (step <= self.modes.tolerance * width).all():
                 break
         return modes
 
     def _integrate(self, phi: Array, modes: Array) -> _Integrals:
         """The rows linear at given modes (G, d); arrays or tensors, as phi is."""
         xp = namespace(phi)
-        (mean, spread) = self._population(phi)
-        whiten = (
-            self._whitener(self.epsilon(phi)) if self._known is None else constant(self._known, phi)
-        )
+        mean, spread = self._population(phi)
+        if self._known is None:
+            whiten = self._whitener(self.epsilon(phi))
+        else:
+            whiten = constant(self._known, phi)
+
+        # Whitened residuals at the population's mean, and slopes.
         predicted, slopes = (constant(part, phi) for part in self._linear(modes))
-        away = xp.einsum("rpd,rd->rp", slopes, (constant(modes, phi) - mean)[self.of_row])
+        offsets = (constant(modes, phi) - mean)[self.of_row]
+        away = xp.einsum("rpd,rd->rp", slopes, offsets)
         rho = xp.einsum("rpq,rq->rp", whiten, constant(self.targets, phi) - predicted + away)
         jacobian = whiten @ slopes
+
+        # What the groups' rows say of their parameters.
         precision = self._sum(jacobian.swapaxes(1, 2) @ jacobian)
         e = self._sum(xp.einsum("rpd,rp->rd", jacobian, rho))
         factor = constant(np.eye(len(mean)), phi) + precision @ spread
         inner = xp.linalg.inv(factor)
         offset = xp.einsum("gef,gf->ge", inner, e) @ spread
+
+        # The log-likelihood as if the parameters were the mean, and what the integral adds.
         log_noise = -xp.sum(xp.log(xp.linalg.diagonal(whiten)), axis=1)
-        alone = self._sum(
-            -0.5 * (rho.shape[1] * np.log(2 * np.pi) + xp.sum(rho**2, axis=1)) - log_noise
-        )
-        values = alone - 0.5 * (xp.linalg.slogdet(factor)[1] - xp.sum(e * offset, axis=1))
+        distance = rho.shape[1] * np.log(2 * np.pi) + xp.sum(rho**2, axis=1)
+        at_mean = self._sum(-0.5 * distance - log_noise)
+        values = at_mean - 0.5 * (xp.linalg.slogdet(factor)[1] - xp.sum(e * offset, axis=1))
         return _Integrals(rho, jacobian, whiten, values, precision, e, inner, offset)
 
     def _sum(self, rows: Array) -> Array:
         """The sum of the rows of each group (G, ...)."""
         if is_tensor(rows):
             xp = namespace(rows)
-            return xp.zeros((len(self.label), *rows.shape[1:]), dtype=rows.dtype).index_add(
-                0, xp.asarray(self.of_row), rows
-            )
+            zeros = xp.zeros((len(self.label), *rows.shape[1:]), dtype=rows.dtype)
+            return zeros.index_add(0, xp.asarray(self.of_row), rows)
         total: Array = np.add.reduceat(rows[self._order], self._first, axis=0)
         return total
 
     def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
+        """Return the value, the scores of the groups (G, m) and the information (m, m)."""
         at = self._integrate(phi, self._modes(phi))
-        (_, spread) = self._population(phi)
-        # M = (S + G^-1)^-1, q = M (xi_hat - mean)
+        spread = self._population(phi)[1]
+        value = float(at.values.sum())
+
+        # Of the family's unknowns, with M = (S + G^-1)^-1 and q = M (xi_hat - mean).
         q = np.einsum("gde,ge->gd", at.inner, at.e)
         matrix = at.inner @ at.precision
         by_mean, by_spread = self._population_slopes(phi)
-        moved = np.einsum("gde,nef->ngdf", matrix, by_spread, optimize=True)
-        pushed = by_mean @ matrix.swapaxes(1, 2)  # (G, n, d)
+        m_spread = np.einsum("gde,nef->ngdf", matrix, by_spread, optimize=True)
+        m_mean = by_mean @ matrix.swapaxes(1, 2)  # (G, n, d)
         quadratic = np.einsum("gd,nde,ge->gn", q, by_spread, q, optimize=True)
-        scores = q @ by_mean.T + 0.5 * (quadratic - np.einsum("ngdd->gn", moved))
-        information = np.einsum("gnd,kd->nk", pushed, by_mean) + 0.5 * np.einsum(
-            "ngde,kged->nk", moved, moved, optimize=True
-        )
+        scores = q @ by_mean.T + 0.5 * (quadratic - np.einsum("ngdd->gn", m_spread))
+        of_mean = np.einsum("gnd,kd->nk", m_mean, by_mean)
+        of_spread = np.einsum("ngde,kged->nk", m_spread, m_spread, optimize=True)
+        information = of_mean + 0.5 * of_spread
         if not self.noise.unknowns:
-            return float(at.values.sum()), scores, information
-        own, of_noise, pulled = self._noise_scores(at, spread)
-        cross = 0.5 * np.einsum("nde,ked->nk", by_spread, pulled)
+            return value, scores, information
+
+        # Of the noise's unknowns, and of both together.
+        noise_scores, of_noise, by_noise = self._noise_scores(at, spread)
+        cross = 0.5 * np.einsum("nde,ked->nk", by_spread, by_noise)
         whole = np.block([[information, cross], [cross.T, of_noise]])
-        return float(at.values.sum()), np.concatenate([scores, own], axis=1), whole
+        return value, np.concatenate([scores, noise_scores], axis=1), whole
 
     def _population_slopes(self, phi: Array) -> tuple[Array, Array]:
-        """d mean (n, d) and d S (n, d, d) by each of the family's unknowns, by central differences."""
-        n = len(self.family.unknowns)
-        step = (
-            1e-6
-            * np.maximum(
-                np.abs(phi[:n]), 1e-6 * (self.family.unknowns.high - self.family.unknowns.low)
-            )
-            * np.eye(n)
-        )
-        sides = [
-            (self._population(phi[:n] + s), self._population(phi[:n] - s), 2 * s.sum())
-            for s in step
-        ]
-        means, spreads = zip(
-            *(((up[0] - down[0]) / h, (up[1] - down[1]) / h) for up, down, h in sides), strict=True
-        )
-        return np.stack(means), np.stack(spreads)
+        """d mean (n, d) and d S (n, d, d) by the family's unknowns, by central differences."""
+        unknowns = self.family.unknowns
+        own = phi[: len(unknowns)]
+        size = np.maximum(np.abs(own), 1e-6 * (unknowns.high - unknowns.low))
+        by_mean = []
+        by_spread = []
+        for step in 1e-6 * size * np.eye(len(own)):
+            mean_above, spread_above = self._population(own + step)
+            mean_below, spread_below = self._population(own - step)
+            width = 2 * step.sum()
+            by_mean.append((mean_above - mean_below) / width)
+            by_spread.append((spread_above - spread_below) / width)
+        return np.stack(by_mean), np.stack(by_spread)
 
     def _noise_scores(self, at: _Integrals, spread: Array) -> tuple[Array, Array, Array]:
-        """Scores (G, n) and information (n, n) of the noise's unknowns, and sum_g J' Sigma_g^-1 dN
-        Sigma_g^-1 J (n, d, d).
+        """Scores (G, n), information (n, n) and cross terms (n, d, d) of the noise's unknowns.
 
-        First by the variance of each column c_k of the noise: with B = C' N^-1 C, A = C' N^-1 J,
-        P_g = (S^-1 + G)^-1 and Q = A P_g A', C' Sigma_g^-1 C is B - Q within a row, so that
-        products of B, Q and A' A are all that is needed.
+        The last are sum_g J' Sigma_g^-1 dN Sigma_g^-1 J. All are first found by the variance of
+        each column c_k of the noise: with B = C' N^-1 C, A = C' N^-1 J, P_g = (S^-1 + G)^-1 and
+        Q = A P_g A', C' Sigma_g^-1 C is B - Q within a row, so that products of B, Q and A' A are
+        all that is needed.
         """
         posterior = spread @ at.inner
-        left = at.rho - np.einsum(
-            "rpd,rd->rp", at.jacobian, np.einsum("gde,ge->gd", posterior, at.e)[self.of_row]
-        )
-        c = (at.whiten @ self.columns).swapaxes(1, 2)  # (R, k, p), white
+        shift = np.einsum("gde,ge->gd", posterior, at.e)[self.of_row]
+        residual = at.rho - np.einsum("rpd,rd->rp", at.jacobian, shift)
+        c = (at.whiten @ self.columns).swapaxes(1, 2)  # (R, k, p), whitened
         a = c @ at.jacobian
         b = c @ c.swapaxes(1, 2)
         q = a @ posterior[self.of_row] @ a.swapaxes(1, 2)
-        by_column = self._sum(
-            0.5 * ((c @ left[:, :, None])[:, :, 0] ** 2 - np.diagonal(b - q, axis1=1, axis2=2))
-        )
-        inside = self._sum(a[:, :, :, None] * a[:, :, None, :])  # (G, k, d, d)
-        held = np.einsum("gkde,gef->gkdf", inside, posterior)
-        information = np.einsum("rkl,rkl->kl", b, b - 2 * q) + np.einsum(
-            "gkde,gled->kl", held, held, optimize=True
-        )
-        pulled = np.einsum("gde,gkef,ghf->kdh", at.inner, inside, at.inner, optimize=True)
+
+        square = (c @ residual[:, :, None])[:, :, 0] ** 2
+        scores = self._sum(0.5 * (square - np.diagonal(b - q, axis1=1, axis2=2)))
+        a_a = self._sum(a[:, :, :, None] * a[:, :, None, :])  # (G, k, d, d)
+        a_a_p = np.einsum("gkde,gef->gkdf", a_a, posterior)
+        within_rows = np.einsum("rkl,rkl->kl", b, b - 2 * q)
+        between_rows = np.einsum("gkde,gled->kl", a_a_p, a_a_p, optimize=True)
+        information = within_rows + between_rows
+        cross = np.einsum("gde,gkef,ghf->kdh", at.inner, a_a, at.inner, optimize=True)
+
         slopes = np.tile(self.noise.slopes(), self.copies)
-        return (
-            by_column @ slopes.T,
-            0.5 * slopes @ information @ slopes.T,
-            np.einsum("nk,kde->nde", slopes, pulled),
-        )
+        by_unknown = np.einsum("nk,kde->nde", slopes, cross)
+        return scores @ slopes.T, 0.5 * slopes @ information @ slopes.T, by_unknown

@@ -1,6 +1,4 @@
-"""The linear likelihood with the curvature along each axis: the same 2 d + 1 simulations of a
-segment.
-"""
+"""The linear likelihood with the curvature along each axis, from the same 2 d + 1 simulations."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,12 +20,17 @@ from dropo.likelihoods.support.gaussian_rows import Columns, Parts, parts_of_col
 
 @dataclass(frozen=True)
 class Unscented(LocalLikelihood):
-    """f(x) = f(c) + J u + sum_i H_i u_i^2 / 2, u = x - c, from simulations one width to either side
-    on each axis.
+    """A Gaussian for each row, with the moments of a model that is quadratic along each axis.
 
-    The measurement's mean and covariance under the member are exact for this f, to the member's
+    The measurement's mean and covariance under the member are exact for this model, to the member's
     fourth moments; those of two correlated components are taken as a Gaussian's. Crossed curvatures
-    are left out: 'emulated' has them, for more simulations. A good first phase for many parameters.
+    are left out: 'emulated' has them, for more simulations. A good first choice for many
+    parameters.
+
+    Notes
+    -----
+    f(x) = f(c) + J u + sum_i H_i u_i^2 / 2 with u = x - c, from simulations one width to either
+    side on each axis.
     """
 
     def linearize_at(
@@ -42,18 +45,41 @@ class Unscented(LocalLikelihood):
         *,
         rough: bool = False,
     ) -> LocalLogLikelihood:
+        """Return the log-likelihood of members with means near the centre (d,).
+
+        Raises
+        ------
+        Incompatible
+            If the family's fourth moments are not known.
+        """
         if family.standard is None:
             raise Incompatible(
-                f"The family {type(family).__name__} names no standard law, so its fourth "
-                "moments are not known. Use likelihood 'linear'."
+                f"The family {type(family).__name__} names no standard distribution, so its fourth"
+                " moments are not known. Use likelihood 'linear'."
             )
         axial = along(simulator, segments, family, centre, width)
         return UnscentedRows(axial, simulator, segments, family, epsilon, centre, width)
 
 
 class UnscentedRows(LinearRows):
-    """With slopes J + H (mean - c) at the member's mean: mean + H diag(S) / 2, spread J S J' + H Q
-    H' / 4, Q = Cov(u_i^2, u_j^2).
+    """Rows of a model that is quadratic along each axis.
+
+    Parameters
+    ----------
+    axial : Axial
+        Values, slopes and curvatures.
+    simulator, segments, family, epsilon, centre, width
+        As those of `GaussianRows`.
+
+    Attributes
+    ----------
+    fourth : (d, d) array
+        Cov(u_i^2, u_j^2) / S_ij^2.
+
+    Notes
+    -----
+    With the slopes J + H (mean - c) at the member's mean in J's place, the mean is that of the
+    model there + H diag(S) / 2 and the spread J S J' + H Q H' / 4, with Q = Cov(u_i^2, u_j^2).
     """
 
     def __init__(
@@ -70,48 +96,52 @@ class UnscentedRows(LinearRows):
         assert family.standard is not None
         square = family.standard.weights @ family.standard.nodes**2
         excess = float(family.standard.weights @ family.standard.nodes**4 / square**2 - 1)
-        self.fourth = np.full((len(centre), len(centre)), 2.0)  # Cov(u_i^2, u_j^2) / S_ij^2
+        self.fourth = np.full((len(centre), len(centre)), 2.0)
         np.fill_diagonal(self.fourth, excess)
 
     def predict(self, values: Array) -> Array:
+        """Return the quadratic model's predictions (K, R, p) at values (K, d)."""
         away = coordinates(self.family, values) - self.centre
-        return super().predict(values) + 0.5 * np.moveaxis(
-            self.axial.curvature @ (away**2).T, -1, 0
-        )
+        bend = np.moveaxis(self.axial.curvature @ (away**2).T, -1, 0)
+        return super().predict(values) + 0.5 * bend
 
     def _spread(self, member: Any, rows: slice) -> tuple[Any, Any]:
         away, covariance = member
-        value, slope, curvature = (
-            constant(x[rows], away)
-            for x in (self.axial.value, self.axial.slope, self.axial.curvature)
-        )
+        value = constant(self.axial.value[rows], away)
+        slope = constant(self.axial.slope[rows], away)
+        curvature = constant(self.axial.curvature[rows], away)
         xp = namespace(slope)
         squares = constant(self.fourth, away) * covariance**2
         mean = value + slope @ away + 0.5 * curvature @ (away**2 + xp.linalg.diagonal(covariance))
-        there = slope + curvature * away
-        return mean, there @ covariance @ xp.matrix_transpose(
-            there
-        ) + 0.25 * curvature @ squares @ xp.matrix_transpose(curvature)
+        at_mean = slope + curvature * away
+        by_slope = at_mean @ covariance @ xp.matrix_transpose(at_mean)
+        by_curvature = 0.25 * curvature @ squares @ xp.matrix_transpose(curvature)
+        return mean, by_slope + by_curvature
 
     def _parts(
         self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns
     ) -> Parts:
-        (away, covariance), (by_mean, entries) = member, slopes
+        away, covariance = member
+        by_mean, entries = slopes
         curvature = whiten @ self.axial.curvature[rows]
-        there = whiten @ self.axial.slope[rows] + curvature * away
-        by_diagonal = np.zeros_like(by_mean)
-        by_diagonal[:, entries.first[entries.first == entries.second]] = entries.slopes[
-            :, entries.first == entries.second
-        ]
-        (a, b), (c, e) = entries.pairs(there), entries.pairs(curvature)
-        by_squares = (
-            0.5 * entries.weights * (self.fourth * covariance)[entries.first, entries.second]
-        )
+        at_mean = whiten @ self.axial.slope[rows] + curvature * away
+
+        # d mean: by the member's mean, and by the variances through the curvatures.
+        diagonal = entries.first == entries.second
+        by_variance = np.zeros_like(by_mean)
+        by_variance[:, entries.first[diagonal]] = entries.slopes[:, diagonal]
+
+        # d Sigma: by the covariance's entries through slopes and curvatures, and by the mean, on
+        # which the slopes depend.
+        a, b = entries.pairs(at_mean)
+        c, e = entries.pairs(curvature)
+        fourth = (self.fourth * covariance)[entries.first, entries.second]
+        by_squares = 0.5 * entries.weights * fourth
         own = Columns(
-            np.concatenate([there, 0.5 * curvature], axis=2),
-            np.concatenate([by_mean, by_diagonal], axis=1),
+            np.concatenate([at_mean, 0.5 * curvature], axis=2),
+            np.concatenate([by_mean, by_variance], axis=1),
             np.concatenate([a, c, curvature], axis=2),
-            np.concatenate([b, e, there @ covariance], axis=2),
+            np.concatenate([b, e, at_mean @ covariance], axis=2),
             np.concatenate([entries.weights, by_squares, 2 * by_mean], axis=1),
         )
         return parts_of_columns(z, own.beside(noise))

@@ -1,8 +1,7 @@
-"""CMA-ES by pycma (Hansen 2016, arXiv:1604.00772), scaled as in the thesis, with restarts that
-double the population.
-"""
+"""CMA-ES by pycma, scaled as in the thesis, with restarts that double the population."""
 
 import warnings
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,6 @@ from numpy.typing import ArrayLike
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.services.validation import Array, require
 
-# thesis, section 5.3: every coordinate lies in [0, 4], the search starts at 2 with sigma_0 = 1
-WIDTH = 4.0
-TOLERANCE = (
-    1e-12  # of a coordinate: posteriors of noise-free data can be as narrow as 1e-9 of the box
-)
-ROUNDING = (
-    1e-12  # a restart that lowers the cost by less than this share has found the same optimum
-)
 REASONS = {
     "tolx": "The steps became too small to matter.",
     "tolfun": "The costs no longer differ.",
@@ -32,14 +23,74 @@ REASONS = {
     "tolfacupx": "The steps grew a thousandfold: the first ones were far too small.",
     "tolupsigma": "The steps grew without an end: the cost hardly changes anywhere.",
 }
+"""A sentence for each of pycma's reasons to stop."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CMAESSettings:
+    """Scaling and tolerances of CMA-ES.
+
+    Attributes
+    ----------
+    width : float
+        Length of a coordinate's interval inside pycma. In the thesis (section 5.3) every coordinate
+        lies in [0, 4], and the search starts at 2 with sigma_0 = 1.
+    tolerance : float
+        Change of a coordinate of length `width` that is too small to matter. Posteriors of
+        noise-free data can be as narrow as 1e-9 of the box.
+    improvement : float
+        Relative decrease of the cost below which a restart has found the same optimum again.
+    flat_generations : int
+        Number of generations without any difference of costs after which a run ends. A single
+        generation may fail as a whole.
+    stagnation_generations : int
+        Number of generations without a movement of the mean after which a run ends.
+    """
+
+    width: float = 4.0
+    tolerance: float = 1e-12
+    improvement: float = 1e-12
+    flat_generations: int = 5
+    stagnation_generations: int = 20
+
+
+DEFAULTS = CMAESSettings()
 
 
 class CMAES(Optimizer):
-    """Covariance matrix adaptation. The first run begins at `start`, further ones at random points.
+    """Covariance matrix adaptation, with restarts from random points.
 
-    population: points in a generation of the first run, by default pycma's 4 + 3 ln m; each restart
-    doubles it (IPOP, Auger and Hansen 2005). restarts: how many at most; by default as many as the
-    budget has room for, 0 for none.
+    Parameters
+    ----------
+    dimension : int
+        Number m of coordinates.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    start : (m,) array, optional
+        Mean of the first run, in the unit box; the middle by default.
+    step : float or (m,) array
+        Standard deviations of the first generation, in the unit box.
+    budget : int
+        Number of evaluations that the restarts are planned with.
+    population : int, optional
+        Points in a generation of the first run, by default pycma's 4 + 3 ln m. Each restart doubles
+        it (IPOP).
+    restarts : int, optional
+        Maximum number of restarts: 0 for none, by default as many as the budget has room for.
+    settings : CMAESSettings
+        Scaling and tolerances.
+
+    Raises
+    ------
+    BadArgument
+        If `population` is below 4, `restarts` is negative, or an argument of `Optimizer` is
+        refused.
+
+    References
+    ----------
+    Hansen (2016), "The CMA evolution strategy: a tutorial", arXiv:1604.00772.
+    Auger and Hansen (2005), "A restart CMA evolution strategy with increasing population size",
+    IEEE Congress on Evolutionary Computation.
     """
 
     def __init__(
@@ -52,6 +103,7 @@ class CMAES(Optimizer):
         budget: int = 5000,
         population: int | None = None,
         restarts: int | None = None,
+        settings: CMAESSettings = DEFAULTS,
     ):
         super().__init__(dimension, rng, start=start, step=step, budget=budget)
         require(
@@ -60,61 +112,70 @@ class CMAES(Optimizer):
         require(restarts is None or restarts >= 0, "restarts", "0 or more", restarts, "CMAES")
         self.population = population or 4 + int(3 * np.log(dimension))
         self.restarts = restarts
-        # restarts so far, costs told, and those told before this run
+        self.settings = settings
+        # number of the present run, evaluations in all, and evaluations before the present run
         self._run = 0
-        self._told = 0
-        self._first = 0
-        self._earlier = (
-            ""  # why the run that holds the best point ended, where it is not the present one
-        )
-        self._kept: Array | None = None  # that run's covariance
-        self._least = float(np.finfo(float).max)
+        self._evaluations = 0
+        self._evaluations_before = 0
+        # of the run that found the best point, where it is an earlier one: why it ended, and its
+        # covariance
+        self._best_reason = ""
+        self._best_covariance: Array | None = None
+        self._lowest_cost = float(np.finfo(float).max)
         self._asked: list[Array] = []
-        self._es = self._begin(self.start)
+        self._strategy = self._new_strategy(self.start)
 
     @property
     def covariance(self) -> Array:
-        """(m, m) final covariance of the run that found the best point, in unit-box coordinates.
+        """The (m, m) final covariance of the run that found the best point, in the unit box.
 
         Near a bound these are the search's own coordinates, before pycma folds them into the box.
         """
-        return self._present_covariance() if self._kept is None else self._kept
+        if self._best_covariance is None:
+            return self._present_covariance()
+        return self._best_covariance
 
-    def _begin(self, start: Array) -> Any:
-        with warnings.catch_warnings():  # its plots want matplotlib, which is not needed here
+    def _new_strategy(self, start: Array) -> Any:
+        """Returns pycma's strategy of the present run, which begins at `start` (m,)."""
+        # pycma warns that its plots want matplotlib, which is not needed here
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             import cma
 
+        width = self.settings.width
         widest = float(self.step.max())
-        return cma.CMAEvolutionStrategy(
-            WIDTH * start,
-            WIDTH * widest,
-            {
-                "CMA_stds": (self.step / widest).tolist(),
-                "bounds": [0.0, WIDTH],
-                "popsize": self.population * 2**self._run,
-                "randn": lambda *shape: self.rng.standard_normal(shape),
-                "seed": np.nan,  # together they keep off numpy's global stream
-                "maxstd_boundrange": 1 / 3
-                if self.dimension > 1
-                else np.inf,  # pycma 4.5 cannot shorten a step in one dimension
-                "tolfun": 0.0,
-                "tolfunhist": 0.0,  # the cost's unit is not known here, so no difference is small
-                "tolx": TOLERANCE,
-                "tolxstagnation": [TOLERANCE, 20, 0.1],
-                "tolflatfitness": 5,  # a generation may fail as a whole
-                "maxiter": np.inf,
-                "verbose": -10,
-                "verb_log": 0,
-                "verb_disp": 0,  # -10: no messages, no files, not even one to listen to
-            },
-        )
+        return cma.CMAEvolutionStrategy(width * start, width * widest, self._options(widest))
+
+    def _options(self, widest: float) -> dict[str, Any]:
+        """Returns pycma's options of the present run."""
+        tolerance = self.settings.tolerance
+        search = {
+            "CMA_stds": (self.step / widest).tolist(),
+            "bounds": [0.0, self.settings.width],
+            "popsize": self.population * 2**self._run,
+            # pycma 4.5 cannot shorten a step in one dimension
+            "maxstd_boundrange": 1 / 3 if self.dimension > 1 else np.inf,
+        }
+        # these two together keep pycma off numpy's global stream
+        randomness = {"randn": lambda *shape: self.rng.standard_normal(shape), "seed": np.nan}
+        # the cost's unit is not known here, so no difference of costs is small by itself
+        stopping = {
+            "tolfun": 0.0,
+            "tolfunhist": 0.0,
+            "tolx": tolerance,
+            "tolxstagnation": [tolerance, self.settings.stagnation_generations, 0.1],
+            "tolflatfitness": self.settings.flat_generations,
+            "maxiter": np.inf,
+        }
+        # -10: no messages and no files
+        silence = {"verbose": -10, "verb_log": 0, "verb_disp": 0}
+        return {**search, **randomness, **stopping, **silence}
 
     def _ask(self) -> Array:
-        if self._ended() is not None:
+        if self._end_reason() is not None:
             self._restart()
-        self._asked = self._es.ask()
-        return np.array(self._asked) / WIDTH
+        self._asked = self._strategy.ask()
+        return np.array(self._asked) / self.settings.width
 
     def _tell(self, points: Array, costs: Array, gradients: Array | None) -> None:
         require(
@@ -124,58 +185,58 @@ class CMAES(Optimizer):
             len(points),
             "CMAES.tell",
         )
-        if costs.min() < self._least - ROUNDING * abs(self._least):
-            self._least = float(costs.min())
-            self._earlier = ""
-            self._kept = None
-        self._es.tell(
-            self._asked, costs.tolist()
-        )  # pycma knows its own points, bit for bit, by what it asked for
-        self._told += len(points)
+        margin = self.settings.improvement * abs(self._lowest_cost)
+        if costs.min() < self._lowest_cost - margin:
+            self._lowest_cost = float(costs.min())
+            self._best_reason = ""
+            self._best_covariance = None
+        # pycma recognises its own points bit for bit, so it gets those that it gave
+        self._strategy.tell(self._asked, costs.tolist())
+        self._evaluations += len(points)
 
     def _stop(self) -> str | None:
-        reason = self._ended()
+        reason = self._end_reason()
         if reason is None:
-            cut_short = self._told + self._es.popsize > self.budget and self._earlier
-            return (
-                f"{self._earlier} Restart {self._run} found no better before the budget ran out."
-                if cut_short
-                else None
-            )
-        if self._room():
+            out_of_budget = self._evaluations + self._strategy.popsize > self.budget
+            if out_of_budget and self._best_reason:
+                return (
+                    f"{self._best_reason} Restart {self._run} found no better before the budget "
+                    "ran out."
+                )
             return None
-        return (
-            reason
-            if self._run == 0
-            else f"{self._earlier or reason} {self._run} restarts are done."
-        )
+        if self._may_restart():
+            return None
+        if self._run == 0:
+            return reason
+        return f"{self._best_reason or reason} {self._run} restarts are done."
 
-    def _ended(self) -> str | None:
-        """Why the present run is over, or None."""
-        if self._told == self._first:
+    def _end_reason(self) -> str | None:
+        """Returns why the present run is over, or None while it is not."""
+        if self._evaluations == self._evaluations_before:
             return None
-        keys = list(self._es.stop())
+        keys = list(self._strategy.stop())
         return REASONS.get(keys[0], f"pycma stopped: {keys[0]}.") if keys else None
 
-    def _room(self) -> bool:
-        """Whether another run is due; twice the population takes about twice the evaluations."""
+    def _may_restart(self) -> bool:
+        """Returns whether another run is due; it takes about twice the evaluations of the last."""
         if self.restarts is not None:
             return self._run < self.restarts
-        return self.budget - self._told >= 2 * (self._told - self._first)
+        last_run = self._evaluations - self._evaluations_before
+        return self.budget - self._evaluations >= 2 * last_run
 
     def _restart(self) -> None:
-        if self._kept is None:
-            self._earlier, self._kept = self._ended() or "", self._present_covariance()
-        self._run = self._run + 1
-        self._first = self._told
-        self._es = self._begin(self.rng.random(self.dimension))
+        """Begins another run at a random point, with twice the population."""
+        if self._best_covariance is None:
+            self._best_reason = self._end_reason() or ""
+            self._best_covariance = self._present_covariance()
+        self._run += 1
+        self._evaluations_before = self._evaluations
+        self._strategy = self._new_strategy(self.rng.random(self.dimension))
 
     def _present_covariance(self) -> Array:
-        deviations = (
-            self._es.sigma * np.broadcast_to(self._es.sigma_vec.scaling, self.dimension) / WIDTH
-        )
-        return np.asarray(
-            deviations[:, None]
-            * np.reshape(self._es.sm.C, (self.dimension, self.dimension))
-            * deviations
-        )
+        """Returns the covariance (m, m) of the present run, in the unit box."""
+        m = self.dimension
+        scaling = np.broadcast_to(self._strategy.sigma_vec.scaling, m)
+        deviations = self._strategy.sigma * scaling / self.settings.width
+        shape = np.reshape(self._strategy.sm.C, (m, m))
+        return np.asarray(deviations[:, None] * shape * deviations)

@@ -10,59 +10,76 @@ from dropo.core.contracts.optimizer import CallbackOptimizer
 from dropo.core.services.validation import Array, require
 
 Cost = Callable[[Array], tuple[float, Array | None]]
-STEP_TOLERANCE = 1e-11  # of the box: posteriors of noise-free data can be as narrow as 1e-9 of it
-COST_TOLERANCE = (
-    1e-12  # of the cost: its unit is not known here, so no difference is small by itself
-)
+"""A cost and its gradient (m,), or None, at a point (m,) of the unit box."""
 
 
-def _value(cost: Cost) -> Callable[[Array], float]:
+def _value_of(cost: Cost) -> Callable[[Array], float]:
+    """Returns the cost without its gradient."""
     return lambda point: cost(point)[0]
 
 
-def _box(dimension: int) -> Any:
+def _unit_box(dimension: int) -> Any:
+    """Returns the bounds of the unit box."""
     import scipy.optimize
 
     return scipy.optimize.Bounds(np.zeros(dimension), np.ones(dimension))
 
 
-def _sentence(method: str, result: Any) -> str:
+def _describe_end(method: str, result: Any) -> str:
+    """Returns a sentence on why a method stopped."""
     return f"SciPy's {method} stopped: {str(result.message).strip().rstrip('.')}."
 
 
 class NelderMead(CallbackOptimizer):
-    """The simplex method (Nelder and Mead 1965), with coefficients that depend on the dimension
-    (Gao and Han 2012).
+    """The simplex method, with coefficients that depend on the dimension.
+
+    Attributes
+    ----------
+    point_tolerance : float
+        Size of the simplex, as a fraction of the box, below which the search ends. Posteriors of
+        noise-free data can be as narrow as 1e-9 of the box.
+
+    References
+    ----------
+    Nelder and Mead (1965), "A simplex method for function minimization", The Computer Journal 7.
+    Gao and Han (2012), "Implementing the Nelder-Mead simplex algorithm with adaptive parameters",
+    Computational Optimization and Applications 51.
     """
+
+    point_tolerance = 1e-11
 
     def _minimise(self, cost: Cost) -> str:
         import scipy.optimize
 
-        inward = np.where(
-            self.start + self.step <= 1, self.start + self.step, self.start - self.step
-        )
-        corners = np.where(
-            np.eye(self.dimension, dtype=bool), np.clip(inward, 0, 1), self.start
-        )  # (m, m)
+        # corner i of the simplex is the start, with coordinate i one step away inside the box
+        forward = self.start + self.step
+        inward = np.where(forward <= 1, forward, self.start - self.step)
+        corners = np.where(np.eye(self.dimension, dtype=bool), np.clip(inward, 0, 1), self.start)
         options: Any = {
             "initial_simplex": np.vstack([self.start, corners]),
-            "xatol": STEP_TOLERANCE,
+            "xatol": self.point_tolerance,
             "fatol": np.inf,
             "maxfev": self.budget + 1,
             "adaptive": True,
         }
         result = scipy.optimize.minimize(
-            _value(cost),
+            _value_of(cost),
             self.start,
             method="Nelder-Mead",
-            bounds=_box(self.dimension),
+            bounds=_unit_box(self.dimension),
             options=options,
         )
-        return _sentence("Nelder-Mead", result)
+        return _describe_end("Nelder-Mead", result)
 
 
 class LbfgsB(CallbackOptimizer):
-    """Low-storage BFGS with bounds (Byrd, Lu, Nocedal and Zhu 1995); it chooses its own first step."""
+    """Limited-memory BFGS with bounds; it chooses its own first step.
+
+    References
+    ----------
+    Byrd, Lu, Nocedal and Zhu (1995), "A limited memory algorithm for bound constrained
+    optimization", SIAM Journal on Scientific Computing 16.
+    """
 
     needs_gradients = True
 
@@ -75,22 +92,54 @@ class LbfgsB(CallbackOptimizer):
             "ftol": np.finfo(float).eps,
             "gtol": 0.0,
         }
-        both: Any = cost
+        value_and_gradient: Any = cost
         result = scipy.optimize.minimize(
-            both,
+            value_and_gradient,
             self.start,
             jac=True,
             method="L-BFGS-B",
-            bounds=_box(self.dimension),
+            bounds=_unit_box(self.dimension),
             options=options,
         )
-        return _sentence("L-BFGS-B", result)
+        return _describe_end("L-BFGS-B", result)
 
 
 class DifferentialEvolution(CallbackOptimizer):
-    """Differences of a population as steps (Storn and Price 1997); global, random. population:
-    points, by default 15 m.
+    """A global random search that takes differences within a population as steps.
+
+    Parameters
+    ----------
+    dimension : int
+        Number m of coordinates.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    start : (m,) array, optional
+        First point, in the unit box; the middle by default.
+    step : float or (m,) array
+        Width of the first steps, in the unit box.
+    budget : int
+        Maximum number of evaluations.
+    population : int, optional
+        Number of points, by default 15 m.
+
+    Attributes
+    ----------
+    cost_tolerance : float
+        Relative spread of the population's costs below which the search ends. The cost's unit is
+        not known here, so that no absolute difference is small.
+
+    Raises
+    ------
+    BadArgument
+        If `population` is below 5, or an argument of `Optimizer` is refused.
+
+    References
+    ----------
+    Storn and Price (1997), "Differential evolution: a simple and efficient heuristic for global
+    optimization over continuous spaces", Journal of Global Optimization 11.
     """
+
+    cost_tolerance = 1e-12
 
     def __init__(
         self,
@@ -116,17 +165,17 @@ class DifferentialEvolution(CallbackOptimizer):
         import scipy.optimize
         from scipy.stats import qmc
 
-        own = self.rng.spawn(1)[0]
-        first = qmc.LatinHypercube(self.dimension, rng=own).random(max(5, self.population))
+        rng = self.rng.spawn(1)[0]
+        first = qmc.LatinHypercube(self.dimension, rng=rng).random(max(5, self.population))
         result = scipy.optimize.differential_evolution(
-            _value(cost),
-            _box(self.dimension),
+            _value_of(cost),
+            _unit_box(self.dimension),
             init=first,
             x0=self.start,
-            rng=own,
+            rng=rng,
             maxiter=self.budget + 1,
-            tol=COST_TOLERANCE,
+            tol=self.cost_tolerance,
             atol=0.0,
             polish=False,
         )
-        return _sentence("differential evolution", result)
+        return _describe_end("differential evolution", result)

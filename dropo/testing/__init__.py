@@ -1,5 +1,7 @@
-"""The contracts as functions, for authors of plug-ins: each raises AssertionError, with what is
-wrong, or is silent.
+"""The contracts as checks for authors of plug-ins: each raises AssertionError or is silent.
+
+The room imports `dropo.core` alone; a message says which rule is broken, and by how much.
+To add a check, write a module named after the contract and list its `check_...` function here.
 """
 
 from dropo.testing.effects import check_effect as check_effect

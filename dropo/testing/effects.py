@@ -1,4 +1,4 @@
-"""What every effect must keep to."""
+"""Checks that every effect must pass."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,45 +23,84 @@ HOOKS = (
     "sensor_delay",
     "time_profile",
 )
-# of a trial: where nothing may be seen any more, and where an answer is a straight line
-TINY = 1e-6
-SMALL = 1e-2
-# shares of an answer that count as nothing, and as still straight
-UNSEEN = 1e-2
-CURVED = 0.2
+"""Names of the functions that an effect instance may have."""
 
 
-def check_effect(effect: Effect, simulator: Any, segments: Segments) -> None:
-    """Raises AssertionError, saying what is wrong, unless the effect keeps to the contract on a
-    simulator's robot.
+@dataclass(frozen=True, kw_only=True)
+class EffectCheckSettings:
+    """Magnitudes at which an effect is simulated, and tolerances of its responses.
 
-    simulator: one with `robot` and `with_effects`, such as MujocoSimulator; segments: on which no
-    simulation fails. Checked are labels, bounds and trials; that size 0 is the base model bit for
-    bit, and tiny sizes next to it; that answers to small sizes are in proportion to them where the
-    quantities are said to be smooth; that no simulation fails at a trial; and that hooks give what
-    they must, and leave what they are given as it is.
+    Attributes
+    ----------
+    tiny : float
+        Fraction of a trial at which the response must have vanished.
+    small : float
+        Fraction of a trial at which the response of smooth quantities must be linear.
+    max_tiny_response : float
+        Largest response at `tiny`, as a fraction of that to the whole trial.
+    max_curvature : float
+        Largest deviation from a linear response at `small`, as a fraction of the response.
+    """
+
+    tiny: float = 1e-6
+    small: float = 1e-2
+    max_tiny_response: float = 1e-2
+    max_curvature: float = 0.2
+
+
+DEFAULTS = EffectCheckSettings()
+
+
+def check_effect(
+    effect: Effect,
+    simulator: Any,
+    segments: Segments,
+    settings: EffectCheckSettings = DEFAULTS,
+) -> None:
+    """Checks that an effect keeps to the contract of effects on a simulator's robot.
+
+    Checked are labels, bounds and trials; that magnitude 0 is the base model bit for bit, and tiny
+    magnitudes are close to it; that responses to small magnitudes are proportional to them where
+    the quantities are declared smooth; that no simulation fails at a trial; and that hooks return
+    what they must and do not change their arguments.
+
+    Parameters
+    ----------
+    effect : callable
+        The plug-in: from an `EffectContext` to its effect instances.
+    simulator : Simulator
+        A simulator with `effect_context` and `with_effects`, such as MujocoSimulator.
+    segments : Segments
+        Segments on which no simulation of the base model fails.
+    settings : EffectCheckSettings
+        Magnitudes and tolerances.
+
+    Raises
+    ------
+    AssertionError
+        If a rule is broken; the message says which.
     """
     instances = list(effect(simulator.effect_context))
     labels = [instance.label for instance in instances]
-    assert len(set(labels)) == len(labels), (
-        f"labels appear twice: {sorted({x for x in labels if labels.count(x) > 1})}"
-    )
-    assert len({instance.effect for instance in instances}) <= 1, (
-        f"atoms of one plug-in have several names: {sorted({a.effect for a in instances})}"
+    repeated = sorted({label for label in labels if labels.count(label) > 1})
+    assert not repeated, f"labels appear twice: {repeated}"
+    effect_names = sorted({instance.effect for instance in instances})
+    assert len(effect_names) <= 1, (
+        f"effect instances of one plug-in have several names: {effect_names}"
     )
     for instance in instances:
-        assert any(
-            getattr(instance, hook) is not None for hook in HOOKS if hook != "time_profile"
-        ), f"{instance.label} does nothing: it has no hook"
+        hooks = [name for name in HOOKS if getattr(instance, name) is not None]
+        assert set(hooks) - {"time_profile"}, f"{instance.label} does nothing: it has no hook"
         assert instance.quantities, f"{instance.label} has no quantity to be found"
         for quantity in instance.quantities:
             _check_quantity(instance.label, quantity)
         _check_trials(instance)
     if instances:
-        _check_answers(instances, simulator, segments)
+        _check_responses(instances, simulator, segments, settings)
 
 
 def _check_quantity(label: str, q: Quantity) -> None:
+    """A quantity has finite bounds around 0, probes within them, and a unit."""
     name = f"{label}/{q.name}"
     assert np.isfinite([q.low, q.high]).all(), (
         f"{name} has bounds that are not finite: {q.low}, {q.high}"
@@ -77,7 +116,9 @@ def _check_quantity(label: str, q: Quantity) -> None:
 
 
 def _check_trials(instance: EffectInstance) -> None:
-    low, high = np.array([(q.low, q.high) for q in instance.quantities]).T
+    """Trials are within the bounds, and not 0."""
+    low = np.array([q.low for q in instance.quantities])
+    high = np.array([q.high for q in instance.quantities])
     for trials in instance.trials:
         for trial in trials:
             assert len(trial) == len(low), (
@@ -91,121 +132,137 @@ def _check_trials(instance: EffectInstance) -> None:
             )
 
 
-def _check_answers(instances: list[EffectInstance], simulator: Any, segments: Segments) -> None:
+def _check_responses(
+    instances: list[EffectInstance],
+    simulator: Any,
+    segments: Segments,
+    settings: EffectCheckSettings,
+) -> None:
+    """Responses vanish with the magnitude, are smooth where declared so, and never fail."""
     extended = simulator.with_effects([_watched(instance) for instance in instances])
-    own = 0.5 * (simulator.space.low + simulator.space.high)
-    d = len(simulator.space)
-    base = simulator.predict(own[None], segments)[0]
-    rows = [
-        (instance, place, np.array(trial))
-        for instance, place in _places(instances)
-        for trials in instance.trials
-        for trial in trials
-    ]
+    centre = 0.5 * (simulator.space.low + simulator.space.high)
+    base = simulator.predict(centre[None], segments)[0]
+    trials = _all_trials(instances, len(simulator.space))
 
-    def answers(share: float) -> Array:
-        values = np.zeros((len(rows), len(extended.space)))
-        values[:, :d] = own
-        for value, (_, place, trial) in zip(values, rows, strict=True):
-            value[d + place : d + place + len(trial)] = share * trial
+    def responses(fraction: float) -> Array:
+        """Changes of the predictions (T, R, p) under a fraction of each trial."""
+        values = np.zeros((len(trials), len(extended.space)))
+        values[:, : len(centre)] = centre
+        for row, (_, first, trial) in zip(values, trials, strict=True):
+            row[first : first + len(trial)] = fraction * trial
         return np.asarray(extended.predict(values, segments) - base)
 
-    nothing = answers(0.0)
-    full, small, half, tiny = (answers(share) for share in (1.0, SMALL, SMALL / 2, TINY))
-    floor = 1e-9 * (1 + np.abs(base).sum())  # rounding
-    for i, (instance, _, trial) in enumerate(rows):
-        at = f"{instance.label} at {trial.tolist()}"
-        assert np.isfinite(full[i]).all(), f"simulations fail under {at}"
-        assert not nothing[i].any(), (
-            f"{instance.label} changes predictions at size 0, by {np.abs(nothing[i]).max():.3g}"
+    zero = responses(0.0)
+    full = responses(1.0)
+    small = responses(settings.small)
+    half = responses(settings.small / 2)
+    tiny = responses(settings.tiny)
+    rounding = 1e-9 * (1 + np.abs(base).sum())
+    for i, (instance, _, trial) in enumerate(trials):
+        where = f"{instance.label} at {trial.tolist()}"
+        assert np.isfinite(full[i]).all(), f"simulations fail under {where}"
+        assert not zero[i].any(), (
+            f"{instance.label} changes predictions at size 0, by {np.abs(zero[i]).max():.3g}"
         )
-        seen = np.abs(tiny[i]).sum()
+        remaining = np.abs(tiny[i]).sum()
         whole = np.abs(full[i]).sum()
-        assert seen <= UNSEEN * whole + floor, (
-            f"{at} still changes predictions by {seen / whole:.2g} of that at {TINY:g} of the size"
+        assert remaining <= settings.max_tiny_response * whole + rounding, (
+            f"{where} still changes predictions by {remaining / whole:.2g} of that at "
+            f"{settings.tiny:g} of the size"
         )
         if all(q.smooth for q in instance.quantities):
-            bent = _bend(full[i], small[i], half[i], floor)
-            assert bent <= CURVED, (
-                f"{at}: small answers are not in proportion to the size, by {bent:.2g}, "
+            sloped_above = rounding + 0.1 * settings.small * np.abs(full[i]).sum(axis=1)
+            curvature = _curvature(small[i], half[i], sloped_above)
+            assert curvature <= settings.max_curvature, (
+                f"{where}: small answers are not in proportion to the size, by {curvature:.2g}, "
                 "though it is said to be smooth"
             )
 
 
-def _bend(full: Array, small: Array, half: Array, floor: float) -> float:
-    """How far small answers (R, p) are from twice those to half the size: the share in the middle
-    one of the rows that answer.
+def _curvature(small: Array, half: Array, sloped_above: Array) -> float:
+    """Returns the median over rows of |small - 2 half| / |small|.
 
-    Rows without a slope at 0, as where the answer is even, are left out.
+    small and half (R, p) are the responses to a small magnitude and to half of it. Rows whose
+    response is not above `sloped_above` (R,) have no slope at 0, as where the response is even, and
+    are left out.
     """
-    bent = np.abs(small - 2 * half).sum(axis=1)
-    straight = np.abs(small).sum(axis=1)
-    sloped = straight > floor + 0.1 * SMALL * np.abs(full).sum(axis=1)
-    return float(np.median(bent[sloped] / straight[sloped])) if sloped.any() else 0.0
+    deviation = np.abs(small - 2 * half).sum(axis=1)
+    size = np.abs(small).sum(axis=1)
+    sloped = size > sloped_above
+    return float(np.median(deviation[sloped] / size[sloped])) if sloped.any() else 0.0
 
 
-def _places(instances: list[EffectInstance]) -> list[tuple[EffectInstance, int]]:
-    """The atoms with the place of each one's first quantity."""
-    ends = np.cumsum([len(instance.quantities) for instance in instances]).tolist()
-    return [
-        (instance, end - len(instance.quantities))
-        for instance, end in zip(instances, ends, strict=True)
-    ]
+def _all_trials(
+    instances: list[EffectInstance], first: int
+) -> list[tuple[EffectInstance, int, Array]]:
+    """Returns every trial with its instance and the place of its first quantity.
+
+    `first` is the place of the first quantity of all in the extended simulator's space.
+    """
+    found = []
+    for instance in instances:
+        for trials in instance.trials:
+            found += [(instance, first, np.array(trial)) for trial in trials]
+        first += len(instance.quantities)
+    return found
 
 
 @dataclass(frozen=True)
 class _Watch:
-    """A hook that is held against what it was given."""
+    """A hook whose arguments and result are checked at each call."""
 
     label: str
     name: str
     hook: Callable[..., Any]
 
-    def __call__(self, *given: Any) -> Any:
-        arrays = _arrays(given)
-        before = [array.copy() for array in arrays]
-        out = self.hook(*given)
-        same = all(
-            np.array_equal(array, old, equal_nan=True)
-            for array, old in zip(arrays, before, strict=True)
+    def __call__(self, *arguments: Any) -> Any:
+        arrays = _arrays(arguments)
+        originals = [array.copy() for array in arrays]
+        result = self.hook(*arguments)
+        unchanged = all(
+            np.array_equal(array, original, equal_nan=True)
+            for array, original in zip(arrays, originals, strict=True)
         )
-        assert same, f"the hook {self.name!r} of {self.label} changes what it is given"
-        wanted = self._shape(given)
-        got = np.shape(out[1] if self.name == "wrench" else out)
-        assert wanted is None or got == wanted, (
-            f"the hook {self.name!r} of {self.label} gives shape {got}, not {wanted}"
+        assert unchanged, f"the hook {self.name!r} of {self.label} changes what it is given"
+        expected = self._shape(arguments)
+        got = np.shape(result[1] if self.name == "wrench" else result)
+        assert expected is None or got == expected, (
+            f"the hook {self.name!r} of {self.label} gives shape {got}, not {expected}"
         )
-        return out
+        return result
 
-    def _shape(self, given: tuple[Any, ...]) -> tuple[int, ...] | None:
-        if self.name in ("command_feedback", "force"):
-            return np.shape(given[0].ctrl if self.name == "command_feedback" else given[0].qvel)
+    def _shape(self, arguments: tuple[Any, ...]) -> tuple[int, ...] | None:
+        """Returns the shape that the hook's result must have; None where any is allowed."""
+        first = arguments[0]
         if self.name in ("model", "sensor_delay"):
             return None
-        return (
-            (6,)
-            if self.name == "wrench"
-            else (len(given[0]),)
-            if self.name == "time_profile"
-            else np.shape(given[0])
-        )
+        if self.name == "command_feedback":
+            return np.shape(first.ctrl)
+        if self.name == "force":
+            return np.shape(first.qvel)
+        if self.name == "wrench":
+            return (6,)
+        if self.name == "time_profile":
+            return (len(first),)
+        return np.shape(first)
 
 
-def _arrays(given: tuple[Any, ...]) -> list[Array]:
-    """The arrays that a hook must not change."""
-    moments = [
-        array
-        for item in given
-        if isinstance(item, StepState)
-        for array in (item.qpos, item.qvel, item.ctrl, item.act)
-    ]
-    return [*moments, *(item for item in given if isinstance(item, np.ndarray))]
+def _arrays(arguments: tuple[Any, ...]) -> list[Array]:
+    """Returns the arrays that a hook must not change."""
+    arrays: list[Array] = []
+    for argument in arguments:
+        if isinstance(argument, StepState):
+            arrays += [argument.qpos, argument.qvel, argument.ctrl, argument.act]
+        elif isinstance(argument, np.ndarray):
+            arrays.append(argument)
+    return arrays
 
 
 def _watched(instance: EffectInstance) -> EffectInstance:
-    hooks: dict[str, Any] = {
-        name: _Watch(instance.label, name, hook)
-        for name in HOOKS
-        if (hook := getattr(instance, name)) is not None
-    }
+    """Returns the instance with all its hooks watched."""
+    hooks: dict[str, Any] = {}
+    for name in HOOKS:
+        hook = getattr(instance, name)
+        if hook is not None:
+            hooks[name] = _Watch(instance.label, name, hook)
     return replace(instance, **hooks)

@@ -1,4 +1,4 @@
-"""What every likelihood must keep to."""
+"""Checks that every likelihood must pass."""
 
 from collections.abc import Callable
 
@@ -16,28 +16,52 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 
 EPSILON = 0.05
+"""Noise variance of the test problem."""
 DRAWS = 50
+"""Number of predictions in a sample."""
+
+
+_Density = Callable[[Array, Array, Array], Array]
+"""Log densities (R,) of predictions (K, R, p), targets (R, p) and noise (K, R, p)."""
 
 
 def check_likelihood(likelihood: Likelihood) -> None:
-    """Raises AssertionError, saying what is wrong, unless the likelihood keeps to the contract.
+    """Checks that a likelihood keeps to the contract of `Likelihood`.
 
-    Any likelihood is bound to a small linear problem; of one from samples the density itself is
-    checked too.
+    It is bound to a small linear problem; the density of a `SampledLikelihood` is checked by itself
+    too.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        The likelihood.
+
+    Raises
+    ------
+    AssertionError
+        If a rule is broken; the message says which.
     """
     if isinstance(likelihood, SampledLikelihood):
         _check_rows(likelihood)
         _check_epsilon(likelihood)
-        _check_normalised(likelihood, 1, points=2001, reach=12.0)
-        _check_normalised(likelihood, 2, points=121, reach=7.0)
+        _check_normalised(likelihood, 1, points=2001, span=12.0)
+        _check_normalised(likelihood, 2, points=121, span=7.0)
     _check_bound(likelihood)
     _check_learned(likelihood)
     _check_failures(likelihood)
 
 
 class Line(Simulator):
-    """o_{t+1} = o_t + a_t xi, entry by entry, with two parameters; fails in the segments that start
-    at `broken` or above.
+    """A linear simulator of two signals x and y, with one parameter each.
+
+    Parameters
+    ----------
+    broken : float
+        Segments whose x starts at this value or above fail.
+
+    Notes
+    -----
+    o_{t+1} = o_t + a_t xi, entry by entry.
     """
 
     has_gradients = False
@@ -48,36 +72,44 @@ class Line(Simulator):
         self.broken = broken
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
-        begin = (
-            segments.starts if offsets is None else segments.starts + offsets
-        )  # (N, 2) or (K, N, 2)
-        begin = np.where(begin[..., :1] >= self.broken, np.nan, begin)
+        starts = segments.starts if offsets is None else segments.starts + offsets
+        starts = np.where(starts[..., :1] >= self.broken, np.nan, starts)
+        starts = np.broadcast_to(starts, (len(values), *starts.shape[-2:]))  # (K, N, 2)
         path = np.cumsum(segments.actions, axis=1) * values[:, None, None]  # (K, N, L, 2)
         segment, step = segments.rows
-        ends: Array = (np.broadcast_to(begin, (len(values), *begin.shape[-2:]))[:, :, None] + path)[
-            :, segment, step
-        ]
-        return ends
+        predictions: Array = (starts[:, :, None] + path)[:, segment, step]
+        return predictions
 
 
 def line_data(
     rng: np.random.Generator, *, mean: float = 2.0, sd: float = 0.3, rows: int = 40
 ) -> Trajectories:
-    """Transitions of `Line`, of which each has its own draw of both parameters from N(mean, sd^2),
-    with noise of variance EPSILON.
+    """Returns transitions of `Line`, each with its own draw of both parameters.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    mean, sd : float
+        Both parameters are drawn from N(mean, sd^2).
+    rows : int
+        Number of transitions.
+
+    Returns
+    -------
+    Trajectories
+        One transition each, with noise of variance `EPSILON`.
     """
     start = rng.uniform(-1, 1, (rows, 2))
     action = rng.uniform(1, 2, (rows, 2))
-    following = (
-        start
-        + action * rng.normal(mean, sd, (rows, 2))
-        + np.sqrt(EPSILON) * rng.standard_normal((rows, 2))
-    )
+    values = rng.normal(mean, sd, (rows, 2))
+    errors = np.sqrt(EPSILON) * rng.standard_normal((rows, 2))
+    following = start + action * values + errors
     return Trajectories(start, action, following, np.ones(rows, dtype=bool))
 
 
 def _samples(p: int, rows: int) -> tuple[Array, Array, Array]:
-    """Correlated predictions (K, R, p), targets (R, p) and noise (K, R, p)."""
+    """Returns correlated predictions (K, R, p), targets (R, p) and noise (K, R, p)."""
     rng = np.random.default_rng(0)
     mix = np.eye(p) + 0.5 * np.tri(p, k=-1)
     predictions = rng.normal(size=(rows, p)) + rng.standard_normal((DRAWS, rows, p)) @ mix.T
@@ -85,72 +117,88 @@ def _samples(p: int, rows: int) -> tuple[Array, Array, Array]:
 
 
 def _check_rows(likelihood: SampledLikelihood) -> None:
+    """The density has one finite number a row, is deterministic and keeps its symmetries."""
     name = type(likelihood).__name__
-    (predictions, targets, noise) = _samples(2, 7)
+    predictions, targets, noise = _samples(2, 7)
     epsilon = np.full(2, EPSILON)
-    density: Callable[[Array, Array, Array], Array] = lambda x, y, z: likelihood.log_density(
-        x, y, epsilon, z
-    )
-    given = predictions.copy(), targets.copy(), noise.copy()
-    whole = density(predictions, targets, noise)
-    assert whole.shape == (7,), f"{name}.log_density gives shape {whole.shape}, not (7,)"
-    assert np.isfinite(whole).all(), f"{name}.log_density gives {whole} on ordinary predictions"
-    unchanged = all(map(np.array_equal, given, (predictions, targets, noise)))
+
+    def density(predictions: Array, targets: Array, noise: Array) -> Array:
+        return likelihood.log_density(predictions, targets, epsilon, noise)
+
+    originals = (predictions.copy(), targets.copy(), noise.copy())
+    expected = density(predictions, targets, noise)
+    assert expected.shape == (7,), f"{name}.log_density gives shape {expected.shape}, not (7,)"
+    finite = np.isfinite(expected).all()
+    assert finite, f"{name}.log_density gives {expected} on ordinary predictions"
+    unchanged = all(map(np.array_equal, originals, (predictions, targets, noise)))
     assert unchanged, f"{name}.log_density changes its arguments"
-    assert np.array_equal(whole, density(predictions, targets, noise)), (
+    assert np.array_equal(expected, density(predictions, targets, noise)), (
         f"{name}.log_density is not deterministic"
     )
+    _check_symmetries(density, expected, name)
+    _check_failed_row(density, expected, name)
+
+
+def _check_symmetries(density: _Density, expected: Array, name: str) -> None:
+    """The order of rows and draws, and a shift of everything, do not change the density."""
+    predictions, targets, noise = _samples(2, 7)
     order = np.array([3, 0, 6, 1, 5, 2, 4])
-    draws = np.random.default_rng(1).permutation(DRAWS)
-    moved = density(predictions[:, order], targets[order], noise[:, order])
-    assert np.allclose(whole[order], moved, rtol=1e-9), (
+    found = density(predictions[:, order], targets[order], noise[:, order])
+    assert np.allclose(expected[order], found, rtol=1e-9), (
         f"the rows of {name}.log_density depend on their order"
     )
-    moved = density(predictions[draws], targets, noise[draws])
-    assert np.allclose(whole, moved, rtol=1e-9), (
+    draws = np.random.default_rng(1).permutation(DRAWS)
+    found = density(predictions[draws], targets, noise[draws])
+    assert np.allclose(expected, found, rtol=1e-9), (
         f"{name}.log_density depends on the order of the draws"
     )
-    moved = density(predictions + 5.0, targets + 5.0, noise)
-    assert np.allclose(whole, moved, rtol=1e-7), (
+    found = density(predictions + 5.0, targets + 5.0, noise)
+    assert np.allclose(expected, found, rtol=1e-7), (
         f"{name}.log_density changes when predictions and targets move together"
     )
+
+
+def _check_failed_row(density: _Density, expected: Array, name: str) -> None:
+    """A failed simulation gives -inf in its own row alone."""
+    predictions, targets, noise = _samples(2, 7)
     predictions[3, 4] = np.nan
-    failed = density(predictions, targets, noise)
-    assert failed[4] == -np.inf, (
-        f"a failed simulation must give -inf in its row; {name}.log_density gives {failed[4]}"
+    found = density(predictions, targets, noise)
+    assert found[4] == -np.inf, (
+        f"a failed simulation must give -inf in its row; {name}.log_density gives {found[4]}"
     )
-    others = np.allclose(np.delete(whole, 4), np.delete(failed, 4), rtol=1e-9)
+    others = np.allclose(np.delete(expected, 4), np.delete(found, 4), rtol=1e-9)
     assert others, f"a failed simulation changes other rows of {name}.log_density"
 
 
 def _check_epsilon(likelihood: SampledLikelihood) -> None:
+    """A larger epsilon widens the density; without any, equal predictions give no number."""
     name = type(likelihood).__name__
-    (predictions, targets, noise) = _samples(2, 7)
+    predictions, targets, noise = _samples(2, 7)
     far = predictions.mean(axis=0) + 5.0
-    narrow, wide = (
-        likelihood.log_density(predictions, far, np.full(2, e), noise) for e in (EPSILON, 4.0)
-    )
+    narrow = likelihood.log_density(predictions, far, np.full(2, EPSILON), noise)
+    wide = likelihood.log_density(predictions, far, np.full(2, 4.0), noise)
     assert (wide > narrow).all(), f"a larger epsilon does not widen the density of {name}"
     same = np.broadcast_to(targets, predictions.shape)
     try:
         value = likelihood.log_density(same, targets, np.zeros(2), noise)
     except BadArgument:
         return
-    told = (
+    assert np.isfinite(value).all(), (
         f"{name}.log_density gives {value[0]} for equal predictions without epsilon: its "
         "_log_density must give NaN there"
     )
-    assert np.isfinite(value).all(), told
 
 
-def _check_normalised(likelihood: SampledLikelihood, p: int, *, points: int, reach: float) -> None:
+def _check_normalised(likelihood: SampledLikelihood, p: int, *, points: int, span: float) -> None:
+    """The density integrates to 1 over targets of p signals."""
     predictions, _, noise = _samples(p, 1)
-    u = np.linspace(-reach, reach, points)
-    # dense in the middle, far in the tails
+    # a grid over the targets that is dense in the middle and extends far into the tails
+    u = np.linspace(-span, span, points)
     nodes = np.sinh(u)
     weights = np.cosh(u) * (u[1] - u[0])
     mesh = np.stack(np.meshgrid(*[nodes] * p, indexing="ij"), axis=-1).reshape(-1, p)
-    weight = np.prod(np.stack(np.meshgrid(*[weights] * p, indexing="ij"), axis=-1), axis=-1).ravel()
+    factors = np.stack(np.meshgrid(*[weights] * p, indexing="ij"), axis=-1)
+    weight = np.prod(factors, axis=-1).ravel()
     targets = predictions.mean(axis=(0, 1)) + mesh
     shape = (DRAWS, len(mesh), p)
     logs = likelihood.log_density(
@@ -169,23 +217,23 @@ def _check_normalised(likelihood: SampledLikelihood, p: int, *, points: int, rea
 def _bind(
     likelihood: Likelihood, epsilon: Epsilon = EPSILON, broken: float = np.inf
 ) -> tuple[LogLikelihood, Family, Segments]:
+    """Returns the likelihood bound to the test problem, with its family and segments."""
     simulator = Line(broken)
     segments = line_data(np.random.default_rng(3)).segments()
     family: Family = find("families", "truncated_gaussian")(simulator.space)
-    return (
-        likelihood.bind(simulator, segments, family, epsilon, np.random.default_rng(4)),
-        family,
-        segments,
-    )
+    bound = likelihood.bind(simulator, segments, family, epsilon, np.random.default_rng(4))
+    return bound, family, segments
 
 
 def _member(bound: LogLikelihood, family: Family, mean: float) -> Array:
+    """Returns phi of the member with the given mean of both parameters."""
     phi = bound.unknowns.from_unit(np.full(len(bound.unknowns), 0.5))
     phi[: len(family.unknowns)] = family.phi([mean, mean], [0.34, 0.34])
     return phi
 
 
 def _check_bound(likelihood: Likelihood) -> None:
+    """The bound log-likelihood is deterministic, and its parts fit together and to the data."""
     name = type(likelihood).__name__
     bound, family, segments = _bind(likelihood)
     assert bound.unknowns.names[: len(family.unknowns)] == family.unknowns.names, (
@@ -225,30 +273,30 @@ def _check_bound(likelihood: Likelihood) -> None:
 
 
 def _check_gradient(bound: LogLikelihood, phi: Array, name: str) -> None:
+    """The gradient agrees with central differences."""
     gradient = bound.gradient(phi)
     assert gradient.shape == phi.shape, (
         f"{name}: the gradient has shape {gradient.shape}, not {phi.shape}"
     )
-    half = 1e-5 * np.abs(phi)
-    slopes = np.array(
-        [(bound(phi + step) - bound(phi - step)) / (2 * step.sum()) for step in np.diag(half)]
-    )
-    fits = np.allclose(gradient, slopes, rtol=1e-3, atol=1e-4 * float(np.abs(slopes).max()))
-    assert fits, f"{name}: the gradient is {gradient}, differences give {slopes}"
+    steps = np.diag(1e-5 * np.abs(phi))
+    differences = [(bound(phi + step) - bound(phi - step)) / (2 * step.sum()) for step in steps]
+    expected = np.array(differences)
+    agrees = np.allclose(gradient, expected, rtol=1e-3, atol=1e-4 * float(np.abs(expected).max()))
+    assert agrees, f"{name}: the gradient is {gradient}, differences give {expected}"
 
 
 def _check_learned(likelihood: Likelihood) -> None:
+    """A learned epsilon has an unknown that it follows, and on which the density depends."""
     name = type(likelihood).__name__
     try:
         bound, family, _ = _bind(likelihood, Noise(np.full(2, EPSILON), "factor"))
     except Incompatible:
         return
     assert len(bound.unknowns) > len(family.unknowns), f"{name}: a learned epsilon adds no unknown"
-    low = _member(bound, family, 2.0)
+    noise = slice(len(family.unknowns), None)
     high = _member(bound, family, 2.0)
-    low[len(family.unknowns) :] = bound.unknowns.from_unit(np.full(len(bound.unknowns), 0.4))[
-        len(family.unknowns) :
-    ]
+    low = high.copy()
+    low[noise] = bound.unknowns.from_unit(np.full(len(bound.unknowns), 0.4))[noise]
     assert (bound.epsilon(low) < bound.epsilon(high)).all(), (
         f"{name}: the learned epsilon does not follow its unknown"
     )
@@ -258,12 +306,13 @@ def _check_learned(likelihood: Likelihood) -> None:
 
 
 def _check_failures(likelihood: Likelihood) -> None:
+    """Failed simulations give -inf in their own rows and in the sum, or an error."""
     name = type(likelihood).__name__
     whole, family, segments = _bind(likelihood)
-    first = np.sort(segments.starts[:, 0])[-3]  # three segments fail
-    failing = segments.starts[:, 0] >= first
+    threshold = np.sort(segments.starts[:, 0])[-3]  # three segments fail
+    failing = segments.starts[:, 0] >= threshold
     try:
-        bound = _bind(likelihood, broken=float(first))[0]
+        bound = _bind(likelihood, broken=float(threshold))[0]
         phi = _member(bound, family, 2.0)
         rows = bound.rows(phi)
     except SimulationFailed:

@@ -1,4 +1,4 @@
-"""What every optimizer must keep to."""
+"""Checks that every optimizer must pass."""
 
 import pickle
 import threading
@@ -11,12 +11,14 @@ import numpy as np
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.services.validation import Array
 
-CENTRE = np.array([0.3, 0.6, 0.8])  # where the sphere has its minimum
-FIRST = 12  # batches that are compared
+CENTRE = np.array([0.3, 0.6, 0.8])
+"""Where the sphere has its minimum."""
+BATCHES = 12
+"""Number of batches that are compared between two runs."""
 
 
 class Factory(Protocol):
-    """What makes an optimizer: its class, or a function of the same arguments."""
+    """Makes an optimizer: its class, or a function of the same arguments."""
 
     def __call__(
         self,
@@ -36,6 +38,7 @@ class Sphere:
         return float(np.sum((point - CENTRE) ** 2))
 
     def gradient(self, point: Array) -> Array:
+        """Returns the gradient (m,) at a point (m,)."""
         return np.asarray(2 * (point - CENTRE))
 
 
@@ -44,28 +47,51 @@ class Cost(Protocol):
 
     def __call__(self, point: Array) -> float: ...
 
-    def gradient(self, point: Array) -> Array: ...
+    def gradient(self, point: Array) -> Array:
+        """Returns the gradient (m,) at a point (m,)."""
 
 
 @contextmanager
 def no_global_stream(name: str) -> Iterator[None]:
-    """Asserts that a block leaves numpy's global random stream alone; its state comes back
-    afterwards.
+    """Asserts that a block leaves numpy's global random stream alone, and restores its state.
+
+    Parameters
+    ----------
+    name : str
+        What runs in the block, for the message.
+
+    Raises
+    ------
+    AssertionError
+        If the block draws from the stream or seeds it.
     """
-    kept = np.random.get_state()  # noqa: NPY002
-    np.random.seed(20210415)  # noqa: NPY002, a state that no plug-in arrives at by seeding the stream the same way twice
+    original = np.random.get_state()  # noqa: NPY002
+    # a state that no plug-in arrives at by seeding the stream the same way twice
+    np.random.seed(20210415)  # noqa: NPY002
     before = pickle.dumps(np.random.get_state())  # noqa: NPY002
     try:
         yield
-        assert pickle.dumps(np.random.get_state()) == before, (
-            f"{name} touches numpy's global random stream"
-        )  # noqa: NPY002
+        after = pickle.dumps(np.random.get_state())  # noqa: NPY002
+        assert after == before, f"{name} touches numpy's global random stream"
     finally:
-        np.random.set_state(kept)  # noqa: NPY002
+        np.random.set_state(original)  # noqa: NPY002
 
 
 def answer(optimizer: Optimizer, cost: Cost) -> Array:
-    """One batch asked, evaluated and told; the points (P, m)."""
+    """Asks an optimizer for one batch, evaluates it and tells the optimizer its costs.
+
+    Parameters
+    ----------
+    optimizer : Optimizer
+        Any optimizer that has not stopped.
+    cost : Cost
+        The cost to be minimised.
+
+    Returns
+    -------
+    (P, m) array
+        The points of the batch.
+    """
     points = optimizer.ask()
     gradients = np.array([cost.gradient(p) for p in points]) if optimizer.needs_gradients else None
     optimizer.tell(points, np.array([cost(p) for p in points]), gradients)
@@ -75,33 +101,59 @@ def answer(optimizer: Optimizer, cost: Cost) -> Array:
 def drive(
     optimizer: Optimizer, cost: Cost, *, batches: int | None = None
 ) -> tuple[Array, str | None]:
-    """The points (n, m) that an optimizer asked for until it stopped, or its budget or the batches
-    ran out, and its reason.
+    """Runs an optimizer until it stops or its budget or the number of batches is used up.
+
+    Parameters
+    ----------
+    optimizer : Optimizer
+        A new optimizer; it is closed at the end.
+    cost : Cost
+        The cost to be minimised.
+    batches : int, optional
+        Maximum number of batches, by default the budget.
+
+    Returns
+    -------
+    points : (n, m) array
+        The points that the optimizer asked for.
+    reason : str or None
+        Why it stopped; None if it did not stop by itself.
     """
     asked: list[Array] = []
-    most = optimizer.budget if batches is None else batches
+    max_batches = optimizer.budget if batches is None else batches
+    evaluations = 0
     try:
-        while (
-            (reason := optimizer.stop()) is None
-            and sum(map(len, asked)) < optimizer.budget
-            and len(asked) < most
-        ):
+        reason = optimizer.stop()
+        while reason is None and evaluations < optimizer.budget and len(asked) < max_batches:
             asked.append(answer(optimizer, cost))
+            evaluations += len(asked[-1])
+            reason = optimizer.stop()
     finally:
         optimizer.close()
     return np.concatenate(asked), reason
 
 
 def check_optimizer(factory: Factory, *, tolerance: float = 1e-3, budget: int = 4000) -> None:
-    """Raises AssertionError, saying what is wrong, unless the optimizers that the factory makes
-    keep to the contract.
+    """Checks that the optimizers which a factory makes keep to the contract of `Optimizer`.
 
-    tolerance: how close, in the unit box, it must come to the minimum of a sphere of three
-    dimensions within the budget.
+    Parameters
+    ----------
+    factory : Factory
+        The optimizer's class, or a function of the same arguments.
+    tolerance : float
+        How close, in the unit box, it must come to the minimum of a sphere of three dimensions.
+    budget : int
+        Number of evaluations within which it must do so.
+
+    Raises
+    ------
+    AssertionError
+        If a rule is broken; the message says which.
     """
-    make: Callable[[int], Optimizer] = lambda seed: factory(
-        3, np.random.default_rng(seed), budget=budget
-    )
+
+    def make(seed: int) -> Optimizer:
+        return factory(3, np.random.default_rng(seed), budget=budget)
+
     name = type(make(0)).__name__
     _check_batches(make(0), name)
     _check_randomness(make, name)
@@ -111,29 +163,33 @@ def check_optimizer(factory: Factory, *, tolerance: float = 1e-3, budget: int = 
 
 
 def _check_batches(optimizer: Optimizer, name: str) -> None:
+    """Points lie in the box and differ, `stop` is consistent, and `best` is the best point."""
     asked = []
-    least = (np.zeros(3), np.inf)
-    for _ in range(FIRST):
-        if (reason := optimizer.stop()) is not None:
-            assert isinstance(reason, str) and len(reason) > 10, (
-                f"{name}.stop must give None or a sentence, not {reason!r}"
-            )  # noqa: PT018
+    best_point = np.zeros(3)
+    lowest = np.inf
+    for _ in range(BATCHES):
+        reason = optimizer.stop()
+        if reason is not None:
+            sentence = isinstance(reason, str) and len(reason) > 10
+            assert sentence, f"{name}.stop must give None or a sentence, not {reason!r}"
             break
         again = optimizer.stop()
         assert again is None, (
             f"{name}.stop changes its mind when it is asked twice: None, then {again!r}"
         )
         points = answer(optimizer, Sphere())
-        assert (points >= 0).all() and (points <= 1).all(), f"{name}.ask leaves the unit box"  # noqa: PT018
+        inside = bool(((points >= 0) & (points <= 1)).all())
+        assert inside, f"{name}.ask leaves the unit box"
         asked.append(points)
-        costs = [Sphere()(p) for p in points]
-        if min(costs) < least[1]:
-            least = points[int(np.argmin(costs))], min(costs)
-        assert optimizer.best[1] == least[1], (
-            f"{name}.best has the cost {optimizer.best[1]}, the least told was {least[1]}"
+        costs = [Sphere()(point) for point in points]
+        if min(costs) < lowest:
+            best_point = points[int(np.argmin(costs))]
+            lowest = min(costs)
+        assert optimizer.best[1] == lowest, (
+            f"{name}.best has the cost {optimizer.best[1]}, the lowest cost given was {lowest}"
         )
-        assert np.array_equal(optimizer.best[0], least[0]), (
-            f"{name}.best is {optimizer.best[0]}, the least cost was told at {least[0]}"
+        assert np.array_equal(optimizer.best[0], best_point), (
+            f"{name}.best is {optimizer.best[0]}, the lowest cost was given at {best_point}"
         )
     optimizer.close()
     distinct = len(np.unique(np.concatenate(asked), axis=0))
@@ -141,20 +197,22 @@ def _check_batches(optimizer: Optimizer, name: str) -> None:
 
 
 def _check_randomness(make: Callable[[int], Optimizer], name: str) -> None:
+    """The same rng gives the same points, and the global stream is not touched."""
     with no_global_stream(name):
-        first = drive(make(1), Sphere(), batches=FIRST)[0]
-    again = drive(make(1), Sphere(), batches=FIRST)[0]
+        first = drive(make(1), Sphere(), batches=BATCHES)[0]
+    again = drive(make(1), Sphere(), batches=BATCHES)[0]
     assert np.array_equal(first, again), (
         f"{name} is not deterministic: the same rng asked for other points"
     )
 
 
 def _check_independence(make: Callable[[int], Optimizer], name: str) -> None:
-    alone = drive(make(2), Sphere(), batches=FIRST)[0]
+    """Two optimizers at the same time do not disturb each other."""
+    expected = drive(make(2), Sphere(), batches=BATCHES)[0]
     one = make(2)
     other = make(3)
     asked = []
-    for _ in range(FIRST):
+    for _ in range(BATCHES):
         if one.stop() is not None:
             break
         asked.append(answer(one, Sphere()))
@@ -162,12 +220,13 @@ def _check_independence(make: Callable[[int], Optimizer], name: str) -> None:
             answer(other, Sphere())
     one.close()
     other.close()
-    assert np.array_equal(alone, np.concatenate(asked)), (
+    assert np.array_equal(expected, np.concatenate(asked)), (
         f"{name} asks for other points when a second one runs beside it"
     )
 
 
 def _check_close(optimizer: Optimizer, name: str) -> None:
+    """Closing twice is allowed, and leaves no thread behind."""
     before = set(threading.enumerate())
     for _ in range(2):
         if optimizer.stop() is None:
@@ -179,9 +238,10 @@ def _check_close(optimizer: Optimizer, name: str) -> None:
 
 
 def _check_finds(optimizer: Optimizer, name: str, tolerance: float) -> None:
+    """The minimum of a sphere is found."""
     drive(optimizer, Sphere())
-    off = float(np.abs(optimizer.best[0] - CENTRE).max())
-    assert off <= tolerance, (
-        f"{name} ends {off:.2g} of the box away from the minimum of a sphere, more than "
+    error = float(np.abs(optimizer.best[0] - CENTRE).max())
+    assert error <= tolerance, (
+        f"{name} ends {error:.2g} of the box away from the minimum of a sphere, more than "
         f"{tolerance:g}"
     )

@@ -1,4 +1,4 @@
-"""What every simulator must keep to."""
+"""Checks that every simulator must pass."""
 
 from typing import Any
 
@@ -20,18 +20,33 @@ def check_simulator(
     diverging: ArrayLike | None = None,
     rtol: float = 1e-3,
 ) -> None:
-    """Raises AssertionError, saying what is wrong, unless the simulator keeps to the contract on
-    these segments.
+    """Checks that a simulator keeps to the contract of `Simulator` on some segments.
 
-    values: (K >= 3, d) parameter vectors under which no simulation fails; five of the box by
-    default. diverging: (d,) one under which some do. rtol: how far Jacobians may be from
-    differences, as a share of each one's largest over the rows.
+    Parameters
+    ----------
+    simulator : Simulator
+        The simulator.
+    segments : Segments
+        Segments of its data.
+    values : (K, d) array, optional
+        At least three parameter vectors under which no simulation fails; five of the search box by
+        default.
+    diverging : (d,) array, optional
+        A parameter vector under which some simulations fail.
+    rtol : float
+        Largest difference of sensitivities from finite differences, as a fraction of each
+        parameter's largest one over the rows.
+
+    Raises
+    ------
+    AssertionError
+        If a rule is broken; the message says which.
     """
     unit = np.random.default_rng(0).uniform(0.2, 0.8, (5, len(simulator.space)))
     design = simulator.space.from_unit(unit) if values is None else np.array(values, dtype=float)
     predictions = _check_predictions(simulator, segments, design)
-    _check_draws_apart(simulator, segments, design, predictions)
-    _check_segments_apart(simulator, segments, design, predictions)
+    _check_split_draws(simulator, segments, design, predictions)
+    _check_split_segments(simulator, segments, design, predictions)
     _check_every_step(simulator, segments, design, predictions)
     _check_groups(simulator, segments, design)
     _check_offsets(simulator, segments, design, predictions)
@@ -45,27 +60,28 @@ def check_simulator(
 
 
 def _check_predictions(simulator: Simulator, segments: Segments, values: Array) -> Array:
+    """Predictions are finite, deterministic and counted, and depend on the parameters."""
     name = type(simulator).__name__
     before = simulator.steps
-    given = values.copy()
+    original = values.copy()
     predictions = simulator.predict(values, segments)
-    wanted = (len(values), len(segments.rows[0]), len(simulator.signals))
-    assert predictions.shape == wanted, (
-        f"{name}.predict gives shape {predictions.shape}, not {wanted}"
+    expected = (len(values), len(segments.rows[0]), len(simulator.signals))
+    assert predictions.shape == expected, (
+        f"{name}.predict gives shape {predictions.shape}, not {expected}"
     )
     failed = ~np.isfinite(predictions).all(axis=(1, 2))
     assert not failed.any(), (
         f"simulations of {name} fail under {values[failed][:1]}: give `values` that it can simulate"
     )
     targets = simulator.targets(segments)
-    assert targets.shape == wanted[1:], (
-        f"{name}.targets gives shape {targets.shape}, not {wanted[1:]}"
+    assert targets.shape == expected[1:], (
+        f"{name}.targets gives shape {targets.shape}, not {expected[1:]}"
     )
     cost = int(segments.lengths.sum()) * len(values) * simulator.steps_per_action
     assert simulator.steps - before == cost, (
         f"{name} counts {simulator.steps - before} steps instead of {cost}"
     )
-    assert np.array_equal(given, values), f"{name}.predict changes the values it is given"
+    assert np.array_equal(original, values), f"{name}.predict changes the values it is given"
     again = simulator.predict(values, segments)
     assert np.array_equal(predictions, again), (
         f"{name}.predict is not deterministic: asked again, it gave {_gap(predictions, again)}"
@@ -76,57 +92,60 @@ def _check_predictions(simulator: Simulator, segments: Segments, values: Array) 
     return predictions
 
 
-def _check_draws_apart(
+def _check_split_draws(
     simulator: Simulator, segments: Segments, values: Array, predictions: Array
 ) -> None:
+    """A draw's prediction does not depend on the other draws of the batch, nor on their order."""
     name = type(simulator).__name__
-    apart = np.concatenate(
+    split = np.concatenate(
         [simulator.predict(values[:1], segments), simulator.predict(values[1:], segments)]
     )
-    assert np.array_equal(predictions, apart), (
-        f"{name}.predict depends on how the draws are split: {_gap(predictions, apart)}"
+    assert np.array_equal(predictions, split), (
+        f"{name}.predict depends on how the draws are split: {_gap(predictions, split)}"
     )
-    turned = simulator.predict(values[::-1], segments)[::-1]
-    assert np.array_equal(predictions, turned), (
-        f"{name}.predict depends on the order of the draws: {_gap(predictions, turned)}"
+    reordered = simulator.predict(values[::-1], segments)[::-1]
+    assert np.array_equal(predictions, reordered), (
+        f"{name}.predict depends on the order of the draws: {_gap(predictions, reordered)}"
     )
 
 
-def _check_segments_apart(
+def _check_split_segments(
     simulator: Simulator, segments: Segments, values: Array, predictions: Array
 ) -> None:
+    """A segment's prediction does not depend on the other segments of the batch."""
     cut = _middle(segments)
-    if cut:
-        parts = [segments.take(np.arange(cut)), segments.take(np.arange(cut, len(segments)))]
-        apart = np.concatenate([simulator.predict(values, part) for part in parts], axis=1)
-        same = np.array_equal(predictions, apart)
-        assert same, (
-            f"{type(simulator).__name__}.predict depends on which segments come together: "
-            f"{_gap(predictions, apart)}"
-        )
+    if not cut:
+        return
+    parts = [segments.take(np.arange(cut)), segments.take(np.arange(cut, len(segments)))]
+    split = np.concatenate([simulator.predict(values, part) for part in parts], axis=1)
+    assert np.array_equal(predictions, split), (
+        f"{type(simulator).__name__}.predict depends on which segments come together: "
+        f"{_gap(predictions, split)}"
+    )
 
 
 def _check_every_step(
     simulator: Simulator, segments: Segments, values: Array, predictions: Array
 ) -> None:
+    """Comparing every step adds rows, and changes none."""
+    name = type(simulator).__name__
     every = segments.comparing_every_step()
     dense = simulator.predict(values, every)
     segment, step = every.rows
     assert dense.shape[1] == len(segment), (
-        f"{type(simulator).__name__}.predict gives {dense.shape[1]} of the {len(segment)} "
-        "compared steps"
+        f"{name}.predict gives {dense.shape[1]} of the {len(segment)} compared steps"
     )
-    mine = np.isin(
-        segment * (step.max() + 1) + step, segments.rows[0] * (step.max() + 1) + segments.rows[1]
-    )
-    same = np.array_equal(dense[:, mine], predictions)
-    assert same, (
-        f"{type(simulator).__name__}.predict gives other numbers where every step is "
-        f"compared: {_gap(predictions, dense[:, mine])}"
+    # the rows of `every` that `segments` has too, found by one number a row
+    stride = step.max() + 1
+    own_segment, own_step = segments.rows
+    own = dense[:, np.isin(segment * stride + step, own_segment * stride + own_step)]
+    assert np.array_equal(own, predictions), (
+        f"{name}.predict gives other numbers where every step is compared: {_gap(predictions, own)}"
     )
 
 
 def _check_groups(simulator: Simulator, segments: Segments, values: Array) -> None:
+    """Values by group are those of each group by itself."""
     group = segments.group
     if (group[segments.previous] != group)[segments.previous >= 0].any():
         return  # a chain across groups cannot be taken apart
@@ -135,62 +154,60 @@ def _check_groups(simulator: Simulator, segments: Segments, values: Array) -> No
     together = simulator.predict(by_group, segments)
     row_group = group[segments.rows[0]]
     for g in np.unique(group):
-        alone = simulator.predict(by_group[:, g], segments.take(group == g))
-        same = np.array_equal(together[:, row_group == g], alone)
-        gap = _gap(together[:, row_group == g], alone)
-        assert same, (
-            f"{type(simulator).__name__}.predict with values by group is wrong in group {g}: {gap}"
+        expected = simulator.predict(by_group[:, g], segments.take(group == g))
+        found = together[:, row_group == g]
+        assert np.array_equal(found, expected), (
+            f"{type(simulator).__name__}.predict with values by group is wrong in group {g}: "
+            f"{_gap(found, expected)}"
         )
 
 
 def _check_offsets(
     simulator: Simulator, segments: Segments, values: Array, predictions: Array
 ) -> None:
+    """Start offsets of zero change nothing, where the simulator takes offsets."""
+    offsets = np.zeros((len(values), len(segments), simulator.start_size))
     try:
-        same = simulator.predict(
-            values, segments, offsets=np.zeros((len(values), len(segments), simulator.start_size))
-        )
+        found = simulator.predict(values, segments, offsets=offsets)
     except Incompatible:
         return
-    near = np.allclose(same, predictions, rtol=1e-9, atol=1e-12)
-    assert near, (
+    assert np.allclose(found, predictions, rtol=1e-9, atol=1e-12), (
         f"{type(simulator).__name__}.predict changes under start offsets of zero: "
-        f"{_gap(predictions, same)}"
+        f"{_gap(predictions, found)}"
     )
 
 
 def _check_jacobian(
     simulator: Simulator, segments: Segments, centre: Array, prediction: Array, rtol: float
 ) -> None:
+    """Sensitivities agree with finite differences at `centre` (d,), up to `rtol`."""
     name = type(simulator).__name__
     width = simulator.space.high - simulator.space.low
-    value, slopes = simulator.linearize(centre, segments)
-    wanted = (*prediction.shape, len(centre))
-    assert slopes.shape == wanted, (
-        f"{name}.linearize gives a Jacobian of shape {slopes.shape}, not {wanted}"
+    value, sensitivities = simulator.linearize(centre, segments)
+    expected = (*prediction.shape, len(centre))
+    assert sensitivities.shape == expected, (
+        f"{name}.linearize gives sensitivities of shape {sensitivities.shape}, not {expected}"
     )
-    near = np.allclose(value, prediction, rtol=1e-9, atol=1e-12)
-    assert near, (
+    assert np.allclose(value, prediction, rtol=1e-9, atol=1e-12), (
         f"{name}.linearize gives another prediction than predict: {_gap(prediction, value)}"
     )
-    assert np.allclose(slopes, simulator.jacobian(centre, segments), rtol=1e-9), (
+    assert np.allclose(sensitivities, simulator.jacobian(centre, segments), rtol=1e-9), (
         f"{name}.jacobian and linearize differ"
     )
-    half = np.diag(
-        3 * STEP * width
-    )  # not the step of the base class, so that agreement means something
-    ahead = simulator.predict(centre + half, segments)
-    behind = simulator.predict(centre - half, segments)
-    differences = np.moveaxis(
-        (ahead - behind) / (6 * STEP * width)[:, None, None], 0, -1
-    )  # (R, p, d)
+    # not the step of the base class, so that agreement means something
+    step = 3 * STEP * width
+    ahead = simulator.predict(centre + np.diag(step), segments)
+    behind = simulator.predict(centre - np.diag(step), segments)
+    quotients = (ahead - behind) / (6 * STEP * width)[:, None, None]
+    differences = np.moveaxis(quotients, 0, -1)  # (R, p, d)
     rounding = 1e-8 * np.abs(prediction).max(axis=0)[:, None] / width
-    off = np.abs(slopes - differences) > rtol * np.abs(differences).max(axis=0) + rounding
-    if off.any():
-        row, signal, i = (int(index[0]) for index in np.nonzero(off))
+    tolerance = rtol * np.abs(differences).max(axis=0) + rounding
+    wrong = np.abs(sensitivities - differences) > tolerance
+    if wrong.any():
+        row, signal, i = np.argwhere(wrong)[0].tolist()
         where = f"d {simulator.signals[signal].name} / d {simulator.space.names[i]} at row {row}"
         raise AssertionError(
-            f"{name}: {where} is {slopes[row, signal, i]:.6g}, differences give "
+            f"{name}: {where} is {sensitivities[row, signal, i]:.6g}, differences give "
             f"{differences[row, signal, i]:.6g}"
         )
 
@@ -198,39 +215,39 @@ def _check_jacobian(
 def _check_gradients(
     simulator: Simulator, segments: Segments, values: Array, predictions: Array, rtol: float
 ) -> None:
+    """Tensors give the same predictions as arrays, with the gradient of the sensitivities."""
     import torch
 
     name = type(simulator).__name__
     leaf = torch.tensor(values, requires_grad=True)
-    given: Any = leaf
-    found: Any = simulator.predict(given, segments)
-    keeps = is_tensor(found) and found.requires_grad
-    assert keeps, (
+    tensor: Any = leaf
+    found: Any = simulator.predict(tensor, segments)
+    has_history = is_tensor(found) and found.requires_grad
+    assert has_history, (
         f"{name} has gradients, but of a tensor its predict gives no tensor with a history"
     )
-    near = np.allclose(plain(found), predictions, rtol=1e-10, atol=1e-12)
-    assert near, (
+    assert np.allclose(plain(found), predictions, rtol=1e-10, atol=1e-12), (
         f"{name}.predict gives other numbers for a tensor than for an array: "
         f"{_gap(predictions, plain(found))}"
     )
+    # the gradient of a weighted sum of predictions, by autograd and from the sensitivities
     weights = np.random.default_rng(1).standard_normal(predictions.shape)
-    slopes = plain(torch.autograd.grad((found * constant(weights, found)).sum(), leaf)[0])
-    exact = simulator.jacobian(values[0], segments)
-    expected, size = (
-        np.einsum("rp,rpd->d", w, s)
-        for w, s in ((weights[0], exact), (np.abs(weights[0]), np.abs(exact)))
-    )
-    i = int(np.argmax(np.abs(slopes[0] - expected) / (size + 1e-300)))
-    where = f"of a weighted sum of predictions by {simulator.space.names[i]}"
-    same = abs(slopes[0, i] - expected[i]) <= rtol * size[i]
-    assert same, (
-        f"{name}: the gradient {where} is {slopes[0, i]:.6g}, its Jacobian gives {expected[i]:.6g}"
+    gradients = plain(torch.autograd.grad((found * constant(weights, found)).sum(), leaf)[0])
+    sensitivities = simulator.jacobian(values[0], segments)
+    expected = np.einsum("rp,rpd->d", weights[0], sensitivities)
+    scale = np.einsum("rp,rpd->d", np.abs(weights[0]), np.abs(sensitivities))
+    errors = np.abs(gradients[0] - expected)
+    i = int(np.argmax(errors / (scale + 1e-300)))
+    assert errors[i] <= rtol * scale[i], (
+        f"{name}: the gradient of a weighted sum of predictions by {simulator.space.names[i]} is "
+        f"{gradients[0, i]:.6g}, its sensitivities give {expected[i]:.6g}"
     )
 
 
 def _check_failures(
     simulator: Simulator, segments: Segments, values: Array, predictions: Array, diverging: Array
 ) -> None:
+    """A failed simulation gives NaN, is counted, and leaves the others alone."""
     name = type(simulator).__name__
     before = simulator.failures
     mixed = simulator.predict(np.stack([values[0], diverging, values[1]]), segments)
@@ -245,16 +262,18 @@ def _check_failures(
 
 
 def _middle(segments: Segments) -> int:
-    """The segment nearest to the middle before which a chain can be cut; 0 where there is none."""
+    """Returns the index nearest to the middle at which no chain of segments is cut, or 0."""
     crossed = np.zeros(len(segments) + 1, dtype=int)
     linked = np.flatnonzero(segments.previous >= 0)
     np.add.at(crossed, segments.previous[linked] + 1, 1)
     np.add.at(crossed, linked + 1, -1)
-    cuts = [i for i in np.flatnonzero(np.cumsum(crossed)[:-1] == 0).tolist() if i > 0]
+    uncrossed = np.flatnonzero(np.cumsum(crossed)[:-1] == 0).tolist()
+    cuts = [i for i in uncrossed if i > 0]
     return min(cuts, key=lambda i: abs(i - len(segments) / 2), default=0)
 
 
 def _gap(one: Array, other: Array) -> str:
+    """Returns a few words on how far two arrays are apart."""
     if one.shape != other.shape:
         return f"shapes {one.shape} and {other.shape}"
     return f"a largest difference of {np.nanmax(np.abs(one - other)):.3g}"

@@ -3,31 +3,50 @@
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.random import Generator
 
+from dropo.core.records.trajectories import Ints
 from dropo.core.services.atomic_write import write_npz
 from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array, require
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.policy import LinearPolicy, linear
-from dropo.training.rollouts import rollout, rollout_many, seeds_from
+from dropo.training.rollouts import draw_seeds, rollout, rollout_many
 from dropo.training.setup import Progress, TrainingSetup
 
-KEPT = "ars.npz"
-LEAST = 1e-8  # an observation that varies less counts as constant
+STATE_FILE = "ars.npz"
+"""The file from which an interrupted search goes on."""
+CONSTANT_BELOW = 1e-8
+"""Standard deviation below which an observation counts as constant."""
 
 
 @dataclass
 class Search:
-    """How far a search has come: what an interrupted one goes on from.
+    """The state of a search, from which an interrupted one goes on.
 
-    weights: (q, o); count, mean (o,), square (o,): the observations seen, with the sum of their
-    squared deviations; best, best_mean,
-    best_deviation: the policy of the highest trial, best_return its return; history: (trials, 4)
-    updates, control steps, return, standard error; update, steps, failures: made so far.
+    Attributes
+    ----------
+    weights : (q, o) array
+        Weights of the present policy.
+    count : int
+        Number of observations made so far.
+    mean, square : (o,) array
+        Mean of these observations, and sum of their squared deviations from it.
+    best, best_mean, best_deviation : (q, o), (o,), (o,) array
+        Weights and normalisation of the policy with the highest return in a trial.
+    best_return : float
+        That return.
+    history : (n, 4) array
+        For each trial: updates, control steps, mean return and its standard error.
+    update : int
+        Number of updates made.
+    steps : int
+        Number of control steps made.
+    failures : int
+        Number of simulations that diverged.
     """
 
     weights: Array
@@ -45,66 +64,106 @@ class Search:
 
     @classmethod
     def new(cls, actions: int, observations: int) -> Self:
-        """From nothing."""
-        zero = np.zeros((actions, observations))
-        none = np.zeros(observations)
-        one = np.ones(observations)
-        return cls(zero, 0, none, none, zero, none, one, -math.inf, np.zeros((0, 4)))
+        """Returns the state before the first update, for numbers of actions and observations."""
+        return cls(
+            weights=np.zeros((actions, observations)),
+            count=0,
+            mean=np.zeros(observations),
+            square=np.zeros(observations),
+            best=np.zeros((actions, observations)),
+            best_mean=np.zeros(observations),
+            best_deviation=np.ones(observations),
+            best_return=-math.inf,
+            history=np.zeros((0, 4)),
+        )
 
     @property
     def deviation(self) -> Array:
-        """(o,) the standard deviation of what was seen; 1 where nothing varied."""
-        spread = np.sqrt(self.square / max(self.count, 1))
-        return np.where(spread > LEAST, spread, 1.0)
+        """The standard deviation of the observations (o,); 1 where an observation is constant."""
+        deviation = np.sqrt(self.square / max(self.count, 1))
+        return np.where(deviation > CONSTANT_BELOW, deviation, 1.0)
 
-    def see(self, values: Array) -> None:
-        """Takes in observations (m, o), by the update of Chan, Golub and LeVeque (1983)."""
-        total = self.count + len(values)
+    def add_observations(self, values: Array) -> None:
+        """Updates count, mean and square by more observations.
+
+        Parameters
+        ----------
+        values : (m, o) array
+            The observations.
+
+        References
+        ----------
+        Chan, Golub and LeVeque (1983), "Algorithms for computing the sample variance", The American
+        Statistician 37.
+        """
+        m = len(values)
+        total = self.count + m
         shift = values.mean(axis=0) - self.mean
-        self.square = (
-            self.square
-            + values.var(axis=0) * len(values)
-            + shift**2 * self.count * len(values) / total
-        )
-        self.mean = self.mean + shift * len(values) / total
+        within = values.var(axis=0) * m
+        between = shift**2 * self.count * m / total
+        self.square = self.square + within + between
+        self.mean = self.mean + shift * m / total
         self.count = total
 
     def save(self, folder: Path) -> None:
-        """Writes it whole or not at all."""
-        write_npz(folder / KEPT, asdict(self))
+        """Writes the state into a folder, whole or not at all."""
+        write_npz(folder / STATE_FILE, asdict(self))
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """What `save` wrote."""
+        """Reads the state that `save` wrote into a folder.
+
+        Raises
+        ------
+        BadFile
+            If the file cannot be read or is no state of a search.
+        """
+        path = folder / STATE_FILE
         try:
-            with np.load(folder / KEPT, allow_pickle=False) as kept:
-                return cls(
-                    **{
-                        name: kept[name] if kept[name].ndim else kept[name].item()
-                        for name in kept.files
-                    }
-                )
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            return cls(**{name: a if a.ndim else a.item() for name, a in arrays.items()})
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise BadFile(
-                folder / KEPT,
-                "",
-                "a search that was interrupted",
-                f"{type(error).__name__}: {error}",
-            ) from None
+            got = f"{type(error).__name__}: {error}"
+            raise BadFile(path, "", "a search that was interrupted", got) from None
 
 
 @dataclass(frozen=True, kw_only=True)
 class ARS:
-    """Augmented random search V2-t of Mania, Guy and Recht, "Simple random search of static linear
-    policies is competitive for reinforcement learning", 2018, Algorithm 1: observations
-    normalised by what was seen, steps scaled by the spread of returns.
+    """Augmented random search V2-t for a linear policy.
 
-    updates: of the policy; directions: N, tried in both senses, one episode each; best: b, those
-    that count; step: alpha;
-    size: nu. The two senses of a direction share draw, start and noise. The bonus for being alive
-    does not count, as it rewards standing still; it does in trials: every `every` updates the
-    policy plays `trials` episodes of the same draws, at the law's full width, and the best one is
-    kept.
+    Observations are normalised by those made so far, and steps are scaled by the standard deviation
+    of the returns. The two senses of a direction share draw, start and noise. The bonus for being
+    alive does not count in updates, as it rewards standing still; it does in trials. Every `every`
+    updates the policy runs `trials` episodes, always with the same draws at the distribution's full
+    width, and the best policy is kept.
+
+    Attributes
+    ----------
+    updates : int
+        Number of updates of the policy.
+    directions : int
+        Number N of random directions in an update, each tried in both senses, one episode each.
+    best : int
+        Number b of directions with the highest returns, which an update uses.
+    step : float
+        Step size alpha.
+    size : float
+        Standard deviation nu of the perturbed weights.
+    trials : int
+        Number of episodes in a trial.
+    every : int
+        Number of updates between trials.
+
+    Raises
+    ------
+    BadArgument
+        If a number is below 1, `best` exceeds `directions`, or `step` or `size` is not positive.
+
+    References
+    ----------
+    Mania, Guy and Recht (2018), "Simple random search of static linear policies is competitive for
+    reinforcement learning", NeurIPS, Algorithm 1.
     """
 
     updates: int = 200
@@ -118,59 +177,62 @@ class ARS:
 
     def __post_init__(self) -> None:
         counts = (self.updates, self.directions, self.best, self.trials, self.every)
-        require(
-            min(counts) >= 1,
-            "updates, directions, best, trials, every",
-            "at least 1",
-            counts,
-            "ARS",
-        )
-        require(
-            self.best <= self.directions,
-            "best",
-            f"at most directions = {self.directions}",
-            self.best,
-            "ARS",
-        )
-        require(
-            min(self.step, self.size) > 0, "step, size", "positive", (self.step, self.size), "ARS"
-        )
+        names = "updates, directions, best, trials, every"
+        require(min(counts) >= 1, names, "at least 1", counts, "ARS")
+        rule = f"at most directions = {self.directions}"
+        require(self.best <= self.directions, "best", rule, self.best, "ARS")
+        sizes = (self.step, self.size)
+        require(min(sizes) > 0, "step, size", "positive", sizes, "ARS")
 
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> LinearPolicy:
-        """The best policy of the search on a stage; with a folder, it goes on from what is there,
-        to the same result.
+        """Searches for the best policy.
 
-        progress: called with the share done and a text, after every update.
+        Parameters
+        ----------
+        setup : TrainingSetup
+            The environments.
+        rng : numpy.random.Generator
+            Source of all random numbers. Each update has a child of its own.
+        folder : Path or None
+            Where the state is kept after each update. A search goes on from the state that is
+            there, to the same result.
+        progress : callable
+            Called with the fraction done and a text, after every update.
+
+        Returns
+        -------
+        LinearPolicy
+            The best policy of all trials.
+
+        Raises
+        ------
+        BadFile
+            If the state in the folder cannot be read.
+        SimulationFailed
+            If an episode diverges again and again.
         """
         batched_env = setup.batched_env(2 * self.directions)
-        trial = setup.batched_env(self.trials, whole=True)
-        q = batched_env.limits.shape[1]
-        going_on = folder is not None and (folder / KEPT).is_file()
-        search = (
-            Search.load(folder)
-            if going_on and folder is not None
-            else Search.new(q, batched_env.observations)
-        )
-        seeds = seeds_from(rng.spawn(1)[0], self.trials)
-        rng.spawn(
-            search.update
-        )  # each update has a child of its own: those of the updates made are passed over
+        trial_env = setup.batched_env(self.trials, at_full_width=True)
+        if folder is not None and (folder / STATE_FILE).is_file():
+            search = Search.load(folder)
+        else:
+            search = Search.new(batched_env.limits.shape[1], batched_env.observations)
+        seeds = draw_seeds(rng.spawn(1)[0], self.trials)
+        rng.spawn(search.update)  # the children of the updates that are already made
         batched_env.steps = search.steps
         batched_env.failures = search.failures
         while search.update < self.updates:
             self._update(search, batched_env, rng.spawn(1)[0])
             if search.update % self.every == 0 or search.update == self.updates:
-                self._try(search, trial, seeds)
+                self._run_trial(search, trial_env, seeds)
             if folder is not None:
                 search.save(folder)
-            progress(
-                search.update / self.updates,
-                f"{search.steps:,} steps, best return {search.best_return:.0f}",
-            )
+            text = f"{search.steps:,} steps, best return {search.best_return:.0f}"
+            progress(search.update / self.updates, text)
         batched_env.close()
-        trial.close()
+        trial_env.close()
         about = {
             "history": search.history.tolist(),
             "control_steps": search.steps,
@@ -219,39 +281,35 @@ class ARS:
         search.weights = search.weights + self.step / (self.best * spread) * change
 
     def _update(self, search: Search, batched_env: BatchedEnv, rng: Generator) -> None:
-        """One step of Algorithm 1."""
+        """Makes one update of Algorithm 1."""
+        # rollouts of the perturbed policies, both senses with the same seeds
         n = self.directions
         tried, both = self.perturb(search, rng)
         mean = search.mean
         deviation = search.deviation
-        found = rollout(
-            batched_env,
-            lambda seen, ids: linear(both[ids], mean, deviation, batched_env.limits, seen),
-            np.tile(seeds_from(rng, n), 2),
-        )
-        gains = (found.returns - found.bonus).reshape(2, n)
-        self.improve(search, tried, gains)
-        search.see(found.observations)
-        search.update = search.update + 1
+
+        def act(observations: Array, ids: Ints) -> Array:
+            return linear(both[ids], mean, deviation, batched_env.limits, observations)
+
+        found = rollout(batched_env, act, np.tile(draw_seeds(rng, n), 2))
+        # a step along the best directions
+        self.improve(search, tried, (found.returns - found.bonus).reshape(2, n))
+        search.add_observations(found.observations)
+        search.update += 1
         search.steps = batched_env.steps
         search.failures = batched_env.failures
 
-    def _try(self, search: Search, batched_env: BatchedEnv, seeds: Any) -> None:
-        """Keeps the policy where it is the best so far."""
-        weights = search.weights
-        mean = search.mean
-        deviation = search.deviation
+    def _run_trial(self, search: Search, batched_env: BatchedEnv, seeds: Ints) -> None:
+        """Evaluates the present policy, and keeps it where it is the best so far."""
+        policy = LinearPolicy(search.weights, search.mean, search.deviation, batched_env.limits)
         returns = rollout_many(
-            batched_env,
-            lambda seen, ids: linear(weights, mean, deviation, batched_env.limits, seen),
-            seeds,
+            batched_env, lambda observations, ids: policy(observations), seeds
         ).returns
         error = returns.std(ddof=1) / math.sqrt(len(returns)) if len(returns) > 1 else 0.0
-        search.history = np.vstack(
-            [search.history, [search.update, search.steps, returns.mean(), error]]
-        )
+        row = [search.update, search.steps, returns.mean(), error]
+        search.history = np.vstack([search.history, row])
         if returns.mean() > search.best_return:
-            search.best = weights
-            search.best_mean = mean
-            search.best_deviation = deviation
+            search.best = policy.weights
+            search.best_mean = policy.mean
+            search.best_deviation = policy.deviation
             search.best_return = float(returns.mean())

@@ -1,6 +1,4 @@
-"""Environments side by side, each with its own draw of the parameters: what training and evaluation
-run policies in.
-"""
+"""Environments in one batch of simulations, each with its own draw of the parameters."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -17,23 +15,30 @@ from dropo.core.services.validation import Array, require
 from dropo.simulators.mujoco.episodes import Episodes
 from dropo.training.distributions import ParameterDistribution, draw, variances_of
 
-REDRAWS = 20
-"""How often in a row parameters under which the simulation breaks are drawn again (thesis, section
-5.3).
-"""
-
 Bools = NDArray[np.bool_]
 Seeds = Sequence[int | None]
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One step of m environments: observations (m, o); rewards (m,), and how much of them is the
-    bonus (m,) for being alive.
+    """The result of one step of m environments.
 
-    terminated, truncated, broken: (m,) bool, whether the episode ended by the task, by its length,
-    or because the simulation diverged (which is a truncation too); infos: what Gymnasium's
-    environment said, one a mapping.
+    Attributes
+    ----------
+    observations : (m, o) array
+        Observations after the step.
+    rewards : (m,) array
+        Rewards, with the bonus.
+    bonus : (m,) array
+        How much of the rewards is the bonus for being alive.
+    terminated : (m,) bool array
+        Whether the task ended the episode.
+    truncated : (m,) bool array
+        Whether the episode reached its length, or its simulation diverged.
+    broken : (m,) bool array
+        Whether the simulation diverged.
+    infos : list of dict
+        The `info` of each Gymnasium environment; empty for tasks of a problem.
     """
 
     observations: Array
@@ -46,36 +51,75 @@ class Outcome:
 
     @property
     def ended(self) -> Bools:
-        """(m,) whether the episode is over."""
+        """Whether each episode is over (m,)."""
         return self.terminated | self.truncated
 
 
 @dataclass(eq=False)
 class _Streams:
-    """An environment's random numbers, by what they decide."""
+    """An environment's random generators, by what they decide."""
 
     draws: Generator
     starts: Generator
     noise: Generator
 
     @classmethod
-    def of(cls, seed: int | None) -> "_Streams":
-        return cls(*np.random.default_rng(seed).spawn(3))
+    def from_seed(cls, seed: int | None) -> "_Streams":
+        """Returns three independent generators."""
+        draws, starts, noise = np.random.default_rng(seed).spawn(3)
+        return cls(draws, starts, noise)
 
 
 class BatchedEnv(ABC):
-    """`count` environments in one batch of simulations; each begins its episodes when it is told
-    to.
+    """Environments in one batch of simulations, whose episodes begin and step independently.
 
-    name: of what is simulated; observations: o; limits: (2, q) of the actions; length: steps of a
-    whole episode; draws: (count, d) the parameters of the present episodes; steps: those made so
-    far; failures: draws that broke the simulation. An environment depends on its own seeds alone,
-    not on the others.
+    An environment depends on its own seeds alone, not on the other environments.
+
+    Parameters
+    ----------
+    name : str
+        Name of what is simulated.
+    episodes : Episodes
+        The simulations, one for each environment.
+    fill : callable
+        Parameter vectors (m, D) of the simulator from draws (m, d) of the distribution.
+    distribution : ParameterDistribution
+        Distribution of the parameters, drawn at the start of every episode.
+    noise : float or (p,) array, optional
+        Variances of the measurement noise; by default those that a fit learned.
+
+    Attributes
+    ----------
+    count : int
+        Number of environments.
+    observations : int
+        Number o of observed values.
+    limits : (2, q) array
+        Lowest and highest actions.
+    length : int
+        Steps of a whole episode.
+    draws : (count, d) array
+        Parameters of the present episodes.
+    steps : int
+        Steps made so far, over all environments.
+    failures : int
+        Number of draws that broke the simulation.
+    redraws : int
+        How often in a row parameters that break the simulation are drawn again (thesis, section
+        5.3).
+
+    Raises
+    ------
+    BadArgument
+        If a noise variance is negative.
+    Incompatible
+        If there are as many noise variances as neither one nor signals.
     """
 
     observations: int
     limits: Array
     length: int
+    redraws = 20
 
     def __init__(
         self,
@@ -93,29 +137,57 @@ class BatchedEnv(ABC):
         self.failures = 0
         self.draws = np.zeros((self.count, len(distribution.space)))
         self._fill = fill
-        self._deviation = noise_deviation(noise, distribution, len(episodes.simulator.signals))
-        self._streams = [_Streams.of(None) for _ in range(self.count)]
+        self._noise_sd = noise_deviation(noise, distribution, len(episodes.simulator.signals))
+        self._streams = [_Streams.from_seed(None) for _ in range(self.count)]
 
     def reset(self, ids: Ints, seeds: Seeds) -> Array:
-        """Starts an episode in the environments `ids` and gives what they observe (m, o).
+        """Starts an episode in some of the environments.
 
-        A seed of None: random numbers go on.
+        Parameters
+        ----------
+        ids : (m,) int array
+            The environments.
+        seeds : sequence of int or None
+            A seed for each; with None, an environment's random numbers go on.
+
+        Returns
+        -------
+        (m, o) array
+            First observations.
+
+        Raises
+        ------
+        SimulationFailed
+            If MuJoCo refuses `redraws` draws in a row.
         """
         for i, seed in zip(ids.tolist(), seeds, strict=True):
             if seed is not None:
-                self._streams[i] = _Streams.of(seed)
+                self._streams[i] = _Streams.from_seed(seed)
         self._draw(ids)
         return self._reset(ids, seeds)
 
     def step(self, ids: Ints, actions: Array) -> Outcome:
-        """One step of the environments `ids` under actions (m, q)."""
+        """Makes one step in some of the environments.
+
+        Parameters
+        ----------
+        ids : (m,) int array
+            The environments.
+        actions : (m, q) array
+            Their actions.
+
+        Returns
+        -------
+        Outcome
+            Observations, rewards and ends.
+        """
         outcome = self._step(ids, actions)
         self.steps += len(ids)
         self.failures += int(outcome.broken.sum())
         return outcome
 
     def describe(self, i: int) -> dict[str, float]:
-        """The parameters of environment i's episode by name."""
+        """Returns the parameters of environment i's present episode by name."""
         return dict(zip(self.distribution.space.names, self.draws[i].tolist(), strict=True))
 
     def close(self) -> None:  # noqa: B027 - most hold nothing
@@ -123,18 +195,19 @@ class BatchedEnv(ABC):
 
     @abstractmethod
     def _reset(self, ids: Ints, seeds: Seeds) -> Array:
-        """Starts episodes under the models that are set; observations (m, o)."""
+        """Starts episodes under the models that are set; returns observations (m, o)."""
 
     @abstractmethod
     def _step(self, ids: Ints, actions: Array) -> Outcome:
-        """One step."""
+        """Makes one step."""
 
     def _draw(self, ids: Ints) -> None:
-        """New parameters for episodes; those that MuJoCo refuses are drawn again."""
-        for _ in range(REDRAWS):
-            values = np.stack(
-                [draw(self.distribution, self._streams[i].draws, self.steps) for i in ids.tolist()]
-            )
+        """Draws new parameters; those that MuJoCo refuses are drawn again."""
+        for _ in range(self.redraws):
+            draws = [
+                draw(self.distribution, self._streams[i].draws, self.steps) for i in ids.tolist()
+            ]
+            values = np.stack(draws)
             self.draws[ids] = values
             refused = ~self.episodes.set(ids, self._fill(values))
             self.failures += int(refused.sum())
@@ -142,25 +215,45 @@ class BatchedEnv(ABC):
             if not len(ids):
                 return
         raise SimulationFailed(
-            f"MuJoCo refused {REDRAWS} draws in a row, the last {self.describe(int(ids[0]))}."
+            f"MuJoCo refused {self.redraws} draws in a row, the last {self.describe(int(ids[0]))}."
         )
 
-    def _noisy(self, ids: Ints, rows: Array) -> Array:
-        """Observation rows (m, P) as they are measured: by sensors with effects and noise."""
+    def _measure_rows(self, ids: Ints, rows: Array) -> Array:
+        """Returns observation rows (m, P) as sensors with effects and noise measure them."""
         rows = self.episodes.measured(ids, rows)
-        if not self._deviation.any() or not len(ids):
+        if not self._noise_sd.any() or not len(ids):
             return rows
-        errors = np.stack(
-            [self._streams[i].noise.standard_normal(len(self._deviation)) for i in ids.tolist()]
-        )
-        return self.episodes.simulator.layout.move(rows, self._deviation * errors)
+        normals = [
+            self._streams[i].noise.standard_normal(len(self._noise_sd)) for i in ids.tolist()
+        ]
+        return self.episodes.simulator.layout.move(rows, self._noise_sd * np.stack(normals))
 
 
 def noise_deviation(
     noise: ArrayLike | None, distribution: ParameterDistribution, signals: int
 ) -> Array:
-    """(p,) the standard deviation of each signal's noise from variances: those given, or else those
-    that the fit learned.
+    """Returns the standard deviation of each signal's noise.
+
+    Parameters
+    ----------
+    noise : float or (p,) array, optional
+        Variances; by default those that a fit learned, and 0 where the distribution is no fit.
+    distribution : ParameterDistribution
+        Distribution of the parameters.
+    signals : int
+        Number p of signals.
+
+    Returns
+    -------
+    (p,) array
+        Standard deviations, each in the unit of its signal.
+
+    Raises
+    ------
+    BadArgument
+        If a variance is negative.
+    Incompatible
+        If there are as many variances as neither one nor signals.
     """
     variances = variances_of(distribution) if noise is None else np.asarray(noise, dtype=float)
     if variances is None:
@@ -174,8 +267,7 @@ def noise_deviation(
     )
     if np.ndim(variances) and len(variances) != signals:
         raise Incompatible(
-            f"The noise has {len(variances)} variances, and {signals} signals are observed "
-            "here. Give `noise`: one variance, one for"
-            " each signal, or 0 for none."
+            f"The noise has {len(variances)} variances, and {signals} signals are observed here. "
+            "Give `noise`: one variance, one for each signal, or 0 for none."
         )
     return np.broadcast_to(np.sqrt(variances), (signals,))

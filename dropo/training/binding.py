@@ -1,5 +1,6 @@
-"""Where a law's parameters go in a simulator: by name, by their place in the model, or as the size
-of an effect.
+"""Finds where a distribution's parameters are in a simulator.
+
+A parameter is found by its name, by its place in the model, or as the magnitude of an effect.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,57 +21,97 @@ from dropo.training.distributions import ParameterDistribution, places_of
 def bind(
     simulator: MujocoSimulator, distribution: ParameterDistribution, owner: str
 ) -> tuple[MujocoSimulator, Callable[[Array], Array]]:
-    """The simulator, with the effects free whose sizes the law draws, and what makes its vectors
-    (m, D) of the law's draws (m, d).
+    """Prepares a simulator for draws of a distribution.
 
-    What the law does not draw keeps its nominal value. Refused where the simulator lacks a
-    parameter, or has it elsewhere.
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The simulator.
+    distribution : ParameterDistribution
+        A distribution of d parameters, which the simulator declares or whose effects it can have.
+    owner : str
+        What is simulated, for messages.
+
+    Returns
+    -------
+    simulator : MujocoSimulator
+        The simulator with D parameters: its own, and the magnitudes of effects that are drawn.
+    fill : callable
+        Parameter vectors (m, D) of that simulator from draws (m, d). What is not drawn keeps its
+        nominal value.
+
+    Raises
+    ------
+    UnknownName
+        If the simulator has no such parameter or effect.
+    Incompatible
+        If a parameter is at another place of its model.
     """
     declared = simulator.space.names
-    sizes = [name for name in distribution.space.names if name not in declared]
-    labels = dict.fromkeys(_label(name, simulator, owner) for name in sizes)
-    free = (
-        simulator.with_effects([_atom(label, simulator, owner) for label in labels])
-        if labels
-        else simulator
-    )
-    _refuse_moved(distribution, simulator, owner)
-    columns = [
-        free.space.names.index(known(f"parameter of {owner}", name, free.space.names))
-        for name in distribution.space.names
-    ]
+    magnitudes = [name for name in distribution.space.names if name not in declared]
+    # the effects' labels, each once, in the order of the parameters
+    labels = dict.fromkeys(_label(name, simulator, owner) for name in magnitudes)
+    extended = simulator
+    if labels:
+        extended = simulator.with_effects([_instance(label, simulator, owner) for label in labels])
+    _check_places(distribution, simulator, owner)
+    columns = []
+    for name in distribution.space.names:
+        known(f"parameter of {owner}", name, extended.space.names)
+        columns.append(extended.space.names.index(name))
 
     def fill(values: Array) -> Array:
-        out = np.tile(np.asarray(free.nominal), (len(values), 1))
-        out[:, columns] = values
-        return out
+        filled = np.tile(np.asarray(extended.nominal), (len(values), 1))
+        filled[:, columns] = values
+        return filled
 
-    return free, fill
+    return extended, fill
 
 
 def field_parameters(distribution: ParameterDistribution, owner: str) -> list[FieldParameter]:
-    """The law's parameters that are numbers of a model, to be declared in another simulator; sizes
-    of effects are left out.
+    """Returns a distribution's parameters that are numbers of a model.
+
+    They can be declared in another simulator. Magnitudes of effects are left out.
+
+    Parameters
+    ----------
+    distribution : ParameterDistribution
+        The distribution.
+    owner : str
+        Where they are to be set, for the message.
+
+    Returns
+    -------
+    list of FieldParameter
+        The parameters, in the order of the distribution's space.
+
+    Raises
+    ------
+    Incompatible
+        If a fit does not say where in a model a parameter is.
     """
     places = places_of(distribution)
-    for p in distribution.space:
-        if p.name not in places and "/" not in p.name:
+    parameters = []
+    for parameter in distribution.space:
+        if parameter.name in places:
+            parameters.append(_field_parameter(parameter, places[parameter.name]))
+        elif "/" not in parameter.name:
             raise Incompatible(
-                f"The fit does not say where in a model its parameter {p.name!r} is, so it "
-                f"cannot be set in {owner}. Fit a problem"
-                " whose simulator is a MujocoSimulator, and save it anew, or randomize "
-                "that problem."
+                f"The fit does not say where in a model its parameter {parameter.name!r} is, so it "
+                f"cannot be set in {owner}. Fit a problem whose simulator is a MujocoSimulator, "
+                "and save it anew, or randomize that problem."
             )
-    return [_field_parameter(p, places[p.name]) for p in distribution.space if p.name in places]
+    return parameters
 
 
 def _field_parameter(p: Parameter, place: Mapping[str, Any]) -> FieldParameter:
+    """Returns a parameter at a place of a model."""
     return FieldParameter(
         p.name, p.low, p.high, p.unit, lower=p.lower, upper=p.upper, scale=p.scale, **place
     )
 
 
-def declaring(
+def declare(
     model: Any,
     distribution: ParameterDistribution,
     owner: str,
@@ -78,8 +119,33 @@ def declaring(
     frame_skip: int,
     fixed: ActiveEffects,
 ) -> MujocoSimulator:
-    """A simulator of a compiled model in which the law's numbers of the model are parameters, with
-    fixed effects.
+    """Returns a simulator of a compiled model that declares a distribution's parameters.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The compiled model.
+    distribution : ParameterDistribution
+        A distribution whose parameters are numbers of the model or magnitudes of effects. The
+        latter are not declared.
+    owner : str
+        What is simulated, for messages.
+    observation : tuple of str
+        The columns of an observation row.
+    frame_skip : int
+        Physics steps for which one action is held.
+    fixed : sequence of (EffectInstance, array)
+        Effects with fixed magnitudes.
+
+    Returns
+    -------
+    MujocoSimulator
+        The simulator, on one thread.
+
+    Raises
+    ------
+    Incompatible
+        If a fit does not say where in a model a parameter is, or the model has no such place.
     """
     parameters = field_parameters(distribution, owner)
     try:
@@ -92,37 +158,46 @@ def declaring(
 
 
 def _label(name: str, simulator: MujocoSimulator, owner: str) -> str:
-    """The label of the effect whose size a parameter is; UnknownName where it is none."""
+    """Returns the label of the effect whose magnitude a parameter is; refuses where it is none."""
     label, slash, _ = name.rpartition("/")
-    effect = label.split(":")[0].split(".")[0]
-    if not slash or effect not in names("effects"):
+    if not slash or _effect(label) not in names("effects"):
         known(f"parameter of {owner}", name, simulator.space.names)
     return label
 
 
-def _atom(label: str, simulator: MujocoSimulator, owner: str) -> EffectInstance:
-    effect = label.split(":")[0].split(".")[0]
-    instances: dict[str, EffectInstance] = {
-        instance.label: instance for instance in find("effects", effect)(simulator.effect_context)
-    }
+def _effect(label: str) -> str:
+    """Returns the name of the effect in a label."""
+    return label.split(":")[0].split(".")[0]
+
+
+def _instance(label: str, simulator: MujocoSimulator, owner: str) -> EffectInstance:
+    """Returns the effect instance with a label; refuses where the simulator has none."""
+    effect = find("effects", _effect(label))
+    instances: dict[str, EffectInstance] = {}
+    for instance in effect(simulator.effect_context):
+        instances[instance.label] = instance
     return instances[known(f"effect in {owner}", label, instances)]
 
 
-def _refuse_moved(
+def _check_places(
     distribution: ParameterDistribution, simulator: MujocoSimulator, owner: str
 ) -> None:
     """The same name must stand for the same number of the model."""
     places = places_of(distribution)
-    for p in (binding.parameter for binding in simulator.bindings):
-        here = p.place
-        there = places.get(p.name, here) if p.name in distribution.space.names else here
-        if there != here:
-            differ = ", ".join(
-                f"{key} {there.get(key)!r} instead of {here[key]!r}"
-                for key in here
-                if there.get(key) != here[key]
-            )
-            raise Incompatible(
-                f"The fit is of another model: its parameter {p.name!r} has {differ} in "
-                f"{owner}. Fit that problem."
-            )
+    for binding in simulator.bindings:
+        parameter = binding.parameter
+        here = parameter.place
+        if parameter.name not in distribution.space.names or parameter.name not in places:
+            continue
+        there = places[parameter.name]
+        if there == here:
+            continue
+        differences = ", ".join(
+            f"{key} {there.get(key)!r} instead of {here[key]!r}"
+            for key in here
+            if there.get(key) != here[key]
+        )
+        raise Incompatible(
+            f"The fit is of another model: its parameter {parameter.name!r} has {differences} in "
+            f"{owner}. Fit that problem."
+        )

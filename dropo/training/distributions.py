@@ -1,6 +1,4 @@
-"""What parameters are drawn from at an episode's start: a fit, a point, bounds, or any of them
-growing to its full width.
-"""
+"""Distributions that parameters are drawn from at an episode's start."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -22,33 +20,56 @@ class ParameterDistribution(Protocol):
 
     @property
     def mean(self) -> Array:
-        """(d,) where a law that widens begins."""
+        """The mean (d,), at which a curriculum begins."""
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Independent parameter vectors (K, d)."""
+        """Returns independent parameter vectors (K, d), K = `draws`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Always the same parameters `mean` (d,): the model without randomization."""
+    """Always the same parameters: the model without randomization.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        The d parameters.
+    mean : (d,) array
+        Their values.
+
+    Raises
+    ------
+    BadArgument
+        If `mean` has another shape or is not finite.
+    """
 
     space: ParameterSpace
     mean: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "mean", float_array("mean", self.mean, (len(self.space),), "Point")
-        )
+        mean = float_array("mean", self.mean, (len(self.space),), "Point")
+        object.__setattr__(self, "mean", mean)
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """(K, d) copies."""
+        """Returns copies of the mean (K, d), K = `draws`."""
         return np.tile(self.mean, (draws, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Uniform:
-    """Uniform randomization, each parameter on its own between low (d,) and high (d,); without
-    bounds, on the search intervals.
+    """Uniform randomization of each parameter by itself.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        The d parameters.
+    low, high : (d,) array, optional
+        Bounds of each parameter, by default those of its search interval.
+
+    Raises
+    ------
+    BadArgument
+        If a bound has another shape or is not finite, or if `low` exceeds `high`.
     """
 
     space: ParameterSpace
@@ -57,41 +78,48 @@ class Uniform:
 
     def __post_init__(self) -> None:
         for name in ("low", "high"):
-            given = getattr(self, name)
-            values = (
-                getattr(self.space, name)
-                if given is None
-                else float_array(name, given, (len(self.space),), "Uniform")
-            )
+            values = getattr(self, name)
+            if values is None:
+                values = getattr(self.space, name)
+            else:
+                values = float_array(name, values, (len(self.space),), "Uniform")
             object.__setattr__(self, name, values)
-        require(
-            bool(np.all(self.bounds[0] <= self.bounds[1])),
-            "low",
-            "at most high",
-            self.low,
-            "Uniform",
-        )
+        low, high = self.bounds
+        require(bool(np.all(low <= high)), "low", "at most high", self.low, "Uniform")
 
     @property
     def bounds(self) -> Array:
-        """(2, d) low, then high."""
+        """The lower bounds, then the upper ones (2, d)."""
         return np.array([self.low, self.high])
 
     @property
     def mean(self) -> Array:
-        """(d,) the middle."""
+        """The middle of the bounds (d,)."""
         return self.bounds.mean(axis=0)
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """(K, d) independent draws."""
+        """Returns independent draws (K, d), K = `draws`."""
         low, high = self.bounds
         return low + rng.random((draws, len(self.space))) * (high - low)
 
 
 @dataclass(frozen=True, eq=False)
 class Curriculum:
-    """A law that grows from a share `start` of its width to all of it over the first so many
-    control `steps` of training.
+    """A distribution whose width grows during training.
+
+    Attributes
+    ----------
+    distribution : ParameterDistribution
+        The distribution at its full width.
+    steps : int
+        Number of control steps of training after which the full width is reached.
+    start : float
+        Width at the beginning of training, as a fraction in [0, 1] of the full one.
+
+    Raises
+    ------
+    BadArgument
+        If `steps` is below 1 or `start` is not in [0, 1].
     """
 
     distribution: ParameterDistribution
@@ -109,45 +137,58 @@ class Curriculum:
 
     @property
     def mean(self) -> Array:
-        """(d,) that of the law."""
+        """The mean (d,) of the distribution, at any width."""
         return self.distribution.mean
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """(K, d) draws at its full width."""
+        """Returns independent draws (K, d) at the full width, K = `draws`."""
         return self.distribution.sample(draws, rng)
 
-    def share(self, done: int) -> float:
-        """The share of the width after so many control steps."""
+    def fraction(self, done: int) -> float:
+        """Returns the fraction of the full width after `done` control steps of training."""
         return self.start + (1 - self.start) * min(1.0, done / self.steps)
 
 
-def full(distribution: ParameterDistribution | None) -> ParameterDistribution | None:
-    """The law at its full width."""
-    return distribution.distribution if isinstance(distribution, Curriculum) else distribution
+def full_width(distribution: ParameterDistribution) -> ParameterDistribution:
+    """Returns a distribution at its full width: of a curriculum, the one that it grows to."""
+    while isinstance(distribution, Curriculum):
+        distribution = distribution.distribution
+    return distribution
 
 
 def draw(distribution: ParameterDistribution, rng: Generator, done: int) -> Array:
-    """(d,) one parameter vector, after `done` control steps of training."""
+    """Draws one parameter vector.
+
+    Parameters
+    ----------
+    distribution : ParameterDistribution
+        What is drawn from.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+    done : int
+        Control steps of training so far, on which the width of a curriculum depends.
+
+    Returns
+    -------
+    (d,) array
+        The parameters.
+    """
     value = distribution.sample(1, rng)[0]
-    return (
-        distribution.mean + distribution.share(done) * (value - distribution.mean)
-        if isinstance(distribution, Curriculum)
-        else value
-    )
+    if not isinstance(distribution, Curriculum):
+        return value
+    mean = distribution.mean
+    return mean + distribution.fraction(done) * (value - mean)
 
 
 def variances_of(distribution: ParameterDistribution) -> Array | None:
-    """(p,) the noise variances that a fit learned; None where the law is no fit."""
-    return (
-        variances_of(distribution.distribution)
-        if isinstance(distribution, Curriculum)
-        else getattr(distribution, "epsilon", None)
-    )
+    """Returns the noise variances (p,) that a fit learned, or None for any other distribution."""
+    return getattr(full_width(distribution), "epsilon", None)
 
 
 def places_of(distribution: ParameterDistribution) -> dict[str, dict[str, Any]]:
-    """Where in a model each parameter is, as a fit keeps it; effects and parameters of other
-    simulators have none.
+    """Returns where in a model each parameter is: field, element and index, by parameter name.
+
+    A fit keeps these. Magnitudes of effects and parameters of other simulators have no place.
     """
     if isinstance(distribution, Curriculum):
         return places_of(distribution.distribution)

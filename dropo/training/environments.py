@@ -1,4 +1,4 @@
-"""Randomized environments as Gymnasium has them: one, or many at once."""
+"""Randomized environments with Gymnasium's interface: one, or many at once."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,15 +20,15 @@ from dropo.simulators.gymnasium import make_environment, observed_columns
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.warnings import quiet
 from dropo.training.batched_env import BatchedEnv
-from dropo.training.binding import bind, declaring
+from dropo.training.binding import bind, declare
 from dropo.training.distributions import ParameterDistribution, Point
 from dropo.training.gymnasium_env import BatchedGymnasiumEnv
 from dropo.training.task_env import BatchedTaskEnv, task_of
 
 Target = Any
-"""What policies run in: a Problem, its name or file, the id of a Gymnasium environment, or such an
-environment.
-"""
+"""A Problem, its name or file, the id of a Gymnasium environment, or such an environment."""
+FIRST = np.zeros(1, dtype=np.int64)
+"""The ids of a batch of one environment."""
 
 
 def randomize(
@@ -42,25 +42,55 @@ def randomize(
     threads: int = 1,
     **options: Any,
 ) -> "RandomizedEnv | TaskEnv | RandomizedVectorEnv":
-    """A Gymnasium environment whose parameters are drawn anew at the start of every episode.
+    """Makes a Gymnasium environment whose parameters are drawn anew for every episode.
 
-    target: a Gymnasium MuJoCo environment by its id or made, or a Problem with a task, by its name
-    or file too. law: a Fit, Uniform or Point, or one of them Widening; None: the model as it is.
-    count: None for one environment, else a VectorEnv of so many, each with its own draws, simulated
-    together on `threads` threads (0: all cores). noise: variances of the measurement noise, one or
-    one a signal; None: those that the fit learned, 0 for none. effects: what a Gymnasium
-    environment's machine has beside its model, as `problem.simulator.fixed` of an extended problem;
-    a problem brings its own. steps: of an episode. options: of `gymnasium.make`.
-    `info["parameters"]` of `reset` has the draw; an episode whose simulation diverges is truncated,
-    with `info["broken"]`.
+    `info["parameters"]` of `reset` holds the draw. An episode whose simulation diverges is
+    truncated, with `info["broken"]`.
+
+    Parameters
+    ----------
+    target : Problem, str, Path or gymnasium.Env
+        A Gymnasium MuJoCo environment or its id, or a problem with a task, its name or file.
+    distribution : ParameterDistribution, optional
+        A Fit, Uniform or Point, or a Curriculum of one of them; None for the model as it is.
+    count : int, optional
+        Number of environments, each with its own draws, that are simulated together in a VectorEnv;
+        by default one environment that is no VectorEnv.
+    noise : float or (p,) array, optional
+        Variances of the measurement noise, one or one a signal; by default those that the fit
+        learned, 0 for none.
+    effects : sequence of (EffectInstance, array)
+        Effects of a Gymnasium environment's robot beside its model, as `problem.simulator.fixed` of
+        an extended problem. A problem brings its own.
+    steps : int, optional
+        Steps of an episode, by default the target's.
+    threads : int
+        Number of threads, 0 for all cores.
+    **options
+        Options of `gymnasium.make`.
+
+    Returns
+    -------
+    gymnasium.Env or gymnasium.vector.VectorEnv
+        The environment.
+
+    Raises
+    ------
+    BadArgument
+        If `count` is below 1, a noise variance is negative, or the target takes no `effects`,
+        `steps` or `options`.
+    UnknownName
+        If there is no such target, or the simulator has no such parameter or effect.
+    Incompatible
+        If the target is not simulated by MuJoCo or has no task, or `distribution`, `noise` or
+        `count` does not fit it.
     """
     require(count is None or count >= 1, "count", "None or at least 1", count, "randomize")
     target = resolve(target)
     if count is None and not isinstance(target, Problem):
-        return RandomizedEnv(
-            _made(target, steps, options), distribution, noise=noise, effects=effects
-        )
-    made = batched_env(
+        env = _gymnasium_env(target, steps, options)
+        return RandomizedEnv(env, distribution, noise=noise, effects=effects)
+    batch = batched_env(
         target,
         distribution,
         count or 1,
@@ -70,11 +100,27 @@ def randomize(
         threads=threads,
         **options,
     )
-    return TaskEnv(made) if count is None else RandomizedVectorEnv(made)
+    return TaskEnv(batch) if count is None else RandomizedVectorEnv(batch)
 
 
 def resolve(target: Target) -> Target:
-    """A problem by its name or file; ids of Gymnasium and what is no text stay as they are."""
+    """Loads a problem by its name or file.
+
+    Parameters
+    ----------
+    target : Problem, str, Path or gymnasium.Env
+        The target. Ids of Gymnasium, problems and environments are returned as they are.
+
+    Returns
+    -------
+    Problem, str or gymnasium.Env
+        The target.
+
+    Raises
+    ------
+    UnknownName
+        If there is no problem and no Gymnasium environment of that name.
+    """
     from dropo.problems.loading import is_file, load
 
     if not isinstance(target, str | Path) or target in gymnasium.registry:
@@ -98,7 +144,25 @@ def batched_env(
     threads: int = 1,
     **options: Any,
 ) -> BatchedEnv:
-    """`count` environments in one batch; arguments as for `randomize`."""
+    """Makes environments that are simulated together.
+
+    Parameters
+    ----------
+    target, distribution, noise, effects, steps, threads, **options
+        As for `randomize`.
+    count : int
+        Number of environments.
+
+    Returns
+    -------
+    BatchedEnv
+        The environments.
+
+    Raises
+    ------
+    BadArgument, UnknownName, Incompatible
+        As for `randomize`.
+    """
     target = resolve(target)
     if isinstance(target, Problem):
         if effects or options:
@@ -106,15 +170,15 @@ def batched_env(
                 f"The problem {target.name!r} has its own effects and takes no options of "
                 "gymnasium.make."
             )
-        return _of_problem(target, distribution, count, noise, steps, threads)
-    envs = [_made(target, steps, options) for _ in range(count)]
+        return _batch_of_problem(target, distribution, count, noise, steps, threads)
+    envs = [_gymnasium_env(target, steps, options) for _ in range(count)]
     if count > 1 and envs[0] is target:
         raise Incompatible("Of an environment that is made there is one. Give its id for several.")
-    return _of_gymnasium(envs, distribution, noise, effects, threads)
+    return _batch_of_gymnasium(envs, distribution, noise, effects, threads)
 
 
-def _made(target: Target, steps: int | None, options: dict[str, Any]) -> Any:
-    """A Gymnasium environment by its id, with its wrappers; one that is made, as it is."""
+def _gymnasium_env(target: Target, steps: int | None, options: dict[str, Any]) -> Any:
+    """Returns an environment by its id, with its wrappers; an environment is returned as it is."""
     if not isinstance(target, str):
         if steps is not None or options:
             raise BadArgument(
@@ -127,40 +191,42 @@ def _made(target: Target, steps: int | None, options: dict[str, Any]) -> Any:
         return gymnasium.make(target, max_episode_steps=steps, **options)
 
 
-def _of_gymnasium(
+def _batch_of_gymnasium(
     envs: Sequence[Any],
     distribution: ParameterDistribution | None,
     noise: ArrayLike | None,
     effects: ActiveEffects,
     threads: int,
 ) -> BatchedGymnasiumEnv:
+    """Returns Gymnasium's MuJoCo environments as a batch; refuses others."""
     inner = envs[0].unwrapped
     name = getattr(envs[0].spec, "id", type(inner).__name__)
-    if not all(hasattr(inner, has) for has in ("model", "data", "frame_skip", "do_simulation")):
+    needed = ("model", "data", "frame_skip", "do_simulation")
+    if not all(hasattr(inner, attribute) for attribute in needed):
         raise Incompatible(
             f"{name!r} is not one of Gymnasium's MuJoCo environments, whose model and "
             "simulation can be reached."
         )
+    if distribution is None:
+        distribution = Point(ParameterSpace(()), np.zeros(0))
     columns, visible = _columns(name, inner)
-    distribution = Point(ParameterSpace(()), np.zeros(0)) if distribution is None else distribution
-    simulator = declaring(
-        inner.model, distribution, repr(name), columns, int(inner.frame_skip), effects
-    )
-    free, fill = bind(simulator, distribution, repr(name))
+    owner = repr(name)
+    simulator = declare(inner.model, distribution, owner, columns, int(inner.frame_skip), effects)
+    simulator, fill = bind(simulator, distribution, owner)
     return BatchedGymnasiumEnv(
-        name, envs, free, fill, distribution, visible=visible, noise=noise, threads=threads
+        name, envs, simulator, fill, distribution, visible=visible, noise=noise, threads=threads
     )
 
 
 def _columns(name: str, inner: Any) -> tuple[tuple[str, ...], bool]:
-    """The simulator's observation rows, and whether the environment's observation begins with them."""
+    """Returns the columns of the simulator's rows, and whether observations begin with them."""
     try:
         return tuple(observed_columns(name, inner)), True
     except Incompatible:
         return ("qpos", "qvel"), False
 
 
-def _of_problem(
+def _batch_of_problem(
     problem: Problem,
     distribution: ParameterDistribution | None,
     count: int,
@@ -168,30 +234,41 @@ def _of_problem(
     steps: int | None,
     threads: int,
 ) -> BatchedTaskEnv:
+    """Returns a problem's environments as a batch; refuses where it has no task or no MuJoCo."""
     simulator = problem.simulator
     if not isinstance(simulator, MujocoSimulator):
         raise Incompatible(
             f"Policies are trained in MuJoCo, and the problem {problem.name!r} has a "
             f"{type(simulator).__name__}."
         )
-    task_of(problem)
-    distribution = (
-        Point(simulator.space, simulator.nominal) if distribution is None else distribution
-    )
-    free, fill = bind(simulator, distribution, f"the problem {problem.name!r}")
+    task_of(problem)  # refuses where there is none
+    if distribution is None:
+        distribution = Point(simulator.space, simulator.nominal)
+    simulator, fill = bind(simulator, distribution, f"the problem {problem.name!r}")
     return BatchedTaskEnv(
-        problem, free, fill, distribution, count, noise=noise, steps=steps, threads=threads
+        problem, simulator, fill, distribution, count, noise=noise, steps=steps, threads=threads
     )
-
-
-ONE = np.zeros(1, dtype=np.int64)
 
 
 class RandomizedEnv(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
-    """One of Gymnasium's environments with a draw of the parameters for every episode; `arena`
-    keeps count of draws that break it.
+    """A Gymnasium environment with a draw of the parameters for every episode.
 
-    env: the environment; law, noise, effects: as for `randomize`.
+    Parameters
+    ----------
+    env : gymnasium.Env
+        One of Gymnasium's MuJoCo environments.
+    distribution, noise, effects
+        As for `randomize`.
+
+    Attributes
+    ----------
+    batched_env : BatchedEnv
+        A batch of this environment alone; its `failures` counts the draws that broke it.
+
+    Raises
+    ------
+    BadArgument, UnknownName, Incompatible
+        As for `randomize`.
     """
 
     def __init__(
@@ -206,127 +283,191 @@ class RandomizedEnv(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
             self, distribution=distribution, noise=noise, effects=effects
         )
         gymnasium.Wrapper.__init__(self, env)
-        self.batched_env = _of_gymnasium([env], distribution, noise, effects, 1)
+        self.batched_env = _batch_of_gymnasium([env], distribution, noise, effects, 1)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """As `gymnasium.Env.reset`; the same seed gives the same draws, starts and noise."""
-        observed = self.batched_env.reset(ONE, [seed])[0]
-        return observed.copy(), {"parameters": self.batched_env.describe(0)}
+        """Draws parameters and begins an episode, as `gymnasium.Env.reset`.
+
+        Parameters
+        ----------
+        seed : int, optional
+            The same seed gives the same draws, starts and noise; with None, random numbers go on.
+        options : dict, optional
+            Ignored.
+
+        Returns
+        -------
+        observation : (o,) array
+            First observation.
+        info : dict
+            The draw under "parameters", by name.
+        """
+        return _reset_one(self.batched_env, seed)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As `gymnasium.Env.step`."""
-        return _one_step(self.batched_env, action)
+        """Makes a step with an `action` (q,), as `gymnasium.Env.step`; `info` may hold "broken"."""
+        return _step_one(self.batched_env, action)
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
-    """A problem's task as a Gymnasium environment, with a draw of the parameters for every episode."""
+    """A problem's task as a Gymnasium environment, with a draw of the parameters for every episode.
 
-    def __init__(self, made: BatchedEnv):
-        self.batched_env = made
-        self.observation_space, self.action_space = _spaces(made)
+    Parameters
+    ----------
+    batch : BatchedEnv
+        A batch of one environment.
+
+    Attributes
+    ----------
+    batched_env : BatchedEnv
+        That batch; its `failures` counts the draws that broke it.
+    """
+
+    def __init__(self, batch: BatchedEnv):
+        self.batched_env = batch
+        self.observation_space, self.action_space = _spaces(batch)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """As `gymnasium.Env.reset`; the same seed gives the same draws, starts and noise."""
+        """Draws parameters and begins an episode, as `gymnasium.Env.reset`.
+
+        Parameters
+        ----------
+        seed : int, optional
+            The same seed gives the same draws, starts and noise; with None, random numbers go on.
+        options : dict, optional
+            Ignored.
+
+        Returns
+        -------
+        observation : (o,) array
+            First observation.
+        info : dict
+            The draw under "parameters", by name.
+        """
         super().reset(seed=seed)
-        observed = self.batched_env.reset(ONE, [seed])[0]
-        return observed.copy(), {"parameters": self.batched_env.describe(0)}
+        return _reset_one(self.batched_env, seed)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As `gymnasium.Env.step`."""
-        return _one_step(self.batched_env, action)
+        """Makes a step with an `action` (q,), as `gymnasium.Env.step`; `info` may hold "broken"."""
+        return _step_one(self.batched_env, action)
 
 
-def _one_step(made: BatchedEnv, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-    found = made.step(ONE, np.ravel(action)[None])
-    info = {**found.infos[0], **({"broken": True} if found.broken[0] else {})}
+def _reset_one(batch: BatchedEnv, seed: int | None) -> tuple[Any, dict[str, Any]]:
+    """Returns what `gymnasium.Env.reset` returns, of a batch of one environment."""
+    observations = batch.reset(FIRST, [seed])
+    return observations[0].copy(), {"parameters": batch.describe(0)}
+
+
+def _step_one(batch: BatchedEnv, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    """Returns what `gymnasium.Env.step` returns, of a batch of one environment."""
+    outcome = batch.step(FIRST, np.ravel(action)[None])
+    info = dict(outcome.infos[0])
+    if outcome.broken[0]:
+        info["broken"] = True
     return (
-        found.observations[0].copy(),
-        float(found.rewards[0]),
-        bool(found.terminated[0]),
-        bool(found.truncated[0]),
+        outcome.observations[0].copy(),
+        float(outcome.rewards[0]),
+        bool(outcome.terminated[0]),
+        bool(outcome.truncated[0]),
         info,
     )
 
 
-def _spaces(made: BatchedEnv) -> tuple[spaces.Box, spaces.Box]:
-    """Of observations and actions."""
-    if isinstance(made, BatchedGymnasiumEnv):
-        return made.envs[0].observation_space, made.envs[0].action_space
-    low, high = made.limits.astype(np.float32)
-    return spaces.Box(-np.inf, np.inf, (made.observations,), np.float64), spaces.Box(
-        low, high, dtype=np.float32
-    )
+def _spaces(batch: BatchedEnv) -> tuple[spaces.Box, spaces.Box]:
+    """Returns the spaces of observations and actions of one environment."""
+    if isinstance(batch, BatchedGymnasiumEnv):
+        return batch.envs[0].observation_space, batch.envs[0].action_space
+    low, high = batch.limits.astype(np.float32)
+    observations = spaces.Box(-np.inf, np.inf, (batch.observations,), np.float64)
+    return observations, spaces.Box(low, high, dtype=np.float32)
 
 
 class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """Many environments simulated together; one that ended begins anew in the next step, whose
-    action it does not take.
+    """Many environments simulated together.
+
+    An environment whose episode ended is reset in the next step, whose action it ignores.
+
+    Parameters
+    ----------
+    batch : BatchedEnv
+        The environments.
+
+    Attributes
+    ----------
+    batched_env : BatchedEnv
+        The environments; its `failures` counts the draws that broke them.
     """
 
-    def __init__(self, made: BatchedEnv):
-        self.batched_env = made
-        self.num_envs = made.count
-        self.single_observation_space, self.single_action_space = _spaces(made)
-        self.observation_space = batch_space(self.single_observation_space, made.count)
-        self.action_space = batch_space(self.single_action_space, made.count)
+    def __init__(self, batch: BatchedEnv):
+        self.batched_env = batch
+        self.num_envs = batch.count
+        self.single_observation_space, self.single_action_space = _spaces(batch)
+        self.observation_space = batch_space(self.single_observation_space, batch.count)
+        self.action_space = batch_space(self.single_action_space, batch.count)
         self.metadata = {"autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP}
-        self._ended = np.zeros(made.count, dtype=bool)
-        self._shown = np.zeros((made.count, made.observations))
+        self._ended = np.zeros(batch.count, dtype=bool)
+        self._observations = np.zeros((batch.count, batch.observations))
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """As `gymnasium.vector.VectorEnv.reset`: environment i takes the seed + i."""
-        seeds = (
-            seed
-            if isinstance(seed, list)
-            else [None if seed is None else seed + i for i in range(self.num_envs)]
-        )
+        """Resets all, as `gymnasium.vector.VectorEnv.reset`.
+
+        Parameters
+        ----------
+        seed : int or list of int, optional
+            A seed for each environment, or an integer to which environment i adds i.
+        options : dict, optional
+            Ignored.
+
+        Returns
+        -------
+        observations : (count, o) array
+            First observations.
+        info : dict
+            The draws under "parameters", by name (count,).
+        """
+        seeds: list[int | None]
+        if isinstance(seed, list):
+            seeds = seed
+        elif seed is None:
+            seeds = [None] * self.num_envs
+        else:
+            seeds = [seed + i for i in range(self.num_envs)]
         self._ended[:] = False
-        self._shown[:] = self.batched_env.reset(np.arange(self.num_envs), seeds)
-        return self._shown.copy(), {"parameters": self._parameters()}
+        self._observations[:] = self.batched_env.reset(np.arange(self.num_envs), seeds)
+        return self._observations.copy(), {"parameters": self._parameters()}
 
     def step(self, actions: Any) -> tuple[Array, Array, np.ndarray, np.ndarray, dict[str, Any]]:
-        """As `gymnasium.vector.VectorEnv.step`."""
-        going = np.flatnonzero(~self._ended)
-        over = np.flatnonzero(self._ended)
-        if len(over):
-            self._shown[over] = self.batched_env.reset(over, [None] * len(over))
-        rewards, terminated, truncated, broken = (
-            np.zeros(self.num_envs),
-            *np.zeros((3, self.num_envs), dtype=bool),
-        )
-        if len(going):
-            found = self.batched_env.step(
-                going, np.asarray(actions).reshape(self.num_envs, -1)[going]
-            )
-            self._shown[going], rewards[going] = found.observations, found.rewards
-            terminated[going], truncated[going], broken[going] = (
-                found.terminated,
-                found.truncated,
-                found.broken,
-            )
+        """Makes a step with all actions (count, q), as `gymnasium.vector.VectorEnv.step`."""
+        rewards = np.zeros(self.num_envs)
+        terminated = np.zeros(self.num_envs, dtype=bool)
+        truncated = np.zeros(self.num_envs, dtype=bool)
+        broken = np.zeros(self.num_envs, dtype=bool)
+        running = np.flatnonzero(~self._ended)
+        ended = np.flatnonzero(self._ended)
+        if len(ended):
+            self._observations[ended] = self.batched_env.reset(ended, [None] * len(ended))
+        if len(running):
+            actions = np.asarray(actions).reshape(self.num_envs, -1)
+            outcome = self.batched_env.step(running, actions[running])
+            self._observations[running] = outcome.observations
+            rewards[running] = outcome.rewards
+            terminated[running] = outcome.terminated
+            truncated[running] = outcome.truncated
+            broken[running] = outcome.broken
         self._ended = terminated | truncated
-        return (
-            self._shown.copy(),
-            rewards,
-            terminated,
-            truncated,
-            {"parameters": self._parameters(), "broken": broken},
-        )
+        info = {"parameters": self._parameters(), "broken": broken}
+        return self._observations.copy(), rewards, terminated, truncated, info
 
     def _parameters(self) -> dict[str, Array]:
-        return dict(
-            zip(
-                self.batched_env.distribution.space.names,
-                self.batched_env.draws.T.copy(),
-                strict=True,
-            )
-        )
+        """Returns the draws (count,) of each parameter, by name."""
+        names = self.batched_env.distribution.space.names
+        return dict(zip(names, self.batched_env.draws.T.copy(), strict=True))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Closes the environments."""

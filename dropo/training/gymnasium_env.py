@@ -1,5 +1,6 @@
-"""Gymnasium's MuJoCo environments side by side: their own code for starts, rewards and
-observations, our simulations under it.
+"""Gymnasium's MuJoCo environments in one batch.
+
+Starts, rewards and observations are computed by Gymnasium's own code, simulations by dropo's.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,20 +20,44 @@ from dropo.training.batched_env import BatchedEnv, Outcome, Seeds
 from dropo.training.distributions import ParameterDistribution
 
 ALIVE = "reward_survive"
-"""What Gymnasium's walkers call the bonus in their infos."""
+"""The key of the bonus for being alive in the infos of Gymnasium's walkers."""
 
 
 class _Diverged(Exception):
-    """The simulation of an environment left the numbers that MuJoCo can handle."""
+    """The simulation of an environment diverged."""
 
 
 class BatchedGymnasiumEnv(BatchedEnv):
-    """Gymnasium environments of one kind, whose `do_simulation` is answered from the batch.
+    """Gymnasium environments of one kind, whose `do_simulation` is answered from a batch.
 
-    Where an environment hands its action to the simulation once and as it is, as all of Gymnasium's
-    do, all of them are simulated together; else each in its turn. With the model as it is, the
-    motion is Gymnasium's own, bit for bit. visible: whether the observation begins with the
-    simulator's rows, as noise and sensors' effects need.
+    Where an environment passes its action on to the simulation once and unchanged, as all of
+    Gymnasium's do, all environments are simulated together, otherwise one after another. With the
+    unchanged model, the motion is Gymnasium's own, bit for bit.
+
+    Parameters
+    ----------
+    name : str
+        Name of the environments.
+    envs : sequence of gymnasium.Env
+        The environments.
+    simulator : MujocoSimulator
+        A simulator of their model, in which the distribution's parameters are declared.
+    fill : callable
+        Parameter vectors (m, D) of the simulator from draws (m, d) of the distribution.
+    distribution : ParameterDistribution
+        Distribution of the parameters.
+    visible : bool
+        Whether the observation begins with the simulator's rows, as noise and effects of sensors
+        need.
+    noise : float or (p,) array, optional
+        Variances of the measurement noise; by default those that a fit learned.
+    threads : int
+        Number of threads, 0 for all cores.
+
+    Raises
+    ------
+    Incompatible
+        If there is noise or an effect of sensors, and `visible` is False.
     """
 
     def __init__(
@@ -57,19 +82,20 @@ class BatchedGymnasiumEnv(BatchedEnv):
             whole=True,
         )
         super().__init__(name, episodes, fill, distribution, noise)
-        changed = self._deviation.any() or any(
+        sensor_effects = any(
             instance.measurement is not None or instance.sensor_delay is not None
             for instance, _ in simulator.fixed
         )
-        if changed and not visible:
+        self._measures = bool(self._noise_sd.any()) or sensor_effects
+        if self._measures and not visible:
             raise Incompatible(
                 f"The observation of {name!r} does not begin with positions and velocities "
-                "as they are, so that noise and effects of"
-                " sensors have no place in it. Give noise=0, and leave those effects out."
+                "as they are, so that noise and effects of sensors have no place in it. "
+                "Give noise=0, and leave those effects out."
             )
-        self._seen = simulator.layout if changed else None
         self.limits = np.array([envs[0].action_space.low, envs[0].action_space.high], dtype=float)
         self.observations = int(np.prod(envs[0].observation_space.shape))
+        # an environment without a limit never ends by its length
         self.length = getattr(envs[0].spec, "max_episode_steps", None) or 10**9
         self._last = np.zeros((self.count, self.observations))
         self._together = _passes_actions_on(envs[0])
@@ -87,38 +113,40 @@ class BatchedGymnasiumEnv(BatchedEnv):
         return self._last[ids]
 
     def _measure(self, ids: Ints) -> None:
-        """What the sensors add to observations that begin with the simulator's rows."""
-        if self._seen is not None and len(ids):
+        """Adds the errors of sensors to observations, which begin with the simulator's rows."""
+        if self._measures and len(ids):
             rows = self.episodes.rows(ids)
-            self._last[ids, : rows.shape[1]] += self._noisy(ids, rows) - rows
+            self._last[ids, : rows.shape[1]] += self._measure_rows(ids, rows) - rows
 
     def _step(self, ids: Ints, actions: Array) -> Outcome:
-        sound = np.ones(len(ids), dtype=bool)
+        m = len(ids)
+        finite = np.ones(m, dtype=bool)
         if self._together:
-            sound = self.episodes.step(ids, actions)
+            finite = self.episodes.step(ids, actions)
             self._expected = dict(zip(ids.tolist(), actions, strict=True))
-        rewards = np.zeros(len(ids))
-        bonus = np.zeros(len(ids))
-        infos = []
-        terminated = np.zeros(len(ids), dtype=bool)
-        truncated = np.zeros(len(ids), dtype=bool)
+        rewards = np.zeros(m)
+        bonus = np.zeros(m)
+        terminated = np.zeros(m, dtype=bool)
+        truncated = np.zeros(m, dtype=bool)
+        infos: list[dict[str, Any]] = [{} for _ in range(m)]
         for k, i in enumerate(ids.tolist()):
-            info: dict[str, Any] = {}
+            env = self.envs[i]
+            action = actions[k].reshape(env.action_space.shape)
             try:
-                if not sound[k]:
+                if not finite[k]:
                     raise _Diverged
-                observed, rewards[k], terminated[k], truncated[k], info = self.envs[i].step(
-                    actions[k].reshape(self.envs[i].action_space.shape)
-                )
-                self._last[i], bonus[k] = np.ravel(observed), info.get(ALIVE, 0.0)
+                observed, rewards[k], terminated[k], truncated[k], infos[k] = env.step(action)
             except _Diverged:
-                sound[k], truncated[k] = False, True
-            infos.append(info)
-        self._measure(ids[sound])
-        return Outcome(self._last[ids], rewards, bonus, terminated, truncated, ~sound, infos)
+                finite[k] = False
+                truncated[k] = True
+            else:
+                self._last[i] = np.ravel(observed)
+                bonus[k] = infos[k].get(ALIVE, 0.0)
+        self._measure(ids[finite])
+        return Outcome(self._last[ids], rewards, bonus, terminated, truncated, ~finite, infos)
 
     def _simulate(self, i: int, ctrl: Any, frames: int) -> None:
-        """In the place of an environment's `do_simulation`."""
+        """Takes the place of environment i's `do_simulation`."""
         inner = self.envs[i].unwrapped
         if self._together:
             expected = self._expected.pop(i, None)
@@ -127,10 +155,14 @@ class BatchedGymnasiumEnv(BatchedEnv):
                     f"{self.name!r} changes some of its actions before they are simulated. "
                     "Take one environment at a time."
                 )
-        elif not self.episodes.step(np.array([i]), np.asarray(ctrl, dtype=float)[None], frames)[0]:
-            raise _Diverged
+        else:
+            command = np.asarray(ctrl, dtype=float)[None]
+            finite = self.episodes.step(np.array([i]), command, frames)
+            if not finite[0]:
+                raise _Diverged
         self.episodes.give(i, data=inner.data)
-        mujoco.mj_rnePostConstraint(inner.model, inner.data)  # as Gymnasium does behind its steps
+        # as Gymnasium does after its steps
+        mujoco.mj_rnePostConstraint(inner.model, inner.data)
 
     def close(self) -> None:
         """Closes the environments."""
@@ -139,22 +171,24 @@ class BatchedGymnasiumEnv(BatchedEnv):
 
 
 def _passes_actions_on(env: Any) -> bool:
-    """Whether an environment simulates its action as it is, once, for `frame_skip` physics steps:
-    found by one step of its own.
+    """Returns whether an environment simulates its action unchanged, once, for `frame_skip` steps.
+
+    It is found by one step of the environment.
     """
     inner = env.unwrapped
-    given = []
+    simulated = []
     simulate = inner.do_simulation
 
-    def watched(ctrl: Any, frames: int) -> None:
-        given.append((np.array(ctrl), frames))
+    def record(ctrl: Any, frames: int) -> None:
+        simulated.append((np.array(ctrl), frames))
         simulate(ctrl, frames)
 
-    inner.do_simulation = watched
+    inner.do_simulation = record
     env.reset(seed=int(np.random.default_rng().integers(2**31)))
     action = env.action_space.sample()
     env.step(action)
     inner.do_simulation = simulate
-    return (
-        len(given) == 1 and np.array_equal(given[0][0], action) and given[0][1] == inner.frame_skip
-    )
+    if len(simulated) != 1:
+        return False
+    ctrl, frames = simulated[0]
+    return np.array_equal(ctrl, action) and frames == inner.frame_skip

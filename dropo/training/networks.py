@@ -1,10 +1,12 @@
-"""Policies that are networks: SAC and PPO of stable-baselines3 (extra `rl`), with the thesis'
-networks.
+"""Policies that are networks: SAC and PPO of stable-baselines3, with the thesis' networks.
+
+The optional dependency is `dropo[rl]`.
 """
 
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +20,31 @@ from dropo.core.services.validation import Array, require
 from dropo.training.policy import Policy, write, written_limits
 from dropo.training.setup import Progress, TrainingSetup
 
-MODEL = "model.zip"
-BUFFER = "buffer.pkl"
-SCALE = "scale.pkl"
-STATE = "networks.json"
-"""What an interrupted training goes on from."""
-CLIP = 10.0  # standard deviations, beyond which a normalised observation is cut
+MODEL_FILE = "model.zip"
+BUFFER_FILE = "buffer.pkl"
+SCALE_FILE = "scale.pkl"
+STATE_FILE = "networks.json"
+"""The file that makes the others valid; an interrupted training goes on from them."""
+CLIP = 10.0
+"""Standard deviations beyond which a normalised observation is clipped, as in stable-baselines3."""
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkPolicy(Policy):
     """A network of stable-baselines3, which acts without exploration.
 
-    model: its algorithm; algorithm: "sac" or "ppo"; mean, deviation: (o,) by which observations are
-    normalised, None where they are not;
-    limits: (2, q); about: as for `Policy`.
+    Attributes
+    ----------
+    model : stable_baselines3.common.base_class.BaseAlgorithm
+        The trained algorithm.
+    algorithm : {"sac", "ppo"}
+        Its name.
+    mean, deviation : (o,) array or None
+        Mean and standard deviation by which observations are normalised; None if they are not.
+    limits : (2, q) array
+        Lowest and highest actions.
+    about : dict
+        How the policy was trained, as JSON.
     """
 
     model: Any
@@ -44,50 +56,72 @@ class NetworkPolicy(Policy):
 
     @property
     def observations(self) -> int:
+        """The number o of observations."""
         return int(self.model.observation_space.shape[0])
 
     def __call__(self, observations: Array) -> Array:
         if self.mean is not None and self.deviation is not None:
             observations = np.clip((observations - self.mean) / self.deviation, -CLIP, CLIP)
-        return np.asarray(
-            self.model.predict(observations.astype(np.float32), deterministic=True)[0], dtype=float
-        )
+        actions, _ = self.model.predict(observations.astype(np.float32), deterministic=True)
+        return np.asarray(actions, dtype=float)
 
     def save(self, path: str | Path) -> Path:
-        scale = (
-            None
-            if self.mean is None or self.deviation is None
-            else {"mean": self.mean.tolist(), "deviation": self.deviation.tolist()}
-        )
+        """Writes JSON to a `path`, and the network's zip beside it; returns the JSON file."""
+        scale = None
+        if self.mean is not None and self.deviation is not None:
+            scale = {"mean": self.mean.tolist(), "deviation": self.deviation.tolist()}
         content = {
             "kind": "network",
             "algorithm": self.algorithm,
             "scale": scale,
             "limits": written_limits(self.limits),
+            "about": self.about,
         }
-        file = write(path, {**content, "about": self.about})
+        file = write(path, content)
         with atomic_write(file.with_suffix(".zip")) as part:
             self.model.save(part)
         return file
 
     @classmethod
-    def of(
+    def read(
         cls, path: Path, content: dict[str, Any], limits: Array, about: dict[str, Any]
     ) -> "NetworkPolicy":
-        """The policy of a JSON file with its zip beside it."""
+        """Reads the policy of a JSON file with its zip beside it.
+
+        Parameters
+        ----------
+        path : Path
+            The JSON file.
+        content : dict
+            Its content.
+        limits : (2, q) array
+            Lowest and highest actions, as in the content.
+        about : dict
+            How the policy was trained, as in the content.
+
+        Returns
+        -------
+        NetworkPolicy
+            The policy.
+
+        Raises
+        ------
+        MissingPackage
+            If stable-baselines3 is not installed.
+        """
         algorithm = content["algorithm"]
+        model = _algorithms()[algorithm].load(path.with_suffix(".zip"), device="cpu")
+        mean = None
+        deviation = None
         scale = content["scale"]
-        model = _library()[algorithm].load(path.with_suffix(".zip"), device="cpu")
-        mean, deviation = (
-            (None, None)
-            if scale is None
-            else (np.array(scale["mean"]), np.array(scale["deviation"]))
-        )
+        if scale is not None:
+            mean = np.array(scale["mean"])
+            deviation = np.array(scale["deviation"])
         return cls(model, algorithm, mean, deviation, limits, about)
 
 
-def _library() -> dict[str, Any]:
-    """Name -> algorithm; MissingPackage with the line that installs it."""
+def _algorithms() -> dict[str, Any]:
+    """Returns stable-baselines3's algorithms by name; refuses where it is not installed."""
     need("stable_baselines3", extra="rl", caller="Training a network")
     import stable_baselines3
 
@@ -96,10 +130,26 @@ def _library() -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class SAC:
-    """Soft actor-critic (Haarnoja et al. 2018) with the thesis' networks (section 6.2.4): two
-    layers of 256, ReLU, Adam at 1e-3, mini-batches of 256; the rest as in stable-baselines3.
+    """Soft actor-critic with the thesis' networks (section 6.2.4).
 
-    steps: of training; every: so many steps are lost at most by an interruption.
+    Two layers of 256, ReLU, Adam at 1e-3, mini-batches of 256; the rest as in stable-baselines3.
+
+    Attributes
+    ----------
+    steps : int
+        Control steps of training.
+    every : int
+        Control steps between savings of the training: as many are lost at most by an interruption.
+
+    Raises
+    ------
+    BadArgument
+        If `steps` or `every` is below 1.
+
+    References
+    ----------
+    Haarnoja et al. (2018), "Soft actor-critic: off-policy maximum entropy deep reinforcement
+    learning with a stochastic actor", ICML.
     """
 
     steps: int = 300_000
@@ -107,20 +157,36 @@ class SAC:
     name = "sac"
 
     def __post_init__(self) -> None:
-        require(
-            min(self.steps, self.every) >= 1,
-            "steps, every",
-            "at least 1",
-            (self.steps, self.every),
-            "SAC",
-        )
+        counts = (self.steps, self.every)
+        require(min(counts) >= 1, "steps, every", "at least 1", counts, "SAC")
 
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """The policy after `steps` steps on a stage; with a folder, it goes on from what is there.
+        """Trains a network.
 
-        progress: called with the share done and a text, after every step.
+        Parameters
+        ----------
+        setup : TrainingSetup
+            The environments.
+        rng : numpy.random.Generator
+            Source of the seed of networks, exploration and environments.
+        folder : Path or None
+            Where the training is saved every `every` steps. It goes on from what is there.
+        progress : callable
+            Called with the fraction done and a text, after every step.
+
+        Returns
+        -------
+        NetworkPolicy
+            The policy after `steps` steps.
+
+        Raises
+        ------
+        MissingPackage
+            If stable-baselines3 is not installed.
+        Incompatible
+            If an actuator has no limits.
         """
         settings: dict[str, Any] = {
             "learning_rate": 1e-3,
@@ -128,19 +194,36 @@ class SAC:
             "buffer_size": self.steps,
             "policy_kwargs": {"net_arch": [256, 256]},
         }
-        return _Training(self.name, settings, 1, False, self.steps, self.every).run(
-            setup, rng, folder, progress
+        training = _Training(
+            self.name, settings, count=1, scaled=False, steps=self.steps, every=self.every
         )
+        return training.run(setup, rng, folder, progress)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PPO:
-    """Proximal policy optimization (Schulman et al. 2017) with the thesis' networks (section
-    6.3.2): two layers of 128 for actor and critic each, tanh; observations and rewards
-    normalised; the rest as in stable-baselines3.
+    """Proximal policy optimization with the thesis' networks (section 6.3.2).
 
-    steps: of training; count: of environments side by side; every: so many steps are lost at most
-    by an interruption.
+    Two layers of 128 for actor and critic each, tanh; observations and rewards normalised; the rest
+    as in stable-baselines3.
+
+    Attributes
+    ----------
+    steps : int
+        Control steps of training.
+    count : int
+        Number of environments.
+    every : int
+        Control steps between savings of the training: as many are lost at most by an interruption.
+
+    Raises
+    ------
+    BadArgument
+        If `steps`, `count` or `every` is below 1.
+
+    References
+    ----------
+    Schulman et al. (2017), "Proximal policy optimization algorithms", arXiv:1707.06347.
     """
 
     steps: int = 1_000_000
@@ -155,23 +238,49 @@ class PPO:
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """The policy after `steps` steps on a stage; with a folder, it goes on from what is there.
+        """Trains a network.
 
-        progress: called with the share done and a text, after every step.
+        Parameters
+        ----------
+        setup : TrainingSetup
+            The environments.
+        rng : numpy.random.Generator
+            Source of the seed of networks, exploration and environments.
+        folder : Path or None
+            Where the training is saved every `every` steps. It goes on from what is there.
+        progress : callable
+            Called with the fraction done and a text, after every step.
+
+        Returns
+        -------
+        NetworkPolicy
+            The policy after `steps` steps.
+
+        Raises
+        ------
+        MissingPackage
+            If stable-baselines3 is not installed.
+        Incompatible
+            If an actuator has no limits.
         """
         need("torch", "stable_baselines3", extra="rl", caller="Training a network")
         import torch
 
-        kind = {"net_arch": {"pi": [128, 128], "vf": [128, 128]}, "activation_fn": torch.nn.Tanh}
-        return _Training(
-            self.name, {"policy_kwargs": kind}, self.count, True, self.steps, self.every
-        ).run(setup, rng, folder, progress)
+        layers = {"pi": [128, 128], "vf": [128, 128]}
+        settings = {"policy_kwargs": {"net_arch": layers, "activation_fn": torch.nn.Tanh}}
+        training = _Training(
+            self.name, settings, count=self.count, scaled=True, steps=self.steps, every=self.every
+        )
+        return training.run(setup, rng, folder, progress)
 
 
 @dataclass(frozen=True, eq=False)
 class _Training:
-    """One run of an algorithm: settings: of stable-baselines3; scaled: whether observations and
-    rewards are normalised.
+    """One run of an algorithm of stable-baselines3.
+
+    settings: arguments of the algorithm; count: number of environments; scaled: whether
+    observations and rewards are normalised; steps: of the whole training; every: steps between
+    savings.
     """
 
     name: str
@@ -184,96 +293,113 @@ class _Training:
     def run(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """Trains to the end."""
-        library = _library()
+        """Trains to the end and returns the policy."""
+        _algorithms()  # refuses before anything is made
         import torch
-        from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
         torch.set_num_threads(1)  # such small networks are slower on more
         envs = [setup.env() for _ in range(self.count)]
-        if not np.isfinite([envs[0].action_space.low, envs[0].action_space.high]).all():
+        limits = np.array([envs[0].action_space.low, envs[0].action_space.high], dtype=float)
+        if not np.isfinite(limits).all():
             raise Incompatible(
                 "A network's actions need limits, and some actuators have none. Give them "
                 "a ctrlrange, or the task `limits`."
             )
-        vector: Any = DummyVecEnv([_given(env) for env in envs])
         seed = int(rng.integers(2**31))
-        done = 0
-        going_on = folder is not None and (folder / STATE).is_file()
-        if going_on and folder is not None:
-            done = int(json.loads((folder / STATE).read_text())["steps"])
-            vector = VecNormalize.load(str(folder / SCALE), vector) if self.scaled else vector
-            model = library[self.name].load(folder / MODEL, env=vector, device="cpu")
-            if self.name == "sac":
-                model.load_replay_buffer(folder / BUFFER)
+        # a new training, or an interrupted one
+        if folder is not None and (folder / STATE_FILE).is_file():
+            model, vector, done = self._load(envs, folder)
         else:
-            vector = VecNormalize(vector, clip_obs=CLIP) if self.scaled else vector
-            model = library[self.name](
-                "MlpPolicy", vector, seed=seed, device="cpu", **self.settings
-            )
+            model, vector = self._new(envs, seed)
+            done = 0
         vector.seed(seed + done)
+        # training in parts, each of which is saved
         while done < self.steps:
             model.learn(
                 min(self.every, self.steps - done),
                 reset_num_timesteps=False,
-                callback=self._telling(envs, progress),
+                callback=self._callback(envs, progress),
             )
             done = int(model.num_timesteps)
             if folder is not None:
-                self._keep(model, vector, folder, done)
+                self._save(model, vector, folder, done)
         failures = sum(env.batched_env.failures for env in envs)
-        limits = np.array([envs[0].action_space.low, envs[0].action_space.high], dtype=float)
         mean, deviation = _scale(vector) if self.scaled else (None, None)
         vector.close()
-        return NetworkPolicy(
-            model,
-            self.name,
-            mean,
-            deviation,
-            limits,
-            {"control_steps": done, "failed_simulations": failures},
-        )
+        about = {"control_steps": done, "failed_simulations": failures}
+        return NetworkPolicy(model, self.name, mean, deviation, limits, about)
 
-    def _telling(
+    def _new(self, envs: list[Any], seed: int) -> tuple[Any, Any]:
+        """Returns a new model, and stable-baselines3's vector of the environments."""
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        vector = _vector(envs)
+        if self.scaled:
+            vector = VecNormalize(vector, clip_obs=CLIP)
+        algorithm = _algorithms()[self.name]
+        model = algorithm("MlpPolicy", vector, seed=seed, device="cpu", **self.settings)
+        return model, vector
+
+    def _load(self, envs: list[Any], folder: Path) -> tuple[Any, Any, int]:
+        """Returns the model, the vector of environments and the steps made from a folder."""
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        done = int(json.loads((folder / STATE_FILE).read_text())["steps"])
+        vector = _vector(envs)
+        if self.scaled:
+            vector = VecNormalize.load(str(folder / SCALE_FILE), vector)
+        model = _algorithms()[self.name].load(folder / MODEL_FILE, env=vector, device="cpu")
+        if self.name == "sac":
+            model.load_replay_buffer(folder / BUFFER_FILE)
+        return model, vector, done
+
+    def _save(self, model: Any, vector: Any, folder: Path, done: int) -> None:
+        """Writes what an interrupted training goes on from; the count of steps last."""
+        writers = {MODEL_FILE: model.save}
+        if self.name == "sac":
+            writers[BUFFER_FILE] = model.save_replay_buffer
+        if self.scaled:
+            writers[SCALE_FILE] = vector.save
+        for name, writer in writers.items():
+            with atomic_write(folder / name) as part:
+                writer(str(part))
+        write_json(folder / STATE_FILE, {"steps": done})
+
+    def _callback(
         self, envs: list[Any], progress: Progress
     ) -> Callable[[dict[str, Any], dict[str, Any]], bool]:
-        """A callback of stable-baselines3's that tells the environments, whose law may widen, and
-        the caller how far it is.
+        """Returns a callback for stable-baselines3, which is called after every step.
+
+        It sets the steps made in the environments, on which a curriculum depends, and reports the
+        progress.
         """
 
-        def tell(here: dict[str, Any], beyond: dict[str, Any]) -> bool:
-            model = here["self"]
+        def report(local_names: dict[str, Any], global_names: dict[str, Any]) -> bool:
+            model = local_names["self"]
             for env in envs:
                 env.batched_env.steps = model.num_timesteps
-            latest = [row["r"] for row in model.ep_info_buffer or ()]
+            latest = [episode["r"] for episode in model.ep_info_buffer or ()]
             text = f", return {np.mean(latest):.0f}" if latest else ""
             progress(model.num_timesteps / self.steps, f"{model.num_timesteps:,} steps{text}")
             return True
 
-        return tell
-
-    def _keep(self, model: Any, vector: Any, folder: Path, done: int) -> None:
-        """Everything that an interrupted training goes on from; the count of steps last, which
-        makes it valid.
-        """
-        kept = {
-            MODEL: model.save,
-            **({BUFFER: model.save_replay_buffer} if self.name == "sac" else {}),
-        }
-        for name, save in {**kept, **({SCALE: vector.save} if self.scaled else {})}.items():
-            with atomic_write(folder / name) as part:
-                save(str(part))
-        write_json(folder / STATE, {"steps": done})
+        return report
 
 
-def _given(env: Any) -> Callable[[], Any]:
-    """What makes an environment that is there, with stable-baselines3's record of its returns."""
+def _vector(envs: list[Any]) -> Any:
+    """Returns environments as stable-baselines3's vector, with its record of their returns."""
     from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import DummyVecEnv
 
-    monitored = Monitor(env)
-    return lambda: monitored
+    monitored = [Monitor(env) for env in envs]
+    return DummyVecEnv([partial(_itself, env) for env in monitored])
+
+
+def _itself(env: Any) -> Any:
+    """Returns the environment, where stable-baselines3 wants a function that makes it."""
+    return env
 
 
 def _scale(vector: Any) -> tuple[Array, Array]:
-    """Mean and deviation (o,) by which observations were normalised."""
+    """Returns mean and standard deviation (o,) by which observations were normalised."""
     return vector.obs_rms.mean.astype(float), np.sqrt(vector.obs_rms.var + vector.epsilon)

@@ -1,6 +1,4 @@
-"""Policies as files: a linear one is JSON; a network is stable-baselines3's zip with JSON beside
-it.
-"""
+"""Policies and their files: JSON, and for a network stable-baselines3's zip beside it."""
 
 import json
 from abc import ABC, abstractmethod
@@ -14,13 +12,20 @@ from dropo.core.services.atomic_write import write_text
 from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.validation import Array, float_array
 
-NAME = "policy.json"
+FILE = "policy.json"
+"""Name of a policy's file in a folder."""
+EXPECTED = "a policy written by `dropo train --out`"
 
 
 class Policy(ABC):
-    """What acts on observations.
+    """A function from observations to actions.
 
-    limits: (2, q) the lowest and highest actions; about: how it was trained, as JSON.
+    Attributes
+    ----------
+    limits : (2, q) array
+        Lowest and highest actions, infinite where there are none.
+    about : dict
+        How the policy was trained, as JSON.
     """
 
     limits: Array
@@ -29,53 +34,87 @@ class Policy(ABC):
     @property
     @abstractmethod
     def observations(self) -> int:
-        """o, the numbers that it sees."""
+        """The number o of observations."""
 
     @property
     def actions(self) -> int:
-        """q, the numbers that it sets."""
+        """The number q of actions."""
         return self.limits.shape[1]
 
     @abstractmethod
     def __call__(self, observations: Array) -> Array:
-        """Actions (m, q), without exploration, for observations (m, o)."""
+        """Returns actions (m, q), without exploration, for observations (m, o)."""
 
     @abstractmethod
     def save(self, path: str | Path) -> Path:
-        """Writes the policy: into a folder as policy.json, or as the JSON file named; gives its
-        path.
+        """Writes the policy into a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            A file whose name ends with ".json", or a folder, for its file policy.json.
+
+        Returns
+        -------
+        Path
+            The file.
         """
 
     def check(self, observations: int, limits: Array, target: str) -> None:
-        """Incompatible unless it takes so many observations and its actions (2, q) are those of the
-        target.
+        """Checks that the policy fits a target.
+
+        Parameters
+        ----------
+        observations : int
+            The target's number of observations.
+        limits : (2, q) array
+            The target's lowest and highest actions.
+        target : str
+            The target's name, for the message.
+
+        Raises
+        ------
+        Incompatible
+            If the number of observations or actions, or the limits of the actions, are different.
         """
         if (self.observations, self.actions) != (observations, limits.shape[1]):
             raise Incompatible(
                 f"The policy takes {self.observations} observations and gives "
-                f"{self.actions} actions, and {target} has"
-                f" {observations} and {limits.shape[1]}. Train one for it, or choose "
-                "another target."
+                f"{self.actions} actions, and {target} has {observations} and {limits.shape[1]}. "
+                "Train one for it, or choose another target."
             )
         if not np.allclose(self.limits, limits):
             raise Incompatible(
-                f"The policy's actions lie in {_shown(self.limits)}, and those of {target} "
-                f"in {_shown(limits)}."
-                " Its action space is another: choose another target."
+                f"The policy's actions lie in {_format(self.limits)}, and those of {target} "
+                f"in {_format(limits)}. Its action space is another: choose another target."
             )
 
 
-def _shown(limits: Array) -> str:
+def _format(limits: Array) -> str:
+    """Returns limits (2, q) as intervals."""
     return ", ".join(f"[{low:g}, {high:g}]" for low, high in limits.T)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearPolicy(Policy):
-    """action = middle + half ((weights ((observation - mean) / deviation)) within the limits; of
-    unlimited actions, middle 0 and half 1.
+    """A linear policy on normalised observations.
 
-    weights: (q, o); mean, deviation: (o,) of the observations seen in training; limits: (2, q);
-    about: as for `Policy`.
+    Attributes
+    ----------
+    weights : (q, o) array
+        Weights.
+    mean, deviation : (o,) array
+        Mean and standard deviation of the observations in training.
+    limits : (2, q) array
+        Lowest and highest actions, infinite where there are none.
+    about : dict
+        How the policy was trained, as JSON.
+
+    Notes
+    -----
+    action = middle + half (weights ((observation - mean) / deviation)), clipped to the limits. Here
+    middle is the centre of the limits and half is half their width; of unlimited actions, they are
+    0 and 1.
     """
 
     weights: Array
@@ -86,97 +125,138 @@ class LinearPolicy(Policy):
 
     @property
     def observations(self) -> int:
+        """The number o of observations."""
         return self.weights.shape[1]
 
     def __call__(self, observations: Array) -> Array:
         return linear(self.weights, self.mean, self.deviation, self.limits, observations)
 
     def save(self, path: str | Path) -> Path:
-        numbers = {name: getattr(self, name).tolist() for name in ("weights", "mean", "deviation")}
-        return write(
-            path,
-            {
-                "kind": "linear",
-                **numbers,
-                "limits": written_limits(self.limits),
-                "about": self.about,
-            },
-        )
+        """Writes the policy as JSON to a `path`: a .json file, or a folder; returns the file."""
+        content = {
+            "kind": "linear",
+            "weights": self.weights.tolist(),
+            "mean": self.mean.tolist(),
+            "deviation": self.deviation.tolist(),
+            "limits": written_limits(self.limits),
+            "about": self.about,
+        }
+        return write(path, content)
 
 
 def linear(
     weights: Array, mean: Array, deviation: Array, limits: Array, observations: Array
 ) -> Array:
-    """(m, q) actions of linear policies: weights (q, o) of one, or (m, q, o), one a row.
+    """Returns the actions of linear policies, in sums that no library splits among threads.
 
-    In sums that no library splits among threads.
+    Parameters
+    ----------
+    weights : (q, o) or (m, q, o) array
+        Weights of one policy, or of one for each row.
+    mean, deviation : (o,) array
+        Mean and standard deviation by which observations are normalised.
+    limits : (2, q) array
+        Lowest and highest actions, infinite where there are none.
+    observations : (m, o) array
+        Observations.
+
+    Returns
+    -------
+    (m, q) array
+        Actions.
     """
     scaled = (observations - mean) / deviation
     limited = np.isfinite(limits).all(axis=0)
     low, high = np.where(limited, limits, np.array([[-1.0], [1.0]]))
-    wanted = (weights * scaled[:, None]).sum(axis=-1) * (high - low) / 2 + (low + high) / 2
-    return np.clip(wanted, *limits)
+    actions = (weights * scaled[:, None]).sum(axis=-1) * (high - low) / 2 + (low + high) / 2
+    return np.clip(actions, *limits)
 
 
 def written_limits(limits: Array) -> list[list[float | None]]:
-    """Limits as JSON; null where there is none."""
+    """Returns limits (2, q) as JSON, with null for infinite ones."""
     return [[float(value) if np.isfinite(value) else None for value in row] for row in limits]
 
 
 def read_limits(rows: list[list[float | None]]) -> Array:
-    """(2, q) from JSON."""
+    """Returns limits (2, q) from JSON (`rows`), infinite where it has null."""
+    low, high = rows
     return np.array(
         [
-            [sign * np.inf if value is None else value for value in row]
-            for sign, row in zip((-1, 1), rows, strict=True)
+            [-np.inf if value is None else value for value in low],
+            [np.inf if value is None else value for value in high],
         ]
     )
 
 
 def write(path: str | Path, content: dict[str, Any]) -> Path:
-    """Writes a policy's JSON whole or not at all, and gives its path; a path without .json is a
-    folder.
+    """Writes a policy's JSON, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file whose name ends with ".json", or a folder.
+    content : dict
+        The content, one line a key.
+
+    Returns
+    -------
+    Path
+        The file.
     """
     path = Path(path)
-    path = path if path.suffix == ".json" else path / NAME
-    lines = ",\n".join(
-        f" {json.dumps(name)}: {json.dumps(value, allow_nan=False)}"
-        for name, value in content.items()
-    )
-    write_text(path, f"{{\n{lines}\n}}\n")
+    path = path if path.suffix == ".json" else path / FILE
+    lines = []
+    for name, value in content.items():
+        lines.append(f" {json.dumps(name)}: {json.dumps(value, allow_nan=False)}")
+    write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
     return path
 
 
 def load_policy(path: str | Path) -> Policy:
-    """The policy at a path: a file, or the folder that training wrote; BadFile where there is none."""
-    path = Path(path)
-    path = (
-        path / NAME
-        if path.is_dir()
-        else path.with_suffix(".json")
-        if path.suffix == ".zip"
-        else path
-    )
-    if not path.is_file():
-        raise BadFile(path, "", "a policy written by `dropo train --out`", "no such file")
-    try:
-        content = json.loads(path.read_text())
-        limits = read_limits(content["limits"])
-        about = content["about"]
-        if content["kind"] == "network":
-            from dropo.training.networks import NetworkPolicy
+    """Reads the policy at a path.
 
-            return NetworkPolicy.of(path, content, limits, about)
-        q = limits.shape[1]
-        weights = float_array("weights", content["weights"], (q, None), str(path))
-        mean, deviation = (
-            float_array(name, content[name], (weights.shape[1],), str(path))
-            for name in ("mean", "deviation")
-        )
-        return LinearPolicy(weights, mean, deviation, limits, about)
-    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
-        if isinstance(error, BadFile | Incompatible):
-            raise
-        raise BadFile(
-            path, "", "a policy written by `dropo train --out`", f"{type(error).__name__}: {error}"
-        ) from None
+    Parameters
+    ----------
+    path : str or Path
+        The policy's file, or the folder that training wrote.
+
+    Returns
+    -------
+    Policy
+        A LinearPolicy or a NetworkPolicy.
+
+    Raises
+    ------
+    BadFile
+        If there is no file, it does not hold a policy, or it holds a network and stable-baselines3
+        is not installed.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / FILE
+    elif path.suffix == ".zip":
+        path = path.with_suffix(".json")
+    if not path.is_file():
+        raise BadFile(path, "", EXPECTED, "no such file")
+    try:
+        return _read(path, json.loads(path.read_text()))
+    except (BadFile, Incompatible):
+        raise
+    except (ValueError, KeyError, TypeError) as error:
+        raise BadFile(path, "", EXPECTED, f"{type(error).__name__}: {error}") from None
+
+
+def _read(path: Path, content: dict[str, Any]) -> Policy:
+    """Returns the policy of a file's content."""
+    limits = read_limits(content["limits"])
+    about = content["about"]
+    if content["kind"] == "network":
+        from dropo.training.networks import NetworkPolicy
+
+        return NetworkPolicy.read(path, content, limits, about)
+    q = limits.shape[1]
+    weights = float_array("weights", content["weights"], (q, None), str(path))
+    o = weights.shape[1]
+    mean = float_array("mean", content["mean"], (o,), str(path))
+    deviation = float_array("deviation", content["deviation"], (o,), str(path))
+    return LinearPolicy(weights, mean, deviation, limits, about)

@@ -1,4 +1,4 @@
-"""What a policy is trained on: a target with a law of its parameters."""
+"""What a policy is trained on: a target with a distribution of its parameters."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,16 +8,32 @@ from numpy.typing import ArrayLike
 
 from dropo.core.contracts.effect import ActiveEffects
 from dropo.training.batched_env import BatchedEnv
-from dropo.training.distributions import ParameterDistribution, full
+from dropo.training.distributions import ParameterDistribution, full_width
 from dropo.training.environments import Target, batched_env, randomize
 
 Progress = Callable[[float, str], None]
-"""progress(share, text), as the command line draws it."""
+"""Called with the fraction of the training that is done, and a text about it."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingSetup:
-    """Everything that decides what a policy meets in training; as for `randomize`."""
+    """Everything that decides which environments a policy is trained in.
+
+    Attributes
+    ----------
+    target : Target
+        A problem with a task, or the id of a Gymnasium MuJoCo environment.
+    distribution : ParameterDistribution or None
+        Distribution of the parameters; None for the model as it is.
+    noise : float or (p,) array, optional
+        Variances of the measurement noise; by default those that a fit learned.
+    effects : sequence of (EffectInstance, array)
+        Effects that a Gymnasium environment's robot has beside its model.
+    steps : int, optional
+        Steps of an episode, by default the target's.
+    threads : int
+        Number of threads, 0 for all cores.
+    """
 
     target: Target
     distribution: ParameterDistribution | None
@@ -26,9 +42,29 @@ class TrainingSetup:
     steps: int | None = None
     threads: int = 1
 
-    def batched_env(self, count: int, *, whole: bool = False) -> BatchedEnv:
-        """So many environments side by side; whole: under the law at its full width."""
-        distribution = full(self.distribution) if whole else self.distribution
+    def batched_env(self, count: int, *, at_full_width: bool = False) -> BatchedEnv:
+        """Makes environments that are simulated together.
+
+        Parameters
+        ----------
+        count : int
+            Number of environments.
+        at_full_width : bool
+            Whether a curriculum is replaced by the distribution that it grows to.
+
+        Returns
+        -------
+        BatchedEnv
+            The environments.
+
+        Raises
+        ------
+        Refused
+            As for `dropo.training.environments.batched_env`.
+        """
+        distribution = self.distribution
+        if at_full_width and distribution is not None:
+            distribution = full_width(distribution)
         return batched_env(
             self.target,
             distribution,
@@ -40,7 +76,7 @@ class TrainingSetup:
         )
 
     def env(self) -> Any:
-        """One gymnasium.Env."""
+        """Makes one environment of Gymnasium's kind (gymnasium.Env)."""
         return randomize(
             self.target, self.distribution, noise=self.noise, effects=self.effects, steps=self.steps
         )

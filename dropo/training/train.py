@@ -19,17 +19,32 @@ from dropo.training.setup import Progress, TrainingSetup
 
 @runtime_checkable
 class Algorithm(Protocol):
-    """Frozen settings with a name, and how they train."""
+    """A training algorithm: a frozen dataclass of its settings, with a name."""
 
     @property
     def name(self) -> str:
-        """What the command line calls it."""
+        """The name on the command line."""
 
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> Policy:
-        """A policy for the stage; the folder is where an interrupted training is kept and goes on
-        from.
+        """Trains a policy.
+
+        Parameters
+        ----------
+        setup : TrainingSetup
+            The environments.
+        rng : numpy.random.Generator
+            Source of all random numbers.
+        folder : Path or None
+            Where the training is saved, and goes on after an interruption.
+        progress : callable
+            Called with the fraction done and a text.
+
+        Returns
+        -------
+        Policy
+            The policy; `about` holds its `control_steps` and `failed_simulations`.
         """
 
 
@@ -46,15 +61,53 @@ def train(
     out: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Policy:
-    """Trains a policy for a target whose parameters are drawn from a law at the start of every
-    episode.
+    """Trains a policy under a distribution of the target's parameters, drawn for every episode.
 
-    target: a Problem with a task, its name or file, or the id of a Gymnasium MuJoCo environment;
-    law, noise, effects, steps: as for `randomize`. algorithm: ARS(...), PPO(...) or SAC(...); None:
-    ARS(). threads: 0 for all cores; what ARS finds does not depend on them. out: a folder that
-    keeps the training at every stage: the same call goes on after an interruption, ARS to the same
-    policy; rng must be the same, as a seed or a new generator. progress: called with the share done
-    and a text.
+    Parameters
+    ----------
+    target : Problem, str or Path
+        A problem with a task, its name or file, or the id of a Gymnasium MuJoCo environment.
+    distribution : ParameterDistribution, optional
+        A Fit, Uniform or Point, or a Curriculum of one of them; None for the model as it is.
+    algorithm : ARS, PPO or SAC, optional
+        The algorithm with its settings, by default ARS().
+    noise : float or (p,) array, optional
+        Variances of the measurement noise, one or one a signal; by default those that the fit
+        learned, 0 for none.
+    effects : sequence of (EffectInstance, array)
+        Effects of a Gymnasium environment's robot beside its model, as `problem.simulator.fixed` of
+        an extended problem. A problem brings its own.
+    steps : int, optional
+        Steps of an episode, by default the target's.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or its seed.
+    threads : int
+        Number of threads, 0 for all cores. The policy of ARS does not depend on it.
+    out : str or Path, optional
+        A folder that keeps the training. The same call goes on after an interruption, ARS to the
+        same policy; `rng` must then be the same seed or a new generator of that seed.
+    progress : callable, optional
+        Called with the fraction done and a text.
+
+    Returns
+    -------
+    Policy
+        The policy; `about` says how it was trained.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such target.
+    Incompatible
+        If the distribution does not fit the target, or the target has no task.
+    BadArgument
+        If `noise`, `effects` or `steps` cannot be used.
+    BadFile
+        If the training in `out` cannot be read.
+    MissingPackage
+        If stable-baselines3 is not installed, for PPO and SAC.
+    SimulationFailed
+        If the simulation diverges under draw after draw.
     """
     algorithm = ARS() if algorithm is None else algorithm
     target = resolve(target)
@@ -62,50 +115,56 @@ def train(
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     setup = TrainingSetup(target, distribution, noise, effects, steps, threads)
-    policy = algorithm.train(
-        setup, np.random.default_rng(rng), folder, progress or (lambda share, text: None)
-    )
+    report = progress or (lambda fraction, text: None)
+    policy = algorithm.train(setup, np.random.default_rng(rng), folder, report)
     policy.about.update(about(setup, algorithm))
     return policy
 
 
 def about(setup: TrainingSetup, algorithm: Algorithm) -> dict[str, Any]:
-    """What a policy's file says of its training."""
+    """Returns what a policy's file says about its training, as JSON.
+
+    Parameters
+    ----------
+    setup : TrainingSetup
+        The environments.
+    algorithm : Algorithm
+        The algorithm with its settings.
+
+    Returns
+    -------
+    dict
+        Algorithm, settings, target, distribution (as "law"), steps of an episode and version.
+    """
     from dropo._version import __version__
 
-    one = setup.batched_env(1)
-    steps = one.length
-    name = one.name
-    one.close()
+    env = setup.batched_env(1)
+    env.close()
     return {
         "algorithm": algorithm.name,
         "settings": settings(algorithm),
-        "target": name,
+        "target": env.name,
         "law": distribution_name(setup.distribution),
-        "steps": steps,
+        "steps": env.length,
         "version": __version__,
     }
 
 
 def settings(algorithm: Algorithm) -> dict[str, Any]:
-    """An algorithm's settings as JSON."""
+    """Returns an algorithm's settings as JSON."""
     assert dataclasses.is_dataclass(algorithm)
     assert not isinstance(algorithm, type)
     return asdict(algorithm)
 
 
 def distribution_name(distribution: ParameterDistribution | None) -> str:
-    """A few words on a law."""
-    if isinstance(distribution, Curriculum):
-        return (
-            f"{distribution_name(distribution.distribution)}, widening over "
-            f"{distribution.steps} steps"
-        )
+    """Returns a few words on a distribution."""
     if distribution is None:
         return "the model as it is"
+    if isinstance(distribution, Curriculum):
+        full = distribution_name(distribution.distribution)
+        return f"{full}, widening over {distribution.steps} steps"
     method = getattr(distribution, "method", None)
-    return (
-        f"{method} fit of {getattr(distribution, 'problem', '?')}"
-        if method
-        else type(distribution).__name__.lower()
-    )
+    if method:
+        return f"{method} fit of {getattr(distribution, 'problem', '?')}"
+    return type(distribution).__name__.lower()

@@ -6,7 +6,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.registry import find
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.simulated.recording import record
-from dropo.problems.simulated.robots import machine
+from dropo.problems.simulated.robots import simulated_robot
 
 UPPER = FieldParameter("upper_mass", 0.5, 2.0, "kg", field="body_mass", element="upper")
 
@@ -33,7 +33,7 @@ def problem(
     """Data of an arm with effects hidden (label -> sizes, or atoms with sizes), under true
     parameters, with noise on every sensor.
     """
-    arm = machine(name, parameters)
+    arm = simulated_robot(name, parameters)
     rng = np.random.default_rng(seed)
     there = [
         (

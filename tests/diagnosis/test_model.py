@@ -12,7 +12,7 @@ from dropo.core.services.registry import find
 from dropo.diagnosis.search.linearization import Library, linearize, moved, noise_of, whitener
 from dropo.diagnosis.search.whitening import Whitener
 from dropo.diagnosis.search.windows import split
-from dropo.problems.simulated.robots import machine
+from dropo.problems.simulated.robots import simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.diagnosis.arms import problem
 
@@ -23,7 +23,7 @@ def late_arm():
     """Windows of an arm whose fast joint's velocity comes 2 ms late, with that delay at hand: the
     library and the windows.
     """
-    robot = machine("torque-arm")
+    robot = simulated_robot("torque-arm")
     instance = next(
         a
         for a in find("effects", "sensor_delay")(robot.simulator.effect_context)
@@ -44,7 +44,11 @@ def test_starts_of_a_late_velocity_are_in_doubt():
     seen = linearize(library, windows, theta, sigma)
     length = np.median(seen.whiten.distances(seen.residuals)) / seen.residuals.shape[1]
     certain = whitener(
-        Library(machine("torque-arm").simulator, (), 0), windows, np.zeros(0), sigma, seen.loadings
+        Library(simulated_robot("torque-arm").simulator, (), 0),
+        windows,
+        np.zeros(0),
+        sigma,
+        seen.loadings,
     )
     assert 0.5 < length < 2
     assert np.median(certain.distances(seen.residuals)) / seen.residuals.shape[1] > 100

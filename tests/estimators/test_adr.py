@@ -107,5 +107,5 @@ def test_interrupted_it_keeps_its_bounds():
 def test_refusals():
     with pytest.raises(BadArgument, match="'thresholds' of ADR must be the lower one first"):
         ADR(performance=succeeds, thresholds=(0.8, 0.2))
-    with pytest.raises(BadArgument, match="'step' of ADR must be a share of the interval"):
+    with pytest.raises(BadArgument, match="'step' of ADR must be a fraction of the interval"):
         ADR(performance=succeeds, step=0.0)

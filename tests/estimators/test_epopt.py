@@ -1,4 +1,4 @@
-"""EPOpt's particles against the conjugate posterior, which a linear simulator has in closed form."""
+"""EPOpt's particles against the conjugate posterior, known in closed form for a linear simulator."""
 
 import numpy as np
 import pytest
@@ -99,7 +99,7 @@ def test_rounds_that_run_out_are_told():
 
 
 def test_the_noise_is_what_least_squares_leaves():
-    """Where nothing says it: 0.04 within 4.5 of its standard errors of 60 residuals, or as given."""
+    """Left out, it is 0.04 within 4.5 of its standard errors of 60 residuals, or as given."""
     fit = EPOpt().fit(problem())
     assert fit.epsilon == pytest.approx([NOISE] * 2, rel=4.5 * np.sqrt(2 / 30))
     assert EPOpt(epsilon=(0.1, 0.2)).fit(problem()).epsilon.tolist() == [0.1, 0.2]
@@ -142,7 +142,7 @@ def test_refusals():
         BadArgument, match="'particles' of EPOpt must be at least 20, ten a parameter"
     ):
         EPOpt(particles=19).fit(problem(epsilon=NOISE))
-    with pytest.raises(BadArgument, match="'least' of EPOpt must be a share"):
+    with pytest.raises(BadArgument, match="'least' of EPOpt must be a fraction"):
         EPOpt(least=1.0)
     with pytest.raises(
         Incompatible, match="'epopt' knows Gaussian noise on the compared rows alone"

@@ -42,7 +42,7 @@ def oscillate(value, starts, actions):
 
 
 def oscillator(seed, *, trajectories=4, steps=60, **settings):
-    """Every state measured once, with noise, as the end of a transition and the start of the next."""
+    """Every state measured once, with noise, as the end of one transition and the next's start."""
     rng = np.random.default_rng(seed)
     actions = np.repeat(rng.normal(0, 2, (trajectories, steps // 5, 1)), 5, axis=1)
     start = rng.normal(0, 1, (trajectories, 2))

@@ -70,13 +70,13 @@ def test_clean_data_lose_nothing():
 
 
 def test_close_scores_are_settled_by_standard_errors():
-    """Within one paired standard error the smaller errors are taken; beyond it the better score is."""
+    """Within one paired standard error the smaller errors are taken; beyond it the better score."""
     base = DROPO().fit(slide())
     scores = np.random.default_rng(0).normal(0, 10, 8)
     made = lambda n, gain, se: type(
         "C",
         (),
-        {"length": n, "scores": scores + gain, "fit": replace(base, mean_se=np.full(2, se))},
+        {"horizon": n, "scores": scores + gain, "fit": replace(base, mean_se=np.full(2, se))},
     )()
     wobble = np.array([1.0, -1.0] * 4)
     sure = made(1, 0.0, 0.02)

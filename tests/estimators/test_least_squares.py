@@ -158,7 +158,8 @@ def test_steps_of_differences():
 
 def test_refusals():
     with pytest.raises(
-        BadArgument, match=r"'step' of LeastSquares must be a share of the interval in \(0, 0.5\]"
+        BadArgument,
+        match=r"'step' of LeastSquares must be a fraction of the interval in \(0, 0.5\]",
     ):
         LeastSquares(step=0.0)
     with pytest.raises(BadArgument) as refusal:

@@ -117,16 +117,16 @@ def test_learning_leaves_nothing_behind(tmp_path, monkeypatch, capsys):
 
 def test_slopes_are_the_estimate_of_least_squares():
     """Where the simulator is linear, the summary of the measurements is the least-squares estimate,
-    in shares of the box.
+    in fractions of the box.
     """
     from dropo.core.contracts.estimator import Run
     from dropo.estimators.support.posterior_targets import PointLikelihood
 
     one = problem(epsilon=NOISE)
     target = PointLikelihood(one, NOISE)
-    summarize = npe._slopes(
-        one, Run(one, np.random.default_rng(0)), target, np.array([[0.0, 0.0], [1.0, 1.0]])
-    )
+    box = np.array([[0.0, 0.0], [1.0, 1.0]])
+    run = Run(one, np.random.default_rng(0))
+    summarize = npe._summarize_by_slopes(one, run, target, box, 0.01)
     np.testing.assert_allclose(
         20 * summarize(target.targets[None])[0], conjugate(one)[0], rtol=1e-9
     )

@@ -247,7 +247,7 @@ def test_a_prior_pulls_by_the_right_amount(sampler, away):
 
 
 def test_a_problem_brings_its_priors():
-    """Over parameters as they are, over a distribution on the mean; the estimator's own come first."""
+    """Over parameters as they are, over a distribution on the mean; the estimator's own go first."""
     one = problem(epsilon=NOISE, priors={"x0": "normal(1.5, 1e-4)"})
     fit = Posterior(sampler=Emcee(steps=200, burn_in=200)).fit(one, rng=1)
     assert fit.mean[0] == pytest.approx(1.5, abs=1e-3)
@@ -299,7 +299,7 @@ def test_a_distribution_by_nuts_with_learned_noise():
 
 
 def test_draws_that_reach_the_edge_of_a_local_model_are_told():
-    """Noise that hides the parameters: the posterior is as wide as the box, and no local model is."""
+    """Noise that hides the parameters: the posterior is as wide as the box, no local model is."""
     pytest.importorskip("pyro")
     fit = Posterior(
         likelihood="emulated", sampler=Emcee(steps=60, burn_in=30, walkers=8), epsilon=1e4
@@ -349,7 +349,8 @@ def test_inference_data_of_a_fit(tmp_path):
 def test_pairs_that_do_not_work_are_refused():
     with pytest.raises(
         Incompatible,
-        match=r"PyroNuts needs the gradient .* Use likelihood 'emulated' or 'linear', or sampler 'emcee'",
+        match="PyroNuts needs the gradient .* Use likelihood 'emulated' or 'linear', or sampler"
+        " 'emcee'",
     ):
         Posterior(over="distribution", likelihood="monte-carlo", sampler=NUTS).fit(
             problem(epsilon=NOISE)

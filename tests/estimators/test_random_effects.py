@@ -226,7 +226,7 @@ def test_what_differs_is_said(family, tmp_path):
 
 
 def test_no_difference_is_said():
-    """Without spread: one sentence, all shrunk onto the mean, whose ignorance each group then has."""
+    """Without spread: one sentence, all shrunk onto the mean, whose standard error each has."""
     fit = RandomEffects().fit(two_way(np.random.default_rng(1), [0.0, 0.0]), rng=0)
     assert fit.groups.tests.overall.p_value > 0.05
     assert "No difference between recordings is found (p = " in fit.message
@@ -259,7 +259,8 @@ def test_too_few_groups():
         RandomEffects().fit(one)
     with pytest.raises(
         Incompatible,
-        match=r"2 groups cannot tell a covariance of 2 parameters: with fewer than 3 .* 'truncated_gaussian'",
+        match="2 groups cannot tell a covariance of 2 parameters: with fewer than 3 .*"
+        " 'truncated_gaussian'",
     ):
         RandomEffects(family="full").fit(two)
     warnings = " ".join(RandomEffects().fit(two).warnings)

@@ -155,7 +155,7 @@ def test_same_seed_same_fit_and_an_evaluation_log_that_resumes(tmp_path):
 
 
 def test_interrupted_it_keeps_its_law():
-    """The law so far; before any data there is none."""
+    """The distribution so far; before any data there is none."""
 
     def once(fit, rng, asked=[]):  # noqa: B006
         if asked:
@@ -165,7 +165,7 @@ def test_interrupted_it_keeps_its_law():
 
     fit = SimOpt(collect=once).fit(problem())
     assert fit.status is Status.INTERRUPTED
-    assert fit.message == "Interrupted after 5 updates: this is the law so far."
+    assert fit.message == "Interrupted after 5 updates: this is the distribution so far."
 
 
 def test_refusals():

@@ -31,7 +31,7 @@ from tests.reference.pushes import MEAN, SD, pushes, z_of_mean, z_of_sd
 
 
 def mean_squares(estimator, count):
-    """The mean square of the means' z-scores, and of the sds', over so many data sets of 50 pushes."""
+    """The mean square of the means' z-scores, and of the sds', over data sets of 50 pushes."""
     fits = [estimator.fit(pushes(seed, epsilon=1e-6)) for seed in range(count)]
     means = np.array([z_of_mean(fit, MEAN) for fit in fits])
     sds = (
@@ -49,7 +49,7 @@ def test_limits_are_those_of_chance():
 
 @pytest.mark.parametrize("estimator", [LeastSquares(), DROPO()], ids=["least-squares", "dropo"])
 def test_standard_errors_of_means_are_right(estimator):
-    """Over 40 data sets of 50 draws, the z-scores of both means have a mean square of 0.6 to 1.6."""
+    """Over 40 data sets of 50 draws, the means' z-scores have a mean square of 0.6 to 1.6."""
     means, sds = mean_squares(estimator, 40)
     assert 0.6 < means < 1.6
     assert sds < 1.6  # scores of a fourth moment, whose chi-square limits are wider below

@@ -5,9 +5,9 @@ import pytest
 
 from dropo.core.services.registry import find
 from dropo.diagnosis.parts import Alternative, Estimate
-from dropo.problems.simulated.robots import MACHINES, machine
+from dropo.problems.simulated.robots import ROBOTS, simulated_robot
 from dropo.studies.engine.work import Work
-from dropo.studies.hidden_effects.study import CASES, draw, hidden_effects, interval, judge, run
+from dropo.studies.hidden_effects.study import CASES, draw, evaluate, hidden_effects, interval, run
 
 QUICK = [("torque-arm", "one", 0), ("torque-arm", "nothing", 1), ("position-arm", "two", 0)]
 
@@ -28,7 +28,7 @@ def test_hopper():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("case", CASES)
 def test_matrix(name, case):
     """Two runs of each case on each machine; a cause outside the library may be missed."""
@@ -123,7 +123,7 @@ def test_intervals():
 
 def test_draws_are_within_bounds():
     """Every kind of effect that an arm can have is drawn within its bounds, and not 0."""
-    arm = machine("torque-arm")
+    arm = simulated_robot("torque-arm")
     rng = np.random.default_rng(0)
     for kind in (
         "joint_damping",
@@ -142,8 +142,8 @@ def test_draws_are_within_bounds():
         )
 
 
-def test_judging():
-    """A second name is extra; a name in the ambiguity set is among; nothing hidden wants no name."""
+def test_evaluation():
+    """A second name is extra; one in the ambiguity set is among; nothing hidden wants no name."""
 
     class Found:
         def __init__(self, effect, confused=()):
@@ -160,7 +160,7 @@ def test_judging():
         def __init__(self, *causes):
             self.causes = causes
 
-    arm = machine("torque-arm")
+    arm = simulated_robot("torque-arm")
     hidden = [
         (
             next(
@@ -171,10 +171,10 @@ def test_judging():
             np.array([0.1]),
         )
     ]
-    right = judge("one", hidden, Diagnosis(Found("joint_damping")))
+    right = evaluate("one", hidden, Diagnosis(Found("joint_damping")))
     assert (right["right"], right["among"], right["extra"]) == (True, True, False)
     assert right["error"] == pytest.approx(0.1)
-    other = judge(
+    other = evaluate(
         "one",
         hidden,
         Diagnosis(
@@ -184,4 +184,4 @@ def test_judging():
         ),
     )
     assert (other["right"], other["among"], other["extra"]) == (False, True, True)
-    assert not judge("nothing", [], Diagnosis(Found("joint_damping")))["right"]
+    assert not evaluate("nothing", [], Diagnosis(Found("joint_damping")))["right"]

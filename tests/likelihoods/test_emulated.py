@@ -24,8 +24,7 @@ from dropo.families.truncated_gaussian import SD, TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.support import blocks
 from dropo.likelihoods.support.polynomials import (
-    POINTS,
-    SPARE,
+    DESIGN,
     build,
     design_points,
     index_set,
@@ -358,9 +357,9 @@ def test_diverging_design_points_are_left_out():
 
 
 def test_a_design_with_too_few_points_is_refused():
-    """Nearly all points diverge: how many rows, the first with its parameters, and what it means."""
+    """Nearly all points diverge: how many rows, the first with its parameters, what it means."""
     simulator, segments = fragile(-1.0)
-    count = int(np.ceil(POINTS * len(index_set(np.array([1, 1]))))) + SPARE
+    count = DESIGN.design_size(len(index_set(np.array([1, 1]))))
     design = design_points(
         simulator, np.zeros(2), np.ones(2), count, np.random.default_rng(0), False
     )
@@ -406,7 +405,7 @@ def test_a_point_that_diverges_in_a_late_block_is_left_out_of_all(monkeypatch):
     assert one.failed == other.failed > 0
     np.testing.assert_allclose(other.coefficients, one.coefficients, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(other.residual, one.residual, rtol=1e-10, atol=1e-14)
-    points = int(np.ceil(POINTS * 6)) + SPARE
+    points = DESIGN.design_size(6)
     assert whole.steps == 5 * points
     assert pieces.steps == 5 * points + 4 * (points - other.failed)
 
@@ -515,7 +514,7 @@ def test_what_the_polynomials_leave_is_an_unbiased_covariance():
         simulator, segments, np.zeros(2), np.ones(2), np.array([2, 2]), np.random.default_rng(1)
     )
     terms = len(emulator.indices)
-    points = int(np.ceil(POINTS * terms)) + SPARE
+    points = DESIGN.design_size(terms)
     free = points - terms
     found = emulator.residual[:, [0, 1, 0], [0, 1, 1]] * (free - p - 1) / free
     error = found.std(axis=0) / np.sqrt(len(found))
@@ -535,7 +534,7 @@ def test_a_family_without_a_standard_law_is_refused():
             simulator, segments, Nameless(simulator.space), 1e-4, np.random.default_rng(0)
         )
     expected = (
-        "The family Nameless names no standard law, so its moments are not known. Use "
+        "The family Nameless names no standard distribution, so its moments are not known. Use "
         "likelihood 'monte-carlo'."
     )
     assert str(refusal.value) == expected

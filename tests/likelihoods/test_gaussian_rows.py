@@ -592,7 +592,7 @@ def test_a_covariance_without_an_inverse_is_named():
 
 @pytest.mark.parametrize("kind", ["linear", "unscented"])
 def test_a_simulation_that_diverges_around_the_estimate_is_named(kind, monkeypatch):
-    """Row, parameters and meaning; rows are counted over the blocks; the same for the start states."""
+    """Row, parameters and meaning; rows are counted over the blocks; the same for start states."""
 
     def function(value, starts, actions):
         out = starts[:, None] + actions * value[0]
@@ -606,7 +606,8 @@ def test_a_simulation_that_diverges_around_the_estimate_is_named(kind, monkeypat
     around = LIKELIHOODS[kind].around
     with pytest.raises(
         SimulationFailed,
-        match=r"^1 of 3 simulated rows diverged, the first at row 7 with x = .* No slopes can be taken",
+        match="^1 of 3 simulated rows diverged, the first at row 7 with x = .* No slopes can be"
+        " taken",
     ):
         around(
             simulator,
@@ -651,6 +652,6 @@ def test_steps_stay_within_what_is_possible():
         np.testing.assert_allclose(found.curvature.ravel(), 4.0, rtol=1e-9)
     assert min(seen) >= 0
     assert max(seen) <= 1
-    assert axial.LEAST > 0
+    assert axial.STEPS.least > 0
     tiny = along_parameters(simulator, segments, np.array([0.5]), np.zeros(1))
     np.testing.assert_allclose(tiny.slope.ravel(), 5.0, rtol=1e-6)

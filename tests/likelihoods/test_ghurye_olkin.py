@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 from dropo.core.services.errors import BadArgument
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.ghurye_olkin import GhuryeOlkin
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.testing import check_likelihood
 from dropo.testing.likelihoods import Line, line_data
 from tests.reference.densities import ghurye_olkin_one_by_one
@@ -55,7 +55,7 @@ def test_unbiased_where_the_plug_in_density_is_not(epsilon):
     control) is not.
     """
     assert abs(z_of_mean_density(GhuryeOlkin(), np.array(epsilon))) < 4.5
-    assert abs(z_of_mean_density(Gaussian(), np.array(epsilon))) > 4.5
+    assert abs(z_of_mean_density(MonteCarlo(), np.array(epsilon))) > 4.5
 
 
 def test_noise_is_drawn_for_each_row_and_fixed():

@@ -83,7 +83,7 @@ def test_moments_of_logarithms_are_exact():
 
 
 def test_entries_that_do_not_move_cost_nothing():
-    """A family without correlations moves d entries of its covariance, one with them d (d + 1) / 2."""
+    """A family without correlations has d entries of its covariance, one with them d (d + 1) / 2."""
     simulator = LinearSimulator(np.ones((1, 2, 5)))
     rng = np.random.default_rng(0)
     segments = simulate(simulator, np.zeros((3, 5)), np.ones((3, 1, 1)), np.zeros(2)).segments()
@@ -102,7 +102,7 @@ def test_entries_that_do_not_move_cost_nothing():
 
 
 def test_fits_a_linear_simulator_like_the_emulated_one():
-    """Through the rounds of DROPO: the same maximum, from 2 d + 1 simulations a segment and round."""
+    """Through the iterations of DROPO: the same maximum, from 2 d + 1 simulations a segment."""
     rng = np.random.default_rng(3)
     simulator = LinearSimulator(rng.normal(size=(2, 3, 2)))
     values = np.array([1.0, -2.0]) + np.array([0.5, 0.2]) * rng.standard_normal((80, 2))

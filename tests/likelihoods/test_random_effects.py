@@ -274,7 +274,8 @@ def test_a_log_normal_law_is_refused():
     )
     with pytest.raises(
         Incompatible,
-        match=r"LogNormal is no Gaussian, as random effects are. Use 'truncated_gaussian' or 'full'.",
+        match="LogNormal is no Gaussian, as random effects are. Use 'truncated_gaussian' or"
+        r" 'full'\.",
     ):
         local(problem, family)
 

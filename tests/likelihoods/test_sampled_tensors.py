@@ -12,14 +12,14 @@ from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.families.full_gaussian import FullGaussian
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.ghurye_olkin import GhuryeOlkin
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from tests.reference.densities import gaussian_one_by_one
 
 torch = pytest.importorskip("torch")
 from dropo.simulators.differentiable import Pendulum  # noqa: E402
 
-KINDS = [Gaussian(60), Gaussian(60, degrees=5.0), GhuryeOlkin(60)]
+KINDS = [MonteCarlo(60), MonteCarlo(60, degrees=5.0), GhuryeOlkin(60)]
 
 
 def samples(rows=30, p=3):
@@ -77,8 +77,8 @@ def test_singular_tensors_are_refused_or_lost():
     with pytest.raises(
         BadArgument, match=r"K = 20 predictions at row 3 is singular in p = 2 signals"
     ):
-        Gaussian().log_density(flat, np.zeros((4, 2)), 0.0)
-    assert torch.isfinite(Gaussian().log_density(flat, np.zeros((4, 2)), 1e-4)).all()
+        MonteCarlo().log_density(flat, np.zeros((4, 2)), 0.0)
+    assert torch.isfinite(MonteCarlo().log_density(flat, np.zeros((4, 2)), 1e-4)).all()
 
 
 def student_one_by_one(predictions, targets, epsilon, degrees):
@@ -98,18 +98,18 @@ def test_student_t_has_the_same_covariance():
     than the Gaussian's.
     """
     predictions, targets, epsilon, _ = samples()
-    found = Gaussian(degrees=4.5).log_density(predictions, targets, epsilon)
+    found = MonteCarlo(degrees=4.5).log_density(predictions, targets, epsilon)
     np.testing.assert_allclose(
         found, student_one_by_one(predictions, targets, epsilon, 4.5), rtol=1e-10
     )
     gaussian = gaussian_one_by_one(predictions, targets, epsilon)
     np.testing.assert_allclose(
-        Gaussian(degrees=1e9).log_density(predictions, targets, epsilon), gaussian, rtol=1e-6
+        MonteCarlo(degrees=1e9).log_density(predictions, targets, epsilon), gaussian, rtol=1e-6
     )
     far = targets + 30
     assert (
-        Gaussian(degrees=4.5).log_density(predictions, far, epsilon)
-        > Gaussian().log_density(predictions, far, epsilon)
+        MonteCarlo(degrees=4.5).log_density(predictions, far, epsilon)
+        > MonteCarlo().log_density(predictions, far, epsilon)
     ).all()
 
 
@@ -130,7 +130,7 @@ def test_bound_gradients(family, noise):
     """
     simulator, segments = pendulum_data()
     member = family(simulator.space)
-    bound = Gaussian(20).bind(simulator, segments, member, noise, np.random.default_rng(0))
+    bound = MonteCarlo(20).bind(simulator, segments, member, noise, np.random.default_rng(0))
     assert bound.has_gradients
     phi = bound.unknowns.from_unit(np.full(len(bound.unknowns), 0.5))
     phi[: len(member.unknowns)] = member.phi([0.8, 1.0, 0.3], [0.1, 0.1, 0.05])
@@ -167,13 +167,13 @@ def test_noise_on_the_start_states_adds_its_own_covariance():
     rngs = np.random.default_rng(0).spawn(12)
     found = np.array(
         [
-            Gaussian(1024).bind(simulator, segments, family, Noise(0.3, start=True), rng)(phi)
+            MonteCarlo(1024).bind(simulator, segments, family, Noise(0.3, start=True), rng)(phi)
             for rng in rngs
         ]
     )
     error = found.std(ddof=1) / np.sqrt(len(found))
     twice, once = (
-        Gaussian(8192).bind(simulator, segments, family, epsilon, np.random.default_rng(1))(phi)
+        MonteCarlo(8192).bind(simulator, segments, family, epsilon, np.random.default_rng(1))(phi)
         for epsilon in (0.6, 0.3)
     )
     assert abs(found.mean() - twice) < 4.5 * error
@@ -195,17 +195,18 @@ def test_refusals():
     rng = np.random.default_rng(0)
     with pytest.raises(
         Incompatible,
-        match=r"GhuryeOlkin knows no noise with long tails. Leave out degrees = 5, or use 'monte-carlo'",
+        match="GhuryeOlkin knows no noise with long tails. Leave out degrees = 5, or use"
+        " 'monte-carlo'",
     ):
         GhuryeOlkin().bind(simulator, segments, family, Noise(0.1, degrees=5.0), rng)
     with pytest.raises(
         Incompatible,
         match=r"Hidden starts from 3 numbers and gives 2 signals.* or Noise\(start=False\)",
     ):
-        Gaussian().bind(
+        MonteCarlo().bind(
             Hidden(), segments, TruncatedGaussian(Hidden().space), Noise(0.1, start=True), rng
         )
-    bound = Gaussian().bind(simulator, segments, family, 0.1, rng)
+    bound = MonteCarlo().bind(simulator, segments, family, 0.1, rng)
     assert not bound.has_gradients
     with pytest.raises(
         Incompatible,
@@ -213,6 +214,6 @@ def test_refusals():
     ):
         bound.gradient(family.phi([1.0, -2.0], [0.5, 0.9]))
     with pytest.raises(
-        BadArgument, match=r"'degrees' of Gaussian must be above 2, to have a covariance. Got 2.0"
+        BadArgument, match=r"'degrees' of MonteCarlo must be above 2, to have a covariance. Got 2.0"
     ):
-        Gaussian(degrees=2.0)
+        MonteCarlo(degrees=2.0)

@@ -163,6 +163,6 @@ def test_a_family_without_a_standard_law_is_refused():
             *[None] * 2, Nameless(LinearSimulator(np.ones((1, 1, 1))).space), *[None] * 4
         )
     assert str(refusal.value) == (
-        "The family Nameless names no standard law, so its fourth moments are not known. "
+        "The family Nameless names no standard distribution, so its fourth moments are not known. "
         "Use likelihood 'linear'."
     )

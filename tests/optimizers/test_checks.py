@@ -13,7 +13,7 @@ from dropo.testing import check_optimizer, check_sampler
 
 
 class Shrinking(Optimizer):
-    """A sound one: normal points around the best, ever closer."""
+    """A valid optimizer: normal points around the best one, ever closer."""
 
     width = 0.3
 
@@ -46,7 +46,7 @@ class Fickle(Shrinking):
 
 
 class Shared(Shrinking):
-    """State of the class: two at once disturb each other."""
+    """State in the class: two optimizers at once disturb each other."""
 
     count = 0
 
@@ -101,19 +101,19 @@ class LeavesItsThread(CallbackOptimizer):
         pass
 
 
-def test_a_sound_optimizer_passes():
+def test_a_valid_optimizer_passes():
     check_optimizer(Shrinking, tolerance=0.02)
 
 
 @pytest.mark.parametrize(
-    ("broken", "told"),
+    ("broken", "words"),
     [
         (Outside, "leaves the unit box"),
         (GlobalStream, "global random stream"),
         (Fickle, "not deterministic"),
         (Shared, "when a second one runs beside it"),
-        (ForgetsTheBest, "the least told was"),
-        (WrongWay, "the least cost was told at"),
+        (ForgetsTheBest, "the lowest cost given was"),
+        (WrongWay, "the lowest cost was given at"),
         (Stuck, "the same point all the time"),
         (Lazy, "away from the minimum of a sphere"),
         (Impatient, "changes its mind"),
@@ -121,8 +121,8 @@ def test_a_sound_optimizer_passes():
         (LeavesItsThread, "leaves threads behind"),
     ],
 )
-def test_broken_optimizers_are_caught(broken, told):
-    with pytest.raises(AssertionError, match=told):
+def test_broken_optimizers_are_caught(broken, words):
+    with pytest.raises(AssertionError, match=words):
         check_optimizer(broken)
 
 
@@ -130,7 +130,7 @@ def test_a_seed_in_the_global_stream_is_caught():
     """What a plain use of pycma does."""
 
     class Plain(CMAES):
-        def _begin(self, start):
+        def _new_strategy(self, start):
             import cma
 
             return cma.CMAEvolutionStrategy(
@@ -143,12 +143,15 @@ def test_a_seed_in_the_global_stream_is_caught():
 
 @dataclass(frozen=True)
 class Metropolis(Emcee):
-    """Random walks of 60 walkers. temper: the power of the density that they really draw from."""
+    """Random walks of 60 walkers.
+
+    temper: the power of the density that they really draw from; fold: fraction of the proposals
+    that are scaled down, so that they are no longer symmetric; stream: whether they use numpy's
+    global stream.
+    """
 
     temper: float = 1.0
-    fold: float = (
-        0.0  # share of the proposals put into the lower half of the box: no longer symmetric
-    )
+    fold: float = 0.0
     stream: bool = False
 
     def _sample(self, density, rng, start, spread):
@@ -156,11 +159,8 @@ class Metropolis(Emcee):
         chain = []
         logs = []
         for _ in range(3000):
-            step = (
-                np.random.standard_normal(points.shape)
-                if self.stream
-                else rng.standard_normal(points.shape)
-            )  # noqa: NPY002
+            normal = np.random.standard_normal if self.stream else rng.standard_normal
+            step = normal(points.shape)
             proposed = points + 0.07 * step
             proposed = np.where(rng.random((60, 1)) < self.fold, proposed * 0.9, proposed)
             new = density(proposed)
@@ -184,13 +184,14 @@ class Squeezes(Emcee):
     """Draws that keep off the ends of the box."""
 
     def _sample(self, density, rng, start, spread):
-        inner = lambda points: np.where(
-            ((points > 0.03) & (points < 0.97)).all(axis=1), density(np.clip(points, 0, 1)), -np.inf
-        )
-        return super()._sample(inner, rng, start, spread)
+        def squeezed(points):
+            inside = ((points > 0.03) & (points < 0.97)).all(axis=1)
+            return np.where(inside, density(np.clip(points, 0, 1)), -np.inf)
+
+        return super()._sample(squeezed, rng, start, spread)
 
 
-def test_a_sound_sampler_passes():
+def test_a_valid_sampler_passes():
     check_sampler(Metropolis())
 
 
@@ -200,16 +201,16 @@ def test_emcee_keeps_the_contract(moves):
 
 
 @pytest.mark.parametrize(
-    ("broken", "told"),
+    ("broken", "words"),
     [
         (Metropolis(temper=1.1), "the variance of draws from a Gaussian"),
         (Metropolis(fold=0.02), "the mean of draws from a Gaussian"),
         (Metropolis(stream=True), "global random stream"),
         (Misreports(steps=300, burn_in=100), "not those at its draws"),
         (Emcee(steps=20, burn_in=0), "R-hat is"),
-        (Squeezes(steps=700, burn_in=100), "the variance of draws from a uniform law"),
+        (Squeezes(steps=700, burn_in=100), "the variance of draws from a uniform distribution"),
     ],
 )
-def test_broken_samplers_are_caught(broken, told):
-    with pytest.raises(AssertionError, match=told):
+def test_broken_samplers_are_caught(broken, words):
+    with pytest.raises(AssertionError, match=words):
         check_sampler(broken)

@@ -8,7 +8,7 @@ from dropo.testing.optimizers import answer, drive
 
 
 class Ellipsoid:
-    """(u - c)' A (u - c) / 2, whose optimal search covariance is proportional to the inverse of A."""
+    """(u - c)' A (u - c) / 2; the optimal search covariance is proportional to the inverse of A."""
 
     def __init__(self, centre, matrix):
         self.centre = np.array(centre)
@@ -35,19 +35,17 @@ def test_first_generation_has_the_thesis_scaling():
     standard deviation 0.25 (section 5.3).
     """
     optimizer = make(3, population=4000)
-    assert optimizer.covariance == pytest.approx(
-        np.eye(3) / 16, rel=1e-4
-    )  # pycma's first axes differ by 1e-4
-    inner = optimizer.ask()
-    error = 0.25 / np.sqrt(4000)
-    assert (
-        np.abs(np.median(inner, axis=0) - 0.5).max() < 4.5 * 1.25 * error
-    )  # the median's standard error is 1.25 of the mean's
-    quarter = np.mean(np.abs(inner - 0.5) < 0.25, axis=0)  # 68.27 % within one standard deviation
-    assert np.abs(quarter - 0.6827).max() < 4.5 * np.sqrt(0.6827 * 0.3173 / 4000)
-    assert abs(0.6827 - 0.5763) > 4.5 * np.sqrt(
-        0.6827 * 0.3173 / 4000
-    )  # a control: with sigma 0.3125 it would be 57.63 %
+    # pycma's first axes differ by 1e-4
+    assert optimizer.covariance == pytest.approx(np.eye(3) / 16, rel=1e-4)
+    points = optimizer.ask()
+    # the standard error of a median is 1.25 of that of the mean
+    error = 1.25 * 0.25 / np.sqrt(4000)
+    assert np.abs(np.median(points, axis=0) - 0.5).max() < 4.5 * error
+    # 68.27 % lie within one standard deviation; the control: with sigma 0.3125 it would be 57.63 %
+    within = np.mean(np.abs(points - 0.5) < 0.25, axis=0)
+    error = np.sqrt(0.6827 * 0.3173 / 4000)
+    assert np.abs(within - 0.6827).max() < 4.5 * error
+    assert abs(0.6827 - 0.5763) > 4.5 * error
 
 
 def test_steps_differ_by_coordinate():
@@ -88,17 +86,14 @@ def test_restarts_leave_local_minima():
     """Without restarts few of eight searches end in the global minimum of Rastrigin's function;
     with them at least three more do. Which ones depends on the processor's rounding.
     """
-    alone, again = (
-        [make(seed=seed, **more) for seed in range(8)]
-        for more in ({"restarts": 0}, {"budget": 20000})
-    )
-    reasons = [
-        [drive(search, Rastrigin())[1] for search in searches] for searches in (alone, again)
-    ]
-    reached = [sum(search.best[1] < 1e-9 for search in searches) for searches in (alone, again)]
-    assert all("." in reason for reason in reasons[0])
-    assert any("restart" in (reason or "").lower() for reason in reasons[1])
-    assert reached[1] >= reached[0] + 3
+    single = [make(seed=seed, restarts=0) for seed in range(8)]
+    restarted = [make(seed=seed, budget=20000) for seed in range(8)]
+    single_reasons = [drive(search, Rastrigin())[1] for search in single]
+    restarted_reasons = [drive(search, Rastrigin())[1] for search in restarted]
+    assert all("." in reason for reason in single_reasons)
+    assert any("restart" in (reason or "").lower() for reason in restarted_reasons)
+    reached = lambda searches: sum(search.best[1] < 1e-9 for search in searches)
+    assert reached(restarted) >= reached(single) + 3
 
 
 def test_restarts_double_the_population_and_keep_to_their_number():
@@ -111,9 +106,7 @@ def test_restarts_double_the_population_and_keep_to_their_number():
 
 
 def test_covariance_is_that_of_the_best_run():
-    """Half-way through a restart that has found nothing better, the covariance is still the
-    converged one.
-    """
+    """During a restart that has found nothing better, the covariance is still the converged one."""
     optimizer = make(restarts=1, budget=20000)
     while optimizer._run == 0:
         assert optimizer.stop() is None

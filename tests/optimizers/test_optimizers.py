@@ -83,9 +83,8 @@ class Objective:
         return -self.cost(u)
 
     def gradient(self, phi):
-        # d phi / d u
         u = SPACE.to_unit(phi)
-        widths = np.array([4.0, np.log(100.0) * phi[1]])
+        widths = np.array([4.0, np.log(100.0) * phi[1]])  # d phi / d u
         return np.full(2, np.nan) if self.fails(u) else -self.cost.gradient(u) / widths
 
 
@@ -218,7 +217,8 @@ def test_gradients_are_asked_for_and_wrong_ones_harm(name):
     """
     with pytest.raises(
         Incompatible,
-        match=r"needs gradients, and function gives none\. Use likelihood 'emulated'.* such as 'cma-es'",
+        match=r"needs gradients, and function gives none\. "
+        r"Use likelihood 'emulated'.* such as 'cma-es'",
     ):
         maximize(lambda phi: 0.0, SPACE, make(name), run())
 
@@ -226,9 +226,8 @@ def test_gradients_are_asked_for_and_wrong_ones_harm(name):
         def gradient(self, phi):
             return -super().gradient(phi)
 
-    right, wrong = (
-        maximize(kind(Rosenbrock()), SPACE, make(name), run()) for kind in (Objective, Reversed)
-    )
+    right = maximize(Objective(Rosenbrock()), SPACE, make(name), run())
+    wrong = maximize(Reversed(Rosenbrock()), SPACE, make(name), run())
     assert np.abs(SPACE.to_unit(right.point) - 0.75).max() < 1e-5
     assert np.abs(SPACE.to_unit(wrong.point) - 0.75).max() > 0.1
 
@@ -282,7 +281,8 @@ def test_a_minimiser_that_swallows_exceptions_still_ends():
 @pytest.mark.parametrize("name", ["nlopt-crs2", "scipy-differential-evolution"])
 def test_random_optimizers_use_their_rng(name):
     """Another seed asks for other points."""
-    one, other = (drive(make(name, seed=seed), Rosenbrock(), batches=60)[0] for seed in (1, 2))
+    one = drive(make(name, seed=1), Rosenbrock(), batches=60)[0]
+    other = drive(make(name, seed=2), Rosenbrock(), batches=60)[0]
     assert not np.array_equal(one, other)
 
 
@@ -305,13 +305,8 @@ def test_libraries_are_imported_late():
         "import dropo.optimizers.cma_es, dropo.optimizers.nlopt, dropo.optimizers.scipy, "
         "dropo.optimizers.samplers.emcee, sys"
     )
-    late = (
-        f"{modules}; print([m for m in ('cma', 'nlopt', 'emcee', 'matplotlib') if m in "
-        "sys.modules])"
-    )
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", late], capture_output=True, text=True, check=True
-        ).stdout.strip()
-        == "[]"
-    )
+    heavy = "('cma', 'nlopt', 'emcee', 'matplotlib')"
+    late = f"{modules}; print([m for m in {heavy} if m in sys.modules])"
+    command = [sys.executable, "-c", late]
+    found = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"

@@ -1,4 +1,4 @@
-"""Pyro's samplers keep to the contract, leave torch and Pyro as they were, and say where they fail."""
+"""Pyro's samplers keep to the contract, leave torch and Pyro as they were, and report failures."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_nuts_keeps_to_the_contract():
 
 
 def test_svi_keeps_to_the_contract():
-    """Both laws of the check are Gaussian on the real line, where the guide is exact."""
+    """Both distributions of the check are Gaussian on the real line, where the guide is exact."""
     check_sampler(PyroSvi(draws=2000, steps=1200, particles=4))
 
 
@@ -137,11 +137,11 @@ def test_gradients_over_the_real_line():
         np.array([0.2]),
     )
     mass = np.exp(one.log_density(torch.as_tensor(grid)).numpy())
-    share = mass[one.unit(grid)[:, 0] < 0.5].sum() / mass.sum()
-    assert share == pytest.approx(0.375, abs=1e-3)  # of u + 1/2 on [0, 1]
+    fraction = mass[one.unit(grid)[:, 0] < 0.5].sum() / mass.sum()
+    assert fraction == pytest.approx(0.375, abs=1e-3)  # of u + 1/2 on [0, 1]
 
 
-def test_divergences_are_counted_and_told():
+def test_divergences_are_counted_and_reported():
     """A step in the density cannot be followed: some steps diverge, and the draws say how many."""
     box = ParameterSpace((Parameter("a", 0.0, 1.0),))
     cliff = Density(lambda u: (np.where(u[:, 0] > 0.5, -3000.0, 0.0), np.zeros(u.shape)))
@@ -156,8 +156,8 @@ def test_divergences_are_counted_and_told():
 
 def test_svi_says_where_it_has_not_arrived_or_does_not_fit():
     noise = np.random.default_rng(1).standard_normal(400)
-    assert "the ELBO still rises, by 2" in _rising(noise + 0.04 * np.arange(400))[0]
-    assert _rising(noise) == []
+    assert "the ELBO still rises, by 2" in _rising(noise + 0.04 * np.arange(400), 0.01)[0]
+    assert _rising(noise, 0.01) == []
     far = sample(
         PyroSvi(draws=200, steps=200, learning_rate=0.002), start=[0.02, 0.98], spread=0.01
     )

@@ -1,4 +1,4 @@
-"""The published transitions against the problem's own simulator, and how outside data are fetched
+"""The published transitions against the problem's own simulator, and how external data are fetched
 and refused.
 """
 
@@ -9,11 +9,11 @@ import pooch
 import pytest
 
 from dropo.core.services.errors import BadFile
+from dropo.problems.hopper import published as hopper_published
 from dropo.problems.hopper.model import TRUTH
 from dropo.problems.hopper.problem import NOISE, hopper_simulator
-from dropo.problems.hopper.problem import published as hopper_published
+from dropo.problems.measured import external_data
 from dropo.problems.measured.external_data import fetch_arrays, find_data, missing
-from dropo.problems.measured.recordings import external_data as outside
 
 MASSES = np.array(list(TRUTH.values()))
 BASE = "https://example.org/sets"
@@ -58,7 +58,7 @@ def test_noisy_transitions_leave_the_noise():
 
 @pytest.mark.parametrize("which", ["hopper_published", "hopper_published_noisy"])
 def test_problems_take_the_first_thousand(which):
-    """A fit sees 1000 transitions in two trajectories of 500; more come where they are asked for."""
+    """A fit takes 1000 transitions in two trajectories of 500; more where they are asked for."""
     at_hand("clean" if which == "hopper_published" else "noisy-1e-5")
     problem = getattr(hopper_published, which)(1)
     assert len(problem.trajectories) == 1000
@@ -138,7 +138,8 @@ def test_without_a_network_it_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(pooch.core, "choose_downloader", lambda *args, **more: fail)
     with pytest.raises(
         BadFile,
-        match=r"actions\.npy: expected a public file .* DROPO_DATA names, got ConnectionError while fetching it",
+        match=r"actions\.npy: expected a public file .* DROPO_DATA names, "
+        "got ConnectionError while fetching it",
     ):
         fetch_arrays(BASE, {"actions": ("actions.npy", "0" * 64)})
 
@@ -200,4 +201,4 @@ def test_named_folder_comes_first(tmp_path, monkeypatch):
         "set/none.npz: expected the data of someone in the folder that DROPO_DATA names, "
         "got no such file in "
     )
-    assert all(str(folder) in words for folder in outside.data_folders())
+    assert all(str(folder) in words for folder in external_data.data_folders())

@@ -11,7 +11,7 @@ from dropo.problems.panda import pushing as pushing_problem
 from dropo.problems.panda.pusher import BOX, JOINT_ACCELERATION, Arms, angles_at, boxes_of, drive
 from dropo.problems.panda.pushing import (
     FRAME_SKIP,
-    LENGTH,
+    HORIZON,
     NOISE,
     STEPS,
     TRUTH,
@@ -35,14 +35,12 @@ def problem():
 
 
 def push(model, fields, aims, steps=200):
-    """Pushes straight ahead at so many places beside the middle, by a hand that does not look at
-    turns.
-    """
+    """Pushes straight ahead at so many places beside the middle, by a policy that ignores turns."""
     numbers = np.column_stack([aims, np.zeros((len(aims), 3))])
-    hand = Pusher(numbers, model.body("box").pos[:2])
+    pusher = Pusher(numbers, model.body("box").pos[:2])
     return drive(
         model,
-        hand,
+        pusher,
         np.zeros((len(aims), 3)),
         steps,
         frame_skip=FRAME_SKIP,
@@ -133,8 +131,8 @@ def test_the_problem(problem):
     """
     assert (problem.reset, problem.length, len(problem.segments)) == (
         "partial",
-        LENGTH,
-        STEPS // LENGTH,
+        HORIZON,
+        STEPS // HORIZON,
     )
     assert problem.set_columns.sum() == 13
     assert problem.set_columns[BOX : BOX + 7].all()

@@ -8,7 +8,7 @@ import pytest
 from dropo import fit, hide, load
 from dropo.core.services.errors import SimulationFailed
 from dropo.problems.simulated.hidden import NOISE
-from dropo.problems.simulated.robots import machine
+from dropo.problems.simulated.robots import simulated_robot
 
 
 def test_masses_of_an_arm_are_found():
@@ -53,7 +53,7 @@ def test_walkers_load():
 def test_a_machine_that_falls_at_once_is_told():
     """No trajectory of a step; some that end early are left out."""
     rng = np.random.default_rng
-    arm = machine("torque-arm")
+    arm = simulated_robot("torque-arm")
     fallen = replace(arm, alive=lambda rows: np.zeros(len(rows), dtype=bool))
     with pytest.raises(SimulationFailed, match="None of 26 trajectories lasts a control step"):
         fallen.record(noise=1e-3, rng=rng(0))

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from dropo.problems.simulated.recording import record
-from dropo.problems.simulated.robots import machine
+from dropo.problems.simulated.robots import simulated_robot
 from tests.diagnosis.arms import instance
 
-ARM = machine("torque-arm")
+ARM = simulated_robot("torque-arm")
 STEPS = 20
 EPISODES = 6
 

@@ -1,5 +1,5 @@
-"""The arm that hits a puck: its hits keep to the arm's limits, the model moves as it should, and
-its target is another one.
+"""The arm that strikes a puck: its strikes keep to the arm's limits, the model moves as it should,
+and its target is another one.
 """
 
 import mujoco
@@ -8,7 +8,6 @@ import pytest
 
 from dropo.core.contracts.fit_by_name import estimator_for
 from dropo.core.services.errors import BadArgument
-from dropo.problems.panda import strikes as hitting
 from dropo.problems.panda.reaching import joint_path
 from dropo.problems.panda.sliding import (
     FRAME_SKIP,
@@ -23,7 +22,7 @@ from dropo.problems.panda.sliding import (
     sliding_spec,
     stops,
 )
-from dropo.problems.panda.strikes import hits, rest, speed_and_direction
+from dropo.problems.panda.strikes import StrikeSettings, rest, speed_and_direction, strikes
 
 STEP = 0.004  # [s] of control
 FASTEST = np.radians([110, 110, 128, 128, 204, 184, 184])  # [rad/s] the LWR4+'s limits
@@ -35,27 +34,29 @@ def model():
     return sliding_spec().compile()
 
 
-def commanded_speeds(model):
-    return np.abs(np.diff(hits(model, CORNERS, STEPS, STEP), axis=1)).max(axis=(0, 1)) / STEP
+def commanded_speeds(model, settings):
+    """The largest speed (7,) [rad/s] commanded to each joint."""
+    angles = strikes(model, CORNERS, STEPS, STEP, settings)
+    return np.abs(np.diff(angles, axis=1)).max(axis=(0, 1)) / STEP
 
 
-def test_hits_keep_to_the_arms_limits(model, monkeypatch):
-    """No joint is commanded beyond its range or its speed; the control: hits of twice the speed
-    are.
+def test_strikes_keep_to_the_arms_limits(model):
+    """No joint is commanded beyond its range or its speed; the control: strikes of twice the
+    speed are.
     """
-    angles = hits(model, CORNERS, STEPS, STEP)
+    angles = strikes(model, CORNERS, STEPS, STEP)
     assert (angles > model.jnt_range[:7, 0]).all()
     assert (angles < model.jnt_range[:7, 1]).all()
-    assert (commanded_speeds(model) < FASTEST).all()
-    monkeypatch.setattr(hitting, "SPEED", (0.8, 2.08))
-    assert (commanded_speeds(model) > FASTEST).any()
+    assert (commanded_speeds(model, StrikeSettings()) < FASTEST).all()
+    twice_as_fast = StrikeSettings(speed=(0.8, 2.08))
+    assert (commanded_speeds(model, twice_as_fast) > FASTEST).any()
 
 
 def test_the_blade_meets_the_puck_as_the_latent_says(model):
     """The commanded blade is fastest at the latent's speed, and in its direction; it starts where
-    every hit starts.
+    every strike starts.
     """
-    angles = hits(model, CORNERS, 1500, 0.001)
+    angles = strikes(model, CORNERS, 1500, 0.001)
     data = mujoco.MjData(model)
     path = np.empty((len(CORNERS), 1500, 3))
     for i, one in enumerate(angles):
@@ -91,8 +92,8 @@ def test_a_pose_out_of_reach_is_refused(model):
 
 
 def test_where_the_puck_stops():
-    """Farther after a faster hit and with less friction, aside with the direction; friction along x
-    does not slow a hit along y.
+    """Farther after a faster strike and with less friction, aside with the direction; friction
+    along x does not slow a strike along y.
     """
     simulator = sliding_simulator(1)
     assert len(simulator.space) == 18
@@ -130,8 +131,8 @@ def test_the_target_is_another_machine():
 
 
 def test_the_problem():
-    """Five hits from one start, replayed as wholes; the same seed, the same data; the truth and the
-    model lie in the box.
+    """Five strikes from one start, replayed as wholes; the same seed, the same data; the truth and
+    the model lie in the box.
     """
     problem = sliding(1)
     assert problem.reset == "start"
@@ -163,3 +164,10 @@ def test_reward_and_goals():
     assert [len(np.unique(GOALS[:, i])) for i in range(2)] == [3, 4]
     with pytest.raises(BadArgument, match="latents"):
         record(np.zeros((2, 3)), np.random.default_rng(0))
+
+
+def test_latents_may_be_lists():
+    """The same data as from an array."""
+    of_list = record([[0.5, 0.0]], np.random.default_rng(0))
+    of_array = record(np.array([[0.5, 0.0]]), np.random.default_rng(0))
+    np.testing.assert_array_equal(of_list.next_observations, of_array.next_observations)

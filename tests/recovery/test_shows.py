@@ -13,7 +13,7 @@ pytestmark = pytest.mark.study
 
 
 def needs(name):
-    """Skips, saying what is missing, where outside data are not at hand."""
+    """Skips, saying what is missing, where external data are not at hand."""
     if find_data(name) is None:
         pytest.skip(f"needs {name} in the folder that DROPO_DATA names")
 
@@ -36,7 +36,7 @@ def test_the_published_hopper_by_the_published_method(seed):
 
 
 def held_out_position_error(problem, values):
-    """Root mean square distance [m] of the cube after a horizon, over the tosses that no fit saw."""
+    """Root mean square distance [m] of the cube after a horizon, over the held-out tosses."""
     segments = problem.cut(problem.held_out)
     apart = (
         problem.simulator.predict(np.atleast_2d(values), segments)[0]

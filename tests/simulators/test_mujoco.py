@@ -12,7 +12,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.mjmodel.fields import FieldParameter
-from dropo.problems.simulated.robots import machine, masses
+from dropo.problems.simulated.robots import masses, simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.warnings import quiet
 from dropo.testing import check_simulator
@@ -479,11 +479,11 @@ def test_a_single_tree_does_not_look_for_islands(name):
     """With islands of constraints looked for, a machine of one tree does the same bit for bit; data
     with contacts.
     """
-    robot = machine(name, masses(name))
+    robot = simulated_robot(name, masses(name))
     segments = robot.record(noise=1e-3, rng=np.random.default_rng(0)).segments(10)
     values = np.asarray(robot.simulator.nominal) * np.array([[0.9], [1.0]])
     found = robot.simulator.predict(values, segments)
     assert robot.simulator.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
-    looking = machine(name, masses(name)).simulator
+    looking = simulated_robot(name, masses(name)).simulator
     looking.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     assert np.array_equal(found, looking.predict(values, segments))

@@ -1,5 +1,5 @@
-"""Figure 6.3 in small: laws found with the torso too light, policies under them, and the paired
-tests.
+"""Figure 6.3 in small: distributions found with the torso too light, policies under them, and the
+paired tests.
 """
 
 import json
@@ -17,8 +17,8 @@ from dropo.studies.tiboni_2021.light_torso import (
     TRUTH,
     UNIFORM,
     Training,
+    extended_model,
     found,
-    machine,
     trained,
     whole,
 )
@@ -27,13 +27,13 @@ TINY = Training(updates=2, episodes=4, steps=60)
 
 
 @pytest.fixture(autouse=True)
-def _without_outside_data(monkeypatch):
+def _without_external_data(monkeypatch):
     """The authors' data are left out: these tests need no files, and are the same everywhere."""
     monkeypatch.setattr(figure_6_3, "at_hand", lambda: False)
 
 
-def test_two_laws(tmp_path):
-    """A policy of each law, kept as tasks that name law and seed; the tables and the picture."""
+def test_two_distributions(tmp_path):
+    """A policy of each distribution, kept as tasks that name it and the seed; tables, picture."""
     path = tmp_path / "kept.jsonl"
     size = Size(transitions=20, bounds=2, distributions=(TRUTH, UNIFORM), training=TINY)
     study = figure_6_3.figure_6_3(Work(threads=1, path=path), 1, size=size)
@@ -66,10 +66,10 @@ def test_the_extended_model_has_the_torso_back():
     the motion is another.
     """
     target = whole()
-    right = machine([["body_mass", "body_mass:torso", [1.0]]])
+    right = extended_model([["body_mass", "body_mass:torso", [1.0]]])
     rows = [
         problem.simulator.predict(values[None], target.segments)
-        for problem, values in _true_masses(target, right, machine([]))
+        for problem, values in _true_masses(target, right, extended_model([]))
     ]
     np.testing.assert_allclose(rows[1], rows[0], atol=1e-6)
     assert np.abs(rows[2] - rows[0]).max() > 1e-4
@@ -80,8 +80,8 @@ def _true_masses(*problems):
 
 
 def test_a_fit_goes_to_training_as_it_is():
-    """The point estimate of the three masses, found with the light torso, is the law that a policy
-    is trained under.
+    """The point estimate of the three masses, found with the light torso, is the distribution that
+    a policy is trained under.
     """
     item = {"law": "least squares", "number": 0, "data": "6.1", "transitions": 20, "droid": 16}
     one = found(item)
@@ -107,7 +107,7 @@ def test_paired_differences():
 
 
 def test_holm():
-    """The example of three tests by hand: the least times three, the next times two, never falling."""
+    """Three tests by hand: the least times three, the next times two, never falling."""
     np.testing.assert_allclose(holm(np.array([0.04, 0.01, 0.03])), [0.06, 0.03, 0.06])
 
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from dropo.core.services import registry as catalogue
+from dropo.core.services import registry
 from dropo.core.services.errors import BadArgument, BadFile, Incompatible, UnknownName
 from dropo.studies.engine.pages import write
 from dropo.studies.engine.recover import recover
@@ -39,7 +39,7 @@ def draw(figure):
 
 @pytest.fixture(autouse=True)
 def _toy(monkeypatch):
-    monkeypatch.setitem(catalogue._registered, "studies", {"toy": toy})
+    monkeypatch.setitem(registry._registered, "studies", {"toy": toy})
 
 
 def test_what_is_written(tmp_path):
@@ -64,7 +64,8 @@ def test_the_block_of_a_readme_is_replaced(tmp_path):
     """The block alone, everything around it stays; a page without the block stays as it is."""
     page = tmp_path / "README.md"
     page.write_text(
-        "# Page\n\n<!-- study: toy -->\nold\n<!-- end -->\n\n<!-- study: other -->\nkept\n<!-- end -->\nEnd.\n"
+        "# Page\n\n<!-- study: toy -->\nold\n<!-- end -->\n\n"
+        "<!-- study: other -->\nkept\n<!-- end -->\nEnd.\n"
     )
     study = recover("toy", out=tmp_path)
     text = page.read_text()

@@ -5,8 +5,8 @@ import pytest
 
 from dropo.problems.hopper.model import FRAME_SKIP
 from dropo.studies.engine.work import Work
-from dropo.studies.related_methods.fits import METHODS, TRUTH, Machine, Size, fitted, item
-from dropo.studies.related_methods.study import study as related_methods
+from dropo.studies.related_methods import study as related_methods
+from dropo.studies.related_methods.fits import METHODS, TRUTH, Size, TargetRobot, fitted, item
 from dropo.studies.tiboni_2021.hopper_sets import MEAN, SPREAD, data_set
 
 SETTINGS = {
@@ -64,27 +64,27 @@ def test_without_training_there_are_no_returns(monkeypatch):
     assert "return" not in study.tables[0].header
 
 
-def machine(table="6.2"):
-    return Machine(table, data_set(table, "noisy", 0, 20)[0], SMALL)
+def target(table="6.2"):
+    return TargetRobot(table, data_set(table, "noisy", 0, 20)[0], SMALL)
 
 
-def test_the_machine_varies_as_its_table():
-    """Its law has the table's mean and spread, within 4.5 standard errors of 4000 draws; another
-    table's has not.
+def test_the_target_varies_as_its_table():
+    """Its distribution has the table's mean and spread, within 4.5 standard errors of 4000 draws;
+    another table's has not.
     """
-    draws = machine().distribution.sample(4000, 0)
+    draws = target().distribution.sample(4000, 0)
     error = np.maximum(SPREAD["6.2"], 1e-4) / np.sqrt(4000)
     assert (np.abs(draws.mean(axis=0) - MEAN) < 4.5 * error).all()
     assert draws.std(axis=0) == pytest.approx(SPREAD["6.2"], abs=4.5 * 0.5 / np.sqrt(8000))
-    assert machine("6.1").distribution.sample(100, 0).std(axis=0).max() < 1e-6
+    assert target("6.1").distribution.sample(100, 0).std(axis=0).max() < 1e-6
 
 
-def test_collected_data_carry_the_machine_s_noise():
+def test_collected_data_carry_the_target_s_noise():
     """Replayed with the true masses, residuals have the variance 1e-5 of the noise, within 4.5
     standard errors of 1,100 numbers; a torso 30 % too heavy leaves more.
     """
-    problem = machine("6.1").problem
-    data = machine("6.1").collect(100)(None, np.random.default_rng(0))
+    problem = target("6.1").problem
+    data = target("6.1").collect(100)(None, np.random.default_rng(0))
     segments = problem.cut(data)
     residuals = (
         problem.simulator.predict(np.stack([MEAN, MEAN * [1.3, 1, 1, 1]]), segments)
@@ -97,7 +97,7 @@ def test_collected_data_carry_the_machine_s_noise():
 
 def test_a_heavy_hopper_falls():
     """ADR's performance is 1 at the true masses and 0 at twice those; the steps made are told."""
-    one = Machine("6.1", machine("6.1").problem, Size(probe=250))
+    one = TargetRobot("6.1", target("6.1").problem, Size(probe=250))
     well, badly = (one.performance(values, np.random.default_rng(0)) for values in (MEAN, 2 * MEAN))
     assert (well.value, badly.value) == (1.0, 0.0)
     assert well.steps == 250 * FRAME_SKIP > badly.steps
@@ -106,7 +106,7 @@ def test_a_heavy_hopper_falls():
 def test_returns_are_those_of_trained_policies():
     """The steps of the search are told; the same seed gives the same return."""
     one, same = (
-        machine().evaluate(machine().distribution, np.random.default_rng(1)) for _ in range(2)
+        target().evaluate(target().distribution, np.random.default_rng(1)) for _ in range(2)
     )
     assert one == same
     assert one.transitions == 20

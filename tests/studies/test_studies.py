@@ -17,7 +17,7 @@ SMALL = Size(transitions=20, starts=1, droid=16, draws=8, published=(3, 12, 4))
 
 
 @pytest.fixture(autouse=True)
-def _without_outside_data(monkeypatch):
+def _without_external_data(monkeypatch):
     """The authors' data are left out: these tests need no files, and are the same everywhere."""
     monkeypatch.setattr(hopper_fits, "published", lambda which: [])
 
@@ -49,7 +49,7 @@ def test_table_6_1():
 
 
 def test_table_6_2(monkeypatch):
-    """Two data sets, without noise alone: random effects give each drawn sample's mean and spread."""
+    """Two data sets without noise: random effects give each drawn sample's mean and spread."""
     monkeypatch.setattr(distribution_recovery, "EPSILON", {"clean": 1e-8})
     study = table_6_2(Work(), 2, size=SMALL)
     rows = study.data["clean"]["data_sets"]["random effects"]

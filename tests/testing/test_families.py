@@ -14,13 +14,13 @@ from dropo.testing import check_family
 
 
 class SigmaForSd(TruncatedGaussian):
-    """Forgets that the cut makes the standard deviation smaller than sigma."""
+    """Forgets that truncation makes the standard deviation smaller than sigma."""
 
     def sd(self, phi):
         return self.scale(phi)
 
 
-class NotCut(TruncatedGaussian):
+class NotTruncated(TruncatedGaussian):
     """Draws from the whole Gaussian."""
 
     standard = NORMAL
@@ -60,7 +60,7 @@ class Clipped(TruncatedGaussian):
 
 
 class Escapes(TruncatedGaussian):
-    """Knows no bounds."""
+    """Ignores the feasible bounds."""
 
     def draw(self, phi, base):
         return self._draw(phi, base[0])
@@ -89,8 +89,8 @@ class Overwrites(Uniform):
         return self.mean(phi) + 2 * self.scale(phi) * base
 
 
-class NamesAnotherLaw(Uniform):
-    """Uniform draws under the name of a normal law."""
+class NamesAnother(Uniform):
+    """Uniform draws under the name of a normal distribution."""
 
     standard = NORMAL
 
@@ -106,7 +106,7 @@ class OneColumn(Uniform):
     ("broken", "words"),
     [
         (SigmaForSd, "the sd of 20000 draws of SigmaForSd is .* standard errors"),
-        (NotCut, "the sd of 20000 draws of NotCut"),
+        (NotTruncated, "the sd of 20000 draws of NotTruncated"),
         (OffCentre, "the mean of 20000 draws of OffCentre"),
         (OwnStream, "OwnStream.draw is not deterministic"),
         (Standardised, "a draw of Standardised depends on the base points of other draws"),
@@ -115,7 +115,7 @@ class OneColumn(Uniform):
         (WrongSign, "the correlation of 20000 draws of WrongSign"),
         (ScaleNotNamed, "ScaleNotNamed.unknowns has no 'scale.a'"),
         (Overwrites, "Overwrites.draw changes the base points"),
-        (NamesAnotherLaw, "NamesAnotherLaw names a standard law, but its draws are no affine map"),
+        (NamesAnother, "NamesAnother names a standard distribution, but its draws are no affine"),
         (OneColumn, r"OneColumn.draw gives shape \(64, 1\), not \(64, 3\)"),
     ],
 )
@@ -125,7 +125,7 @@ def test_broken_families_are_caught(broken: type[Family], words):
         check_family(broken)
 
 
-def test_too_few_draws_are_said():
+def test_too_few_draws_are_reported():
     """A check that could not tell a wrong mean says so, instead of passing."""
     with pytest.raises(AssertionError, match="30 draws of Uniform are too few"):
         check_family(Uniform, draws=30)

@@ -8,25 +8,25 @@ import pytest
 from dropo.core.contracts.likelihood import LogLikelihood
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.sampled_likelihood import SampledLikelihood
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.testing import check_likelihood
 
 
-class WrongConstant(Gaussian):
+class WrongConstant(MonteCarlo):
     """The normalising constant is 0.1 nat off."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
         return super()._log_density(predictions, targets, epsilon, noise) + 0.1
 
 
-class NoEpsilon(Gaussian):
+class NoEpsilon(MonteCarlo):
     """Ignores the noise variance where the covariance allows it."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
         return super()._log_density(predictions, targets, np.full_like(epsilon, 1e-9), noise)
 
 
-class PooledCovariance(Gaussian):
+class PooledCovariance(MonteCarlo):
     """Scales spreads by that of all rows, so that one row changes the others."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
@@ -37,14 +37,14 @@ class PooledCovariance(Gaussian):
         )
 
 
-class Sorted(Gaussian):
+class Sorted(MonteCarlo):
     """Gives the densities in another order."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
         return np.sort(super()._log_density(predictions, targets, epsilon, noise))
 
 
-class OwnNoise(Gaussian):
+class OwnNoise(MonteCarlo):
     """Draws fresh noise at each call."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
@@ -52,7 +52,7 @@ class OwnNoise(Gaussian):
         return super()._log_density(predictions + 0.1 * fresh, targets, epsilon, noise)
 
 
-class NotCentred(Gaussian):
+class NotCentred(MonteCarlo):
     """Second moments about zero instead of the mean."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
@@ -61,21 +61,21 @@ class NotCentred(Gaussian):
         )
 
 
-class Weighted(Gaussian):
+class Weighted(MonteCarlo):
     """Leaves the first draw out."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
         return super()._log_density(predictions[1:], targets, epsilon, noise)
 
 
-class Summed(Gaussian):
+class Summed(MonteCarlo):
     """Sums the rows by itself."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
         return super()._log_density(predictions, targets, epsilon, noise).sum()
 
 
-class Spoilt(Gaussian):
+class Spoilt(MonteCarlo):
     """Gives up on all rows where one simulation failed."""
 
     def log_density(self, predictions, targets, epsilon, noise=None):
@@ -83,14 +83,14 @@ class Spoilt(Gaussian):
         return rows if np.isfinite(rows).all() else np.full_like(rows, -np.inf)
 
 
-class Forgiving(Gaussian):
+class Forgiving(MonteCarlo):
     """Gives failed rows a number."""
 
     def log_density(self, predictions, targets, epsilon, noise=None):
         return np.maximum(super().log_density(predictions, targets, epsilon, noise), -1e6)
 
 
-class Infinite(Gaussian):
+class Infinite(MonteCarlo):
     """Takes equal predictions for certainty."""
 
     def _log_density(self, predictions, targets, epsilon, noise):
@@ -161,7 +161,7 @@ class Faulty:
     def bind(self, simulator, segments, family, epsilon, rng):
         if self.fault == "learn" and isinstance(epsilon, Noise):
             epsilon = epsilon.variance
-        return _Bound(Gaussian(50).bind(simulator, segments, family, epsilon, rng), self.fault, rng)
+        return _Bound(MonteCarlo(50).bind(simulator, segments, family, epsilon, rng), self.fault, rng)
 
 
 @pytest.mark.parametrize(
@@ -184,6 +184,6 @@ def test_broken_bindings_are_caught(fault, words):
         check_likelihood(Faulty(fault))
 
 
-def test_a_sound_binding_passes():
+def test_a_valid_binding_passes():
     """The control: without a fault the same wrapper is silent."""
     check_likelihood(Faulty("none"))

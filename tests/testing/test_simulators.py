@@ -27,7 +27,7 @@ CUTS = {
 
 
 @pytest.mark.parametrize("cut", CUTS)
-def test_a_sound_simulator_passes(cut):
+def test_a_valid_simulator_passes(cut):
     """The toy simulator, on segments of every kind."""
     check_simulator(SlidingBlock(), data().segments(**CUTS[cut]))
 

@@ -31,7 +31,7 @@ HOPPER = hopper_simulator(1)
 HALF = Uniform(HOPPER.space, HOPPER.nominal * 0.7, HOPPER.nominal * 1.3)
 
 
-def played(env, seed, actions):
+def episode(env, seed, actions):
     """Observations, rewards and ends under actions, until the first end."""
     out = [(env.reset(seed=seed)[0], 0.0, False, False)]
     for action in actions:
@@ -51,7 +51,7 @@ def same(one, other):
 
 
 def one_of(vector, i, seed, actions):
-    """Environment i of many, under the same actions as `played`; the others get other ones."""
+    """Environment i of many, under the same actions as `episode`; the others get other ones."""
     out = [(vector.reset(seed=seed - i)[0][i], 0.0, False, False)]
     for action in actions:
         everyone = np.tile(-action, (vector.num_envs, 1))
@@ -75,8 +75,8 @@ def test_gymnasium_is_its_own_where_nothing_is_drawn(name):
     """
     plain = gymnasium.make(name)
     actions = actions_for(plain)
-    expected = played(plain, 7, actions)
-    assert same(played(randomize(name), 7, actions), expected)
+    expected = episode(plain, 7, actions)
+    assert same(episode(randomize(name), 7, actions), expected)
     assert same(one_of(randomize(name, count=3), 1, 7, actions), expected)
 
 
@@ -89,12 +89,12 @@ def test_many_are_as_one(target, distribution):
     """
     single = randomize(target, distribution, noise=1e-3)
     actions = actions_for(single)
-    expected = played(single, 5, actions)
+    expected = episode(single, 5, actions)
     assert same(
         one_of(randomize(target, distribution, count=4, noise=1e-3, threads=2), 2, 5, actions),
         expected,
     )
-    assert not np.array_equal(played(single, 6, actions[:1])[1][0], expected[1][0])
+    assert not np.array_equal(episode(single, 6, actions[:1])[1][0], expected[1][0])
 
 
 def test_checked_by_gymnasium():
@@ -113,11 +113,11 @@ def test_draws_are_the_fits():
     env = distribution.randomize("Hopper-v5")
     drawn = []
     for seed in range(600):
-        told = env.reset(seed=seed)[1]["parameters"]
+        parameters = env.reset(seed=seed)[1]["parameters"]
         drawn.append(
             [env.unwrapped.model.body(body).mass[0] for body in ("torso", "thigh", "leg", "foot")]
         )
-        assert list(told.values()) == drawn[-1]
+        assert list(parameters.values()) == drawn[-1]
     drawn = np.array(drawn)
     assert np.all(np.abs(drawn.mean(axis=0) - distribution.mean) < 4.5 * 0.2 / np.sqrt(600))
     assert np.all(np.abs(drawn.std(axis=0) - 0.2) < 4.5 * 0.2 / np.sqrt(1200))
@@ -147,8 +147,8 @@ def test_a_saved_fit_knows_its_places(tmp_path):
     assert not any(isinstance(p, FieldParameter) for p in back.space)
     actions = actions_for(gymnasium.make("Hopper-v5"))
     assert same(
-        played(back.randomize("Hopper-v5"), 3, actions),
-        played(distribution.randomize("Hopper-v5"), 3, actions),
+        episode(back.randomize("Hopper-v5"), 3, actions),
+        episode(distribution.randomize("Hopper-v5"), 3, actions),
     )
 
 
@@ -162,8 +162,8 @@ def test_noise_is_what_the_fit_learned():
     actions = [np.array([0.5])] * 30
     errors = []
     for seed in range(20):
-        one = played(noisy, seed, actions)
-        other = played(clean, seed, actions)
+        one = episode(noisy, seed, actions)
+        other = episode(clean, seed, actions)
         errors += [a[0] - b[0] for a, b in zip(one, other, strict=True)]
         assert [a[1:] for a in one] == [b[1:] for b in other]
     variance = np.var(errors, axis=0)
@@ -180,10 +180,10 @@ def test_late_commands_of_an_extended_problem():
     late = [(instance, np.array([0.016]))]
     actions = actions_for(gymnasium.make("Hopper-v5"))
     delayed = [np.zeros(3), np.zeros(3), *actions]
-    plain = played(gymnasium.make("Hopper-v5"), 2, actions)
-    found = played(randomize("Hopper-v5", effects=late), 2, delayed)
+    plain = episode(gymnasium.make("Hopper-v5"), 2, actions)
+    found = episode(randomize("Hopper-v5", effects=late), 2, delayed)
     assert not np.array_equal(plain[5][0], found[5][0])
-    shifted = played(
+    shifted = episode(
         gymnasium.make("Hopper-v5"),
         2,
         [np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), *actions],
@@ -198,15 +198,15 @@ def test_late_commands_of_an_extended_problem():
     )
     push = [np.array([0.0]), *[np.array([1.0])] * 8]
     one, other = (
-        np.array([row[0] for row in played(randomize(p), 0, push)]) for p in (base, extended)
+        np.array([row[0] for row in episode(randomize(p), 0, push)]) for p in (base, extended)
     )
     np.testing.assert_allclose(other[3:], one[1:-2], atol=0.2)
     np.testing.assert_array_equal(other[:4, 1], np.zeros(4))
     assert np.all(one[2:4, 1] > 0)
 
 
-def test_widening():
-    """No spread at the start, all of it at the end, in between a share; through the same
+def test_a_curriculum_grows():
+    """No spread at the start, all of it at the end, in between a fraction; through the same
     environment.
     """
     space = cart().space
@@ -219,7 +219,7 @@ def test_widening():
     np.testing.assert_allclose(spread, np.array([0.1, 0.55, 1, 1]) * 3 / np.sqrt(12), rtol=0.12)
     env = randomize(cart(), Curriculum(Uniform(space), 60))
     assert env.reset(seed=0)[1]["parameters"] == {"mass": 2.5, "damping": 0.55}
-    played(env, 1, [np.zeros(1)] * 40)
+    episode(env, 1, [np.zeros(1)] * 40)
     assert env.reset(seed=2)[1]["parameters"]["mass"] != 2.5
 
 
@@ -329,6 +329,6 @@ def test_an_environment_that_changes_its_actions():
             return super().step(np.asarray(action) / 2)
 
     actions = actions_for(gymnasium.make("Hopper-v5"))
-    found = played(randomize(Halved()), 3, actions)
-    plain = played(gymnasium.make("Hopper-v5"), 3, [action / 2 for action in actions])
+    found = episode(randomize(Halved()), 3, actions)
+    plain = episode(gymnasium.make("Hopper-v5"), 3, [action / 2 for action in actions])
     assert same(found[: len(plain)], plain)

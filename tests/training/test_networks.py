@@ -27,14 +27,14 @@ def problem():
 @pytest.mark.parametrize("name", ["sac", pytest.param("ppo", marks=pytest.mark.study)])
 def test_trained_resumed_and_kept(name, problem, tmp_path):
     """With the thesis' layers; an interrupted training goes on with the steps that are left; the
-    file plays the same.
+    file acts the same.
     """
     distribution = fit_of(problem.space, [2.0, 0.5], [0.2, 0.05], epsilon=1e-6)
     algorithm = ALGORITHMS[name]
     seen = []
 
-    def stop(share, text):
-        if share > 0.8:
+    def stop(fraction, text):
+        if fraction > 0.8:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -44,7 +44,7 @@ def test_trained_resumed_and_kept(name, problem, tmp_path):
         distribution,
         algorithm,
         out=tmp_path,
-        progress=lambda share, text: seen.append(share),
+        progress=lambda fraction, text: seen.append(fraction),
     )
     assert seen[0] > 0.5, "the first half is not done again"
     assert policy.about["control_steps"] == algorithm.steps

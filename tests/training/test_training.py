@@ -1,5 +1,5 @@
 """Policies: found, the same on any number of threads and after an interruption, kept as files, and
-judged.
+evaluated.
 """
 
 import json
@@ -86,11 +86,11 @@ def test_threads_do_not_matter(problem, distribution, policy):
 @pytest.mark.parametrize("stop_at", [0.2, 0.6])
 def test_an_interrupted_search_goes_on(stop_at, problem, distribution, policy, tmp_path):
     """To the same policy, with nothing done twice; what cannot be read is refused."""
-    shares = []
+    fractions = []
 
-    def stop(share, text):
-        shares.append(share)
-        if share > stop_at:
+    def stop(fraction, text):
+        fractions.append(fraction)
+        if fraction > stop_at:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -103,11 +103,11 @@ def test_an_interrupted_search_goes_on(stop_at, problem, distribution, policy, t
             QUICK,
             rng=1,
             out=tmp_path,
-            progress=lambda share, text: again.append(share),
+            progress=lambda fraction, text: again.append(fraction),
         ),
         policy,
     )
-    assert len(shares) + len(again) == QUICK.updates
+    assert len(fractions) + len(again) == QUICK.updates
     (tmp_path / "ars.npz").write_bytes(b"broken")
     with pytest.raises(BadFile, match="a search that was interrupted"):
         train(problem, distribution, QUICK, rng=1, out=tmp_path)
@@ -129,13 +129,13 @@ def test_the_bonus_does_not_count_in_the_search(distribution):
     np.testing.assert_allclose(histories[1][:, 2] - histories[0][:, 2], 1e6 * STEPS, rtol=1e-6)
 
 
-def test_observations_are_normalised_by_what_was_seen():
+def test_observations_are_normalised_by_those_made():
     """Mean and deviation of all rows, as NumPy has them; 1 where nothing varies."""
     search = Search.new(1, 3)
     rng = np.random.default_rng(0)
     parts = [np.column_stack([rng.normal(5, 3, (n, 2)), np.full(n, 7.0)]) for n in (4, 1, 90)]
     for part in parts:
-        search.see(part)
+        search.add_observations(part)
     np.testing.assert_allclose(search.mean, np.concatenate(parts).mean(axis=0))
     np.testing.assert_allclose(search.deviation, [*np.concatenate(parts)[:, :2].std(axis=0), 1.0])
 
@@ -188,7 +188,7 @@ def test_returns(policy, problem):
 
 
 def test_the_target_has_its_true_parameters(policy, problem):
-    """Those of the problem, where they are known; a law of one's own replaces them."""
+    """Those of the problem, where they are known; another distribution replaces them."""
     true = Point(problem.space, np.array([2.0, 0.5]))
     found = evaluate(policy, problem, episodes=5)
     np.testing.assert_array_equal(
@@ -200,8 +200,8 @@ def test_the_target_has_its_true_parameters(policy, problem):
     )
 
 
-def test_a_law_that_widens(problem, policy):
-    """Its share follows the training's steps, across an interruption too; trials and evaluation are
+def test_a_curriculum(problem, policy):
+    """Its width follows the training's steps, across an interruption too; trials and evaluation are
     at its full width.
     """
     distribution = Curriculum(Uniform(problem.space), 10**9)
@@ -230,7 +230,7 @@ def test_motion(policy, problem):
     assert model.nu == 1
 
 
-def test_broken_episodes_are_played_again(policy):
+def test_broken_episodes_are_run_again(policy):
     """From another draw, and counted; where all break, that is an error with the draw."""
 
     def flung(rng, n):

@@ -50,7 +50,7 @@ class _Coordinates:
         )
 
     def slope(self, phi: Array) -> Array:
-        """d phi / d theta (m,)."""
+        """D phi / d theta (m,)."""
         return np.where(self.square, 0.5 / np.maximum(phi, 1e-300), np.where(self.log, phi, 1.0))
 
     def limit(self, theta: Array, target: Array) -> Array:

@@ -24,7 +24,7 @@ class LogLikelihood(ABC):
     has_gradients = False
 
     def __call__(self, phi: ArrayLike) -> float:
-        """log L(phi) = sum of the rows [nats] (thesis, eq. 5.6); -inf where a simulation failed; a
+        """Log L(phi) = sum of the rows [nats] (thesis, eq. 5.6); -inf where a simulation failed; a
         tensor () of a tensor.
         """
         rows = self.rows(phi)

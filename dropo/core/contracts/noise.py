@@ -108,7 +108,7 @@ class NoiseModel:
         return shape * own if self.unknowns else shape
 
     def slopes(self) -> Array:
-        """d epsilon / d own unknown (n, p)."""
+        """D epsilon / d own unknown (n, p)."""
         n = len(self.unknowns)
         return (
             np.diag(self.shape) if n == len(self.shape) else np.repeat(self.shape[None], n, axis=0)

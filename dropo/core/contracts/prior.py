@@ -136,7 +136,7 @@ class LogPrior:
 
 
 def _slope(distribution: Any, x: Array) -> Array:
-    """d log density / dx by central differences; from one side at the ends of the law's support, 0
+    """D log density / dx by central differences; from one side at the ends of the law's support, 0
     outside.
     """
     step = STEP * (distribution.ppf(0.75) - distribution.ppf(0.25))

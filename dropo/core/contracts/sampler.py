@@ -152,7 +152,7 @@ def _with_gradients(log_density: Any, space: ParameterSpace, caller: str) -> Den
 
 
 def _slopes(space: ParameterSpace, values: Array) -> Array:
-    """d value / d unit coordinate of each parameter, at values (..., d)."""
+    """D value / d unit coordinate of each parameter, at values (..., d)."""
     ratio = space.high / np.where(space.is_log, space.low, 1.0)
     return np.where(
         space.is_log, values * np.log(np.where(space.is_log, ratio, math.e)), space.high - space.low

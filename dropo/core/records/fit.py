@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from dropo.core.records.fit_parts import (
 )
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.search_records import SearchRecord
-from dropo.core.services.registry import find
+from dropo.core.services.registry import find, service
 from dropo.core.services.tables import Report, Table
 from dropo.core.services.validation import Array, require
 
@@ -196,8 +195,7 @@ class Fit(Report):
         gymnasium.Env or gymnasium.vector.VectorEnv
             Its observations carry the noise that the fit learned.
         """
-        module = import_module("dropo.training.environments")
-        return module.randomize(target, self, count, **options)
+        return service("randomize")(target, self, count, **options)
 
     def interval(self, level: float = 0.95) -> Array:
         """Confidence intervals of the means, cut at the search interval.

@@ -66,7 +66,7 @@ class Parameter:
 
     @property
     def width(self) -> float:
-        """high - low."""
+        """High - low."""
         return self.high - self.low
 
     @property

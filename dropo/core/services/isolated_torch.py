@@ -9,7 +9,7 @@ _one = threading.RLock()  # torch has one random stream for all threads of a pro
 
 @contextmanager
 def isolated_torch(seed: int) -> Iterator[None]:
-    """torch on one thread, since a handful of numbers gains nothing from more, and seeded; as it
+    """Torch on one thread, since a handful of numbers gains nothing from more, and seeded; as it
     was before, afterwards.
 
     Another thread that asks for the same waits, so that each gets its own numbers.

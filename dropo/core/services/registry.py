@@ -60,7 +60,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "adr": "dropo.estimators.adr:ADR",
     },
     "likelihoods": {
-        "monte-carlo": "dropo.likelihoods.monte_carlo:Gaussian",
+        "monte-carlo": "dropo.likelihoods.monte_carlo:MonteCarlo",
         "emulated": "dropo.likelihoods.emulated:Emulated",
         "linear": "dropo.likelihoods.linear:Linear",
         "unscented": "dropo.likelihoods.unscented:Unscented",
@@ -155,6 +155,8 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "related-methods": "dropo.studies.related_methods.study:related_methods",
     },
 }
+SERVICES = {"randomize": "dropo.training.environments:randomize"}
+"""What a room asks of one above it, by name: the registry is the only place for such strings."""
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}
 
 
@@ -182,9 +184,19 @@ def find(kind: str, name: str) -> Any:
     if name in _registered[kind]:
         return _registered[kind][name]
     if name in BUILT_IN[kind]:
-        module, attribute = BUILT_IN[kind][name].split(":")
-        return getattr(importlib.import_module(module), attribute)
+        return _imported(BUILT_IN[kind][name])
     return _outside(kind)[name].load()
+
+
+def service(name: str) -> Any:
+    """The function of a higher room that goes by this name in `SERVICES`."""
+    return _imported(SERVICES[name])
+
+
+def _imported(place: str) -> Any:
+    """What "module:attribute" names."""
+    module, attribute = place.split(":")
+    return getattr(importlib.import_module(module), attribute)
 
 
 @cache

@@ -137,7 +137,8 @@ def _deviations(seen: LinearizedWindows) -> Array:
 
 def _pit(seen: LinearizedWindows, entries: int) -> Array:
     """Probabilities below the residuals of some steps, made independent by the Cholesky factor of
-    each window's covariance."""
+    each window's covariance.
+    """
     p = len(seen.whiten.sigma)
     good = ~seen.lost
     length = seen.windows.length

@@ -1,5 +1,6 @@
 """Whether anything smooth in state and command still predicts the residuals of windows that nothing
-was fitted to."""
+was fitted to.
+"""
 
 from dataclasses import dataclass
 

@@ -121,7 +121,7 @@ def unexplained_force(
 
 
 def _answers(library: Library, seen: LinearizedWindows, instances: list[EffectInstance]) -> Array:
-    """d residual / d force (W, n, pieces nv)."""
+    """D residual / d force (W, n, pieces nv)."""
     free = np.concatenate([library.places[instance.label] for instance in instances])
     push = library.steps[free]
     tried = np.repeat(seen.theta[None], len(free), axis=0)

@@ -57,7 +57,7 @@ class Library:
         )
 
     def slopes(self, theta: Array, free: np.ndarray, windows: Windows, share: float = 1.0) -> Array:
-        """d prediction / d theta (f, W, n) in the free numbers, by central differences within the
+        """D prediction / d theta (f, W, n) in the free numbers, by central differences within the
         bounds; share: of `steps`.
         """
         space = self.simulator.space
@@ -78,7 +78,8 @@ class Library:
 @dataclass(frozen=True, eq=False)
 class LinearizedWindows:
     """Windows under theta (m,) and sigma (p,): residuals (W, n), the curvature's part of the
-    predictions (W, n), and the whitener. `lost` (W,) are those that diverge."""
+    predictions (W, n), and the whitener. `lost` (W,) are those that diverge.
+    """
 
     windows: Windows
     theta: Array
@@ -198,7 +199,7 @@ def whitener(
 
 
 def noise_of(seen: LinearizedWindows, sigma: Array, floor: Array, rounds: int = 60) -> Array:
-    """sigma (p,) that the windows are most likely under, at the theta of a look."""
+    """Sigma (p,) that the windows are most likely under, at the theta of a look."""
     good = ~seen.lost
     return learn_noise(
         seen.loadings[good],

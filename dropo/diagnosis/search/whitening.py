@@ -133,7 +133,7 @@ def learn_noise(
     rounds: int = 60,
     tolerance: float = 1e-3,
 ) -> tuple[Array, Array]:
-    """sigma (p,), tied between the start and all steps, and the sd of unexplained forces (nv,), by
+    """Sigma (p,), tied between the start and all steps, and the sd of unexplained forces (nv,), by
     over-relaxed EM.
 
     loadings: (W, n, s p + k), the first p columns those of the start's error, others beside it as

@@ -1,5 +1,6 @@
 """Windows of several steps, every step compared, and how they are split into those that a fit sees
-and those that evaluate it."""
+and those that evaluate it.
+"""
 
 from dataclasses import dataclass
 

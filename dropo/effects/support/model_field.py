@@ -58,7 +58,6 @@ class Field:
 
     def change(self, entries: Sequence[Entry]) -> Callable[[Any, Array], None]:
         """A model hook that adds sizes[0] to the entries."""
-
         return partial(_add, self.field, tuple(entry.place for entry in entries))
 
     def _number(self, model: Any, entries: Sequence[Entry], unit: str) -> Quantity:

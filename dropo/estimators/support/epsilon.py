@@ -1,13 +1,12 @@
-"""The variance of the noise: by a sweep over given values (thesis, section 5.3), or what a learned
-one starts from.
-"""
+"""The variance of the noise: chosen by a sweep, or the scale from which it is learned."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.estimator import Progress, Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.diverged_simulations import flat
 from dropo.core.records.fit import Fit, Status
@@ -15,33 +14,89 @@ from dropo.core.records.fit_choices import NoiseTrial, NoiseTuning
 from dropo.core.services.validation import Array
 from dropo.estimators.least_squares import estimate, misfit
 
-PERFECT = 1e-8  # of a signal's variance: less noise than that is not claimed
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """What limits the variances of the noise.
+
+    Attributes
+    ----------
+    lowest : float
+        Least variance that residuals can give, as a fraction of the signal's variance.
+    accepted : float
+        A sweep without a threshold accepts this multiple of its least mean squared error.
+    rounding : float
+        What is added to that, as a fraction of the variance of all targets, so that errors which
+        differ by rounding alone are all accepted.
+    """
+
+    lowest: float = 1e-8
+    accepted: float = 1.1
+    rounding: float = 1e-10
+
+
+DEFAULTS = NoiseSettings()
 
 
 def noise_scale(problem: Problem, run: Run) -> Array:
-    """(p,) what each signal's own learned epsilon is a factor of, in [1e-8, 1e4]: the measured
-    signal's variance.
+    """Find the variances that learned noise, one for each signal, is a factor of.
 
-    So a learned epsilon stays above (1e-4 of the signal's standard deviation)^2: a signal that the
-    model explains perfectly would otherwise outweigh all others without bound. Signals that do not
-    vary, and rotations, whose targets are angles of 0, go by the misfit in the middle of the box.
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+        Counts the simulation, if one is needed.
+
+    Returns
+    -------
+    (p,) array
+        The variance of each measured signal. Signals that do not vary, and rotations, whose targets
+        are angles of 0, have their mean squared error in the middle of the box.
+
+    Raises
+    ------
+    SimulationFailed
+        If that simulation diverges.
+
+    Notes
+    -----
+    Factors lie in [1e-8, 1e4], so that a learned standard deviation is at least 1e-4 of the
+    signal's: a signal that the model explains perfectly would outweigh all others without bound.
     """
     targets = problem.simulator.targets(problem.segments)
     variance = np.var(targets, axis=0)
-    still = flat(targets)
-    return np.where(still, misfit(problem, run), variance) if still.any() else variance
+    constant = flat(targets)
+    if not constant.any():
+        return variance
+    return np.where(constant, misfit(problem, run), variance)
 
 
-def noise_shape(problem: Problem, run: Run) -> Array:
-    """(p,) what one learned factor on all variances is a factor of: the problem's own, else what
-    least squares leaves.
+def noise_shape(problem: Problem, run: Run, settings: NoiseSettings = DEFAULTS) -> Array:
+    """Find the variances that one learned factor multiplies.
 
-    The latter are kept above (1e-4 of a signal's standard deviation)^2, as in `noise_scale`.
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+        Counts the simulations.
+    settings : NoiseSettings
+
+    Returns
+    -------
+    (p,) array
+        The problem's own noise variances; without such, those of the residuals of least squares,
+        but no less than `settings.lowest` of the signal's variance.
+
+    Raises
+    ------
+    SimulationFailed
+        If least squares meets a simulation that diverges.
     """
     if problem.epsilon is not None:
         return np.asarray(problem.epsilon, dtype=float)
-    spread = np.var(problem.simulator.targets(problem.segments), axis=0)
-    return np.maximum(estimate(problem, run).noise, np.maximum(PERFECT * spread, 1e-300))
+    variance = np.var(problem.simulator.targets(problem.segments), axis=0)
+    lowest = np.maximum(settings.lowest * variance, 1e-300)
+    return np.maximum(estimate(problem, run).noise, lowest)
 
 
 def tune(
@@ -50,43 +105,62 @@ def tune(
     threshold: float | None,
     problem: Problem,
     run: Run,
+    settings: NoiseSettings = DEFAULTS,
 ) -> Fit:
-    """The fit at the smallest epsilon of the sweep with an acceptable mean squared error (thesis,
-    section 5.3, figure 6.4).
+    """Choose the smallest noise variance of a sweep whose fit has an acceptable error.
 
-    Without a threshold, acceptable is at most 1.1 times the least of the sweep. Its table is the
-    fit's `noise_tuning`.
+    Parameters
+    ----------
+    fit_at : callable
+        Fits with one noise variance for all signals.
+    sweep : sequence of float
+        The variances to try [signal unit^2].
+    threshold : float or None
+        The largest mean squared error that is accepted. None: 1.1 times the least of the sweep.
+    problem : Problem
+    run : Run
+        Its progress is shown over the whole sweep.
+    settings : NoiseSettings
+
+    Returns
+    -------
+    Fit
+        The chosen one, with the table of all in `noise_tuning`. If none is accepted, that of the
+        least error, with a warning. An interrupted sweep chooses from what is done.
+
+    References
+    ----------
+    Tiboni 2021, section 5.3 and figure 6.4.
     """
     fits: list[Fit] = []
-    report = run.progress
-    for i, epsilon in enumerate(sorted(sweep)):
-        run.progress = lambda share, text, i=i, e=epsilon: report(
-            (i + share) / len(sweep), f"epsilon {e:.0e}: {text}"
-        )  # type: ignore[misc]
+    whole = run.progress
+    for place, epsilon in enumerate(sorted(sweep)):
+        run.progress = partial(_show_part, whole, place, len(sweep), epsilon)
         fits.append(fit_at(epsilon))
         if fits[-1].status is Status.INTERRUPTED:
             break
-    run.progress = report
-    least = min(fit.mse for fit in fits)
-    limit = (
-        1.1 * least + 1e-10 * float(np.var(problem.segments.targets))
-        if threshold is None
-        else threshold
-    )
+    run.progress = whole
+
+    limit = threshold
+    if limit is None:
+        rounding = settings.rounding * float(np.var(problem.segments.targets))
+        limit = settings.accepted * min(fit.mse for fit in fits) + rounding
+    trials = []
+    for fit in fits:
+        variance = float(np.sum(fit.sd**2))
+        trials.append(NoiseTrial(float(fit.epsilon[0]), variance, fit.mse, fit.log_likelihood))
+    tuning = NoiseTuning(tuple(trials), limit)
+
     accepted = [fit for fit in fits if fit.mse <= limit]
-    trials = tuple(
-        NoiseTrial(float(fit.epsilon[0]), float(np.sum(fit.sd**2)), fit.mse, fit.log_likelihood)
-        for fit in fits
-    )
-    best = accepted[0] if accepted else min(fits, key=lambda fit: fit.mse)
-    note = (
-        ()
-        if accepted
-        else (
-            (
-                f"no epsilon of the sweep reaches the mean squared error {limit:.3g}; the "
-                "least is shown"
-            ),
-        )
-    )
-    return replace(best, warnings=(*best.warnings, *note), noise_tuning=NoiseTuning(trials, limit))
+    if accepted:
+        return replace(accepted[0], noise_tuning=tuning)
+    best = min(fits, key=lambda fit: fit.mse)
+    note = f"no epsilon of the sweep reaches the mean squared error {limit:.3g}; the least is shown"
+    return replace(best, warnings=(*best.warnings, note), noise_tuning=tuning)
+
+
+def _show_part(
+    whole: Progress, place: int, count: int, epsilon: float, fraction: float, text: str
+) -> None:
+    """Show the progress of one fit as a part of the sweep's."""
+    whole((place + fraction) / count, f"epsilon {epsilon:.0e}: {text}")

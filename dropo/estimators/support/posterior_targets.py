@@ -1,4 +1,4 @@
-"""What a posterior is a posterior of: log-likelihoods of many phi at once, with the prior on top."""
+"""What is sampled: log-likelihoods of many phi at once, and their sum with a prior."""
 
 from dataclasses import replace
 from typing import Protocol
@@ -15,22 +15,46 @@ from dropo.core.services.validation import Array
 
 
 class Target(Protocol):
-    """A log-likelihood of phi (m,), many phi at once.
+    """A log-likelihood of many phi (m,) at once.
 
-    many: (W, m) -> (W,) [nats]; epsilon: (m,) -> (p,) the noise variances; mean: (m,) -> (R, p) the
-    mean prediction.
+    Attributes
+    ----------
+    unknowns : ParameterSpace
+        Of the m numbers of phi.
     """
 
     unknowns: ParameterSpace
 
-    def many(self, phi: Array) -> Array: ...
-    def epsilon(self, phi: Array) -> Array: ...
-    def mean(self, phi: Array) -> Array: ...
+    def many(self, phi: Array) -> Array:
+        """Return the log-likelihoods (W,) of W phi (W, m) [nats]."""
+
+    def epsilon(self, phi: Array) -> Array:
+        """Return the noise variances (p,) of one phi (m,)."""
+
+    def mean(self, phi: Array) -> Array:
+        """Return the mean prediction (R, p) of one phi (m,)."""
 
 
 class PointLikelihood:
-    """log p(data | xi, epsilon) = sum over rows of log N(target; prediction under xi,
-    diag(epsilon)): one xi for all the data.
+    """The Gaussian likelihood of parameters that are the same in all rows.
+
+    Parameters
+    ----------
+    problem : Problem
+    epsilon : Epsilon
+        The noise variances, given or learned.
+
+    Raises
+    ------
+    BadArgument
+        If a variance is 0.
+    Incompatible
+        If the noise is on the start states too, or is no Gaussian.
+
+    Notes
+    -----
+    log p(data | xi, epsilon) is the sum over the rows of
+    log N(target; prediction under xi, diag(epsilon)).
     """
 
     def __init__(self, problem: Problem, epsilon: Epsilon):
@@ -38,35 +62,36 @@ class PointLikelihood:
         self.segments = problem.segments
         self.size = len(problem.space)
         self.targets = self.simulator.targets(self.segments)
-        self.noise = (
-            NoiseModel(epsilon, self.targets.shape[1])
-            .positive("a posterior")
-            .plain("A posterior without likelihood")
-        )
+        noise = NoiseModel(epsilon, self.targets.shape[1])
+        self.noise = noise.positive("a posterior").plain("A posterior without likelihood")
         self.unknowns = ParameterSpace((*problem.space, *self.noise.unknowns))
 
     def many(self, phi: Array) -> Array:
-        """(W, m) -> (W,) log-likelihood [nats]; NaN where a simulation failed."""
+        """Return the log-likelihoods (W,) of W phi (W, m) [nats]; NaN if a simulation failed."""
         variance = np.array([self.epsilon(p) for p in phi])[:, None]  # (W, 1, p)
-        errors = (
-            self.simulator.predict(phi[:, : self.size], self.segments) - self.targets
-        )  # (W, R, p)
-        return np.asarray(
-            -0.5 * (errors**2 / variance + np.log(2 * np.pi * variance)).sum(axis=(1, 2))
-        )
+        predictions = self.simulator.predict(phi[:, : self.size], self.segments)
+        errors = predictions - self.targets  # (W, R, p)
+        density = errors**2 / variance + np.log(2 * np.pi * variance)
+        return np.asarray(-0.5 * density.sum(axis=(1, 2)))
 
     def epsilon(self, phi: Array) -> Array:
-        """(p,) the noise variances."""
+        """Return the noise variances (p,) of one phi (m,)."""
         return self.noise.epsilon(phi[self.size :])
 
     def mean(self, phi: Array) -> Array:
-        """(R, p) the prediction."""
+        """Return the prediction (R, p) under one phi (m,)."""
         prediction: Array = self.simulator.predict(phi[None, : self.size], self.segments)[0]
         return prediction
 
 
 class OneByOne:
-    """A log-likelihood over a family's members, for many of them."""
+    """A log-likelihood of a family's members, evaluated for many of them in turn.
+
+    Parameters
+    ----------
+    bound : LogLikelihood
+        The likelihood of one member.
+    """
 
     def __init__(self, bound: LogLikelihood):
         self.bound = bound
@@ -75,17 +100,23 @@ class OneByOne:
         self.mean = bound.mean
 
     def many(self, phi: Array) -> Array:
-        """(W, m) -> (W,) log-likelihood [nats]."""
+        """Return the log-likelihoods (W,) of W phi (W, m) [nats]."""
         return np.array([self.bound(p) for p in phi])
 
     def rows(self, phi: Array) -> Array:
-        """(W, m) -> (W, R) log density of each compared row [nats]."""
+        """Return the log density of each compared row (W, R) under W phi (W, m) [nats]."""
         return np.array([self.bound.rows(p) for p in phi])
 
 
 class Local(OneByOne):
-    """A local log-likelihood, from which gradients come where it has them; `best` (m,) is near its
-    maximum.
+    """A local log-likelihood of a family's members, with gradients if it has them.
+
+    Parameters
+    ----------
+    bound : LocalLogLikelihood
+        The likelihood of one member.
+    best : (m,) array
+        A point near its maximum.
     """
 
     def __init__(self, bound: LocalLogLikelihood, best: Array):
@@ -94,25 +125,39 @@ class Local(OneByOne):
         self.best = np.clip(best, self.unknowns.low, self.unknowns.high)
 
     def value_score_information(self, phi: Array) -> tuple[Array, Array]:
-        """(W, m) -> log-likelihoods (W,) [nats] and their gradients (W, m)."""
-        parts = [self.bound.value_score_information(p)[:2] for p in phi]
-        return np.array([value for value, _ in parts]), np.array(
-            [scores.sum(axis=0) for _, scores in parts]
-        )
+        """Return log-likelihoods (W,) [nats] and their gradients (W, m) at W phi (W, m)."""
+        values = []
+        gradients = []
+        for p in phi:
+            value, scores, _ = self.bound.value_score_information(p)
+            values.append(value)
+            gradients.append(scores.sum(axis=0))
+        return np.array(values), np.array(gradients)
 
     def rename(self, space: ParameterSpace) -> None:
-        """The unknowns "mean.x" of a family without spread as the parameters x themselves, on their
-        own scales.
+        """Call the unknowns "mean.x" of a family without spread by the parameters x themselves.
+
+        Parameters
+        ----------
+        space : ParameterSpace
+            The parameters, whose scales the unknowns get too.
         """
-        own = [
-            replace(p, name=q.name, scale=q.scale)
-            for p, q in zip(self.unknowns, space, strict=False)
-        ]
+        own = []
+        for unknown, parameter in zip(self.unknowns, space, strict=False):
+            own.append(replace(unknown, name=parameter.name, scale=parameter.scale))
         self.unknowns = ParameterSpace((*own, *self.unknowns.parameters[len(space) :]))
 
 
 class LogPosterior:
-    """Log-likelihood + log prior, a density over the unit box; (W, m) -> (W,)."""
+    """The sum of a log-likelihood and a log prior: phi (W, m) to log densities (W,).
+
+    Parameters
+    ----------
+    target : Target
+        The log-likelihood.
+    prior : LogPrior
+        A density over the unit box.
+    """
 
     def __init__(self, target: Target, prior: LogPrior):
         self.target = target
@@ -123,23 +168,38 @@ class LogPosterior:
 
 
 class SmoothLogPosterior(LogPosterior):
-    """The same with its gradient."""
+    """A log posterior with gradients.
+
+    Parameters
+    ----------
+    target : Local
+        A log-likelihood with gradients.
+    prior : LogPrior
+        A density over the unit box.
+    """
 
     def __init__(self, target: Local, prior: LogPrior):
         super().__init__(target, prior)
         self.local = target
 
     def value_score_information(self, phi: Array) -> tuple[Array, Array]:
-        """(W, m) -> (W,), (W, m)."""
+        """Return log densities (W,) and their gradients (W, m) at W phi (W, m)."""
         values, gradients = self.local.value_score_information(phi)
         return values + self.prior(phi), gradients + self.prior.gradient(phi)
 
 
 def log_posterior(target: Target, prior: LogPrior) -> LogPosterior:
-    """With gradients where the likelihood has them."""
-    smooth = isinstance(target, Local) and target.bound.has_gradients
-    return (
-        SmoothLogPosterior(target, prior)
-        if isinstance(target, Local) and smooth
-        else LogPosterior(target, prior)
-    )
+    """Add a prior to a log-likelihood, with gradients if the likelihood has them.
+
+    Parameters
+    ----------
+    target : Target
+    prior : LogPrior
+
+    Returns
+    -------
+    LogPosterior
+    """
+    if isinstance(target, Local) and target.bound.has_gradients:
+        return SmoothLogPosterior(target, prior)
+    return LogPosterior(target, prior)

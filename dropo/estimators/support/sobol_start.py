@@ -1,4 +1,6 @@
-"""Where a search begins when the simulator explodes at its start: elsewhere in the box."""
+"""Where a search begins if the simulator diverges at its start: elsewhere in the box."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import qmc
@@ -7,27 +9,49 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 
-# looked at, on about so many segments
-POINTS = 64
-SEGMENTS = 60
+
+@dataclass(frozen=True)
+class SobolSettings:
+    """How much of the box and of the data is tried.
+
+    Attributes
+    ----------
+    points : int
+        Points of the box, a power of 2.
+    segments : int
+        Segments that are simulated from each point, at most.
+    """
+
+    points: int = 64
+    segments: int = 60
 
 
-def best_sobol_point(problem: Problem, run: Run) -> Array:
-    """(d,) of 64 points over the box, the one whose simulations are nearest to most of the
-    measurements.
+DEFAULTS = SobolSettings()
 
-    By the sum over the signals of the logarithm of their median error, which a few wild rows do not
-    move.
+
+def best_sobol_point(problem: Problem, run: Run, settings: SobolSettings = DEFAULTS) -> Array:
+    """Find the point of a Sobol set over the box whose simulations are nearest the measurements.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+        Counts the simulations.
+    settings : SobolSettings
+
+    Returns
+    -------
+    (d,) array
+        The point with the least sum over the signals of log(median absolute error), on which a few
+        diverging rows have no influence.
     """
     space = problem.space
-    segments = problem.segments
-    some = segments.take(segments.thin(SEGMENTS))
-    points = space.from_unit(
-        qmc.Sobol(len(space), rng=np.random.default_rng(0)).random_base2(int(np.log2(POINTS)))
-    )
+    segments = problem.segments.take(problem.segments.thin(settings.segments))
+    sobol = qmc.Sobol(len(space), rng=np.random.default_rng(0))
+    points = space.from_unit(sobol.random_base2(int(np.log2(settings.points))))
     with run.counting(evaluations=1):
-        predictions = problem.simulator.predict(points, some)
-    errors = np.nan_to_num(np.abs(predictions - problem.simulator.targets(some)), nan=np.inf)
-    return np.asarray(
-        points[np.log(np.median(errors, axis=1) + np.finfo(float).tiny).sum(axis=1).argmin()]
-    )
+        predictions = problem.simulator.predict(points, segments)
+    errors = np.abs(predictions - problem.simulator.targets(segments))
+    median = np.median(np.nan_to_num(errors, nan=np.inf), axis=1)
+    error = np.log(median + np.finfo(float).tiny).sum(axis=1)
+    return np.asarray(points[error.argmin()])

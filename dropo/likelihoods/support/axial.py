@@ -1,5 +1,6 @@
-"""A simulator along axes through a point, of the parameters or the start states: values, slopes and
-curvatures from two steps on each.
+"""Values, slopes and curvatures of a simulator along axes through a point, from two steps on each.
+
+The axes are those of the parameters or of the start states.
 """
 
 from dataclasses import dataclass
@@ -15,21 +16,45 @@ from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.blocks import segment_blocks
 
-LEAST = 1e-6  # of a parameter's interval: the least step
-REACH = (
-    3**0.5
-    # standard deviations of a normal source at which two points have its fourth moment (Julier, Uhlmann
-    # 2000)
-)
-# of a signal's spread over the starts: the least and the largest step there
-SMALL = 1e-5
-LARGE = 0.1
+
+@dataclass(frozen=True)
+class StepSettings:
+    """Limits of the steps.
+
+    Attributes
+    ----------
+    least : float
+        Least step of a parameter, as a fraction of its interval.
+    deviations : float
+        Step of a start state in standard deviations of its noise: there, two points have the fourth
+        moment of a normal source.
+    least_start, largest_start : float
+        Limits of it, as fractions of the signal's standard deviation over the data: shorter steps
+        miss contacts that the noise can make or break.
+
+    References
+    ----------
+    Julier, Uhlmann, "A new method for the nonlinear transformation of means and covariances", IEEE
+    Transactions on Automatic Control 45 (2000).
+    """
+
+    least: float = 1e-6
+    deviations: float = 3**0.5
+    least_start: float = 1e-5
+    largest_start: float = 0.1
+
+
+STEPS = StepSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Axial:
-    """f(x + t e_i) ~ value + slope_i t + curvature_i t^2 / 2: value (R, p), slope and curvature (R,
-    p, k).
+    """f(x + t e_i) ~ value + slope_i t + curvature_i t^2 / 2 along k axes.
+
+    Attributes
+    ----------
+    value : (R, p) array
+    slope, curvature : (R, p, k) array
     """
 
     value: Array
@@ -44,13 +69,30 @@ def along_parameters(
     step: Array,
     *,
     logarithmic: bool = False,
+    settings: StepSettings = STEPS,
 ) -> Axial:
-    """Along the d parameters, or their logarithms, with steps (d,): 2 d + 1 simulations of each
-    segment.
+    """Differentiate along the d parameters, with 2 d + 1 simulations of each segment.
 
-    Where a step would leave what is physically possible, it is doubled to the other side.
+    Parameters
+    ----------
+    simulator : Simulator
+    segments : Segments
+    centre, step : (d,) array
+        If a step would leave what is physically possible, it is doubled to the other side.
+    logarithmic : bool
+        Whether centre and step are those of the parameters' logarithms.
+    settings : StepSettings
+
+    Returns
+    -------
+    Axial
+
+    Raises
+    ------
+    SimulationFailed
+        If a simulation diverges.
     """
-    steps = _possible_steps(simulator.space, centre, step, logarithmic)
+    steps = _possible_steps(simulator.space, centre, step, logarithmic, settings)
     points = centre + axial_design(*steps)
     design = simulator.space.feasible(np.exp(points) if logarithmic else points)
     out = _empty(segments, simulator, len(centre))
@@ -62,14 +104,37 @@ def along_parameters(
 
 
 def along_starts(
-    simulator: Simulator, segments: Segments, value: Array, noise: NoiseModel
+    simulator: Simulator,
+    segments: Segments,
+    value: Array,
+    noise: NoiseModel,
+    settings: StepSettings = STEPS,
 ) -> Axial:
-    """Along the p coordinates of each segment's own start, at parameters (d,): 2 p + 1 simulations
-    of each segment.
+    """Differentiate along the p coordinates of each segment's own start.
 
-    A step is sqrt(3) of the noise's standard deviations, within 1e-5 and 0.1 of the signal's spread
-    over the data: shorter ones miss contacts that the noise can make or break. Where segments go on
-    from each other (`partial` resets), those of one place in their chains are moved at a time.
+    It takes 2 p + 1 simulations of each segment. Where segments go on from each other (`partial`
+    resets), those of one place in their chains are moved at a time.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    segments : Segments
+    value : (d,) array
+        Parameters.
+    noise : NoiseModel
+        By its standard deviations go the steps.
+    settings : StepSettings
+
+    Returns
+    -------
+    Axial
+
+    Raises
+    ------
+    Incompatible
+        If a start has other coordinates than the signals.
+    SimulationFailed
+        If a simulation diverges.
     """
     p = len(simulator.signals)
     if simulator.start_size != p:
@@ -79,8 +144,9 @@ def along_starts(
             " Leave Noise(start=True) out."
         )
     spread = np.std(simulator.targets(segments), axis=0)
-    step = REACH * np.sqrt(noise.shape)
-    step = np.where(spread > 0, np.clip(step, SMALL * spread, LARGE * spread), step)
+    step = settings.deviations * np.sqrt(noise.shape)
+    bounded = np.clip(step, settings.least_start * spread, settings.largest_start * spread)
+    step = np.where(spread > 0, bounded, step)
     steps = np.stack([step, -step])
     moves = axial_design(*steps)
     design = np.repeat(value[None], len(moves), axis=0)
@@ -92,21 +158,25 @@ def along_starts(
     return out
 
 
-def _possible_steps(space: ParameterSpace, centre: Array, step: Array, logarithmic: bool) -> Array:
+def _possible_steps(
+    space: ParameterSpace, centre: Array, step: Array, logarithmic: bool, settings: StepSettings
+) -> Array:
     """(2, d) two different steps on each axis, none of them 0."""
     coordinates = np.log if logarithmic else np.asarray
     with np.errstate(divide="ignore"):  # log 0 = -inf: no limit
         lower = coordinates(space.lower)
         upper = coordinates(space.upper)
         box = coordinates(space.high) - coordinates(space.low)
-    step = np.minimum(np.maximum(step, LEAST * box), (upper - lower) / 4)
-    up, down = (np.clip(centre + s, lower, upper) - centre for s in (step, -step))
-    return np.stack(
-        [np.where(up < step / 10, -2 * step, up), np.where(down > -step / 10, 2 * step, down)]
-    )
+    step = np.minimum(np.maximum(step, settings.least * box), (upper - lower) / 4)
+    up = np.clip(centre + step, lower, upper) - centre
+    down = np.clip(centre - step, lower, upper) - centre
+    first = np.where(up < step / 10, -2 * step, up)
+    second = np.where(down > -step / 10, 2 * step, down)
+    return np.stack([first, second])
 
 
 def _empty(segments: Segments, simulator: Simulator, axes: int) -> Axial:
+    """Room for the rows of all segments along so many axes."""
     shape = (len(segments.rows[0]), len(simulator.signals))
     return Axial(np.empty(shape), np.empty((*shape, axes)), np.empty((*shape, axes)))
 
@@ -119,15 +189,16 @@ def _require_finite(simulator: Simulator, predictions: Array, design: Array, fir
 
 
 def _fill(out: Axial, rows: slice, predictions: Array, steps: Array) -> None:
-    """Three-point differences of predictions (2 k + 1, r, p) at 0 and steps (2, k), which need not
-    be symmetric.
+    """Three-point differences of predictions (2 k + 1, r, p) at 0 and at steps (2, k).
+
+    Both steps of an axis need not be symmetric.
     """
     k = steps.shape[1]
     one, two = steps[:, :, None, None]
     first = predictions[1 : k + 1] - predictions[0]
     second = predictions[k + 1 :] - predictions[0]
+    slope = (two**2 * first - one**2 * second) / (one * two * (two - one))
+    curvature = 2 * (first / one - second / two) / (one - two)
     out.value[rows] = predictions[0]
-    out.slope[rows] = np.moveaxis(
-        (two**2 * first - one**2 * second) / (one * two * (two - one)), 0, -1
-    )
-    out.curvature[rows] = np.moveaxis(2 * (first / one - second / two) / (one - two), 0, -1)
+    out.slope[rows] = np.moveaxis(slope, 0, -1)
+    out.curvature[rows] = np.moveaxis(curvature, 0, -1)

@@ -1,6 +1,4 @@
-"""Work cut into blocks that keep within a number of bytes, so that memory does not grow with the
-data.
-"""
+"""Work cut into blocks within a number of bytes, so that memory does not grow with the data."""
 
 from collections.abc import Iterator
 
@@ -14,7 +12,18 @@ DESIGN_BYTES = 1 << 26  # of the predictions that are held at once
 
 
 def row_blocks(rows: int, bytes_per_row: int) -> list[slice]:
-    """Slices that cover so many rows in order, each within ROW_BYTES, or one row."""
+    """Cut rows into blocks.
+
+    Parameters
+    ----------
+    rows : int
+    bytes_per_row : int
+
+    Returns
+    -------
+    list of slice
+        They cover the rows in order, each within ROW_BYTES, or one row.
+    """
     size = max(1, ROW_BYTES // max(bytes_per_row, 1))
     return [slice(start, min(start + size, rows)) for start in range(0, rows, size)]
 
@@ -22,34 +31,49 @@ def row_blocks(rows: int, bytes_per_row: int) -> list[slice]:
 def segment_blocks(
     segments: Segments, bytes_per_row: int
 ) -> Iterator[tuple[Segments, slice, NDArray[np.int64]]]:
-    """(block, its rows in the whole, its segments' places there), in order, each within
-    DESIGN_BYTES; chains are not cut.
+    """Cut segments into blocks, but no chain of segments that go on from each other.
+
+    Parameters
+    ----------
+    segments : Segments
+    bytes_per_row : int
+
+    Yields
+    ------
+    block : Segments
+        In order, each within DESIGN_BYTES if its chains let it.
+    rows : slice
+        Its compared rows among all.
+    places : (n,) array
+        Its segments among all.
     """
-    first = np.searchsorted(
-        segments.rows[0], np.arange(len(segments) + 1)
-    )  # the row that each segment begins with
+    count = len(segments)
+    first_row = np.searchsorted(segments.rows[0], np.arange(count + 1))  # of each segment
     size = max(1, DESIGN_BYTES // max(bytes_per_row, 1))
-    ends = np.append(_uncut(segments), len(segments))
+    ends = np.append(_uncut(segments), count)
     begin = 0
-    while begin < len(segments):
-        last = (
-            np.searchsorted(first[ends], first[begin] + size, side="right") - 1
-        )  # the last end within the size, or the next
-        end = int(ends[max(last, np.searchsorted(ends, begin, side="right"))])
+    while begin < count:
+        # The last end within the size, or the next one.
+        limit = first_row[begin] + size
+        last = np.searchsorted(first_row[ends], limit, side="right") - 1
+        following = np.searchsorted(ends, begin, side="right")
+        end = int(ends[max(last, following)])
         places = np.arange(begin, end)
-        part = segments if len(places) == len(segments) else segments.take(places)
-        yield part, slice(int(first[begin]), int(first[end])), places
+        part = segments if len(places) == count else segments.take(places)
+        yield part, slice(int(first_row[begin]), int(first_row[end])), places
         begin = end
 
 
 def _uncut(segments: Segments) -> NDArray[np.int64]:
-    """The places from 1 on at which no chain is cut: no segment behind goes on from one before, or
-    the other way round.
+    """The places from 1 on at which no chain is cut.
+
+    There no segment behind goes on from one before, nor the other way round.
     """
     n = len(segments)
-    other = np.where(segments.previous >= 0, segments.previous, np.arange(n))
-    low = np.minimum(other, np.arange(n))
-    high = np.maximum(other, np.arange(n))
+    own = np.arange(n)
+    other = np.where(segments.previous >= 0, segments.previous, own)
+    low = np.minimum(other, own)
+    high = np.maximum(other, own)
     crossing = np.zeros(n + 1, dtype=np.int64)  # links low < c <= high cross a cut at c
     np.add.at(crossing, low + 1, 1)
     np.add.at(crossing, high + 1, -1)

@@ -1,9 +1,10 @@
-"""What likelihoods share whose rows are Gaussian given phi, or Student t: noise, blocks, scores and
-information.
+"""What likelihoods share whose rows are Gaussian given phi, or Student t.
+
+Noise, blocks of rows, scores and Fisher information.
 """
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,18 +21,23 @@ from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
-from dropo.likelihoods.support.axial import along_starts
+from dropo.likelihoods.support.axial import Axial, along_starts
 from dropo.likelihoods.support.blocks import row_blocks
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Slopes of a block of r rows as sums over columns, m unknowns.
+    """Slopes of the moments of r rows in m unknowns, as sums over columns.
 
-    d mean / d theta_i = sum_k by_mean[i, k] mean_k; d Sigma / d theta_i = sum_k by_spread[i, k]
-    (a_k b_k' + b_k a_k') / 2.
-    mean: (r, p, k); by_mean: (m, k); a, b: (r, p, l), one object where they are equal; by_spread:
-    (m, l).
+    Attributes
+    ----------
+    mean : (r, p, k) array
+        d mean / d theta_i = sum_k by_mean[i, k] mean_k.
+    by_mean : (m, k) array
+    a, b : (r, p, l) array
+        d Sigma / d theta_i = sum_l by_spread[i, l] (a_l b_l' + b_l a_l') / 2. One object if they
+        are equal.
+    by_spread : (m, l) array
     """
 
     mean: Array
@@ -41,47 +47,46 @@ class Columns:
     by_spread: Array
 
     def whitened(self, whiten: Array) -> "Columns":
-        """The same in coordinates in which Sigma is 1; whiten: L^-1 (r, p, p), Sigma = L L'."""
+        """Return the same in coordinates in which Sigma = L L' is 1; whiten: L^-1 (r, p, p)."""
         a = whiten @ self.a
-        return Columns(
-            whiten @ self.mean,
-            self.by_mean,
-            a,
-            a if self.b is self.a else whiten @ self.b,
-            self.by_spread,
-        )
+        b = a if self.b is self.a else whiten @ self.b
+        return Columns(whiten @ self.mean, self.by_mean, a, b, self.by_spread)
 
     def beside(self, other: "Columns") -> "Columns":
-        """The slopes in the unknowns of both."""
+        """Return the slopes in the unknowns of both, those of the other behind."""
         a = np.concatenate([self.a, other.a], axis=2)
-        b = (
-            a
-            if self.b is self.a and other.b is other.a
-            else np.concatenate([self.b, other.b], axis=2)
-        )
+        equal = self.b is self.a and other.b is other.a
+        b = a if equal else np.concatenate([self.b, other.b], axis=2)
         mean = np.concatenate([self.mean, other.mean], axis=2)
-        return Columns(
-            mean,
-            block_diag(self.by_mean, other.by_mean),
-            a,
-            b,
-            block_diag(self.by_spread, other.by_spread),
-        )
+        by_mean = block_diag(self.by_mean, other.by_mean)
+        by_spread = block_diag(self.by_spread, other.by_spread)
+        return Columns(mean, by_mean, a, b, by_spread)
 
     def whole(self) -> tuple[Array, Array]:
-        """d mean (m, r, p) and d Sigma (m, r, p, p), where a and b are equal."""
-        return np.einsum("rpk,ik->irp", self.mean, self.by_mean), (
-            self.a * self.by_spread[:, None, None]
-        ) @ self.a.swapaxes(1, 2)
+        """Return d mean (m, r, p) and d Sigma (m, r, p, p), if a and b are equal."""
+        mean = np.einsum("rpk,ik->irp", self.mean, self.by_mean)
+        weighted = self.a * self.by_spread[:, None, None]
+        return mean, weighted @ self.a.swapaxes(1, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """What scores and information are made of, for r rows and m unknowns, with z = L^-1 residual
-    and V = L^-1 d Sigma L^-T.
+    """What scores and information are made of, for r rows and m unknowns.
 
-    location: z' L^-1 d mean (r, m); quadratic: z' V z (r, m); trace: tr V (r, m); by_mean: the sum
-    over rows of d mean' Sigma^-1 d mean (m, m); by_spread: the sum over rows of tr(V V) / 2 (m, m).
+    With z = L^-1 residual and V = L^-1 d Sigma L^-T.
+
+    Attributes
+    ----------
+    location : (r, m) array
+        z' L^-1 d mean.
+    quadratic : (r, m) array
+        z' V z.
+    trace : (r, m) array
+        tr V.
+    by_mean : (m, m) array
+        The sum over rows of d mean' Sigma^-1 d mean.
+    by_spread : (m, m) array
+        The sum over rows of tr(V V) / 2.
     """
 
     location: Array
@@ -91,51 +96,117 @@ class Parts:
     by_spread: Array
 
 
-def parts_of_columns(z: Array, c: Columns) -> Parts:
-    """From whitened columns; no matrix (p, p) is made for any unknown."""
-    flat = c.mean.reshape(-1, c.mean.shape[2])
-    aa = c.a.swapaxes(1, 2) @ c.a
-    if c.b is c.a:
-        inner = 0.5 * np.einsum("rkl,rkl->kl", aa, aa)
+def parts_of_columns(z: Array, columns: Columns) -> Parts:
+    """Find the parts from whitened columns, without a matrix (p, p) for any unknown.
+
+    Parameters
+    ----------
+    z : (r, p) array
+        Whitened residuals.
+    columns : Columns
+
+    Returns
+    -------
+    Parts
+    """
+    a = columns.a
+    b = columns.b
+    a_a = a.swapaxes(1, 2) @ a
+    if b is a:
+        inner = 0.5 * np.einsum("rkl,rkl->kl", a_a, a_a)
     else:
-        ab = c.a.swapaxes(1, 2) @ c.b
-        inner = 0.25 * (
-            np.einsum("rkl,rkl->kl", aa, c.b.swapaxes(1, 2) @ c.b)
-            + np.einsum("rkl,rlk->kl", ab, ab)
-        )
-    toward_mean, toward_a, toward_b = (
-        (z[:, None] @ columns)[:, 0] for columns in (c.mean, c.a, c.b)
-    )
+        a_b = a.swapaxes(1, 2) @ b
+        b_b = b.swapaxes(1, 2) @ b
+        straight = np.einsum("rkl,rkl->kl", a_a, b_b)
+        crossed = np.einsum("rkl,rlk->kl", a_b, a_b)
+        inner = 0.25 * (straight + crossed)
+    z_mean = (z[:, None] @ columns.mean)[:, 0]
+    z_a = (z[:, None] @ a)[:, 0]
+    z_b = (z[:, None] @ b)[:, 0]
+    flat = columns.mean.reshape(-1, columns.mean.shape[2])
     return Parts(
-        toward_mean @ c.by_mean.T,
-        (toward_a * toward_b) @ c.by_spread.T,
-        np.einsum("rpk,rpk->rk", c.a, c.b) @ c.by_spread.T,
-        c.by_mean @ (flat.T @ flat) @ c.by_mean.T,
-        c.by_spread @ inner @ c.by_spread.T,
+        location=z_mean @ columns.by_mean.T,
+        quadratic=(z_a * z_b) @ columns.by_spread.T,
+        trace=np.einsum("rpk,rpk->rk", a, b) @ columns.by_spread.T,
+        by_mean=columns.by_mean @ (flat.T @ flat) @ columns.by_mean.T,
+        by_spread=columns.by_spread @ inner @ columns.by_spread.T,
     )
 
 
 def parts_of_matrices(z: Array, by_mean: Array, by_spread: Array) -> Parts:
-    """From L^-1 d mean (m, r, p) and L^-1 d Sigma L^-T (m, r, p, p)."""
+    """Find the parts from whitened slopes of the moments.
+
+    Parameters
+    ----------
+    z : (r, p) array
+        Whitened residuals.
+    by_mean : (m, r, p) array
+        L^-1 d mean.
+    by_spread : (m, r, p, p) array
+        L^-1 d Sigma L^-T.
+
+    Returns
+    -------
+    Parts
+    """
     m = len(by_mean)
     flat_mean = by_mean.reshape(m, -1)
     flat_spread = by_spread.reshape(m, -1)
     return Parts(
-        np.einsum("rp,mrp->rm", z, by_mean),
-        np.einsum("mrpq,rp,rq->rm", by_spread, z, z, optimize=True),
-        np.einsum("mrpp->rm", by_spread),
-        flat_mean @ flat_mean.T,
-        0.5 * flat_spread @ flat_spread.T,
+        location=np.einsum("rp,mrp->rm", z, by_mean),
+        quadratic=np.einsum("mrpq,rp,rq->rm", by_spread, z, z, optimize=True),
+        trace=np.einsum("mrpp->rm", by_spread),
+        by_mean=flat_mean @ flat_mean.T,
+        by_spread=0.5 * flat_spread @ flat_spread.T,
     )
 
 
-class GaussianRows(LocalLogLikelihood):
-    """y ~ N(mean, Sigma) row by row, Sigma = the member's spread + noise, or the Student t of that
-    scale matrix.
+@dataclass(frozen=True, eq=False)
+class _Density:
+    """Log densities (r,), L^-1 (r, p, p), z = L^-1 residual (r, p) and z'z (r,)."""
 
-    A plug-in writes what a member gives: `_member`, `_spread`, `_member_slopes` and `_parts`. Noise
-    of the start states goes through f's slopes J and curvatures H in them: mean + H epsilon / 2,
-    Sigma + J diag(epsilon) J' + H diag(epsilon^2) H' / 2.
+    log: Any
+    whiten: Any
+    z: Any
+    distance: Any
+
+
+class GaussianRows(LocalLogLikelihood):
+    """y ~ N(mean, Sigma) row by row, or the Student t of that scale matrix.
+
+    Sigma is the member's spread + noise. A plug-in writes what a member gives: `_member`,
+    `_spread`, `_member_slopes` and `_parts`.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    segments : Segments
+        What is compared.
+    family : Family
+    epsilon : Epsilon
+        The noise.
+    centre, width : (d,) array
+        The region in which the local model is sound, in the parameters' units.
+    row_floats : int
+        Numbers that `value_score_information` holds at once for a row.
+
+    Raises
+    ------
+    BadArgument
+        If an epsilon is 0.
+    Incompatible
+        If the start states carry noise and have other coordinates than the signals.
+
+    Notes
+    -----
+    Noise of the start states goes through f's slopes J and curvatures H in them: mean +
+    H epsilon / 2, Sigma + J diag(epsilon) J' + H diag(epsilon^2) H' / 2.
+
+    References
+    ----------
+    Lange, Little, Taylor, "Robust statistical modeling using the t distribution", Journal of the
+    American Statistical Association 84 (1989), section 3 and appendix B: scores and information of
+    the Student t.
     """
 
     has_gradients = True
@@ -150,49 +221,77 @@ class GaussianRows(LocalLogLikelihood):
         width: Array,
         row_floats: int,
     ):
-        """centre, width: (d,) the region in the parameters' units; row_floats: numbers that
-        `expand` holds at once for a row.
-        """
         self.family = family
         self.targets = simulator.targets(segments)
         self.noise = NoiseModel(epsilon, len(simulator.signals)).positive(type(self).__name__)
-        self.unknowns = ParameterSpace((*trusted(family, centre, width), *self.noise.unknowns))
+        own = trusted(family, centre, width)
+        self.unknowns = ParameterSpace((*own, *self.noise.unknowns))
         self.blocks = row_blocks(len(self.targets), 8 * row_floats)
-        self.starts = (
-            along_starts(simulator, segments, centre, self.noise)
-            if self.noise.noise.start
-            else None
-        )
+        self.starts: Axial | None = None
+        if self.noise.noise.start:
+            self.starts = along_starts(simulator, segments, centre, self.noise)
+
+    # --- what a plug-in writes
 
     @abstractmethod
     def _member(self, own: Any) -> Any:
-        """What the family's unknowns (n,), array or tensor, mean for all rows; made once for all
-        blocks.
+        """What the family's unknowns (n,), array or tensor, mean for all rows.
+
+        It is made once for all blocks.
         """
 
     @abstractmethod
     def _spread(self, member: Any, rows: slice) -> tuple[Any, Any]:
-        """Mean (r, p) and covariance (r, p, p) of the block's rows without noise, arrays or
-        tensors.
-        """
+        """Mean (r, p) and covariance (r, p, p) of a block without noise, arrays or tensors."""
 
     @abstractmethod
     def _member_slopes(self, own: Array) -> Any:
-        """The slopes of the member in the family's unknowns; made once for all blocks."""
+        """The slopes of the member in the family's unknowns, made once for all blocks."""
 
     @abstractmethod
     def _parts(
         self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns
     ) -> Parts:
-        """Of the family's n unknowns, then of those of the noise, whose whitened columns are given."""
+        """The parts of the family's n unknowns, then of those of the noise (whitened columns)."""
+
+    # --- the moments of the measurements
 
     def _own(self, phi: Any) -> Any:
+        """The family's unknowns (n,) of phi."""
         return phi[: len(self.family.unknowns)]
 
     def epsilon(self, phi: Array) -> Array:
+        """Return the noise variances (p,)."""
         return self.noise.epsilon(phi[len(self.family.unknowns) :])
 
+    def moments(self, phi: Array) -> tuple[Array, Array]:
+        """Find the moments of the measurements.
+
+        Parameters
+        ----------
+        phi : (m,) array
+
+        Returns
+        -------
+        mean : (R, p) array
+        sigma : (R, p, p) array
+        """
+        member = self._member(self._own(phi))
+        epsilon = self.epsilon(phi)
+        means = []
+        sigmas = []
+        for rows in self.blocks:
+            mean, sigma = self._moments(member, epsilon, rows)
+            means.append(mean)
+            sigmas.append(sigma)
+        return np.concatenate(means), np.concatenate(sigmas)
+
+    def mean(self, phi: Array) -> Array:
+        """Return the mean of the measurements (R, p) under phi."""
+        return self.moments(phi)[0]
+
     def _moments(self, member: Any, epsilon: Any, rows: slice) -> tuple[Any, Any]:
+        """Mean (r, p) and Sigma (r, p, p) of a block with noise."""
         mean, sigma = self._spread(member, rows)
         xp = namespace(mean, epsilon)
         epsilon = constant(epsilon, mean)
@@ -201,38 +300,25 @@ class GaussianRows(LocalLogLikelihood):
             sigma = sigma + constant(self.noise.noise.rows[rows], mean)
         if self.starts is None:
             return mean, sigma
-        slope, curvature = (
-            constant(x[rows], mean) for x in (self.starts.slope, self.starts.curvature)
-        )
-        sigma = (
-            sigma
-            + (slope * epsilon) @ xp.matrix_transpose(slope)
-            + 0.5 * (curvature * epsilon**2) @ xp.matrix_transpose(curvature)
-        )
-        return mean + 0.5 * curvature @ epsilon, sigma
+        slope = constant(self.starts.slope[rows], mean)
+        curvature = constant(self.starts.curvature[rows], mean)
+        by_slope = (slope * epsilon) @ xp.matrix_transpose(slope)
+        by_curvature = 0.5 * (curvature * epsilon**2) @ xp.matrix_transpose(curvature)
+        return mean + 0.5 * curvature @ epsilon, sigma + by_slope + by_curvature
 
-    def moments(self, phi: Array) -> tuple[Array, Array]:
-        """Mean (R, p) and Sigma (R, p, p) of the measurements under phi."""
-        member = self._member(self._own(phi))
-        epsilon = self.epsilon(phi)
-        means, sigmas = zip(
-            *(self._moments(member, epsilon, rows) for rows in self.blocks), strict=True
-        )
-        return np.concatenate(means), np.concatenate(sigmas)
-
-    def mean(self, phi: Array) -> Array:
-        return self.moments(phi)[0]
+    # --- densities
 
     def _rows(self, phi: Array) -> Array:
         member = self._member(self._own(phi))
         epsilon = self.epsilon(phi)
-        out = [
-            self._density(*self._moments(member, epsilon, rows), rows)[0] for rows in self.blocks
-        ]
+        out = []
+        for rows in self.blocks:
+            mean, sigma = self._moments(member, epsilon, rows)
+            out.append(self._density(mean, sigma, rows).log)
         return namespace(*out).concat(out)
 
-    def _density(self, mean: Any, sigma: Any, rows: slice) -> tuple[Any, Any, Any, Any]:
-        """log density (r,), L^-1 (r, p, p), z = L^-1 residual (r, p) and z' z (r,)."""
+    def _density(self, mean: Any, sigma: Any, rows: slice) -> _Density:
+        """The densities of a block's targets."""
         xp = namespace(sigma)
         p = sigma.shape[-1]
         nu = self.noise.noise.degrees
@@ -241,29 +327,36 @@ class GaussianRows(LocalLogLikelihood):
         distance = xp.sum(z**2, axis=1)
         log_root = -xp.sum(xp.log(xp.linalg.diagonal(whiten)), axis=1)
         if nu is None:
-            return -0.5 * (p * np.log(2 * np.pi) + distance) - log_root, whiten, z, distance
-        scale = float(gammaln((nu + p) / 2) - gammaln(nu / 2)) - 0.5 * p * np.log(np.pi * nu)
-        return scale - log_root - 0.5 * (nu + p) * xp.log1p(distance / nu), whiten, z, distance
+            log = -0.5 * (p * np.log(2 * np.pi) + distance) - log_root
+        else:
+            peak = float(gammaln((nu + p) / 2) - gammaln(nu / 2)) - 0.5 * p * np.log(np.pi * nu)
+            log = peak - log_root - 0.5 * (nu + p) * xp.log1p(distance / nu)
+        return _Density(log, whiten, z, distance)
 
     def _root(self, sigma: Any, rows: slice) -> Any:
+        """The lower factors of a block's Sigma; BadArgument where one is not positive definite."""
         try:
             return namespace(sigma).linalg.cholesky(sigma)
         except (np.linalg.LinAlgError, RuntimeError) as error:
             if is_tensor(sigma) and "cholesky" not in str(error):
                 raise
-            least = np.linalg.eigvalsh(plain(sigma))[:, 0]
-            row = int(least.argmin())
+            lowest = np.linalg.eigvalsh(plain(sigma))[:, 0]
+            row = int(lowest.argmin())
+            largest = np.abs(plain(sigma)[row]).max()
             raise BadArgument(
-                f"The covariance of row {rows.start + row} is not positive definite: its "
-                f"least eigenvalue is {least[row]:.3g}, its largest"
-                f" entry {np.abs(plain(sigma)[row]).max():.3g}. Give a larger epsilon, or "
-                "narrower bounds of the scales."
+                f"The covariance of row {rows.start + row} is not positive definite: its least"
+                f" eigenvalue is {lowest[row]:.3g}, its largest entry {largest:.3g}. Give a larger"
+                " epsilon, or narrower bounds of the scales."
             ) from None
 
+    # --- scores and information
+
     def gradient(self, phi: ArrayLike) -> Array:
+        """Return d log L / d phi (m,)."""
         return self.value_score_information(np.asarray(phi, dtype=float))[1].sum(axis=0)
 
     def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
+        """Return the value, the scores of the rows (R, m) and the Fisher information (m, m)."""
         own = self._own(phi)
         epsilon = self.epsilon(phi)
         p = self.targets.shape[1]
@@ -274,27 +367,26 @@ class GaussianRows(LocalLogLikelihood):
         scores = []
         information = np.zeros((len(phi), len(phi)))
         for rows in self.blocks:
-            density, whiten, z, distance = self._density(
-                *self._moments(member, epsilon, rows), rows
-            )
-            parts = self._parts(
-                member, slopes, rows, whiten, z, self._noise_columns(epsilon, rows).whitened(whiten)
-            )
-            values.append(density)
+            mean, sigma = self._moments(member, epsilon, rows)
+            density = self._density(mean, sigma, rows)
+            values.append(density.log)
+            noise = self._noise_columns(epsilon, rows).whitened(density.whiten)
+            parts = self._parts(member, slopes, rows, density.whiten, density.z, noise)
             if nu is None:
                 scores.append(parts.location + 0.5 * (parts.quadratic - parts.trace))
                 information += parts.by_mean + parts.by_spread
-                continue
-            pull = ((nu + p) / (nu + distance))[
-                :, None
-            ]  # Lange, Little, Taylor (1989), section 3 and appendix B
-            scores.append(pull * parts.location + 0.5 * (pull * parts.quadratic - parts.trace))
-            information += (
-                (nu + p) * (parts.by_mean + parts.by_spread) - 0.5 * parts.trace.T @ parts.trace
-            ) / (nu + p + 2)
+            else:
+                # The weight of a row falls with its distance.
+                weight = ((nu + p) / (nu + density.distance))[:, None]
+                pulled = 0.5 * (weight * parts.quadratic - parts.trace)
+                scores.append(weight * parts.location + pulled)
+                traces = 0.5 * parts.trace.T @ parts.trace
+                gaussian = (nu + p) * (parts.by_mean + parts.by_spread)
+                information += (gaussian - traces) / (nu + p + 2)
         return float(np.concatenate(values).sum()), np.concatenate(scores), information
 
     def _noise_columns(self, epsilon: Array, rows: slice) -> Columns:
+        """The slopes of a block's moments in the unknowns of the noise."""
         own = self.noise.slopes()
         p = len(epsilon)
         count = rows.stop - rows.start
@@ -313,28 +405,38 @@ class GaussianRows(LocalLogLikelihood):
 
 
 def trusted(family: Family, centre: Array, width: Array) -> list[Parameter]:
-    """The family's unknowns, means kept within two widths of the centre and scales within two
-    widths.
+    """Bound a family's unknowns by the region in which a local model is sound.
+
+    Parameters
+    ----------
+    family : Family
+    centre, width : (d,) array
+        In the parameters' units.
+
+    Returns
+    -------
+    list of Parameter
+        Means within two widths of the centre, scales up to two widths, the rest as they are.
     """
     relative = width / centre if family.logarithmic else width
     bounds = {}
-    for name, c, h, s in zip(family.space.names, centre, width, relative, strict=True):
-        bounds[f"mean.{name}"] = (c - 2 * h, c + 2 * h)
+    for name, c, w, s in zip(family.space.names, centre, width, relative, strict=True):
+        bounds[f"mean.{name}"] = (c - 2 * w, c + 2 * w)
         bounds[f"scale.{name}"] = (0.0, 2 * s)
     out = []
-    for p in family.unknowns:
-        low, high = bounds.get(p.name, (p.low, p.high))
-        low = max(p.low, low)
-        high = min(p.high, high)
-        if not low < high:  # the whole trusted interval lies beyond a bound: stay on it
-            low, high = (
-                (p.low, p.low + 1e-9 * p.width)
-                if high <= p.low
-                else (p.high - 1e-9 * p.width, p.high)
-            )
-        out.append(
-            Parameter(
-                p.name, low, high, p.unit, lower=min(p.lower, low), upper=p.upper, scale=p.scale
-            )
-        )
+    for unknown in family.unknowns:
+        low, high = bounds.get(unknown.name, (unknown.low, unknown.high))
+        low = max(unknown.low, low)
+        high = min(unknown.high, high)
+        if not low < high:
+            # The whole trusted interval lies beyond a bound: stay on it.
+            small = 1e-9 * unknown.width
+            if high <= unknown.low:
+                low = unknown.low
+                high = unknown.low + small
+            else:
+                low = unknown.high - small
+                high = unknown.high
+        lower = min(unknown.lower, low)
+        out.append(replace(unknown, low=low, high=high, lower=lower))
     return out

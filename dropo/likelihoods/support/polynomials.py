@@ -11,67 +11,134 @@ from scipy.stats import qmc
 from dropo.core.contracts.simulator import Simulator, describe_failures
 from dropo.core.numerics.array_api import constant, namespace
 from dropo.core.numerics.diverged_simulations import ranges, settled
-from dropo.core.numerics.standard_distributions import NORMAL
+from dropo.core.numerics.standard_distributions import NORMAL, StandardDistribution
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import BadArgument, SimulationFailed
 from dropo.core.services.validation import Array, require
 from dropo.likelihoods.support.blocks import segment_blocks
 
-# design points for M polynomials: 1.7 M + 6
-POINTS = 1.7
-SPARE = 6
-ROUGH = 2  # the highest order for a first look
-ORDERS = (
-    (0.002, 1),
-    (0.013, 2),
-    (0.033, 3),
-    (np.inf, 4),
-)  # polynomial order by width / search interval
-SINGULAR = 1e-10  # the least share of the largest diagonal entry of the design's R
-FULL_QUADRATIC = (
-    10  # up to so many parameters all pairs are crossed; beyond, only their squares are kept
-)
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """What decides the polynomials and the design on which they are fitted.
+
+    Attributes
+    ----------
+    points_per_term, spare_points : float, int
+        Design points for M polynomials: points_per_term M + spare_points.
+    rough_order : int
+        Highest order of a first, rough fit.
+    order_limits : tuple of float
+        Order 1 is taken below the first width, as a fraction of the search interval, order 2 below
+        the second, and so on.
+    full_quadratic : int
+        Up to so many parameters all pairs are crossed; beyond, only their powers are kept.
+    singular : float
+        A design is singular if a diagonal entry of its R is below this fraction of the largest.
+    """
+
+    points_per_term: float = 1.7
+    spare_points: int = 6
+    rough_order: int = 2
+    order_limits: tuple[float, ...] = (0.002, 0.013, 0.033)
+    full_quadratic: int = 10
+    singular: float = 1e-10
+
+    def design_size(self, terms: int) -> int:
+        """Return the design points for so many polynomials."""
+        return int(np.ceil(self.points_per_term * terms)) + self.spare_points
+
+
+DESIGN = DesignSettings()
 
 
 def orders_for(
-    width: Array, space: ParameterSpace, order: int | None, rough: bool
+    width: Array,
+    space: ParameterSpace,
+    order: int | None,
+    rough: bool,
+    settings: DesignSettings = DESIGN,
 ) -> NDArray[np.int64]:
-    """(d,) polynomial orders: the one given, else by the design's width as a share of the search
-    interval; at most 2 where rough.
+    """Choose the order of the polynomials in each parameter.
+
+    Parameters
+    ----------
+    width : (d,) array
+        Of the design.
+    space : ParameterSpace
+        The order grows with the width as a fraction of these search intervals.
+    order : int or None
+        One for all, in place of that.
+    rough : bool
+        Whether low orders are enough.
+    settings : DesignSettings
+
+    Returns
+    -------
+    (d,) array of int
     """
-    share = width / (space.high - space.low)
-    chosen = [order or next(o for limit, o in ORDERS if s < limit) for s in share]
-    return np.minimum(np.array(chosen, dtype=np.int64), ROUGH if rough else max(chosen))
+    fraction = width / (space.high - space.low)
+    if order:
+        chosen = np.full(len(fraction), order, dtype=np.int64)
+    else:
+        below = np.searchsorted(settings.order_limits, fraction, side="right")
+        chosen = 1 + below.astype(np.int64)
+    return np.minimum(chosen, settings.rough_order) if rough else chosen
 
 
-def index_set(orders: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(M, d) exponents j with sum_i j_i / orders_i <= 1, and the pairs (1, 1) of orders above 1; by
-    degree, the constant first.
+def index_set(orders: NDArray[np.int64], settings: DesignSettings = DESIGN) -> NDArray[np.int64]:
+    """List the exponents of the polynomials.
+
+    Parameters
+    ----------
+    orders : (d,) array of int
+        In each parameter.
+    settings : DesignSettings
+
+    Returns
+    -------
+    (M, d) array of int
+        All j with sum_i j_i / orders_i <= 1, and the pairs (1, 1) of orders above 1; by degree, the
+        constant first. With many parameters, powers of one parameter alone.
     """
     d = len(orders)
-    if d > FULL_QUADRATIC:
-        own = [np.eye(d, dtype=np.int64) * k for k in range(1, int(orders.max()) + 1)]
-        chosen = [row for k, block in enumerate(own, 1) for row in block[orders >= k]]
-        return np.array([np.zeros(d, dtype=np.int64), *chosen])
+    if d > settings.full_quadratic:
+        powers = [np.zeros((1, d), dtype=np.int64)]
+        for degree in range(1, int(orders.max()) + 1):
+            own = degree * np.eye(d, dtype=np.int64)
+            powers.append(own[orders >= degree])
+        return np.concatenate(powers)
+
     found = []
-    for j in product(*(range(q + 1) for q in orders)):
+    for j in product(*(range(order + 1) for order in orders)):
         exponents = np.array(j)
         pair = exponents.sum() == 2 and exponents.max() == 1 and orders[exponents > 0].min() > 1
         if (exponents / orders).sum() <= 1 + 1e-9 or pair:
             found.append(j)
-    return np.array(sorted(found, key=lambda j: (sum(j), tuple(-x for x in j))), dtype=np.int64)
+    found.sort(key=lambda j: (sum(j), tuple(-x for x in j)))
+    return np.array(found, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Emulator:
-    """f(x) ~ sum_j C_j psi_j((x - centre) / width), psi products of orthonormal Hermite
+    """Polynomials in the simulator's place, for every row and signal.
+
+    f(x) ~ sum_j C_j psi_j((x - centre) / width), with psi products of orthonormal Hermite
     polynomials.
 
-    centre, width: (d,) in the emulator's coordinates (logarithms where `logarithmic`); indices: (M,
-    d);
-    coefficients: (M, R, p); residual: (R, p, p) the residuals' covariance; failed: design points
-    that diverged or exploded.
+    Attributes
+    ----------
+    centre, width : (d,) array
+        In the emulator's coordinates, which are logarithms if `logarithmic`.
+    indices : (M, d) array of int
+        Exponents.
+    coefficients : (M, R, p) array
+    residual : (R, p, p) array
+        Covariance of the residuals.
+    logarithmic : bool
+    failed : int
+        Design points that diverged or exploded.
     """
 
     centre: Array
@@ -83,32 +150,42 @@ class Emulator:
     failed: int
 
     def basis(self, values: Array) -> Array:
-        """The polynomials (K, M) at parameter vectors (K, d), array or tensor."""
+        """Return the polynomials (K, M) at parameter vectors (K, d), array or tensor."""
         x = namespace(values).log(values) if self.logarithmic else values
         return products((x - constant(self.centre, x)) / constant(self.width, x), self.indices)
 
     def slopes(self, values: Array) -> Array:
-        """d basis / d value (K, M, d) at parameter vectors (K, d), where the coordinates are the
-        values themselves.
-        """
+        """Return d basis / d value (K, M, d) at values (K, d), if these are the coordinates."""
         u = (values - self.centre) / self.width
-        out = []
+        unit = np.eye(u.shape[1], dtype=np.int64)
+        slopes = []
         for i in range(u.shape[1]):
-            lower = self.indices - np.eye(u.shape[1], dtype=np.int64)[i]
-            factor = (
-                np.sqrt(np.maximum(self.indices[:, i], 0)) / self.width[i]
-            )  # d He_n / du = sqrt(n) He_(n-1), orthonormal
-            out.append(factor * products(u, np.maximum(lower, 0)))
-        return np.stack(out, axis=-1)
+            # d He_n / du = sqrt(n) He_(n-1), orthonormal.
+            factor = np.sqrt(np.maximum(self.indices[:, i], 0)) / self.width[i]
+            lower = np.maximum(self.indices - unit[i], 0)
+            slopes.append(factor * products(u, lower))
+        return np.stack(slopes, axis=-1)
 
     def predict(self, values: Array) -> Array:
-        """Emulated predictions (K, R, p) at (K, d)."""
+        """Return emulated predictions (K, R, p) at parameter vectors (K, d)."""
         return np.einsum("km,mrp->krp", self.basis(values), self.coefficients, optimize=True)
 
 
-def products(u: Array, indices: NDArray[np.int64], distribution=NORMAL) -> Array:  # type: ignore[no-untyped-def]
-    """Products of the law's orthonormal polynomials: u (K, d), array or tensor, indices (M, d) ->
-    (K, M).
+def products(
+    u: Array, indices: NDArray[np.int64], distribution: StandardDistribution = NORMAL
+) -> Array:
+    """Multiply orthonormal polynomials of a standard distribution.
+
+    Parameters
+    ----------
+    u : (K, d) array or tensor
+    indices : (M, d) array of int
+        Exponents.
+    distribution : StandardDistribution
+
+    Returns
+    -------
+    (K, M) array or tensor
     """
     single = distribution.orthonormal(u, max(1, int(indices.max())))  # (K, d, degree + 1)
     out = single[:, 0, indices[:, 0]]
@@ -126,74 +203,99 @@ def build(
     rng: np.random.Generator,
     *,
     logarithmic: bool = False,
+    settings: DesignSettings = DESIGN,
 ) -> Emulator:
-    """Simulates a scrambled Sobol design around the centre and regresses every row's signals on it.
+    """Simulate a scrambled Sobol design around a centre, and regress every row's signals on it.
 
     A design point that diverges or explodes in one segment is left out of all. Predictions are held
-    for a block of segments at a time;
-    the blocks before the one in which a point first diverged are simulated again without it.
+    for a block of segments at a time; the blocks before the one in which a point first diverged are
+    simulated again without it.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    segments : Segments
+    centre, width : (d,) array
+        Of the design, in the emulator's coordinates.
+    orders : (d,) array of int
+    rng : numpy.random.Generator
+        Scrambles the design.
+    logarithmic : bool
+        Whether the coordinates are the parameters' logarithms.
+    settings : DesignSettings
+
+    Returns
+    -------
+    Emulator
+
+    Raises
+    ------
+    BadArgument
+        If a width is not positive, or the design is singular.
+    SimulationFailed
+        If too many points diverge.
     """
-    require(
-        bool((width > 0).all()),
-        "width",
-        "positive for every parameter",
-        width.tolist(),
-        "an emulator",
-    )
-    indices = index_set(orders)
-    count = int(np.ceil(POINTS * len(indices))) + SPARE
+    positive = bool((width > 0).all())
+    rule = "positive for every parameter"
+    require(positive, "width", rule, width.tolist(), "an emulator")
+    indices = index_set(orders, settings)
+    terms = len(indices)
+    count = settings.design_size(terms)
     design = design_points(simulator, centre, width, count, rng, logarithmic)
     x = np.log(design) if logarithmic else design
     basis = products((x - centre) / width, indices)
+
     rows = len(segments.rows[0])
     p = len(simulator.signals)
-    coefficients = np.empty((len(indices), rows, p))
+    coefficients = np.empty((terms, rows, p))
     residual = np.empty((rows, p, p))
-    blocks = list(segment_blocks(segments, 8 * count * p))
-    good = np.ones(count, dtype=bool)
-    used = [0] * len(blocks)  # design points behind each block's regression
     targets = simulator.targets(segments)
-    reach = ranges(targets)
+    span = ranges(targets)
+    good = np.ones(count, dtype=bool)
+    blocks = list(segment_blocks(segments, 8 * count * p))
+    used = [0] * len(blocks)  # design points behind each block's regression
+    # A second pass over the blocks that were simulated with points which failed later.
     for k in [*range(len(blocks)), *range(len(blocks))]:
         if used[k] == good.sum():
             continue
         part, own, _ = blocks[k]
         predictions = simulator.predict(design[good], part)  # (N, r, p)
-        whole = settled(predictions, targets[own], reach)
-        if whole.sum() < len(indices) + SPARE:
+        whole = settled(predictions, targets[own], span)
+        if whole.sum() < terms + settings.spare_points:
             failed = np.where(whole[:, None, None], predictions, np.nan)
             sentence = describe_failures(failed, design[good], simulator.space, first=own.start)
             raise SimulationFailed(f"{sentence} The design around the estimate cannot be used.")
         good[good] = whole
         coefficients[:, own], residual[own] = _regress(
-            basis[good], predictions[whole], indices, simulator.space
+            basis[good], predictions[whole], indices, simulator.space, settings
         )
         used[k] = int(good.sum())
     return Emulator(centre, width, indices, coefficients, residual, logarithmic, int((~good).sum()))
 
 
 def _regress(
-    basis: Array, predictions: Array, indices: NDArray[np.int64], space: ParameterSpace
+    basis: Array,
+    predictions: Array,
+    indices: NDArray[np.int64],
+    space: ParameterSpace,
+    settings: DesignSettings,
 ) -> tuple[Array, Array]:
-    """Coefficients (M, r, p) and the residuals' covariance (r, p, p) of predictions (N, r, p) on a
-    basis (N, M).
-    """
+    """Coefficients (M, r, p) and residual covariance (r, p, p) of predictions (N, r, p)."""
     q, r = np.linalg.qr(basis)
     size = np.abs(np.diagonal(r))
-    if size.min() < SINGULAR * size.max():
+    if size.min() < settings.singular * size.max():
         name = space.names[int(indices[size.argmin()].argmax())]
         raise BadArgument(
-            "The design around the estimate is singular: its points do not vary enough in "
-            f"{name!r} to tell {len(indices)} polynomials"
-            f" apart. Move the mean away from the bounds of {name!r}, or take a lower order."
+            "The design around the estimate is singular: its points do not vary enough in"
+            f" {name!r} to tell {len(indices)} polynomials apart. Move the mean away from the"
+            f" bounds of {name!r}, or take a lower order."
         )
     flat = predictions.reshape(len(predictions), -1)
     projected = q.T @ flat
     shape = predictions.shape[1:]
     coefficients = np.linalg.solve(r, projected).reshape(len(indices), *shape)
-    return coefficients, _residual_covariance(
-        (flat - q @ projected).reshape(-1, *shape), len(indices)
-    )
+    residuals = (flat - q @ projected).reshape(-1, *shape)
+    return coefficients, _residual_covariance(residuals, len(indices))
 
 
 def design_points(
@@ -204,8 +306,25 @@ def design_points(
     rng: np.random.Generator,
     logarithmic: bool,
 ) -> Array:
-    """(N, d) quasi-random normal points around the centre; where physically impossible, mirrored at
-    the bound, so that they stay apart.
+    """Place quasi-random normal points around a centre.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Points that are physically impossible are mirrored at the bound, so that they stay apart.
+    centre, width : (d,) array
+        In the emulator's coordinates.
+    count : int
+        N.
+    rng : numpy.random.Generator
+        Scrambles the Sobol set.
+    logarithmic : bool
+        Whether the coordinates are the parameters' logarithms.
+
+    Returns
+    -------
+    (N, d) array
+        Parameters.
     """
     sobol = qmc.Sobol(len(centre), rng=rng).random_base2(int(np.ceil(np.log2(count))))[:count]
     x = centre + width * ndtri(np.clip(sobol, 1e-12, 1 - 1e-12))
@@ -216,12 +335,13 @@ def design_points(
     return space.feasible(values)
 
 
-def _residual_covariance(left: Array, terms: int) -> Array:
-    """(R, p, p) from residuals (N, R, p), with Hartlap, Simon, Schneider's (2007) factor where the
-    inverse has a mean.
+def _residual_covariance(residuals: Array, terms: int) -> Array:
+    """(R, p, p) from residuals (N, R, p), with a factor that makes its inverse unbiased.
+
+    The factor is that of Hartlap, Simon, Schneider (2007), where the inverse has a mean.
     """
-    n, _, p = left.shape
+    n, _, p = residuals.shape
     free = n - terms
-    rows = left.swapaxes(0, 1)  # (R, N, p)
+    rows = residuals.swapaxes(0, 1)  # (R, N, p)
     covariance = rows.swapaxes(1, 2) @ rows / free
     return covariance * (free / (free - p - 1) if free > p + 1 else free)

@@ -217,7 +217,7 @@ def _piece(motion: Motion, rows: slice) -> Motion:
 
 
 def _minimum(function: Callable[[float], float]) -> float:
-    """exp of where a function of log q / r is smallest, within the bounds: a grid, then Brent's
+    """Exp of where a function of log q / r is smallest, within the bounds: a grid, then Brent's
     method.
     """
 

@@ -1,4 +1,4 @@
-"""The affine-invariant ensemble sampler emcee (Foreman-Mackey et al. 2013, arXiv:1202.3665)."""
+"""The affine-invariant ensemble sampler emcee."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -11,12 +11,36 @@ from dropo.core.services.validation import Array, known, require
 
 @dataclass(frozen=True)
 class Emcee(Sampler):
-    """walkers: how many, by default 4 d and at least 32; steps: those kept, of each walker, after
-    `burn_in` others.
+    """The affine-invariant ensemble sampler emcee.
 
-    moves: "differential", differential evolution with snooker steps (ter Braak and Vrugt 2008), a
-    third of the autocorrelation time on Gaussians of 2 to 8 dimensions; or "stretch" (Goodman and
-    Weare 2010).
+    Attributes
+    ----------
+    walkers : int, optional
+        Number of walkers W, by default 4 d and at least 32. At least twice the d parameters are
+        needed.
+    steps : int
+        Number of steps S that each walker keeps.
+    burn_in : int
+        Number of steps before them, which are dropped.
+    moves : {"differential", "stretch"}
+        "differential" is differential evolution with snooker steps, whose autocorrelation time on
+        Gaussians of 2 to 8 dimensions is a third of that of "stretch".
+
+    Raises
+    ------
+    BadArgument
+        If `walkers` or `steps` is below 4 or `burn_in` is negative; in `sample`, if there are fewer
+        than 2 d walkers.
+    UnknownName
+        If there are no such `moves`.
+
+    References
+    ----------
+    Foreman-Mackey, Hogg, Lang and Goodman (2013), "emcee: the MCMC hammer", arXiv:1202.3665.
+    Ter Braak and Vrugt (2008), "Differential evolution Markov chain with snooker updater and fewer
+    chains", Statistics and Computing 18.
+    Goodman and Weare (2010), "Ensemble samplers with affine invariance", Communications in Applied
+    Mathematics and Computational Science 5.
     """
 
     walkers: int | None = None
@@ -37,9 +61,11 @@ class Emcee(Sampler):
         known("moves", self.moves, ("stretch", "differential"))
 
     def evaluations(self, dimension: int) -> int:
-        return self._count(dimension) * (1 + self.burn_in + self.steps)
+        """Returns the number of density evaluations in so many dimensions (`dimension`)."""
+        return self._walkers(dimension) * (1 + self.burn_in + self.steps)
 
-    def _count(self, dimension: int) -> int:
+    def _walkers(self, dimension: int) -> int:
+        """Returns the number of walkers in so many dimensions."""
         return self.walkers or max(32, 4 * dimension)
 
     def _sample(
@@ -48,7 +74,7 @@ class Emcee(Sampler):
         import emcee
 
         d = len(start)
-        walkers = self._count(d)
+        walkers = self._walkers(d)
         require(
             walkers >= 2 * d,
             "walkers",
@@ -57,23 +83,21 @@ class Emcee(Sampler):
             "Emcee",
         )
         points, values = first_positions(density, rng, start, spread, walkers)
-        seed = np.random.RandomState(
-            rng.integers(2**32, size=8, dtype=np.uint32)
-        ).get_state()  # emcee takes no newer generator
+        # emcee takes only NumPy's older generator
+        seed = rng.integers(2**32, size=8, dtype=np.uint32)
+        random_state = np.random.RandomState(seed).get_state()
+        first = emcee.State(points, log_prob=values, random_state=random_state)
         sampler = emcee.EnsembleSampler(
             walkers, d, density, moves=_moves(self.moves), vectorize=True
         )
-        sampler.run_mcmc(
-            emcee.State(points, log_prob=values, random_state=seed), self.burn_in + self.steps
-        )
+        sampler.run_mcmc(first, self.burn_in + self.steps)
         return sampler.get_chain(discard=self.burn_in), sampler.get_log_prob(discard=self.burn_in)
 
 
 def _moves(name: str) -> list[tuple[Any, float]]:
+    """Returns emcee's moves with their probabilities, as its documentation advises."""
     from emcee import moves
 
-    return (
-        [(moves.StretchMove(), 1.0)]
-        if name == "stretch"
-        else [(moves.DEMove(), 0.8), (moves.DESnookerMove(), 0.2)]
-    )  # emcee's advice
+    if name == "stretch":
+        return [(moves.StretchMove(), 1.0)]
+    return [(moves.DEMove(), 0.8), (moves.DESnookerMove(), 0.2)]

@@ -1,4 +1,4 @@
-"""The No-U-Turn sampler of Pyro (Hoffman and Gelman 2014, JMLR 15; Bingham et al. 2019, JMLR 20)."""
+"""The No-U-Turn sampler of Pyro."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,16 +12,40 @@ from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array, require
 from dropo.optimizers.support.real_line import RealLine
 
-LEAPS = 8  # gradients a draw, about
-
 
 @dataclass(frozen=True)
 class PyroNuts(Sampler):
-    """chains of so many `draws` each, after `warmup` steps that adapt the step size and a full mass
-    matrix.
+    """The No-U-Turn sampler, with a full mass matrix.
 
-    target_acceptance: what the step size is adapted to; higher is slower and safer. Divergences are
-    counted and told.
+    Divergent steps are counted and reported in the notes of the draws.
+
+    Attributes
+    ----------
+    draws : int
+        Number of draws S that each chain keeps.
+    warmup : int
+        Number of steps before them, which adapt the step size and the mass matrix.
+    chains : int
+        Number of chains W.
+    target_acceptance : float
+        Acceptance probability in (0, 1) that the step size is adapted to. A higher one is slower
+        and safer.
+    gradients_per_draw : int
+        Expected number of gradients for one draw, for the estimate of the cost only.
+
+    Raises
+    ------
+    MissingPackage
+        If torch or Pyro is not installed.
+    BadArgument
+        If `draws` is below 4, `warmup` or `chains` is below 1, or `target_acceptance` is not
+        between 0 and 1.
+
+    References
+    ----------
+    Hoffman and Gelman (2014), "The No-U-Turn sampler", Journal of Machine Learning Research 15.
+    Bingham et al. (2019), "Pyro: deep universal probabilistic programming", Journal of Machine
+    Learning Research 20.
     """
 
     draws: int = 1000
@@ -29,6 +53,7 @@ class PyroNuts(Sampler):
     chains: int = 4
     target_acceptance: float = 0.8
     needs_gradients: ClassVar[bool] = True
+    gradients_per_draw: ClassVar[int] = 8
 
     def __post_init__(self) -> None:
         need("torch", "pyro", extra="posterior", caller="Sampler pyro-nuts")
@@ -44,7 +69,8 @@ class PyroNuts(Sampler):
         )
 
     def evaluations(self, dimension: int) -> int:
-        return LEAPS * self.chains * (self.warmup + self.draws)
+        """Returns about how many gradients a run evaluates, for any `dimension`."""
+        return self.gradients_per_draw * self.chains * (self.warmup + self.draws)
 
     def _sample(
         self, density: Density, rng: np.random.Generator, start: Array, spread: Array
@@ -52,7 +78,7 @@ class PyroNuts(Sampler):
         line = RealLine(density, start, spread)
         first = line.head(rng, self.chains)
         seeds = rng.integers(2**63, size=self.chains)
-        runs = [self._chain(line, w, int(seed)) for w, seed in zip(first, seeds, strict=True)]
+        runs = [self._run_chain(line, w, int(seed)) for w, seed in zip(first, seeds, strict=True)]
         chain = line.unit(np.stack([states for states, _ in runs], axis=1))
         diverging = np.stack([diverged for _, diverged in runs], axis=1)
         values = density(chain.reshape(-1, len(start)))[:, 0].reshape(chain.shape[:2])
@@ -61,13 +87,14 @@ class PyroNuts(Sampler):
         if count:
             notes.append(
                 f"{count} of {diverging.size} steps diverged, so that parts of the "
-                "posterior may be missed:"
-                " raise target_acceptance, or take sampler 'emcee'"
+                "posterior may be missed: raise target_acceptance, or take sampler 'emcee'"
             )
         return Chains(chain, values, diverging, tuple(notes))
 
-    def _chain(self, line: RealLine, first: Array, seed: int) -> tuple[Array, NDArray[np.bool_]]:
-        """States (S, d) on the real line from `first` (d,), and which steps diverged (S,)."""
+    def _run_chain(
+        self, line: RealLine, first: Array, seed: int
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Returns states (S, d) on the real line from `first` (d,), and which diverged (S,)."""
         import torch
         from pyro.infer import NUTS
 

@@ -1,4 +1,4 @@
-"""The unit box as the whole real space, where Pyro's samplers move."""
+"""The unit box as the whole real space, on which Pyro's samplers work."""
 
 from typing import Any
 
@@ -9,15 +9,30 @@ from dropo.core.contracts.sampler import Density, first_positions
 from dropo.core.numerics.array_api import constant, plain
 from dropo.core.services.validation import Array
 
-EDGE = 1e-3  # the coordinates' origin keeps this far from the box' ends, where the map is flat
+EDGE = 1e-3
+"""Distance of the coordinates' origin from the ends of the box, where the map is flat."""
 
 
 class RealLine:
-    """A density over the unit box as one over w in R^d, with u = Phi(origin + scale w): flat on the
-    box is normal in w.
+    """A density over the unit box, as one over w in R^d.
 
-    density: (W, d) -> (W, 1 + d), values and gradients over the box; start, spread: (d,), where |w|
-    is about 1.
+    A constant density on the box is normal in w.
+
+    Parameters
+    ----------
+    density : callable
+        (W, d) -> (W, 1 + d): log densities over the box, and their gradients behind them.
+    start, spread : (d,) array
+        Middle and width of the region of the box where |w| is about 1.
+
+    Attributes
+    ----------
+    origin, scale : (d,) array
+        Coefficients of the map.
+
+    Notes
+    -----
+    u = Phi(origin + scale w), with the standard normal distribution function Phi.
     """
 
     def __init__(self, density: Density, start: Array, spread: Array):
@@ -28,30 +43,56 @@ class RealLine:
         self.scale = np.minimum(spread / _normal(self.origin), 1.0)
 
     def unit(self, w: Array) -> Array:
-        """Points of the unit box (..., d) at w (..., d)."""
+        """Returns the points of the unit box (..., d) at w (..., d)."""
         return np.asarray(ndtr(self.origin + self.scale * w))
 
     def head(self, rng: np.random.Generator, count: int) -> Array:
-        """(W, d) so many positions around the start, where the density is positive."""
+        """Returns first positions on the real line, where the density is positive.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of the random positions.
+        count : int
+            Number W of positions.
+
+        Returns
+        -------
+        (W, d) array
+            Positions w around the start.
+
+        Raises
+        ------
+        BadArgument
+            If no position of positive density is found around the start.
+        """
         points, _ = first_positions(
             lambda u: self.density(u)[:, 0], rng, self.start, self.spread, count
         )
         return (ndtri(np.clip(points, 1e-9, 1 - 1e-9)) - self.origin) / self.scale
 
     def log_density(self, w: Any) -> Any:
-        """(...,) at a tensor w (..., d), up to a constant: log p(u) + log |du/dw|; its gradient is
-        known to autograd.
+        """Returns log p(u) + log |du/dw| up to a constant, with its gradient for autograd.
+
+        Parameters
+        ----------
+        w : (..., d) torch.Tensor
+            Points on the real line.
+
+        Returns
+        -------
+        (...,) torch.Tensor
+            Log densities.
         """
         z = self.origin + self.scale * plain(w).reshape(-1, len(self.origin))
         answers = self.density(ndtr(z))
         values = answers[:, 0] - 0.5 * (z**2).sum(axis=1)
         gradients = (answers[:, 1:] * _normal(z) - z) * self.scale
-        tangent = constant(gradients.reshape(w.shape), w) * (
-            w - w.detach()
-        )  # 0, with the right derivative
+        # a tensor that is 0 and has the right derivative
+        tangent = constant(gradients.reshape(w.shape), w) * (w - w.detach())
         return constant(values.reshape(w.shape[:-1]), w) + tangent.sum(-1)
 
 
 def _normal(z: Array) -> Array:
-    """The standard normal density."""
+    """Returns the standard normal density."""
     return np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)

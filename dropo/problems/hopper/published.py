@@ -1,5 +1,6 @@
-"""The hopper transitions published with DROPO: github.com/gabrieletiboni/dropo, MIT licence, (c)
-2022 Gabriele Tiboni.
+"""The hopper transitions published with DROPO.
+
+Source: github.com/gabrieletiboni/dropo, MIT licence, (c) 2022 Gabriele Tiboni.
 """
 
 import numpy as np
@@ -10,7 +11,10 @@ from dropo.data.reading import read
 from dropo.problems.hopper.problem import NOISE, hopper_problem
 from dropo.problems.measured.external_data import fetch_arrays, find_data
 
-SOURCE = "https://raw.githubusercontent.com/gabrieletiboni/dropo/a9861643bc8e183dc899084bb58dc2255a3429b5/datasets"
+SOURCE = (
+    "https://raw.githubusercontent.com/gabrieletiboni/dropo/"
+    "a9861643bc8e183dc899084bb58dc2255a3429b5/datasets"
+)
 EPISODE = 500  # transitions of each of the 20 trajectories
 FIRST = 1000  # transitions that the thesis fits
 FILES = {
@@ -35,19 +39,35 @@ KEYS = {
     "actions": "actions",
     "next_observations": "nextobservations",
 }
+"""Field of the trajectories -> its word in the names of the authors' files."""
 
 
 def published(which: str) -> Trajectories:
-    """All 10,000 transitions of the set "clean" or "noisy-1e-5"; fetched once where they are not at
-    hand.
+    """All 10,000 published transitions of one set.
+
+    They are read from the external data, or fetched once into the user's cache.
+
+    Parameters
+    ----------
+    which : str
+        "clean" or "noisy-1e-5".
+
+    Returns
+    -------
+    Trajectories
+        20 trajectories of 500 transitions; 11 observed signals, 3 commands.
+
+    Raises
+    ------
+    BadFile
+        If the data are neither found nor fetched, or if fetched data have another content.
     """
     path = find_data(f"hopper-published/{which}.npz")
     if path is not None:
         return read(path)
-    files = {
-        key: (f"{FILES[which]}_{name}.npy", digest)
-        for (key, name), digest in zip(KEYS.items(), DIGESTS[which], strict=True)
-    }
+    files = {}
+    for (key, word), digest in zip(KEYS.items(), DIGESTS[which], strict=True):
+        files[key] = (f"{FILES[which]}_{word}.npy", digest)
     arrays = fetch_arrays(SOURCE, files)
     ends = np.arange(len(arrays["observations"])) % EPISODE == EPISODE - 1
     return Trajectories(
@@ -56,16 +76,38 @@ def published(which: str) -> Trajectories:
 
 
 def hopper_published(threads: int = 0) -> Problem:
-    """The authors' 10,000 transitions without noise; the first 1000 unless more are asked for
-    (thesis, table 6.1).
+    """The authors' 10,000 transitions without noise (table 6.1).
+
+    The first 1000 are fitted unless more are asked for.
+
+    Parameters
+    ----------
+    threads : int
+        Threads of the simulator; 0 for all cores.
+
+    Raises
+    ------
+    BadFile
+        If the data are neither found nor fetched.
     """
     data = published("clean")
     return hopper_problem("hopper-published", data.head(FIRST), 1e-8, threads, everything=data)
 
 
 def hopper_published_noisy(threads: int = 0) -> Problem:
-    """The authors' set with noise of variance 1e-5 on the next observations; the first 1000 unless
-    more are asked for.
+    """The authors' transitions with noise of variance 1e-5 on the next observations (table 6.1).
+
+    The first 1000 are fitted unless more are asked for.
+
+    Parameters
+    ----------
+    threads : int
+        Threads of the simulator; 0 for all cores.
+
+    Raises
+    ------
+    BadFile
+        If the data are neither found nor fetched.
     """
     data = published("noisy-1e-5")
     return hopper_problem(

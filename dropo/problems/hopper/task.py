@@ -1,6 +1,4 @@
-"""Hopping: what the policies of the thesis are trained for on the hopper (section 6.2.4), as
-Gymnasium's Hopper-v5 has it.
-"""
+"""Hopping, the task of the thesis' policies (section 6.2.4), as Gymnasium's Hopper-v5 has it."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +10,18 @@ from dropo.problems.hopper.model import FRAME_SKIP
 
 STEPS = 500  # control steps of an episode in the thesis
 SECONDS = 0.002 * FRAME_SKIP  # of a control step
-FASTEST = 10.0  # [m/s, rad/s] beyond which Gymnasium cuts a velocity that it shows
-FARTHEST = 100.0  # of any number of a sound state, behind the first two positions
+FASTEST = 10.0  # [m/s, rad/s] at which Gymnasium clips the velocities that it shows
+FARTHEST = 100.0  # bound of a healthy state's numbers, except for the first two positions
 
 
 def hopping() -> Task:
-    """Forward speed [m/s], less 0.001 of the squared commands; a bonus of 1 for each step that ends
-    upright.
+    """The task of hopping forward.
+
+    Returns
+    -------
+    Task
+        Its reward is the forward speed [m/s] less 0.001 of the squared commands, with a bonus of 1
+        for each control step that ends upright.
     """
     return Task(
         forward,
@@ -32,15 +35,28 @@ def hopping() -> Task:
 
 
 def forward(before: Array, actions: Array, after: Array) -> Array:
-    """(m,) the reward of Hopper-v5 without its bonus."""
+    """The reward of Hopper-v5 without its bonus.
+
+    Parameters
+    ----------
+    before, after : (m, 12) array
+        States at the start and at the end of a control step.
+    actions : (m, 3) array
+        Commands in between.
+
+    Returns
+    -------
+    (m,) array
+        Forward speed [m/s] less 0.001 of the squared commands.
+    """
     return (after[:, 0] - before[:, 0]) / SECONDS - 1e-3 * np.sum(actions**2, axis=1)
 
 
 def upright(states: Array) -> NDArray[np.bool_]:
-    """(m,) which have not fallen, by Gymnasium's rule."""
+    """Which of the states (m, 12) have not fallen by Gymnasium's rule, (m,) bool."""
     return healthy(states) & (np.abs(states[:, 2:]) < FARTHEST).all(axis=1)
 
 
 def shown(rows: Array) -> Array:
-    """(m, 11) observation rows with velocities cut as Gymnasium cuts them."""
+    """Observation rows (m, 11) with their velocities clipped as Gymnasium clips them, (m, 11)."""
     return np.concatenate([rows[:, :5], np.clip(rows[:, 5:], -FASTEST, FASTEST)], axis=1)

@@ -1,4 +1,4 @@
-"""The published hopper transitions against a model that is wrong: Gymnasium's Hopper-v5 as it is."""
+"""The published hopper transitions against a wrong model: Gymnasium's Hopper-v5 as it is."""
 
 from importlib.resources import as_file, files
 
@@ -12,8 +12,24 @@ from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
 def hopper_v5(threads: int = 0) -> Problem:
-    """The authors' 10,000 transitions against Gymnasium's Hopper-v5, unchanged: nine of its numbers
-    are not those of the data.
+    """The authors' 10,000 transitions against Gymnasium's unchanged Hopper-v5.
+
+    Nine numbers of the model are not those of the data; `differences` lists them.
+
+    Parameters
+    ----------
+    threads : int
+        Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
+        Without parameters, for a diagnosis.
+
+    Raises
+    ------
+    BadFile
+        If the published data are neither found nor fetched.
     """
     simulator = MujocoSimulator(
         gymnasium_spec(),
@@ -26,22 +42,28 @@ def hopper_v5(threads: int = 0) -> Problem:
 
 
 def gymnasium_spec() -> mujoco.MjSpec:
-    """Gymnasium's `hopper.xml`."""
+    """Gymnasium's `hopper.xml` as it is."""
     with as_file(files("gymnasium") / "envs" / "mujoco" / "assets" / "hopper.xml") as path:
         return mujoco.MjSpec.from_file(str(path))
 
 
 def differences() -> dict[tuple[str, str | None], float]:
-    """(effect, place) -> what the model that made the data has beside Gymnasium's: masses [kg],
-    inertias (as shares), and the distance at which contacts begin [m].
+    """What must be added to Gymnasium's model to obtain the one that made the data.
+
+    Returns
+    -------
+    dict
+        (effect, target) -> difference: masses [kg], inertias (as fractions of Gymnasium's), and
+        the distance at which contacts begin [m], whose target is None.
     """
-    own = gymnasium_spec().compile()
-    made = hopper_model()
+    stock = gymnasium_spec().compile()
+    true = hopper_model()
     out: dict[tuple[str, str | None], float] = {}
     for body in BODIES:
-        out["body_mass", body] = float(made.body(body).mass[0] - own.body(body).mass[0])
-        out["body_inertia", body] = float(
-            made.body(body).inertia.max() / own.body(body).inertia.max() - 1
-        )
-    out["contact_stiffness", None] = 2 * MARGIN - 2 * float(own.geom("foot_geom").margin[0])
+        stock_body = stock.body(body)
+        true_body = true.body(body)
+        out["body_mass", body] = float(true_body.mass[0] - stock_body.mass[0])
+        ratio = true_body.inertia.max() / stock_body.inertia.max()
+        out["body_inertia", body] = float(ratio - 1)
+    out["contact_stiffness", None] = 2 * MARGIN - 2 * float(stock.geom("foot_geom").margin[0])
     return out

@@ -1,6 +1,4 @@
-"""Logs of real machines as problems: runs on the grid of control steps, and every third run kept
-from the fit.
-"""
+"""Logs of real machines as problems: runs on a grid of control steps, every third one held out."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,80 +17,175 @@ from dropo.logs.signals.stamps import going_on
 from dropo.problems.measured.external_data import find_data, missing
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
-HELD_OUT = 3  # every third run is kept from the fit
-# of the velocities' smoothing: control steps, and the polynomial (Savitzky and Golay 1964)
-WIDTH = 5
-ORDER = 3
-
 Channels = Mapping[str, Array]
 """The columns of a run by name, (n,) or (n, k), with its `time` (n,) [s].
 
-`velocity`: of the positions, where it was estimated before.
+`velocity` is that of the positions, where it was estimated before.
 """
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """How runs become trajectories.
+
+    Attributes
+    ----------
+    held_out_every : int
+        Of so many runs, the last one is held out from the fit.
+    filter_width : int
+        Width of the filter that estimates velocities, in control steps.
+    filter_order : int
+        Order of its polynomial (Savitzky and Golay 1964).
+    """
+
+    held_out_every: int = 3
+    filter_width: int = 5
+    filter_order: int = 3
+
+
+DEFAULT = RecordingSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Runs of one machine, by name, in the order of the archive."""
+    """Runs of one machine, in the order of the archive.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Name of each run.
+    channels : tuple of mappings
+        Columns of each run, by name.
+    """
 
     names: tuple[str, ...]
     channels: tuple[Channels, ...]
 
     def named(self, beginning: str) -> "Runs":
-        """Those whose names begin so."""
-        which = [i for i, name in enumerate(self.names) if name.startswith(beginning)]
-        return Runs(tuple(self.names[i] for i in which), tuple(self.channels[i] for i in which))
+        """The runs whose names start with `beginning`."""
+        chosen = [i for i, name in enumerate(self.names) if name.startswith(beginning)]
+        return Runs(tuple(self.names[i] for i in chosen), tuple(self.channels[i] for i in chosen))
 
 
 def find_runs(folder: str, model: str, source: str) -> tuple[Runs, Path]:
-    """The runs in <folder>/runs.npz among the outside data, and the path of a model beside it."""
-    files = [f"{folder}/runs.npz", f"{folder}/{model}"]
-    paths = [find_data(name) for name in files]
-    if paths[0] is None or paths[1] is None:
-        raise missing(files[paths.index(None)], source)
-    log = RunsLog(paths[0])
-    return Runs(tuple(log.names), tuple(log.runs)), paths[1]
+    """Reads the runs of a machine among the external data.
+
+    Parameters
+    ----------
+    folder : str
+        Folder of the data, with a file `runs.npz`.
+    model : str
+        Name of the model's file beside it.
+    source : str
+        Whose data they are, in words, for a message.
+
+    Returns
+    -------
+    runs : Runs
+        The runs.
+    model : Path
+        Path of the model.
+
+    Raises
+    ------
+    BadFile
+        If one of the two files is not found, or the archive can not be read.
+    """
+    names = [f"{folder}/runs.npz", f"{folder}/{model}"]
+    archive = find_data(names[0])
+    if archive is None:
+        raise missing(names[0], source)
+    model_path = find_data(names[1])
+    if model_path is None:
+        raise missing(names[1], source)
+    log = RunsLog(archive)
+    return Runs(tuple(log.names), tuple(log.runs)), model_path
 
 
-def gridded(run: Channels, step: float, command: str | None) -> tuple[Array, Array, Array]:
-    """A run every `step` seconds: time (m,), observations (m, 2 n) and actions (m, q) of which each
-    holds until the next row.
+def gridded(
+    run: Channels, step: float, command: str | None, settings: RecordingSettings = DEFAULT
+) -> tuple[Array, Array, Array]:
+    """A run resampled to one row a control step.
 
-    Positions by Akima splines, unless their stamps are on the grid; velocities likewise where the
-    run has them, else by a Savitzky-Golay filter over the positions, which is not causal; commands,
-    each held until the next, as means over the step. Stamps that do not increase are left out.
+    Positions are resampled by Akima splines, unless their stamps are on the grid; so are velocities
+    if the run has them, else a Savitzky-Golay filter over the positions estimates them, which is
+    not causal. Commands, each held until the next, become means over the step. Rows whose stamps do
+    not increase are left out.
+
+    Parameters
+    ----------
+    run : mapping
+        Columns `time`, `qpos`, perhaps `velocity`, and the command.
+    step : float
+        Duration of a control step [s].
+    command : str or None
+        Column of the commands; None if nothing is commanded.
+    settings : RecordingSettings
+        The filter for velocities.
+
+    Returns
+    -------
+    time : (m,) array
+        Seconds from the run's first row.
+    observations : (m, 2 n) array
+        Positions and velocities.
+    actions : (m, q) array
+        Commands, each held until the next row.
     """
     stamps = np.asarray(run["time"], dtype=float)
     keep = going_on(stamps)
     stamps = stamps[keep] - stamps[0]
     time = np.minimum(step * np.arange(int(stamps[-1] / step + ON_GRID) + 1), stamps[-1])
-    there = len(time) == len(stamps) and bool(np.abs(time - stamps).max() < ON_GRID * step)
+    is_on_grid = len(time) == len(stamps) and bool(np.abs(time - stamps).max() < ON_GRID * step)
 
-    def on_grid(name: str) -> Array:
+    def resampled(name: str) -> Array:
         values = _columns(run[name])[keep]
-        return values if there else resample(stamps, values, time)
+        return values if is_on_grid else resample(stamps, values, time)
 
-    positions = on_grid("qpos")
-    velocities = (
-        on_grid("velocity")
-        if "velocity" in run
-        else savgol_filter(positions, WIDTH, ORDER, deriv=1, delta=step, axis=0)
-    )
-    actions = (
-        np.zeros((len(time), 0))
-        if command is None
-        else held_means(stamps, _columns(run[command])[keep], time, step)
-    )
+    positions = resampled("qpos")
+    if "velocity" in run:
+        velocities = resampled("velocity")
+    else:
+        velocities = savgol_filter(
+            positions, settings.filter_width, settings.filter_order, deriv=1, delta=step, axis=0
+        )
+    if command is None:
+        actions = np.zeros((len(time), 0))
+    else:
+        actions = held_means(stamps, _columns(run[command])[keep], time, step)
     return time, np.concatenate([positions, velocities], axis=1), actions
 
 
 def _columns(values: Array) -> Array:
+    """Values (n,) or (n, k) as floats (n, k)."""
     return np.asarray(values, dtype=float).reshape(len(values), -1)
 
 
-def trajectories(runs: Sequence[Channels], step: float, command: str | None = None) -> Trajectories:
-    """One trajectory a run, which is its group too."""
-    parts = [gridded(run, step, command) for run in runs]
+def trajectories(
+    runs: Sequence[Channels],
+    step: float,
+    command: str | None = None,
+    settings: RecordingSettings = DEFAULT,
+) -> Trajectories:
+    """Runs as trajectories, each of which is a group of its own.
+
+    Parameters
+    ----------
+    runs : sequence of mappings
+        Columns of each run, as in `gridded`.
+    step : float
+        Duration of a control step [s].
+    command : str or None
+        Column of the commands; None if nothing is commanded.
+    settings : RecordingSettings
+        The filter for velocities.
+
+    Returns
+    -------
+    Trajectories
+        With the time of every row.
+    """
+    parts = [gridded(run, step, command, settings) for run in runs]
     lengths = [len(time) - 1 for time, _, _ in parts]
     return Trajectories(
         np.concatenate([rows[:-1] for _, rows, _ in parts]),
@@ -105,25 +198,47 @@ def trajectories(runs: Sequence[Channels], step: float, command: str | None = No
 
 
 def measured(
-    name: str, simulator: MujocoSimulator, runs: Runs, horizon: int, command: str | None = None
+    name: str,
+    simulator: MujocoSimulator,
+    runs: Runs,
+    horizon: int,
+    command: str | None = None,
+    settings: RecordingSettings = DEFAULT,
 ) -> Problem:
-    """A problem of which every third run judges and the others fit, over horizons of so many
-    control steps.
+    """A problem on runs of a machine; every third run is held out, the others are fitted.
+
+    Parameters
+    ----------
+    name : str
+        Name of the problem.
+    simulator : MujocoSimulator
+        Observes positions and velocities.
+    runs : Runs
+        The runs.
+    horizon : int
+        Control steps of a segment.
+    command : str or None
+        Column of the commands; None if nothing is commanded.
+    settings : RecordingSettings
+        Which runs are held out, and the filter for velocities.
+
+    Returns
+    -------
+    Problem
+        Whose fit takes a log-normal family by default.
     """
-    kept_back = np.arange(len(runs.names)) % HELD_OUT == HELD_OUT - 1
-    fitted, held_out = (
-        trajectories(
-            [run for run, back in zip(runs.channels, kept_back, strict=True) if back == side],
-            simulator.control_step,
-            command,
-        )
-        for side in (False, True)
-    )
+    every = settings.held_out_every
+    fitted = []
+    held_out = []
+    for i, run in enumerate(runs.channels):
+        side = held_out if i % every == every - 1 else fitted
+        side.append(run)
+    step = simulator.control_step
     return Problem(
         name,
         simulator,
-        fitted,
+        trajectories(fitted, step, command, settings),
         length=horizon,
-        held_out=held_out,
+        held_out=trajectories(held_out, step, command, settings),
         settings={"family": "log_normal"},
     )

@@ -1,5 +1,6 @@
-"""A real pendulum on a quasi-direct drive (Wiebe et al. 2022, JOSS 7, torque-limited simple
-pendulum; DFKI; BSD-3).
+"""A real pendulum on a quasi-direct drive.
+
+Data: Wiebe et al., torque-limited simple pendulum, JOSS 7, 2022; DFKI; BSD-3.
 """
 
 import mujoco
@@ -12,15 +13,12 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.measured.recordings import Channels, Runs, find_runs, measured
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
-# [s] of a Runge-Kutta step, wrong by less than 1e-3 rad after 500 ms; in a control step of 20 ms:
-# two
 TIMESTEP = 1e-2
-FRAME_SKIP = 2
+"""[s] of a Runge-Kutta step, whose error is below 1e-3 rad after 500 ms."""
+FRAME_SKIP = 2  # Runge-Kutta steps in a control step of 20 ms
 HORIZON = 25  # control steps: 500 ms
-COMMANDS = {
-    "commanded": "ctrl",
-    "current": "tau",
-}  # torques; the commands of one run lack its feedback
+COMMANDS = {"commanded": "ctrl", "current": "tau"}
+"""Input -> its column, torques; the commands of one run lack its feedback."""
 PARAMETERS = (
     FieldParameter("mass", 0.2, 1.5, "kg", field="body_mass", element="link"),
     FieldParameter("inertia", 1e-6, 0.05, "kg m^2", field="body_inertia", element="link", index=1),
@@ -28,11 +26,22 @@ PARAMETERS = (
 
 
 def simple_pendulum(threads: int = 0, input: str = "current") -> Problem:
-    """Mass and inertia of a pendulum from runs under different controllers, over horizons of 500
-    ms. In some spans it is pushed.
+    """Mass and inertia of a pendulum from runs under different controllers.
 
-    Positions and velocities by a smoother over each whole log: the drive's own velocities are
-    rough, and at times wild.
+    Segments are 500 ms long. In some spans the pendulum is pushed by hand. Positions and velocities
+    are smoothed over each whole log, since the drive's own velocities are rough and have outliers.
+
+    Parameters
+    ----------
+    threads : int
+        Threads of the simulator; 0 for all cores.
+    input : str
+        What is taken as the command: "commanded" or "current", the torque by the motor's current.
+
+    Raises
+    ------
+    BadFile
+        If the external data are not found.
     """
     runs, model = find_runs("simple-pendulum", "model.xml", "the DFKI simple pendulum")
     spec = mujoco.MjSpec.from_file(str(model))
@@ -41,16 +50,12 @@ def simple_pendulum(threads: int = 0, input: str = "current") -> Problem:
     simulator = MujocoSimulator(
         spec, PARAMETERS, observation=["qpos", "qvel"], frame_skip=FRAME_SKIP, threads=threads
     )
-    return measured(
-        "simple-pendulum",
-        simulator,
-        Runs(runs.names, tuple(map(_smoothed, runs.channels))),
-        HORIZON,
-        COMMANDS[input],
-    )
+    smoothed = Runs(runs.names, tuple(_smoothed(channels) for channels in runs.channels))
+    return measured("simple-pendulum", simulator, smoothed, HORIZON, COMMANDS[input])
 
 
 def _smoothed(run: Channels) -> Channels:
+    """A run with smoothed positions, and the velocities that belong to them."""
     keep = going_on(np.asarray(run["time"], dtype=float))
     found = estimate_velocities(run["time"][keep], run["qpos"][keep].reshape(-1, 1))
     commands = {column: run[column][keep] for column in COMMANDS.values()}

@@ -1,5 +1,6 @@
-"""A real pendulum and double pendulum that swing freely (Kaheman et al. 2023, MultiArm-Pendulum;
-MIT).
+"""A real pendulum and double pendulum that swing freely.
+
+Data: Kaheman et al., MultiArm-Pendulum, 2023; MIT licence.
 """
 
 import mujoco
@@ -14,21 +15,49 @@ HORIZON = 50  # control steps: 1 s, about one swing
 
 
 def swinging_pendulum(threads: int = 0) -> Problem:
-    """Mass and inertia of one arm that swings freely, of which the data tell the ratio alone, over
-    horizons of 1 s.
+    """Mass and inertia of one arm that swings freely.
+
+    Segments are 1 s long. Only the ratio of the two is identifiable.
+
+    Parameters
+    ----------
+    threads : int
+        Threads of the simulator; 0 for all cores.
+
+    Raises
+    ------
+    BadFile
+        If the external data are not found.
     """
     return _swinging("swinging-pendulum", "single", 1, 2, threads)
 
 
 def swinging_pendulum_double(threads: int = 0) -> Problem:
-    """Masses and inertias of two arms that swing freely."""
+    """Masses and inertias of two arms that swing freely.
+
+    Parameters
+    ----------
+    threads : int
+        Threads of the simulator; 0 for all cores.
+
+    Raises
+    ------
+    BadFile
+        If the external data are not found.
+    """
     return _swinging("swinging-pendulum-double", "double", 2, 4, threads)
 
 
 def _swinging(name: str, kind: str, arms: int, frame_skip: int, threads: int) -> Problem:
-    """frame_skip: Runge-Kutta steps in a control step, of which one is wrong by less than 1e-5 rad."""
+    """The problem of one or two arms.
+
+    `frame_skip` is the number of Runge-Kutta steps in a control step; the error of one is below
+    1e-5 rad.
+    """
     runs, model = find_runs("swinging-pendulum", f"model_{kind}.xml", "the multi-arm pendulum")
-    parameters = [parameter for arm in range(1, arms + 1) for parameter in _of(f"arm{arm}")]
+    parameters: list[FieldParameter] = []
+    for arm in range(1, arms + 1):
+        parameters += _mass_and_inertia(f"arm{arm}")
     spec = mujoco.MjSpec.from_file(str(model))
     spec.option.timestep = STEP / frame_skip
     simulator = MujocoSimulator(
@@ -37,7 +66,8 @@ def _swinging(name: str, kind: str, arms: int, frame_skip: int, threads: int) ->
     return measured(name, simulator, runs.named(kind), HORIZON)
 
 
-def _of(arm: str) -> tuple[FieldParameter, FieldParameter]:
+def _mass_and_inertia(arm: str) -> tuple[FieldParameter, FieldParameter]:
+    """The two parameters of an arm."""
     return (
         FieldParameter(f"{arm}_mass", 0.05, 0.5, "kg", field="body_mass", element=arm),
         FieldParameter(

@@ -1,4 +1,4 @@
-"""An arm that leads a pin over a table by joint accelerations, and whoever leads it."""
+"""An arm that guides a pin over a table by joint accelerations, under any pushing policy."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -13,34 +13,49 @@ from dropo.problems.panda.reaching import joint_path
 from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
 
 HEIGHT = 0.04  # [m] of the pin's tip above the table
-FIRST = np.array(
-    [0.1, 0.2, -0.1, -2.6, 0.0, 2.8, 0.0]
-)  # [rad] a bent arm, from which poses are looked for
+FIRST = np.array([0.1, 0.2, -0.1, -2.6, 0.0, 2.8, 0.0])
+"""[rad] a bent arm, from which poses are solved."""
 PLACE = (0.34, 0.0)  # [m] where the pin starts
-ACCELERATION = 3.0  # [m/s^2] of the pin at most
-JOINT_ACCELERATION = np.array(
-    [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]
-)  # [rad/s^2] the Panda's own limits
+ACCELERATION = 3.0  # [m/s^2] maximum of the pin
+JOINT_ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
+"""[rad/s^2] the Panda's own limits."""
 POWERS = [(i, j) for i in range(5) for j in range(5 - i)]
-# [m] the part of the table that the pin can reach
 X = np.linspace(0.32, 0.76, 12)
+"""[m] the part of the table within the pin's reach, ahead."""
 Y = np.linspace(-0.16, 0.16, 9)
+"""[m] the part of the table within the pin's reach, aside."""
 BOX = 7  # where the box' seven numbers begin in qpos, behind the joints
 
 
 class PushingPolicy(Protocol):
-    """What leads the pins of n arms: wanted velocities (m, 2) [m/s] from boxes (m, 3), x [m], y
-    [m], turn [rad], and pins (m, 2) [m].
-    """
+    """Guides the pins of n arms: wanted velocities of the pins from the places of the boxes."""
 
-    def __call__(self, boxes: Array, pins: Array, ids: Ints, step: int) -> Array: ...
+    def __call__(self, boxes: Array, pins: Array, ids: Ints, step: int) -> Array:
+        """Wanted velocities of pins at a control step.
+
+        Parameters
+        ----------
+        boxes : (m, 3) array
+            x [m], y [m] and turn [rad] of the boxes.
+        pins : (m, 2) array
+            Places of the pins [m].
+        ids : (m,) int array
+            Which of the n arms these are.
+        step : int
+            Number of the control step, from 0.
+
+        Returns
+        -------
+        (m, 2) array
+            Velocities [m/s].
+        """
+        ...
 
 
 @lru_cache(maxsize=8)
 def _polynomial(model: mujoco.MjModel) -> Array:
-    """(15, 7) coefficients of the joint angles over the table, of fourth order, with the pin
-    upright.
-    """
+    """Coefficients (15, 7) of the joint angles over the table, of fourth order, the pin upright."""
+    # The grid is walked there and back, so that each pose is close to the one before it.
     grid = np.array([(x, y) for i, x in enumerate(X) for y in (Y if i % 2 else Y[::-1])])
     positions = np.column_stack([grid, np.full(len(grid), HEIGHT)])
     upright = np.repeat(np.diag([1.0, -1.0, -1.0])[None], len(grid), axis=0)
@@ -49,29 +64,72 @@ def _polynomial(model: mujoco.MjModel) -> Array:
 
 
 def _terms(places: Array) -> Array:
+    """The polynomial's terms (..., 15) at places (..., 2) [m]."""
     x = places[..., 0] - 0.5
     y = places[..., 1]
     return np.stack([x**i * y**j for i, j in POWERS], axis=-1)
 
 
 def angles_at(model: mujoco.MjModel, places: Array) -> Array:
-    """(n, 7) joint angles [rad] that put the pin at places (n, 2) [m] on the table."""
+    """Joint angles that put the pin at places on the table.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The arm with a site "tip".
+    places : (n, 2) array
+        Places on the table [m].
+
+    Returns
+    -------
+    (n, 7) array
+        Angles [rad], by a polynomial of fourth order in the places.
+    """
     return _terms(places) @ _polynomial(model)
 
 
 def start_states(model: mujoco.MjModel, boxes: Array) -> Array:
-    """(n, nq + nv) at rest: the arm at its start, the boxes (n, 3) where they are said to be."""
+    """States at rest: the arm at its start, the boxes moved and turned.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The arm with the box.
+    boxes : (n, 3) array
+        How far the boxes are moved in x and y [m] from the model's own place, and turned [rad].
+
+    Returns
+    -------
+    (n, nq + nv) array
+        States, `qpos` then `qvel`.
+    """
     states = np.zeros((len(boxes), model.nq + model.nv))
     states[:, : model.nq] = model.qpos0
     states[:, :BOX] = angles_at(model, np.array(PLACE))
     states[:, BOX : BOX + 2] += boxes[:, :2]
-    states[:, BOX + 3], states[:, BOX + 6] = np.cos(boxes[:, 2] / 2), np.sin(boxes[:, 2] / 2)
+    states[:, BOX + 3] = np.cos(boxes[:, 2] / 2)
+    states[:, BOX + 6] = np.sin(boxes[:, 2] / 2)
     return states
 
 
 class Arms:
-    """What is commanded to n arms: angles (n, 7) [rad], the double integral of joint accelerations
-    within their limits.
+    """What is commanded to n arms: joint angles, by accelerations within the arm's limits.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The arm.
+    count : int
+        Number of arms, n.
+    control_step : float
+        Duration of a control step [s].
+
+    Attributes
+    ----------
+    angles : (n, 7) array
+        Commanded joint angles [rad], the double integral of the joint accelerations.
+    pins : (n, 2) array
+        Commanded places of the pins [m].
     """
 
     def __init__(self, model: mujoco.MjModel, count: int, control_step: float):
@@ -83,30 +141,39 @@ class Arms:
         self._speeds = np.zeros((count, 7))
 
     def lead(self, ids: Ints, velocities: Array) -> None:
-        """Moves the arms `ids` on by a control step, towards velocities (m, 2) [m/s] of their pins."""
-        change = np.clip(
-            velocities - self._pin_speeds[ids],
-            -ACCELERATION * self._step,
-            ACCELERATION * self._step,
-        )
-        self._pin_speeds[ids] += change
+        """Moves arms on by a control step, towards velocities of their pins.
+
+        Parameters
+        ----------
+        ids : (m,) int array
+            Which arms move.
+        velocities : (m, 2) array
+            Wanted velocities of their pins [m/s].
+        """
+        limit = ACCELERATION * self._step
+        self._pin_speeds[ids] += np.clip(velocities - self._pin_speeds[ids], -limit, limit)
         self.pins[ids] += self._step * self._pin_speeds[ids]
         wanted = (angles_at(self._model, self.pins[ids]) - self.angles[ids]) / self._step
         self.accelerate(ids, (wanted - self._speeds[ids]) / self._step)
 
     def accelerate(self, ids: Ints, accelerations: Array) -> None:
-        """Integrates joint accelerations (m, 7) [rad/s^2], cut at the arm's limits, over a control
-        step.
+        """Integrates joint accelerations, clipped at the arm's limits, over a control step.
+
+        Parameters
+        ----------
+        ids : (m,) int array
+            Which arms move.
+        accelerations : (m, 7) array
+            Joint accelerations [rad/s^2].
         """
-        self._speeds[ids] += self._step * np.clip(
-            accelerations, -JOINT_ACCELERATION, JOINT_ACCELERATION
-        )
+        clipped = np.clip(accelerations, -JOINT_ACCELERATION, JOINT_ACCELERATION)
+        self._speeds[ids] += self._step * clipped
         self.angles[ids] += self._step * self._speeds[ids]
 
 
 def drive(
     model: mujoco.MjModel,
-    hand: PushingPolicy,
+    pushing_policy: PushingPolicy,
     boxes: Array,
     steps: int,
     *,
@@ -115,17 +182,38 @@ def drive(
     fields: Mapping[str, Array] | None = None,
     rng: np.random.Generator,
 ) -> Runs:
-    """n arms led by a hand for so many control steps, from boxes (n, 3) moved and turned away from
-    the model's own place.
+    """Runs n arms under a pushing policy.
 
-    noise: sd [m, rad] with which the hand sees the boxes; fields: (n, 1, ...) as in `closed_loop`,
-    for the whole run. The runs' actions are the angles commanded.
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The arm with the box.
+    pushing_policy : PushingPolicy
+        Guides the pins.
+    boxes : (n, 3) array
+        How far the boxes are moved in x and y [m] from the model's own place, and turned [rad].
+    steps : int
+        Number of control steps.
+    frame_skip : int
+        Physics steps in a control step.
+    noise : float
+        Standard deviation [m, rad] with which the policy sees the boxes.
+    fields : mapping or None
+        Fields of the model (n, 1, ...) as in `closed_loop`, for the whole run.
+    rng : numpy.random.Generator
+        Source of that noise.
+
+    Returns
+    -------
+    Runs
+        Their actions are the joint angles commanded [rad].
     """
     arms = Arms(model, len(boxes), frame_skip * float(model.opt.timestep))
     errors = noise * rng.standard_normal((steps, len(boxes), 3))
 
     def policy(states: Array, ids: Ints, step: int) -> Array:
-        arms.lead(ids, hand(boxes_of(states) + errors[step, ids], arms.pins[ids], ids, step))
+        measured = boxes_of(states) + errors[step, ids]
+        arms.lead(ids, pushing_policy(measured, arms.pins[ids], ids, step))
         return arms.angles[ids]
 
     return closed_loop(
@@ -140,7 +228,7 @@ def drive(
 
 
 def boxes_of(states: Array) -> Array:
-    """x [m], y [m] and turn [rad] (..., 3) of the boxes in states (..., nq + nv)."""
+    """X [m], y [m] and turn [rad] (..., 3) of the boxes in states (..., nq + nv)."""
     w, i, j, k = np.moveaxis(states[..., BOX + 3 : BOX + 7], -1, 0)
     turn = np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
     return np.concatenate([states[..., BOX : BOX + 2], turn[..., None]], axis=-1)

@@ -1,5 +1,6 @@
-"""Pushing, simulation against simulation: an arm pushes a box whose centre of mass is beside its
-middle (thesis, section 6.3.3).
+"""Pushing, simulation against simulation: an arm pushes a box whose centre of mass is off centre.
+
+The problem of the thesis' section 6.3.3.
 """
 
 from dataclasses import dataclass
@@ -22,42 +23,34 @@ from dropo.simulators.mujoco.worker import Worker
 
 FRAME_SKIP = 2  # physics steps of 5 ms
 STEPS = 1050  # transitions of 10 ms, as in the thesis
-LENGTH = 10
+HORIZON = 10
+"""lambda of the thesis, in control steps."""
 DRAWS = 50
+"""K of the thesis."""
 EPSILON = 1e-4
-"""lambda, K and epsilon of the thesis."""
-SETTINGS = {
-    "likelihood": "linear",
-    "draws": DRAWS,
-}  # of a fit: a quarter of the steps of the emulated one, and K for those that draw
+"""epsilon of the thesis."""
+SETTINGS = {"likelihood": "linear", "draws": DRAWS}
+"""Settings of a fit: the linear likelihood takes a quarter of the emulated one's steps; K is for
+likelihoods that draw.
+"""
 NAMES = ("box_mass", "friction_x", "friction_y", "com_x", "com_y")
 TRUTH = dict(zip(NAMES, (1.1, 0.45, 0.6, 0.0, 0.03), strict=True))
-"""The target's own numbers; its box has another inertia besides, and its arm other gains."""
-# [kg] of the box without its bolts, [m] of the bolts above its middle
-SHELL = 0.3
-HEIGHT = -0.02
-GAINS = (0.85, 1.1, 0.9, 1.15, 0.9, 1.1, 0.85)  # the target's, as shares of the model's
-PLACE_NOISE = (
-    5e-4,
-    5e-4,
-    2e-5,
-    5e-5,
-    5e-5,
-    2e-3,
-)  # sd [m, rad]; a box on a table hardly tilts, so that is averaged
-SPEED_NOISE = (5e-3, 5e-3, 5e-4, 1e-3, 1e-3, 2e-2)  # [m/s, rad/s]
-NOISE = np.array([*(1e-4,) * 7, *PLACE_NOISE, *(2e-3,) * 7, *SPEED_NOISE])  # sd of every signal
-OFFSETS = (
-    0.055,
-    0.0,
-    0.06,
-    0.01,
-    0.045,
-    -0.01,
-)  # [m] beside the box' middle, where it is pushed while the data are collected
-# [m/s] forward, by hand and by a policy
-GUIDED = 0.06
-PUSHED = 0.1
+"""The target's own numbers; besides, its box has another inertia, and its arm other gains."""
+SHELL = 0.3  # [kg] of the box without its bolts
+HEIGHT = -0.02  # [m] of the bolts above the box' middle
+GAINS = (0.85, 1.1, 0.9, 1.15, 0.9, 1.1, 0.85)  # the target's, in the model's own ones
+PLACE_NOISE = (5e-4, 5e-4, 2e-5, 5e-5, 5e-5, 2e-3)
+"""Standard deviations of the box' place [m] and turn [rad]; a box on a table hardly tilts, so its
+height and tilt are averaged.
+"""
+SPEED_NOISE = (5e-3, 5e-3, 5e-4, 1e-3, 1e-3, 2e-2)
+"""Standard deviations of the box' velocity [m/s] and angular velocity [rad/s]."""
+NOISE = np.array([*(1e-4,) * 7, *PLACE_NOISE, *(2e-3,) * 7, *SPEED_NOISE])
+"""Standard deviation of the noise on every signal, a turn counting 3 numbers."""
+OFFSETS = (0.055, 0.0, 0.06, 0.01, 0.045, -0.01)
+"""Where the box is pushed while data are collected, beside its middle [m]."""
+GUIDED = 0.06  # [m/s] forward while data are collected
+PUSHED = 0.1  # [m/s] forward by a policy
 GOAL = 0.24  # [m] ahead
 
 
@@ -68,37 +61,46 @@ def pushing_spec() -> mujoco.MjSpec:
 
 
 def pushing_simulator(threads: int = 0) -> MujocoSimulator:
-    """Five parameters, as in table 6.6; the centre of mass is looked for within 5 cm of the middle,
-    so that no bound is near 3 cm.
+    """The simulator of pushing with five parameters, as in table 6.6.
 
-    It moves alone: the inertia about it stays, and MuJoCo's derived constants follow.
+    The centre of mass is searched within 5 cm of the middle, so that no bound is near 3 cm. It
+    moves alone: the inertia about it stays, and MuJoCo's derived constants follow.
+
+    Parameters
+    ----------
+    threads : int
+        Threads of the simulator; 0 for all cores.
     """
     parameters = [
         FieldParameter("box_mass", 0.08, 2.0, "kg", field="body_mass", element="box"),
         FieldParameter("friction_x", 0.2, 2.0, field="pair_friction", element="drag", index=1),
         FieldParameter("friction_y", 0.2, 2.0, field="pair_friction", element="drag", index=0),
-        *(
-            FieldParameter(
-                f"com_{axis}",
-                -0.05,
-                0.05,
-                "m",
-                lower=-0.09,
-                upper=0.09,
-                field="body_ipos",
-                element="box",
-                index=i,
-            )
-            for i, axis in enumerate("xy")
-        ),
+        _centre_of_mass("com_x", 0),
+        _centre_of_mass("com_y", 1),
     ]
     return MujocoSimulator(pushing_spec(), parameters, frame_skip=FRAME_SKIP, threads=threads)
 
 
+def _centre_of_mass(name: str, index: int) -> FieldParameter:
+    """One coordinate of the box' centre of mass as a parameter."""
+    return FieldParameter(
+        name,
+        -0.05,
+        0.05,
+        "m",
+        lower=-0.09,
+        upper=0.09,
+        field="body_ipos",
+        element="box",
+        index=index,
+    )
+
+
 @cache
 def target_model() -> mujoco.MjModel:
-    """The other side: a light box with bolts at one side, which move its centre of mass by 3 cm,
-    and an arm with other gains.
+    """The target: a light box with bolts at one side, and an arm with other gains.
+
+    The bolts move the box' centre of mass by 3 cm.
     """
     spec = pushing_spec()
     spec.geom("box").mass = SHELL
@@ -113,16 +115,24 @@ def target_model() -> mujoco.MjModel:
     )
     for number, friction in enumerate((TRUTH["friction_y"], TRUTH["friction_x"])):
         spec.pair("drag").friction[number] = friction
-    for i, share in enumerate(GAINS, 1):
+    for i, factor in enumerate(GAINS, 1):
         servo = spec.actuator(f"servo{i}")
-        servo.gainprm[0] *= share
-        servo.biasprm[1:3] *= share
+        servo.gainprm[0] *= factor
+        servo.biasprm[1:3] *= factor
     return load_model(spec)
 
 
 def pushing(threads: int = 0, seed: int = 0) -> Problem:
-    """Mass, two frictions and the centre of mass of a box, from ten seconds of pushing it about;
-    `partial` resets of the box, lambda 10.
+    """Mass, two frictions and centre of mass of a box, from ten seconds of pushing it about.
+
+    The box alone is reset to its measured state every 10 control steps (`partial` resets).
+
+    Parameters
+    ----------
+    threads : int
+        Threads of the simulator; 0 for all cores.
+    seed : int
+        Seed of the data.
     """
     simulator = pushing_simulator(threads)
     box = simulator.layout.places_of(["qpos.box", "qvel.box"], simulator.model)
@@ -131,7 +141,7 @@ def pushing(threads: int = 0, seed: int = 0) -> Problem:
         "pushing",
         simulator,
         data,
-        length=LENGTH,
+        length=HORIZON,
         reset="partial",
         set_columns=box,
         truth=TRUTH,
@@ -143,13 +153,31 @@ def pushing(threads: int = 0, seed: int = 0) -> Problem:
 
 
 def guided(boxes: Array, pins: Array, ids: Ints, step: int) -> Array:
-    """A hand that pushes the box forward six times at OFFSETS beside its middle, going back
-    between.
+    """The pushing policy that collects the data.
+
+    It pushes the box forward six times at `OFFSETS` beside its middle, going back in between.
+
+    Parameters
+    ----------
+    boxes : (m, 3) array
+        x [m], y [m] and turn [rad] of the boxes.
+    pins : (m, 2) array
+        Places of the pins [m].
+    ids : (m,) int array
+        Which arms these are; all are guided alike.
+    step : int
+        Number of the control step, from 0.
+
+    Returns
+    -------
+    (m, 2) array
+        Wanted velocities of the pins [m/s].
     """
-    push, gone = divmod(step, STEPS // len(OFFSETS))
+    duration = STEPS // len(OFFSETS)
+    push, elapsed = divmod(step, duration)
     ahead, aside = _axes(boxes)
     to_place = boxes[:, :2] + OFFSETS[push] * aside - pins
-    if 0.35 <= gone / (STEPS // len(OFFSETS)) <= 0.85:
+    if 0.35 <= elapsed / duration <= 0.85:
         return GUIDED * ahead + 2.0 * np.sum(to_place * aside, axis=1, keepdims=True) * aside
     return 4.0 * (to_place - 0.14 * ahead)
 
@@ -162,16 +190,38 @@ def _axes(boxes: Array) -> tuple[Array, Array]:
 
 
 def record(rng: np.random.Generator) -> Trajectories:
-    """1050 transitions of the target, one trajectory: what its sensors say while its box is pushed
-    about, and the angles commanded.
+    """What the target's sensors measure while its box is pushed about.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of the sensors' noise.
+
+    Returns
+    -------
+    Trajectories
+        One trajectory of 1050 transitions; its actions are the joint angles commanded [rad].
     """
     runs = drive(target_model(), guided, np.zeros((1, 3)), STEPS, frame_skip=FRAME_SKIP, rng=rng)
-    seen = measured(runs.states[0], rng)
-    return Trajectories(seen[:-1], runs.actions[0], seen[1:], np.arange(STEPS) == STEPS - 1)
+    rows = measured(runs.states[0], rng)
+    return Trajectories(rows[:-1], runs.actions[0], rows[1:], np.arange(STEPS) == STEPS - 1)
 
 
 def measured(states: Array, rng: np.random.Generator) -> Array:
-    """States (n, nq + nv) with the sensors' noise; a turned quaternion stays one."""
+    """States with the sensors' noise.
+
+    Parameters
+    ----------
+    states : (n, nq + nv) array
+        True states.
+    rng : numpy.random.Generator
+        Source of the noise.
+
+    Returns
+    -------
+    (n, nq + nv) array
+        Measured states; the box' quaternion is turned, so that it stays a unit one.
+    """
     noise = NOISE * rng.standard_normal((len(states), len(NOISE)))
     turn = slice(BOX + 3, BOX + 6)
     quaternion = slice(BOX + 3, BOX + 7)
@@ -187,17 +237,25 @@ def measured(states: Array, rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pusher:
-    """n policies of four numbers (n, 4), one an arm: where to push, and when to stop.
+    """n pushing policies of four numbers, one an arm: where to push, and when to stop.
 
-    The pin goes forward, along the box' side to `aim` [m] beside its middle + `by_turn` [m] times
-    its turn [rad] + `by_side` times how far it has moved aside [m]; it slows down as the box comes
-    within reach of a point `short` [m] before the goal.
+    The pin goes forward along the box' side, at `aim` [m] beside its middle + `by_turn` [m] times
+    the box' turn [rad] + `by_side` times how far the box has moved aside [m]. It slows down as the
+    box comes near a point `short` [m] before the goal.
+
+    Attributes
+    ----------
+    numbers : (n, 4) array
+        `aim`, `by_turn`, `by_side` and `short` of each arm's policy.
+    start : (2,) array
+        Where the box stands in the model [m].
     """
 
     numbers: Array
     start: Array
 
     def __call__(self, boxes: Array, pins: Array, ids: Ints, step: int) -> Array:
+        """Wanted velocities (m, 2) [m/s] of the pins, as a `PushingPolicy`."""
         aim, by_turn, by_side, short = self.numbers[ids].T
         ahead, aside = _axes(boxes)
         place = aim + by_turn * boxes[:, 2] + by_side * (boxes[:, 1] - self.start[1])
@@ -207,22 +265,34 @@ class Pusher:
 
 
 def fields_of(simulator: MujocoSimulator, values: Array) -> tuple[mujoco.MjModel, dict[str, Array]]:
-    """Parameter vectors (n, d) for `closed_loop`: a model, and every field (n, 1, ...) of it that
-    they change, derived ones too.
+    """Parameter vectors as fields of a model, for `closed_loop`.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The simulator whose parameters they are.
+    values : (n, d) array
+        Parameter vectors.
+
+    Returns
+    -------
+    model : mujoco.MjModel
+        A model.
+    fields : dict of (n, 1, ...) arrays
+        Every field of it that the vectors change, derived ones too.
     """
     worker = Worker(simulator.model, simulator.bindings)
-    made: dict[str, list[Array]] = {
-        name: []
-        for name in sorted(MODEL_FIELDS)
-        if isinstance(getattr(simulator.model, name, None), np.ndarray)
-    }
+    arrays: dict[str, list[Array]] = {}
+    for name in sorted(MODEL_FIELDS):
+        if isinstance(getattr(simulator.model, name, None), np.ndarray):
+            arrays[name] = []
     for value in values:
         worker.set(value)
-        for name, arrays in made.items():
-            arrays.append(getattr(worker.model, name).copy())
-    fields = {name: np.stack(arrays)[:, None] for name, arrays in made.items()}
-    return worker.model, {
-        name: array
-        for name, array in fields.items()
-        if (array != getattr(worker.model, name)).any()
-    }
+        for name, own in arrays.items():
+            own.append(getattr(worker.model, name).copy())
+    fields = {}
+    for name, own in arrays.items():
+        stacked = np.stack(own)[:, None]
+        if (stacked != getattr(worker.model, name)).any():
+            fields[name] = stacked
+    return worker.model, fields

@@ -1,38 +1,85 @@
 """Inverse kinematics: joint angles that bring a site of an arm to poses, one after another."""
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 
-ROUNDS = 50
-DAMPING = 1e-4
-EXACT = 1e-6  # [m, rad]
+
+@dataclass(frozen=True)
+class ReachingSettings:
+    """How a pose is solved.
+
+    Attributes
+    ----------
+    iterations : int
+        Maximum number of steps for one pose.
+    damping : float
+        Damping of the least squares of a step.
+    tolerance : float
+        Largest error of a solved pose [m, rad].
+    """
+
+    iterations: int = 50
+    damping: float = 1e-4
+    tolerance: float = 1e-6
+
+
+DEFAULT = ReachingSettings()
 
 
 def joint_path(
-    model: mujoco.MjModel, site: str, positions: Array, rotations: Array, first: Array
+    model: mujoco.MjModel,
+    site: str,
+    positions: Array,
+    rotations: Array,
+    first: Array,
+    settings: ReachingSettings = DEFAULT,
 ) -> Array:
-    """(n, q) angles [rad] of the model's first q joints at which the site has the positions (n, 3)
-    [m] and rotations (n, 3, 3).
+    """Joint angles that bring a site to poses, one after another.
 
-    Each pose is solved from the one before it, the first from `first` (q,), by damped least
-    squares: of all solutions of an arm with more joints than it needs, a near one. BadArgument
-    where a pose is out of reach.
+    Each pose is solved by damped least squares from the angles of the one before it. Of all
+    solutions of an arm with more joints than needed, this finds one nearby.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The arm, whose joints come first in `qpos`.
+    site : str
+        Name of the site.
+    positions : (n, 3) array
+        Positions of the site [m].
+    rotations : (n, 3, 3) array
+        Its rotation matrices.
+    first : (q,) array
+        Angles [rad] from which the first pose is solved; q joints move.
+    settings : ReachingSettings
+        Iterations, damping and tolerance.
+
+    Returns
+    -------
+    (n, q) array
+        Angles of the first q joints [rad].
+
+    Raises
+    ------
+    BadArgument
+        If a pose is out of reach.
     """
     data = mujoco.MjData(model)
-    place = model.site(site).id
+    site_id = model.site(site).id
     out = np.empty((len(positions), len(first)))
     angles = np.array(first, dtype=float)
     for i, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
-        for _ in range(ROUNDS):
-            error, slope = _error(model, data, place, angles, position, rotation)
-            if np.abs(error).max() < EXACT:
+        for _ in range(settings.iterations):
+            error, jacobian = _pose_error(model, data, site_id, angles, position, rotation)
+            if np.abs(error).max() < settings.tolerance:
                 break
-            angles = angles + slope.T @ np.linalg.solve(
-                slope @ slope.T + DAMPING * np.eye(6), error
-            )
+            damped = jacobian @ jacobian.T + settings.damping * np.eye(6)
+            angles = angles + jacobian.T @ np.linalg.solve(damped, error)
         else:
             raise BadArgument(
                 f"No angles bring the site {site!r} to pose {i} at "
@@ -42,7 +89,7 @@ def joint_path(
     return out
 
 
-def _error(
+def _pose_error(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     site: int,
@@ -50,12 +97,13 @@ def _error(
     position: Array,
     rotation: Array,
 ) -> tuple[Array, Array]:
-    """What is left to move and to turn (6,), and the site's Jacobian (6, q)."""
+    """The remaining translation and rotation (6,), and the site's Jacobian (6, q)."""
     data.qpos[: len(angles)] = angles
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     jacobian = np.zeros((6, model.nv))
     mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
-    now = data.site_xmat[site].reshape(3, 3)
-    turn = 0.5 * np.cross(now.T, rotation.T).sum(axis=0)
-    return np.concatenate([position - data.site_xpos[site], turn]), jacobian[:, : len(angles)]
+    current = data.site_xmat[site].reshape(3, 3)
+    turn = 0.5 * np.cross(current.T, rotation.T).sum(axis=0)
+    error = np.concatenate([position - data.site_xpos[site], turn])
+    return error, jacobian[:, : len(angles)]

@@ -1,7 +1,6 @@
-"""Hits of an arm with a stick against a puck: joint trajectories from a two-dimensional latent,
-speed and direction.
-"""
+"""Strikes of an arm with a stick against a puck, from two latent numbers: speed and direction."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import mujoco
@@ -12,86 +11,185 @@ from scipy.interpolate import CubicSpline
 from dropo.core.services.validation import Array, check_shape
 from dropo.problems.panda.reaching import joint_path
 
-# [m/s] of the blade where it meets the puck, [rad] its direction from +y
-SPEED = (0.4, 1.04)
-SPREAD = (-0.35, 0.35)
 LIMIT = 2.0  # latents lie within -2 and 2, their middle is 0
-KNOTS = 17  # as in the thesis, whose actions are 17 commands of 7 joints
-# [m] the blade moves: until it meets the puck, on at the same speed, and to rest
-RUN_UP = 0.2
-FOLLOW = 0.02
-BRAKE = 0.08
 RIM = 0.038  # [m] the puck's radius
-FIRST = np.radians(
-    [-30.0, -20.0, 0.0, 100.0, 0.0, -60.0, 0.0]
-)  # a bent arm, from which the first pose is looked for
+FIRST = np.radians([-30.0, -20.0, 0.0, 100.0, 0.0, -60.0, 0.0])
+"""[rad] a bent arm, from which the first pose is solved."""
 
 
-def speed_and_direction(latents: ArrayLike) -> tuple[Array, Array]:
-    """[m/s] (n,) and [rad] (n,) of latents (n, 2), which are cut at -+ LIMIT."""
+@dataclass(frozen=True)
+class StrikeSettings:
+    """How a latent becomes a motion of the blade.
+
+    Attributes
+    ----------
+    speed : (float, float)
+        Speeds of the blade where it meets the puck [m/s], at latents of -2 and 2.
+    direction : (float, float)
+        Directions from +y [rad], at latents of -2 and 2.
+    run_up, follow, brake : float
+        Distances that the blade moves [m]: until it meets the puck, on at the same speed, to rest.
+    knots : int
+        Times at which poses are solved; 17 as in the thesis, whose actions are 17 commands of 7
+        joints.
+    """
+
+    speed: tuple[float, float] = (0.4, 1.04)
+    direction: tuple[float, float] = (-0.35, 0.35)
+    run_up: float = 0.2
+    follow: float = 0.02
+    brake: float = 0.08
+    knots: int = 17
+
+
+DEFAULT = StrikeSettings()
+
+
+def speed_and_direction(
+    latents: ArrayLike, settings: StrikeSettings = DEFAULT
+) -> tuple[Array, Array]:
+    """Speeds and directions of strikes.
+
+    Parameters
+    ----------
+    latents : (n, 2) array
+        Latents, clipped at -2 and 2.
+    settings : StrikeSettings
+        The ranges of speed and direction.
+
+    Returns
+    -------
+    speed : (n,) array
+        Speed of the blade [m/s].
+    direction : (n,) array
+        Its direction from +y [rad].
+    """
     unit = (np.clip(np.asarray(latents, dtype=float), -LIMIT, LIMIT) + LIMIT) / (2 * LIMIT)
-    return SPEED[0] + np.ptp(SPEED) * unit[:, 0], SPREAD[0] + np.ptp(SPREAD) * unit[:, 1]
+    speed = settings.speed[0] + np.ptp(settings.speed) * unit[:, 0]
+    direction = settings.direction[0] + np.ptp(settings.direction) * unit[:, 1]
+    return speed, direction
 
 
-def hits(model: mujoco.MjModel, latents: ArrayLike, steps: int, control_step: float) -> Array:
-    """Commanded joint angles (n, steps, 7) [rad] of n latents (n, 2).
+def strikes(
+    model: mujoco.MjModel,
+    latents: ArrayLike,
+    steps: int,
+    control_step: float,
+    settings: StrikeSettings = DEFAULT,
+) -> Array:
+    """Commanded joint angles of strikes.
 
     The blade starts behind the puck, turns into the direction while it speeds up smoothly, meets
-    the puck's place at the speed, brakes and stays. Poses at 17 times are turned into angles, with
-    cubic splines between.
+    the puck's place at the speed, brakes and stays. Poses at the knots are turned into angles, with
+    cubic splines between them.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The arm with a site "blade", and a body "puck".
+    latents : (n, 2) array
+        Latents of speed and direction.
+    steps : int
+        Number of control steps.
+    control_step : float
+        Duration of a control step [s].
+    settings : StrikeSettings
+        How a latent becomes a motion.
+
+    Returns
+    -------
+    (n, steps, 7) array
+        Joint angles [rad].
+
+    Raises
+    ------
+    BadArgument
+        If `latents` are not of the shape (n, 2), or a pose is out of the arm's reach.
     """
     latents = np.asarray(latents, dtype=float)
-    check_shape("latents", latents, (None, 2), "hits")
+    check_shape("latents", latents, (None, 2), "strikes")
     times = control_step * np.arange(1.0, steps + 1)
-    return np.stack(
-        [_hit(model, v, turn, times) for v, turn in zip(*speed_and_direction(latents), strict=True)]
-    )
+    speeds, directions = speed_and_direction(latents, settings)
+    angles = []
+    for speed, direction in zip(speeds, directions, strict=True):
+        angles.append(_strike(model, speed, direction, times, settings))
+    return np.stack(angles)
 
 
 @lru_cache(maxsize=8)
-def rest(model: mujoco.MjModel) -> Array:
-    """(7,) the angles [rad] from which every hit starts."""
-    positions, rotations = _poses(model.body("puck").pos, np.array([RUN_UP]), np.zeros(1))
+def rest(model: mujoco.MjModel, settings: StrikeSettings = DEFAULT) -> Array:
+    """The joint angles from which every strike starts.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The arm with a site "blade", and a body "puck".
+    settings : StrikeSettings
+        The distance at which the blade starts behind the puck.
+
+    Returns
+    -------
+    (7,) array
+        Angles [rad], read-only.
+
+    Raises
+    ------
+    BadArgument
+        If the pose is out of the arm's reach.
+    """
+    away = np.array([settings.run_up])
+    positions, rotations = _poses(model.body("puck").pos, away, np.zeros(1))
     angles = joint_path(model, "blade", positions, rotations, FIRST)[0]
     angles.flags.writeable = False
     return angles
 
 
-def _hit(model: mujoco.MjModel, speed: float, turn: float, times: Array) -> Array:
-    begin = 2 * RUN_UP / speed
-    on = FOLLOW / speed
-    end = 2 * BRAKE / speed
-    knots = np.linspace(0.0, begin + on + end, KNOTS)
-    gone = speed * (
-        _ramp(knots / begin) * begin
-        + np.clip(knots - begin, 0, on)
-        + end * _brake((knots - begin - on) / end)
+def _strike(
+    model: mujoco.MjModel,
+    speed: float,
+    direction: float,
+    times: Array,
+    settings: StrikeSettings,
+) -> Array:
+    """Joint angles (steps, 7) [rad] of one strike at times (steps,) [s]."""
+    # How long the blade speeds up, moves on at the speed, and brakes.
+    run_up = 2 * settings.run_up / speed
+    follow = settings.follow / speed
+    brake = 2 * settings.brake / speed
+    knots = np.linspace(0.0, run_up + follow + brake, settings.knots)
+    travelled = speed * (
+        _ramp(knots / run_up) * run_up
+        + np.clip(knots - run_up, 0, follow)
+        + brake * _brake((knots - run_up - follow) / brake)
     )
-    turned = turn * _smooth(np.clip(1.4 * knots / begin, 0, 1))
-    positions, rotations = _poses(model.body("puck").pos, RUN_UP - gone, turned)
-    angles = joint_path(model, "blade", positions, rotations, rest(model))
-    return np.asarray(CubicSpline(knots, angles, bc_type="clamped")(np.minimum(times, knots[-1])))
+    turned = direction * _smooth(np.clip(1.4 * knots / run_up, 0, 1))
+    away = settings.run_up - travelled
+    positions, rotations = _poses(model.body("puck").pos, away, turned)
+    angles = joint_path(model, "blade", positions, rotations, rest(model, settings))
+    path = CubicSpline(knots, angles, bc_type="clamped")
+    return np.asarray(path(np.minimum(times, knots[-1])))
 
 
-def _smooth(share: Array) -> Array:
+def _smooth(fraction: Array) -> Array:
     """From 0 to 1, flat at both ends."""
-    return share * share * (3 - 2 * share)
+    return fraction * fraction * (3 - 2 * fraction)
 
 
-def _ramp(share: Array) -> Array:
-    """The integral of `_smooth` up to a share, 1/2 from 1 on."""
-    share = np.clip(share, 0, 1)
-    return share**3 - share**4 / 2
+def _ramp(fraction: Array) -> Array:
+    """The integral of `_smooth` up to a fraction, 1/2 from 1 on."""
+    fraction = np.clip(fraction, 0, 1)
+    return fraction**3 - fraction**4 / 2
 
 
-def _brake(share: Array) -> Array:
+def _brake(fraction: Array) -> Array:
     """The integral of 1 - `_smooth`."""
-    return np.clip(share, 0, 1) - _ramp(share)
+    return np.clip(fraction, 0, 1) - _ramp(fraction)
 
 
 def _poses(puck: Array, away: Array, turned: Array) -> tuple[Array, Array]:
-    """The blade's positions (n, 3) and rotations (n, 3, 3), its face `away` (n,) [m] from the puck
-    and turned (n,) [rad] from +y.
+    """The blade's positions (n, 3) [m] and rotations (n, 3, 3).
+
+    Its face is `away` (n,) [m] from the puck's rim and turned by `turned` (n,) [rad] from +y.
     """
     zero = np.zeros_like(turned)
     ahead = np.stack([-np.sin(turned), np.cos(turned), zero], axis=1)

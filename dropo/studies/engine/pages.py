@@ -1,6 +1,4 @@
-"""Writes a study into a folder: its text, its numbers, its picture, and its block in the folder's
-README.
-"""
+"""Writes a study into a folder: its text, its numbers, its figure, and its block of the README."""
 
 import re
 from collections.abc import Callable
@@ -13,8 +11,22 @@ from dropo.studies.engine.study import Study
 
 
 def write(study: Study, folder: Path) -> None:
-    """<study>.md, .json and, where it draws, .svg; and what stands between `<!-- study: <name> -->`
-    and `<!-- end -->` in README.md.
+    """Writes a study's files into a folder.
+
+    They are `<study>.md`, `<study>.json` and, if it draws, `<study>.svg`. In the folder's README.md
+    the text between `<!-- study: <name> -->` and `<!-- end -->` is replaced.
+
+    Parameters
+    ----------
+    study : Study
+        A finished study.
+    folder : Path
+        The folder, made if it is not there.
+
+    Raises
+    ------
+    BadFile
+        If the study's block of README.md has no end.
     """
     if study.draw is not None:
         write_text(folder / f"{study.name}.svg", picture(study.draw))
@@ -26,25 +38,54 @@ def write(study: Study, folder: Path) -> None:
 
 
 def markdown(study: Study) -> str:
-    """What is printed, as a block of text, and the picture."""
-    shown = f"\n![{study.title}]({study.name}.svg)\n" if study.draw is not None else ""
-    return f"```text\n{study}\n```\n{shown}"
+    """The study's printed text as a block of Markdown, and its figure."""
+    figure = f"\n![{study.title}]({study.name}.svg)\n" if study.draw is not None else ""
+    return f"```text\n{study}\n```\n{figure}"
 
 
 def with_block(text: str, study: Study, path: Path) -> str:
-    """The page with the study's block replaced; without such a block, the page as it is."""
-    reset = f"<!-- study: {study.name} -->\n"
-    if reset not in text:
+    """A page with the study's block replaced.
+
+    Parameters
+    ----------
+    text : str
+        The page.
+    study : Study
+        The study.
+    path : Path
+        Where the page is, for a message.
+
+    Returns
+    -------
+    str
+        The new page; the old one if it has no block of the study.
+
+    Raises
+    ------
+    BadFile
+        If the block has no end before the next one begins.
+    """
+    begin = f"<!-- study: {study.name} -->\n"
+    if begin not in text:
         return text
-    if "<!-- end -->" not in text.split(reset, 1)[1].split("<!-- study:")[0]:
-        raise BadFile(path, reset.strip(), "an `<!-- end -->` below it", "none")
-    block = re.compile(re.escape(reset) + r".*?<!-- end -->", re.DOTALL)
-    return block.sub(lambda _: f"{reset}{markdown(study)}<!-- end -->", text, count=1)
+    if "<!-- end -->" not in text.split(begin, 1)[1].split("<!-- study:")[0]:
+        raise BadFile(path, begin.strip(), "an `<!-- end -->` below it", "none")
+    block = re.compile(re.escape(begin) + r".*?<!-- end -->", re.DOTALL)
+    return block.sub(lambda _: f"{begin}{markdown(study)}<!-- end -->", text, count=1)
 
 
 def picture(draw: Callable[[Any], None]) -> str:
-    """The figure as SVG; the same text for the same numbers, so without a date and with fixed names
-    inside.
+    """A figure as SVG.
+
+    Parameters
+    ----------
+    draw : callable
+        Draws on a matplotlib Figure.
+
+    Returns
+    -------
+    str
+        The same text for the same numbers: without a date, and with fixed names inside.
     """
     import io
 

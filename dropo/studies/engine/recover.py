@@ -1,4 +1,4 @@
-"""`dropo recover` in Python: runs a study by its name."""
+"""Runs a study by its name: `dropo recover` in Python."""
 
 import inspect
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ LACKS = {
     "published": "has no runs of the published method",
     "problems": "is not one of several problems",
 }
+"""Option -> what a study says that does not take it."""
 
 
 def recover(
@@ -30,35 +31,61 @@ def recover(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Study:
-    """Runs the study of that name; see `dropo list studies`.
+    """Runs the study of that name; `dropo list studies` lists them.
 
-    seeds: data sets or repetitions, None for the study's own number; published: also the method as
-    published, in studies that have it; problems: these alone, in studies of several; out: a folder
-    to write into, where an interrupted study goes on; executor: any concurrent.futures.Executor,
-    threads where there is none. Results do not depend on either.
+    Parameters
+    ----------
+    name : str
+        Name of the study.
+    seeds : int or None
+        Number of data sets or repetitions; None for the study's own number.
+    published : bool
+        Whether the method is also run as published, in studies that have it.
+    problems : sequence of str
+        In studies of several problems, the names of those to run; all if empty.
+    out : str, Path or None
+        Folder to write the study into, where an interrupted study is resumed; None to write
+        nothing.
+    executor : concurrent.futures.Executor or None
+        Where tasks run; None for threads. Results do not depend on it.
+    threads : int
+        Number of threads without an executor; 0 for all cores. Results do not depend on it.
+    progress : callable
+        Called with the finished fraction and a text.
+
+    Returns
+    -------
+    Study
+        The finished study.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such study; the message gives the nearest name.
+    BadArgument
+        If `seeds` is below 1, or `out` is a file.
+    Incompatible
+        If the study does not take `published` or `problems`.
+    BadFile
+        If the study's block of the folder's README.md has no end.
     """
     study = find("studies", name)
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "recover")
-    options = {
-        option: value
-        for option, value in {"published": published, "problems": tuple(problems)}.items()
-        if value
-    }
+    options: dict[str, object] = {}
+    if published:
+        options["published"] = published
+    if problems:
+        options["problems"] = tuple(problems)
     for option in sorted(options.keys() - inspect.signature(study).parameters.keys()):
         raise Incompatible(f"The study {name!r} {LACKS[option]}. Leave --{option} out.")
-    folder = None if out is None else Path(out)
-    require(
-        folder is None or folder.is_dir() or not folder.exists(),
-        "out",
-        "a folder",
-        str(folder),
-        "recover",
-    )
-    path = None if folder is None else folder / f".{name}.jsonl"
-    found: Study = study(
-        Work(executor, threads=threads, progress=progress, path=path), seeds, **options
-    )
-    if folder is not None and path is not None:
-        write(found, folder)
-        path.unlink(missing_ok=True)
-    return found
+    if out is None:
+        return study(Work(executor, threads=threads, progress=progress), seeds, **options)
+    folder = Path(out)
+    is_free = folder.is_dir() or not folder.exists()
+    require(is_free, "out", "a folder", str(folder), "recover")
+    log = folder / f".{name}.jsonl"
+    work = Work(executor, threads=threads, progress=progress, path=log)
+    finished: Study = study(work, seeds, **options)
+    write(finished, folder)
+    log.unlink(missing_ok=True)
+    return finished

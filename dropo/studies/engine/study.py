@@ -1,8 +1,8 @@
-"""What a study finds: tables to read, the same numbers for machines, remarks, and a picture.
+"""What a study finds: tables to read, the same numbers for programs, remarks, and a figure.
 
-A study is a function `study(work, seeds=None) -> Study`, in the catalogue under "studies". It gives
-its tasks to `work.map(task, items)`, which spreads them over cores and keeps finished ones on disk;
-`seeds` is how many data sets (or repetitions) it takes, None for its own choice.
+A study is a function `study(work, seeds=None) -> Study`, registered under "studies". It gives its
+tasks to `work.map(task, items)`, which runs them on all cores and keeps finished ones on disk;
+`seeds` is the number of data sets (or repetitions), None for the study's own number.
 """
 
 from collections.abc import Callable
@@ -19,9 +19,20 @@ from dropo.core.services.tables import Table as Table
 class Study(Report):
     """A finished study.
 
-    name: as in the catalogue; title: a line that says what was done, and how often; remarks:
-    sentences that follow from the numbers; data: every number unrounded, by names (dicts, lists,
-    numbers and strings; NaN becomes null); draw: draw(figure) on a matplotlib Figure, or None.
+    Attributes
+    ----------
+    name : str
+        Its name in the registry.
+    title : str
+        One line that says what was done, and how often.
+    tables : tuple of Table
+        The numbers, rounded for reading.
+    remarks : tuple of str
+        Sentences that follow from the numbers.
+    data : dict
+        Every number unrounded, by names: dicts, lists, numbers and strings; NaN becomes null.
+    draw : callable or None
+        `draw(figure)` draws on a matplotlib Figure.
     """
 
     name: str
@@ -33,11 +44,15 @@ class Study(Report):
 
     def parts(self) -> list[str | Table]:
         """The title, the tables and the remarks, with an empty line between."""
-        remarks = ["", "\n".join(f"- {text}" for text in self.remarks)] if self.remarks else []
-        return [self.title, *(part for table in self.tables for part in ("", table)), *remarks]
+        parts: list[str | Table] = [self.title]
+        for table in self.tables:
+            parts += ["", table]
+        if self.remarks:
+            parts += ["", "\n".join(f"- {text}" for text in self.remarks)]
+        return parts
 
     def to_json(self) -> dict[str, Any]:
-        """The study for machines: name, title, remarks and data."""
+        """The study as JSON: name, version, title, remarks and data."""
         from dropo._version import __version__
 
         return {

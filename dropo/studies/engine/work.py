@@ -1,5 +1,6 @@
-"""Runs a study's tasks: on threads or on any executor, each of them once, and those of an
-interrupted study not again.
+"""Runs a study's tasks on threads or on any executor, each of them once.
+
+Tasks that an interrupted study had finished are not run again.
 """
 
 import json
@@ -15,15 +16,25 @@ from dropo.core.contracts.estimator import Progress, silent
 from dropo.core.services.atomic_write import write_text
 
 Task = Callable[[Any], dict[str, Any]]
+"""A function of an item that JSON can hold; its answer depends on the item alone."""
 
 
 class Work:
-    """Spreads tasks over an executor's workers; without one, over `threads` threads (0: as many as
-    there are cores).
+    """Runs tasks on an executor's workers or on threads.
 
-    path: a file that keeps what finished tasks found, one JSON line each; a study that was
-    interrupted goes on from it. A task's answer depends on its item alone, so results are the same
-    on any executor.
+    A task's answer depends on its item alone, so results are the same on any executor.
+
+    Parameters
+    ----------
+    executor : concurrent.futures.Executor or None
+        Where tasks run; None for threads.
+    threads : int
+        Number of threads without an executor; 0 for as many as there are cores.
+    progress : callable
+        Called with the finished fraction and a text.
+    path : Path or None
+        File that keeps the answers of finished tasks, one JSON line each; an interrupted study is
+        resumed from it.
     """
 
     def __init__(
@@ -38,71 +49,82 @@ class Work:
         self.threads = threads or os.cpu_count() or 1
         self.progress = progress
         self.path = path
-        self._known = _read(path) if path is not None else {}
+        self._answers = _read(path) if path is not None else {}
 
     def map(self, task: Task, items: Iterable[Any]) -> list[dict[str, Any]]:
-        """task(item) of every item, in order, as JSON gives it back.
+        """Runs a task on every item.
 
-        task: a function of a module (executors send it to other processes by its name), that
-        simulates on one thread and returns a dict of numbers, strings, lists and dicts; items:
-        numbers, strings, or lists of them.
+        Parameters
+        ----------
+        task : callable
+            A function of a module (executors send it to other processes by its name) that
+            simulates on one thread and returns a dict of numbers, strings, lists and dicts.
+        items : iterable
+            Numbers, strings, or lists and dicts of them.
+
+        Returns
+        -------
+        list of dict
+            `task(item)` of every item, in order, as JSON gives it back.
+
+        Raises
+        ------
+        Exception
+            That of the first task that fails; finished tasks are kept.
         """
-        questions = [(_key(task, item), item) for item in items]
-        missing = [(key, item) for key, item in questions if key not in self._known]
+        keyed = [(_key(task, item), item) for item in items]
+        missing = [(key, item) for key, item in keyed if key not in self._answers]
         if self.executor is not None:
-            self._run(self.executor, task, missing, len(questions))
+            self._run(self.executor, task, missing, len(keyed))
         elif missing:
             pool = ThreadPoolExecutor(min(self.threads, len(missing)), thread_name_prefix="study")
             try:
-                self._run(pool, task, missing, len(questions))
+                self._run(pool, task, missing, len(keyed))
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
-        return [json.loads(self._known[key]) for key, _ in questions]
+        return [json.loads(self._answers[key]) for key, _ in keyed]
 
     def _run(
         self, executor: Executor, task: Task, missing: list[tuple[str, Any]], total: int
     ) -> None:
+        """Runs the tasks that are missing of `total`, and keeps every answer as it comes."""
+        title = task.__name__.strip("_").replace("_", " ")
         with threadpool_limits(1, user_api="blas"):
-            waiting = {executor.submit(_alone, task, item): key for key, item in missing}
+            keys = {executor.submit(_on_one_thread, task, item): key for key, item in missing}
             try:
-                for done, future in enumerate(as_completed(waiting), total - len(missing) + 1):
-                    self._keep(waiting[future], future)
-                    self.progress(
-                        done / total,
-                        f"{task.__name__.strip('_').replace('_', ' ')}, {done} of {total}",
-                    )
+                for done, future in enumerate(as_completed(keys), total - len(missing) + 1):
+                    self._keep(keys[future], future)
+                    self.progress(done / total, f"{title}, {done} of {total}")
             finally:
-                for future, key in waiting.items():
-                    if (
-                        not future.cancel()
-                        and future.done()
-                        and key not in self._known
-                        and future.exception() is None
-                    ):
+                # After a failure: start no more tasks, and keep what others have finished.
+                for future, key in keys.items():
+                    is_finished = not future.cancel() and future.done()
+                    if is_finished and key not in self._answers and future.exception() is None:
                         self._keep(key, future)
 
     def _keep(self, key: str, future: Future[dict[str, Any]]) -> None:
-        answer = self._known[key] = json.dumps(future.result())
+        """Keeps a finished task's answer, in the file too."""
+        answer = json.dumps(future.result())
+        self._answers[key] = answer
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("a") as file:
                 file.write(json.dumps([key, answer]) + "\n")
 
 
-def _alone(task: Task, item: Any) -> dict[str, Any]:
-    """The task with BLAS on one thread, in whichever process: more threads would change last
-    digits.
-    """
+def _on_one_thread(task: Task, item: Any) -> dict[str, Any]:
+    """Runs the task with BLAS on one thread, since more would change the last digits."""
     with threadpool_limits(1, user_api="blas"):
         return task(item)
 
 
 def _key(task: Task, item: Any) -> str:
+    """What identifies a task's answer: the function and the item."""
     return json.dumps([f"{task.__module__}.{task.__qualname__}", item])
 
 
 def _read(path: Path) -> dict[str, str]:
-    """The whole lines of the file; a half-written last one is cut off."""
+    """The answers in the file by their keys; a half-written last line is cut off."""
     if not path.is_file():
         return {}
     text = path.read_text()

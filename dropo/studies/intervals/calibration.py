@@ -1,10 +1,14 @@
-"""Simulation-based calibration of posteriors: under data drawn from the prior, the truth's rank
-among the draws is uniform.
+"""Simulation-based calibration of posteriors.
 
-Talts, Betancourt, Simpson, Vehtari, Gelman (2018), arXiv:1804.06788.
+Under data drawn from the prior, the truth's rank among the posterior's draws is uniform.
+
+References
+----------
+Talts, Betancourt, Simpson, Vehtari, Gelman, "Validating Bayesian inference algorithms with
+simulation-based calibration", 2018, arXiv:1804.06788.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,23 +26,58 @@ from dropo.simulators.toy import SlidingBlock, simulate
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
 
-# ranks 0 ... 99 in ten bins
-LEVELS = 99
+LEVELS = 99  # ranks 0 ... 99
 BINS = 10
-REPLICATIONS = 100
-TOO_NARROW = 1.5  # the control's posterior is narrower by this factor
-LEAST = 0.01  # the p-value below which ranks are not uniform
 SAMPLERS: dict[str, dict[str, Any]] = {
     "emcee": {"walkers": 20, "steps": 200, "burn_in": 120},
     "pyro-nuts": {"chains": 1, "warmup": 80, "draws": 120},
 }
 """Samplers and their settings: emcee on the simulator itself, Pyro on the emulated likelihood."""
 CASES = ("sliding block", "hopper")
+TOO_NARROW = 1.5
+"""Factor by which the control's posterior is narrower."""
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """How large the study is, and when ranks count as uniform.
+
+    Attributes
+    ----------
+    replications : int
+        Data sets of each case.
+    minimum_p : float
+        Lower bound of the p-value of uniform ranks, over all parameters.
+    """
+
+    replications: int = 100
+    minimum_p: float = 0.01
+
+
+DEFAULT = CalibrationSettings()
 
 
 def ranks(draws: Array, truth: Array, levels: int = LEVELS) -> Ints:
-    """(d,) how many of `levels` draws, spread evenly over all draws (K, d), are below the truth
-    (d,): 0 ... levels.
+    """Ranks of the truth among draws.
+
+    Parameters
+    ----------
+    draws : (K, d) array
+        Draws of the posterior, of which `levels` are taken, spread evenly.
+    truth : (d,) array
+        True parameters.
+    levels : int
+        Number of draws that are compared.
+
+    Returns
+    -------
+    (d,) int array
+        How many of them are below the truth: 0 ... levels.
+
+    Raises
+    ------
+    BadArgument
+        If there are fewer draws than `levels`.
     """
     require(len(draws) >= levels, "draws", f"at least {levels}", len(draws), "ranks")
     chosen = draws[np.linspace(0, len(draws) - 1, levels).round().astype(int)]
@@ -46,20 +85,62 @@ def ranks(draws: Array, truth: Array, levels: int = LEVELS) -> Ints:
 
 
 def uniformity(found: Ints, levels: int = LEVELS, bins: int = BINS) -> Array:
-    """(d,) chi-square p-values of ranks (N, d) being uniform on 0 ... levels, in equal bins."""
-    require((levels + 1) % bins == 0, "bins", f"a divisor of {levels + 1}", bins, "uniformity")
-    counts = np.array(
-        [np.bincount(column * bins // (levels + 1), minlength=bins) for column in found.T]
-    )  # (d, bins)
-    expected = len(found) / bins
-    return np.asarray(chi2.sf(((counts - expected) ** 2 / expected).sum(axis=1), bins - 1))
+    """Chi-square p-values of ranks being uniform.
 
+    Parameters
+    ----------
+    found : (N, d) int array
+        Ranks from 0 to `levels`.
+    levels : int
+        The largest rank.
+    bins : int
+        Number of equal bins.
 
-def calibration(work: Work, seeds: int | None = None) -> Study:
-    """Ranks of the true parameters under emcee and under Pyro, on a sliding block and on the
-    Hopper; and a control that must fail.
+    Returns
+    -------
+    (d,) array
+        A p-value for each parameter.
+
+    Raises
+    ------
+    BadArgument
+        If `bins` does not divide `levels + 1`.
     """
-    count = REPLICATIONS if seeds is None else seeds
+    require((levels + 1) % bins == 0, "bins", f"a divisor of {levels + 1}", bins, "uniformity")
+    bin_of = found * bins // (levels + 1)
+    counts = np.array([np.bincount(column, minlength=bins) for column in bin_of.T])
+    expected = len(found) / bins
+    statistic = ((counts - expected) ** 2 / expected).sum(axis=1)
+    return np.asarray(chi2.sf(statistic, bins - 1))
+
+
+def calibration(
+    work: Work, seeds: int | None = None, *, settings: CalibrationSettings = DEFAULT
+) -> Study:
+    """Ranks of the true parameters under emcee and Pyro, on a sliding block and on the hopper.
+
+    A control, whose posterior is too narrow, must fail.
+
+    Parameters
+    ----------
+    work : Work
+        Runs the replications.
+    seeds : int or None
+        Data sets of each case; None for the settings' number.
+    settings : CalibrationSettings
+        The number of data sets, and when ranks count as uniform.
+
+    Returns
+    -------
+    Study
+        p-values of each case and sampler.
+
+    Raises
+    ------
+    BadArgument
+        If `seeds` leaves fewer than five ranks in a bin.
+    """
+    count = settings.replications if seeds is None else seeds
     require(
         count >= 5 * BINS, "seeds", f"at least {5 * BINS}, for five in a bin", count, "calibration"
     )
@@ -68,22 +149,11 @@ def calibration(work: Work, seeds: int | None = None) -> Study:
     for case in CASES:
         for sampler in SAMPLERS:
             answers = work.map(replication, [[case, sampler, seed] for seed in range(count)])
-            found = {
-                kind: np.array([answer[kind] for answer in answers])
-                for kind in ("ranks", "control")
-            }
-            p = {kind: uniformity(values) for kind, values in found.items()}
-            data[f"{case}, {sampler}"] = {
-                "ranks": found["ranks"],
-                "p": p["ranks"],
-                "p_control": p["control"],
-            }
-            shown = [
-                ", ".join(number(value, 2) for value in p[kind]) for kind in ("ranks", "control")
-            ]
-            rows.append(
-                (case, sampler, shown[0], _verdict(p["ranks"]), shown[1], _verdict(p["control"]))
-            )
+            found = np.array([answer["ranks"] for answer in answers])
+            p = uniformity(found)
+            control_p = uniformity(np.array([answer["control"] for answer in answers]))
+            data[f"{case}, {sampler}"] = {"ranks": found, "p": p, "p_control": control_p}
+            rows.append((case, sampler, *_cells(p, settings), *_cells(control_p, settings)))
     header = (
         "data",
         "sampler",
@@ -92,7 +162,9 @@ def calibration(work: Work, seeds: int | None = None) -> Study:
         f"p, {TOO_NARROW} times too narrow",
         "ranks are",
     )
-    remark = (f"'uniform' where the least of the d p-values, times d, is above {LEAST}.",)
+    remark = (
+        f"'uniform' where the least of the d p-values, times d, is above {settings.minimum_p}.",
+    )
     return Study(
         "calibration",
         f"Simulation-based calibration, {count} data sets each",
@@ -102,13 +174,24 @@ def calibration(work: Work, seeds: int | None = None) -> Study:
     )
 
 
-def _verdict(p: Array) -> str:
-    return "uniform" if len(p) * p.min() > LEAST else "not uniform"
+def _cells(p: Array, settings: CalibrationSettings) -> tuple[str, str]:
+    """The p-values, and whether they allow uniform ranks (Bonferroni)."""
+    shown = ", ".join(number(value, 2) for value in p)
+    return shown, "uniform" if len(p) * p.min() > settings.minimum_p else "not uniform"
 
 
 def replication(item: list[Any]) -> dict[str, Any]:
-    """One truth from the flat prior, its data and posterior: the truth's ranks, and those among
-    draws that are too narrow.
+    """One truth from the flat prior, its data and its posterior.
+
+    Parameters
+    ----------
+    item : list
+        Case, sampler and seed.
+
+    Returns
+    -------
+    dict
+        ranks: the truth's; control: those among draws that are too narrow; warnings: the fit's.
     """
     case, name, seed = item
     rng = np.random.default_rng([seed, CASES.index(case)])
@@ -126,9 +209,7 @@ def replication(item: list[Any]) -> dict[str, Any]:
 
 
 def _block(rng: np.random.Generator) -> tuple[Problem, Array]:
-    """A sliding block over 20 steps of 0.05 s, position and velocity with errors of 5 mm and 5
-    mm/s.
-    """
+    """A sliding block over 20 steps of 0.05 s, with errors of 5 mm and 5 mm/s; and its truth."""
     simulator = SlidingBlock()
     noise = 2.5e-5
     truth = simulator.space.from_unit(rng.random(2))
@@ -138,8 +219,9 @@ def _block(rng: np.random.Generator) -> tuple[Problem, Array]:
 
 
 def _hopper(rng: np.random.Generator) -> tuple[Problem, Array]:
-    """12 transitions of the Hopper from true states, with noise of variance 1e-5 on the next ones;
-    four masses.
+    """12 transitions of the hopper, with noise of variance 1e-5 on the next ones; and its truth.
+
+    Starts are true states; the parameters are the four masses.
     """
     noise = 1e-5
     base = hopper(threads=1)

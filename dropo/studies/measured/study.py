@@ -1,9 +1,10 @@
-"""Logs of real machines, from a first model to a judged one: what it gets wrong, the cause, and the
-gain on runs that no fit saw.
+"""Logs of real machines diagnosed: what a first model gets wrong, the cause, and the gain.
+
+Errors are those on runs that no fit saw.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from dropo import Diagnose, Diagnosis
 from dropo.core.services.tables import number
@@ -12,186 +13,244 @@ from dropo.problems.loading import load
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
 
-JUDGED = {
-    "cube-toss": ("m", 1e3, "mm", 15),
-    "double-pendulum": ("rad", 1e3, "mrad", 10),
-    "double-pendulum-c0": ("rad", 1e3, "mrad", 10),
-    "simple-pendulum": ("rad", 1e3, "mrad", 25),
-    "swinging-pendulum": ("rad", 1e3, "mrad", 400),
+
+class Evaluated(NamedTuple):
+    """In which unit, and how far ahead, a problem's errors are shown.
+
+    Attributes
+    ----------
+    group : str
+        Unit of the signals whose errors are shown.
+    scale : float
+        Factor from that unit to the shown one.
+    unit : str
+        The shown unit.
+    steps : int
+        Control steps ahead; the longest horizon up to them is taken.
+    """
+
+    group: str
+    scale: float
+    unit: str
+    steps: int
+
+
+EVALUATED = {
+    "cube-toss": Evaluated("m", 1e3, "mm", 15),
+    "double-pendulum": Evaluated("rad", 1e3, "mrad", 10),
+    "double-pendulum-c0": Evaluated("rad", 1e3, "mrad", 10),
+    "simple-pendulum": Evaluated("rad", 1e3, "mrad", 25),
+    "swinging-pendulum": Evaluated("rad", 1e3, "mrad", 400),
 }
-"""Problem -> the unit in which errors are told, its scale and name, and the control steps after
-which.
-"""
+"""Problem -> how its errors are shown."""
+STYLES = {"first": "C3o-", "fitted": "C1s-", "extended": "C0D-", "noise": "k:"}
+"""Line of each model, and of the noise, in the figure."""
+Result = dict[str, Any]
+"""What `run` gives."""
 
 
 def measured(
-    work: Work, seeds: int | None = None, *, problems: Sequence[str] = tuple(JUDGED)
+    work: Work, seeds: int | None = None, *, problems: Sequence[str] = tuple(EVALUATED)
 ) -> Study:
-    """Each built-in problem of measured data diagnosed; seeds: of the only random test, the last
-    one.
+    """Diagnoses each built-in problem of measured data.
+
+    Parameters
+    ----------
+    work : Work
+        Runs the diagnoses.
+    seeds : int or None
+        Number of seeds of the only random test, the last one; None for one.
+    problems : sequence of str
+        Names of the problems.
+
+    Returns
+    -------
+    Study
+        Errors, causes, and what remains.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such problem.
+    BadFile
+        If the external data are not found.
     """
-    chosen = [known("problem of measured data", name, JUDGED) for name in problems]
-    runs = work.map(run, [[name, seed] for name in chosen for seed in range(seeds or 1)])
-    judged = (
-        "problem",
-        "after",
-        "first model",
-        "parameters fitted",
-        "extended",
-        "noise",
-        "verdict",
-    )
-    left = ("problem", "of the data", "spans [s]", "fitted, with them", "extended, with them")
-    named = ("problem", "cause", "nats per transition", "cannot be told from", "differs with")
-    tables = (
-        Table("Errors on runs held out", judged, tuple(_errors(r) for r in runs)),
-        Table("Causes", named, tuple(row for r in runs for row in _causes(r))),
-        Table(
-            "Left out, since something pushes",
-            left,
-            tuple(row for r in runs for row in _left_out(r)),
-        ),
-        Table(
-            "Runs that disagree with the others",
-            ("problem", "run"),
-            tuple((r["problem"], text) for r in runs for text in r["odd_runs"]),
-        ),
-        Table(
-            "What remains",
-            ("problem", "where"),
-            tuple((r["problem"], "; ".join(r["remaining"]) or "-") for r in runs),
-        ),
-        Table(
-            "What the data do not tell",
-            ("problem", "what"),
-            tuple((r["problem"], text) for r in runs for text in r["undetermined"]),
-        ),
+    chosen = [known("problem of measured data", name, EVALUATED) for name in problems]
+    items = [[name, seed] for name in chosen for seed in range(seeds or 1)]
+    runs = work.map(run, items)
+    title = (
+        "Measured data: every third run held out, windows of the horizon at which signals "
+        "stand out from noise"
     )
     return Study(
         "measured",
-        (
-            "Measured data: every third run held out, windows of the horizon at which signals "
-            "stand out from noise"
-        ),
-        tables,
+        title,
+        _tables(runs),
         data={"runs": runs},
         draw=lambda figure: _draw(figure, runs),
     )
 
 
-def run(item: list[Any]) -> dict[str, Any]:
-    """One diagnosis, as plain numbers."""
+def _tables(runs: Sequence[Result]) -> tuple[Table, ...]:
+    """Everything that the diagnoses say."""
+    errors = tuple(_errors(result) for result in runs)
+    causes = tuple(row for result in runs for row in _causes(result))
+    left_out = tuple(row for result in runs for row in _left_out(result))
+    remaining = tuple((r["problem"], "; ".join(r["remaining"]) or "-") for r in runs)
+    return (
+        Table(
+            "Errors on runs held out",
+            (
+                "problem",
+                "after",
+                "first model",
+                "parameters fitted",
+                "extended",
+                "noise",
+                "verdict",
+            ),
+            errors,
+        ),
+        Table(
+            "Causes",
+            ("problem", "cause", "nats per transition", "cannot be told from", "differs with"),
+            causes,
+        ),
+        Table(
+            "Left out, since something pushes",
+            ("problem", "of the data", "spans [s]", "fitted, with them", "extended, with them"),
+            left_out,
+        ),
+        Table("Runs that disagree with the others", ("problem", "run"), _texts(runs, "odd_runs")),
+        Table("What remains", ("problem", "where"), remaining),
+        Table("What the data do not tell", ("problem", "what"), _texts(runs, "undetermined")),
+    )
+
+
+def _texts(runs: Sequence[Result], key: str) -> tuple[tuple[str, str], ...]:
+    """A row for each of the texts that runs have under a key."""
+    return tuple((result["problem"], text) for result in runs for text in result[key])
+
+
+def run(item: list[Any]) -> Result:
+    """One diagnosis, as plain numbers and texts.
+
+    Parameters
+    ----------
+    item : list
+        Name of the problem, and seed.
+    """
     name = str(item[0])
     seed = int(item[1])
     found: Diagnosis = Diagnose().run(load(name, threads=1), rng=seed)
-    told = found.to_json()
+    content = found.to_json()
     return {
         "problem": name,
         "seed": seed,
         "verdict": found.verdict,
         "remaining": list(found.remaining.where),
-        "disturbances": told["disturbances"],
+        "disturbances": content["disturbances"],
         "odd_runs": [str(one) for one in found.outlier_runs],
         "undetermined": list(found.undetermined),
         "seconds": found.wall_time_s,
-        "causes": told["causes"],
+        "causes": content["causes"],
         "sentences": [cause.sentence for cause in found.causes],
-        "horizons": _horizons(told, JUDGED[name][0]),
+        "horizons": _horizons(content, EVALUATED[name].group),
     }
 
 
-def _horizons(told: dict[str, Any], unit: str) -> list[dict[str, Any]]:
+def _horizons(content: dict[str, Any], group: str) -> list[dict[str, Any]]:
     """By horizon: the error of each model in one unit, and the noise's."""
+    fitted = content["baseline"]["horizons"]
+    extended = content["extended"]["horizons"]
     sides = {
-        "first": told["nominal"]["horizons"],
-        "fitted": told["baseline"]["horizons"],
-        "extended": told["extended"]["horizons"],
+        "first": content["nominal"]["horizons"] or fitted,
+        "fitted": fitted,
+        "extended": extended,
     }
-    sides["first"] = sides["first"] or sides["fitted"]
     out = []
-    for i, last in enumerate(sides["extended"]):
-        errors = {side: found[i]["units"][unit]["rmse"] for side, found in sides.items()}
-        out.append(
-            {
-                "steps": last["steps"],
-                "seconds": last["seconds"],
-                "noise": last["units"][unit]["noise"],
-                **errors,
-            }
-        )
+    for i, last in enumerate(extended):
+        row = {
+            "steps": last["steps"],
+            "seconds": last["seconds"],
+            "noise": last["units"][group]["noise"],
+        }
+        for side, horizons in sides.items():
+            row[side] = horizons[i]["units"][group]["rmse"]
+        out.append(row)
     return out
 
 
-def _judged(result: dict[str, Any]) -> dict[str, Any]:
-    steps = JUDGED[result["problem"]][3]
+def _evaluated(result: Result) -> dict[str, Any]:
+    """The errors at the horizon that is shown."""
+    steps = EVALUATED[result["problem"]].steps
     return next(h for h in reversed(result["horizons"]) if h["steps"] <= steps)
 
 
-def _errors(result: dict[str, Any]) -> tuple[str, ...]:
-    _, scale, unit, _ = JUDGED[result["problem"]]
-    at = _judged(result)
+def _errors(result: Result) -> tuple[str, ...]:
+    """The errors of each model as a row."""
+    shown = EVALUATED[result["problem"]]
+    at = _evaluated(result)
     errors = [
-        f"{number(scale * at[side], 3)} {unit}" for side in ("first", "fitted", "extended", "noise")
+        f"{number(shown.scale * at[side], 3)} {shown.unit}"
+        for side in ("first", "fitted", "extended", "noise")
     ]
     return (result["problem"], f"{number(at['seconds'], 3)} s", *errors, result["verdict"])
 
 
-def _causes(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
+def _causes(result: Result) -> list[tuple[str, ...]]:
+    """A row for each cause."""
+    rows = []
     for cause, sentence in zip(result["causes"], result["sentences"], strict=True):
-        others = dict.fromkeys(
-            c["effect"] + (f":{c['target']}" if c["target"] else "") for c in cause["confused_with"]
-        )
+        others = []
+        for other in cause["confused_with"]:
+            target = f":{other['target']}" if other["target"] else ""
+            others.append(other["effect"] + target)
         rows.append(
             (
                 result["problem"],
                 sentence,
                 number(cause["held_out_gain"], 3),
-                ", ".join(others) or "-",
+                ", ".join(dict.fromkeys(others)) or "-",
                 cause["acts_like"] or "-",
             )
         )
     return rows
 
 
-def _left_out(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    """The spans, and the errors at the windows' horizon on all data held out, those spans too."""
-    base, scale, unit, _ = JUDGED[result["problem"]]
+def _left_out(result: Result) -> list[tuple[str, ...]]:
+    """The spans left out, and the errors on all held-out data with those spans."""
+    shown = EVALUATED[result["problem"]]
     found = result["disturbances"]
     if found is None:
         return []
-    spans = [
-        f"{'held-out ' * one['held_out']}run {one['run']}: {one['from']:.2f} to {one['to']:.2f}"
-        for one in found["spans"]
-    ]
-    sides = (found["errors_with_them"].get(side) for side in ("baseline", "extended"))
-    errors = [
-        f"{number(scale * side['units'][base]['rmse'], 3)} {unit}" if side else "-"
-        for side in sides
-    ]
+    spans = []
+    for span in found["spans"]:
+        held_out = "held-out " if span["held_out"] else ""
+        spans.append(f"{held_out}run {span['run']}: {span['from']:.2f} to {span['to']:.2f}")
+    errors = []
+    for name in ("baseline", "extended"):
+        side = found["errors_with_them"].get(name)
+        if side:
+            rmse = side["units"][shown.group]["rmse"]
+            errors.append(f"{number(shown.scale * rmse, 3)} {shown.unit}")
+        else:
+            errors.append("-")
     return [(result["problem"], f"{found['share']:.1%}", "; ".join(spans), *errors)]
 
 
-def _draw(figure: Any, runs: list[dict[str, Any]]) -> None:
-    """Errors against the horizon, a panel each."""
+def _draw(figure: Any, runs: Sequence[Result]) -> None:
+    """Errors against the horizon, a panel for each problem."""
     figure.set_size_inches(11, 5.6)
     for axes, result in zip(figure.subplots(2, 3).ravel(), runs, strict=False):
-        _, scale, unit, _ = JUDGED[result["problem"]]
+        shown = EVALUATED[result["problem"]]
         seconds = [h["seconds"] for h in result["horizons"]]
-        for side, style in (
-            ("first", "C3o-"),
-            ("fitted", "C1s-"),
-            ("extended", "C0D-"),
-            ("noise", "k:"),
-        ):
-            axes.loglog(
-                seconds,
-                [scale * h[side] for h in result["horizons"]],
-                style,
-                label=side,
-                markersize=3,
-            )
-        axes.set(title=result["problem"], xlabel="horizon [s]", ylabel=f"error held out [{unit}]")
+        for side, style in STYLES.items():
+            errors = [shown.scale * h[side] for h in result["horizons"]]
+            axes.loglog(seconds, errors, style, label=side, markersize=3)
+        axes.set(
+            title=result["problem"], xlabel="horizon [s]", ylabel=f"error held out [{shown.unit}]"
+        )
     figure.axes[0].legend()
     for axes in figure.axes[len(runs) :]:
         axes.set_visible(False)

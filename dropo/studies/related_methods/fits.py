@@ -1,5 +1,6 @@
-"""The related methods on the hopper, and what policies trained under their fits are worth: the
-tasks of that study.
+"""The related methods on the hopper, and returns of policies trained under their fits.
+
+These are the tasks of the study.
 """
 
 from dataclasses import asdict, dataclass, field
@@ -32,7 +33,7 @@ OFFLINE = ("dropo", "dropo, published", "random effects", "droid", "least square
 ONLINE = ("simopt", "bayrn", "adr")
 METHODS = (*OFFLINE, *ONLINE, "uniform randomization")
 TRUTH = "the truth"
-SMALLEST = 1e-9  # [kg] the spread of masses that do not vary
+SMALLEST = 1e-9  # [kg] the standard deviation of masses that do not vary
 SETTINGS: dict[str, dict[str, Any]] = {
     "npe": {"simulations": 300},
     "bayrn": {"budget": 12},
@@ -45,12 +46,28 @@ SETTINGS: dict[str, dict[str, Any]] = {
 class Size:
     """How large the study is.
 
-    transitions: of a data set, in two trajectories; seeds: data sets; methods: those compared.
-    published: K, evaluations and the stride between transitions of the published method; droid: its
-    evaluations; settings: those of the other methods, by their names, where they are not the
-    methods' own. updates: of the search for a policy, 0 for none, and then no bayrn; steps: control
-    steps of an episode; episodes: in which a policy is judged; probe: control steps of adr's single
-    episodes.
+    Attributes
+    ----------
+    transitions : int
+        Transitions of a data set, in two trajectories.
+    seeds : int
+        Number of data sets.
+    methods : tuple of str
+        Methods that are compared.
+    published : (int, int, int)
+        K, evaluations, and the stride between transitions, of the published method.
+    droid : int
+        Evaluations of DROID.
+    settings : dict
+        Settings of the other methods by their names, if they are not the methods' own.
+    updates : int
+        Updates of the search for a policy; 0 for no policies, and then no BayRn.
+    steps : int
+        Control steps of an episode.
+    episodes : int
+        Episodes in which a policy is evaluated.
+    probe : int
+        Control steps of ADR's single episodes.
     """
 
     transitions: int = 1000
@@ -66,16 +83,46 @@ class Size:
 
 
 Item = dict[str, Any]
+"""What a task takes: table, seed and size of the data, and more."""
 
 
 def item(table: str, seed: int, size: Size, **more: Any) -> Item:
-    """What the tasks below take."""
+    """The item of a task.
+
+    Parameters
+    ----------
+    table : str
+        Number of the thesis' table whose masses the data have.
+    seed : int
+        Seed of the data.
+    size : Size
+        How large the study is.
+    **more
+        What else the task takes, such as `method`.
+    """
     return {"table": table, "seed": seed, "size": asdict(size), **more}
 
 
-class Machine:
-    """The hopper that the data come from, for callbacks: masses that vary as in a table of the
-    thesis, noise on what is measured.
+class TargetRobot:
+    """The hopper that the data come from, as callbacks of interactive estimators see it.
+
+    Its masses vary as in a table of the thesis, and its measurements have noise.
+
+    Parameters
+    ----------
+    table : str
+        Number of the table.
+    problem : Problem
+        The problem that the methods fit.
+    size : Size
+        How large the study is.
+
+    Attributes
+    ----------
+    spread : (4,) array
+        Standard deviations of its masses [kg].
+    distribution : Fit
+        The distribution of its masses.
     """
 
     def __init__(self, table: str, problem: Problem, size: Size):
@@ -83,144 +130,217 @@ class Machine:
         self.size = size
         self.spread = SPREAD[table]
         covariance = np.diag(np.maximum(self.spread, SMALLEST) ** 2)
-        self.distribution = distribution(
-            problem, "truth", "full", FullGaussian(problem.space).phi_of(MEAN, covariance)
-        )
+        phi = FullGaussian(problem.space).phi_of(MEAN, covariance)
+        self.distribution = distribution(problem, "truth", "full", phi)
 
     def collect(self, transitions: int) -> Any:
-        """The callback of SimOpt: so many transitions under the stored policy, whatever the law."""
+        """The callback of SimOpt that collects data under the stored policy.
+
+        Parameters
+        ----------
+        transitions : int
+            Number of transitions.
+
+        Returns
+        -------
+        callable
+            `collect(fit, rng)` gives Trajectories, whatever the fit.
+        """
+
+        def masses(rng: Generator, blocks: int) -> Array:
+            return MEAN + self.spread * rng.standard_normal((blocks, len(MEAN)))
 
         def collect(fit: Fit, rng: Generator) -> Trajectories:
-            masses = lambda rng, blocks: (
-                MEAN + self.spread * rng.standard_normal((blocks, len(MEAN)))
-            )
             block = BLOCK if self.spread.any() else None
-            return simulate(
+            data, _ = simulate(
                 transitions, 1, rng=rng, masses=masses, block=block, noise_variance=NOISE
-            )[0]
+            )
+            return data
 
         return collect
 
     def evaluate(self, fit: Fit, rng: Generator) -> Answer[float]:
-        """The callback of BayRn: the return here of a policy that a short search finds under the
-        fit.
+        """The callback of BayRn: the return here of a policy trained under a fit.
+
+        Parameters
+        ----------
+        fit : Fit
+            The distribution of the masses in training.
+        rng : Generator
+            Source of training and episodes.
+
+        Returns
+        -------
+        Answer
+            The mean return, with the transitions and the simulator steps that it took.
         """
         returns, control_steps, lengths = self.returns(fit, rng)
-        return Answer(
-            float(np.mean(returns)), transitions=sum(lengths), steps=control_steps * FRAME_SKIP
-        )
+        steps = control_steps * FRAME_SKIP
+        return Answer(float(np.mean(returns)), transitions=sum(lengths), steps=steps)
 
     def returns(self, fit: Fit, rng: Generator) -> tuple[list[float], int, list[int]]:
-        """Returns here of a policy trained under the fit; the control steps of its training,
-        without its trials; the episodes' lengths.
+        """Returns here of a policy trained under a fit by a short search.
+
+        Parameters
+        ----------
+        fit : Fit
+            The distribution of the masses in training.
+        rng : Generator
+            Source of training and episodes.
+
+        Returns
+        -------
+        returns : list of float
+            Return of each episode.
+        control_steps : int
+            Control steps of its training, without its trials.
+        lengths : list of int
+            Control steps of each episode.
         """
         from dropo.training.ars import ARS
         from dropo.training.evaluate import evaluate
         from dropo.training.train import train
 
         size = self.size
-        (training, playing) = rng.spawn(2)
-        policy = train(
-            self.problem, fit, ARS(updates=size.updates), noise=0.0, steps=size.steps, rng=training
-        )
-        played = evaluate(
+        training_rng, episodes_rng = rng.spawn(2)
+        search = ARS(updates=size.updates)
+        policy = train(self.problem, fit, search, noise=0.0, steps=size.steps, rng=training_rng)
+        rollouts = evaluate(
             policy,
             self.problem,
             distribution=self.distribution,
             episodes=size.episodes,
             steps=size.steps,
             noise=0.0,
-            rng=playing,
+            rng=episodes_rng,
         )
-        return played.returns.tolist(), int(policy.about["control_steps"]), played.lengths.tolist()
+        control_steps = int(policy.about["control_steps"])
+        return rollouts.returns.tolist(), control_steps, rollouts.lengths.tolist()
 
     def performance(self, values: Array, rng: Generator) -> Answer[float]:
-        """The callback of ADR: 1 where the stored policy does not fall in an episode in simulation,
-        else 0.
+        """The callback of ADR: whether the stored policy does not fall in a simulated episode.
+
+        Parameters
+        ----------
+        values : (d,) array
+            Parameters of the episode.
+        rng : Generator
+            Source of the episode.
+
+        Returns
+        -------
+        Answer
+            1 if it does not fall, else 0, with the simulator steps that it took.
         """
         from dropo.training.distributions import Point
         from dropo.training.evaluate import evaluate
         from dropo.training.policy import LinearPolicy
 
-        kept = hopper_policy()
+        stored = hopper_policy()
         limits = np.array([[-1.0] * 3, [1.0] * 3])
-        policy = LinearPolicy(kept.weights, kept.mean, kept.deviation, limits)
-        point = Point(self.problem.space, values)
-        played = evaluate(
+        policy = LinearPolicy(stored.weights, stored.mean, stored.deviation, limits)
+        rollouts = evaluate(
             policy,
             self.problem,
-            distribution=point,
+            distribution=Point(self.problem.space, values),
             episodes=1,
             steps=self.size.probe,
             noise=0.0,
             rng=rng,
         )
-        return Answer(
-            float(played.lengths[0] == self.size.probe),
-            steps=int(played.lengths.sum()) * FRAME_SKIP,
-        )
+        is_upright = float(rollouts.lengths[0] == self.size.probe)
+        return Answer(is_upright, steps=int(rollouts.lengths.sum()) * FRAME_SKIP)
 
 
 def _size(item: Item) -> Size:
+    """The item's size."""
     return Size(**item["size"])
 
 
-def estimator(method: str, machine: Machine, size: Size) -> Estimator:
-    """The method of that name with its callbacks."""
-    given = size.settings.get(method, {})
+def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
+    """Builds a method with its callbacks.
+
+    Parameters
+    ----------
+    method : str
+        One of `METHODS`.
+    target : TargetRobot
+        Where interactive methods collect data and evaluate.
+    size : Size
+        Settings of the methods.
+    """
+    settings = size.settings.get(method, {})
     if method == "simopt":
-        rounds = given.get("iterations", SimOpt.iterations)
-        return SimOpt(collect=machine.collect(size.transitions // rounds), **given)
+        iterations = settings.get("iterations", SimOpt.iterations)
+        return SimOpt(collect=target.collect(size.transitions // iterations), **settings)
     if method == "bayrn":
-        return BayRn(evaluate=machine.evaluate, **given)
+        return BayRn(evaluate=target.evaluate, **settings)
     if method == "adr":
-        return ADR(performance=machine.performance, **given)
-    if method in ("epopt", "npe"):
-        return {"epopt": EPOpt, "npe": NPE}[method](**given)
+        return ADR(performance=target.performance, **settings)
+    if method == "epopt":
+        return EPOpt(**settings)
+    if method == "npe":
+        return NPE(**settings)
     if method == "uniform randomization":
-        return UniformRandomization(**given)
+        return UniformRandomization(**settings)
     return hopper_fits.estimator(method, Sets(droid=size.droid, published=size.published))
 
 
 def fitted(item: Item) -> dict[str, Any]:
-    """The item's method on its data: the law that it finds, and its cost."""
+    """Fits the item's data by its `method`.
+
+    Parameters
+    ----------
+    item : dict
+        As `item` gives it, with `method`.
+
+    Returns
+    -------
+    dict
+        The distribution found, and its cost.
+    """
     size = _size(item)
     method = item["method"]
     problem, _ = data_set(item["table"], "noisy", item["seed"], size.transitions)
     if method == "dropo, published":
         problem = every(size.published[2], problem)
-    fit = estimator(method, Machine(item["table"], problem, size), size).fit(
-        problem, rng=item["seed"]
-    )
+    target = TargetRobot(item["table"], problem, size)
+    fit = estimator(method, target, size).fit(problem, rng=item["seed"])
     record = fit.search_record
-    used = fit.transitions
+    transitions = fit.transitions
     if record is not None and record.target_transitions is not None:
-        used = record.target_transitions
-    if method == "uniform randomization":
-        used = 0
+        transitions = record.target_transitions
     return {
         "family": fit.family,
         "phi": fit.phi.tolist(),
         "mean": fit.mean.tolist(),
         "sd": fit.sd.tolist(),
         "steps": fit.simulator_steps,
-        "transitions": used,
+        "transitions": 0 if method == "uniform randomization" else transitions,
         "status": fit.status.value,
         "message": fit.message,
     }
 
 
 def returned(item: Item) -> dict[str, Any]:
-    """Returns on the machine of a policy trained under the item's `law` [family, phi], or the
-    machine's own where it has none.
+    """Returns on the target of a policy trained under the item's `distribution`.
+
+    Parameters
+    ----------
+    item : dict
+        As `item` gives it, with `distribution`: [family, phi], or None for the target's own.
+
+    Returns
+    -------
+    dict
+        returns: of each episode.
     """
     size = _size(item)
     problem, _ = data_set(item["table"], "noisy", item["seed"], size.transitions)
-    machine = Machine(item["table"], problem, size)
-    given = item["law"]
-    fit = (
-        machine.distribution
-        if given is None
-        else distribution(problem, "related", given[0], np.array(given[1]))
-    )
-    return {"returns": machine.returns(fit, np.random.default_rng(item["seed"]))[0]}
+    target = TargetRobot(item["table"], problem, size)
+    fit = target.distribution
+    if item["distribution"] is not None:
+        family, phi = item["distribution"]
+        fit = distribution(problem, "related", family, np.array(phi))
+    returns, _, _ = target.returns(fit, np.random.default_rng(item["seed"]))
+    return {"returns": returns}

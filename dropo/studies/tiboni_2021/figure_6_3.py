@@ -1,4 +1,4 @@
-"""Figure 6.3: what policies are worth on the target that were trained with a torso 1 kg too light."""
+"""Figure 6.3: returns on the target of policies trained with a torso 1 kg too light."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -42,7 +42,7 @@ CLAIMS = (
 )
 """What figure 6.3 says: the first above the second.
 
-Under the thesis' own laws, and under our fits of its data.
+Under the thesis' own distributions, and under our fits of its data.
 """
 OURS = (
     (EXTENDED, "thesis, dropo"),
@@ -52,35 +52,45 @@ OURS = (
     (EXTENDED, UNIFORM),
     (EXTENDED, AS_IT_IS),
 )
-# of tests; [kg] of means and sds within which two laws are one
-LEVEL = 0.05
-SAME = 0.002
+"""What we say: the first above the second."""
 NOTES = (
     "A policy's return is its mean over episodes on the target. Intervals (95 %, Student's "
-    "t) are over training seeds; those of uniform"
-    " randomization over its bounds, each the mean of its seeds. The thesis trains one "
-    "policy for each of its bounds.",
+    "t) are over training seeds; those of uniform randomization over its bounds, each the mean of "
+    "its seeds. The thesis trains one policy for each of its bounds.",
     "Tests are paired by the training seed, which decides the directions of the search; "
-    "uniform randomization enters with the mean of its"
-    " bounds, which are taken as they are.",
+    "uniform randomization enters with the mean of its bounds, which are taken as they are.",
     "The thesis shows figure 6.3 as a picture without numbers: the truth above DROPO, "
-    "DROPO above DROID and above the average of uniform"
-    " randomization, of which some bounds do well. Its laws are those that it prints in table 6.4.",
-    (
-        "Policies here are linear and found by augmented random search without the bonus for "
-        "being alive; the thesis trains networks by SAC."
-    ),
-    (
-        "Other masses true: the model as it was before any fit, the torso too light and the "
-        "other masses right."
-    ),
+    "DROPO above DROID and above the average of uniform randomization, of which some bounds do "
+    "well. Its laws are those that it prints in table 6.4.",
+    "Policies here are linear and found by augmented random search without the bonus for "
+    "being alive; the thesis trains networks by SAC.",
+    "Other masses true: the model as it was before any fit, the torso too light and the "
+    "other masses right.",
 )
+Run = dict[str, Any]
+"""What `light_torso.trained` gives."""
+Distributions = Sequence[dict[str, Any]]
+"""What `light_torso.found` gives, for each distribution."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large the study is: transitions fitted, DROID's evaluations, uniform bounds, training
-    seeds, laws, a policy's training.
+    """How large the study is.
+
+    Attributes
+    ----------
+    transitions : int
+        Transitions that are fitted.
+    droid : int
+        Evaluations of DROID.
+    bounds : int
+        Bounds of uniform randomization.
+    seeds : int
+        Training seeds.
+    distributions : tuple of str
+        Names of the distributions, some of `LAWS`.
+    training : Training
+        How a policy is trained and evaluated.
     """
 
     transitions: int = 1000
@@ -91,50 +101,80 @@ class Size:
     training: Training = field(default_factory=Training)
 
 
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """When a claim is decided, and when two distributions are one.
+
+    Attributes
+    ----------
+    level : float
+        Level of the tests.
+    tolerance : float
+        Difference of means and standard deviations [kg] within which two distributions are one.
+    """
+
+    level: float = 0.05
+    tolerance: float = 0.002
+
+
 FULL = Size()
+DEFAULT = ComparisonSettings()
 
 
-def figure_6_3(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
-    """A torso 1 kg too light: policies under DROPO, DROID, uniform bounds, the extended model and
-    the truth, on the target (figure 6.3).
+def figure_6_3(
+    work: Work,
+    seeds: int | None = None,
+    *,
+    size: Size = FULL,
+    settings: ComparisonSettings = DEFAULT,
+) -> Study:
+    """Returns on the target of policies trained with a torso 1 kg too light (figure 6.3).
+
+    They are trained under DROPO's and DROID's distributions, uniform bounds, the extended model
+    and the truth.
+
+    Parameters
+    ----------
+    work : Work
+        Runs the fits and trains the policies.
+    seeds : int or None
+        Number of training seeds; None for that of `size`.
+    size : Size
+        How large the study is.
+    settings : ComparisonSettings
+        When a claim is decided, and when two distributions are one.
+
+    Returns
+    -------
+    Study
+        Returns, tests of the thesis' claims and of all pairs, and the distributions.
     """
     count = seeds or size.seeds
     data = AUTHORS if at_hand() else "6.1"
-    asked = [
-        (name, i)
-        for name in size.distributions
-        for i in range(size.bounds if name == UNIFORM else 1)
-    ]
-    fit = {"data": data, "transitions": size.transitions, "droid": size.droid}
-    distributions = work.map(found, [{"law": name, "number": i, **fit} for name, i in asked])
-    made = [
-        {
-            "law": name,
-            "number": i,
-            "seed": seed,
-            **{key: one[key] for key in ("family", "phi", "effects")},
-            "training": asdict(size.training),
-        }
-        for seed in range(count)
-        for (name, i), one in zip(asked, distributions, strict=True)
-    ]
-    runs = work.map(trained, made)
+    items = _distribution_items(size, data)
+    distributions = work.map(found, items)
+    runs = work.map(trained, _training_items(items, distributions, count, size.training))
     returns = by_distribution(runs, "return")
-    tables = (_returns(runs), _verdicts(returns), _pairs(returns), _distributions(distributions))
-    training = size.training
+    tables = (
+        _returns(runs),
+        _verdicts(returns, settings),
+        _pairs(returns),
+        _distributions(distributions),
+    )
     title = (
         f"Figure 6.3: policies trained with a torso {MISSING:.0f} kg too light, {count} "
         "training seeds"
     )
-    chosen = (
-        f"the {data}" if data == AUTHORS else "our data set 0, as the authors' data are not at hand"
-    )
+    chosen = "our data set 0, as the authors' data are not at hand"
+    if data == AUTHORS:
+        chosen = f"the {data}"
+    training = size.training
     remarks = (
         f"Fitted: {chosen}, {size.transitions} transitions;"
         f" policies: {training.updates} updates, {training.episodes} episodes of "
         f"{training.steps} steps on the target.",
         *_diagnosed(distributions),
-        *_same(distributions),
+        *_same(distributions, settings),
         *_best(returns),
         *NOTES,
     )
@@ -148,18 +188,71 @@ def figure_6_3(work: Work, seeds: int | None = None, *, size: Size = FULL) -> St
     )
 
 
-def by_distribution(runs: Sequence[dict[str, Any]], key: str) -> dict[str, Array]:
-    """law -> what its runs have under that key, (bounds, seeds); one row where there are no bounds."""
+def _distribution_items(size: Size, data: str) -> list[dict[str, Any]]:
+    """What `found` takes for each distribution, and for each of the uniform bounds."""
+    fit = {"data": data, "transitions": size.transitions, "droid": size.droid}
+    items = []
+    for name in size.distributions:
+        count = size.bounds if name == UNIFORM else 1
+        items += [{"law": name, "number": i, **fit} for i in range(count)]
+    return items
+
+
+def _training_items(
+    items: Sequence[dict[str, Any]], distributions: Distributions, seeds: int, training: Training
+) -> list[dict[str, Any]]:
+    """What `trained` takes for each distribution and seed."""
+    out = []
+    for seed in range(seeds):
+        for item, one in zip(items, distributions, strict=True):
+            out.append(
+                {
+                    "law": item["law"],
+                    "number": item["number"],
+                    "seed": seed,
+                    "family": one["family"],
+                    "phi": one["phi"],
+                    "effects": one["effects"],
+                    "training": asdict(training),
+                }
+            )
+    return out
+
+
+def by_distribution(runs: Sequence[Run], key: str) -> dict[str, Array]:
+    """What the runs of each distribution have under a key.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        What `light_torso.trained` gives.
+    key : str
+        Name of a number.
+
+    Returns
+    -------
+    dict of (bounds, seeds) arrays
+        One row for distributions without bounds.
+    """
     out = {}
     for name in dict.fromkeys(run["law"] for run in runs):
         own = sorted((run["number"], run["seed"], run[key]) for run in runs if run["law"] == name)
-        out[name] = np.array([value for *_, value in own]).reshape(len({i for i, *_ in own}), -1)
+        bounds = {number for number, _, _ in own}
+        out[name] = np.array([value for _, _, value in own]).reshape(len(bounds), -1)
     return out
 
 
 class Difference(NamedTuple):
-    """Of two laws' returns over seeds: its mean, half its 95 % interval, and the two-sided p of a
-    paired t test; NaN of a single seed.
+    """The difference of two distributions' returns over seeds.
+
+    Attributes
+    ----------
+    mean : float
+        Its mean.
+    half : float
+        Half its 95 % interval; NaN for a single seed.
+    p : float
+        Two-sided p-value of a paired t test; NaN for a single seed.
     """
 
     mean: float
@@ -168,40 +261,63 @@ class Difference(NamedTuple):
 
 
 def difference(one: Array, other: Array) -> Difference:
-    """The first less the second, (bounds, seeds) each; bounds are averaged."""
+    """The returns under one distribution less those under another.
+
+    Parameters
+    ----------
+    one, other : (bounds, seeds) arrays
+        Returns, which are averaged over bounds and paired by seeds.
+    """
     apart = one.mean(axis=0) - other.mean(axis=0)
+    degrees = len(apart) - 1
     mean, half = interval(apart)
     if not apart.any():
-        return Difference(0.0, half, 1.0 if len(apart) > 1 else np.nan)
-    error = half / stats.t.ppf(0.975, len(apart) - 1) if len(apart) > 1 else np.nan
-    return Difference(
-        mean, half, float(2 * stats.t.sf(abs(mean) / error, len(apart) - 1)) if error else 0.0
-    )
+        return Difference(0.0, half, 1.0 if degrees > 0 else np.nan)
+    if degrees == 0:
+        return Difference(mean, half, np.nan)
+    error = half / stats.t.ppf(0.975, degrees)
+    p = float(2 * stats.t.sf(abs(mean) / error, degrees)) if error else 0.0
+    return Difference(mean, half, p)
 
 
 def interval(values: Array) -> tuple[float, float]:
-    """The mean and half its 95 % interval by Student's t; NaN of a single value."""
+    """The mean of values (n,) and half its 95 % interval by Student's t; NaN of a single value."""
     n = len(values)
     half = stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan
     return float(values.mean()), float(half)
 
 
 def holm(p: Array) -> Array:
-    """p values (m,) adjusted for so many tests (Holm, "A simple sequentially rejective multiple
-    test procedure", 1979).
+    """p-values adjusted for several tests.
+
+    Parameters
+    ----------
+    p : (m,) array
+        p-values of m tests.
+
+    Returns
+    -------
+    (m,) array
+        Adjusted p-values.
+
+    References
+    ----------
+    Holm, "A simple sequentially rejective multiple test procedure", 1979.
     """
     order = np.argsort(p)
+    multiplied = np.sort(p) * np.arange(len(p), 0, -1)
     out = np.empty(len(p))
-    out[order] = np.minimum(1, np.maximum.accumulate(np.sort(p) * np.arange(len(p), 0, -1)))
+    out[order] = np.minimum(1, np.maximum.accumulate(multiplied))
     return out
 
 
-def _spread(values: Array) -> Array:
-    """What an interval is over: the bounds' means where there are several, else the seeds."""
+def _over(values: Array) -> Array:
+    """What an interval is over: the bounds' means if there are several, else the seeds."""
     return values.mean(axis=1) if len(values) > 1 else values[0]
 
 
-def _returns(runs: Sequence[dict[str, Any]]) -> Table:
+def _returns(runs: Sequence[Run]) -> Table:
+    """Returns of each distribution's policies, and of the best and worst bounds."""
     upright = by_distribution(runs, "upright")
     training = by_distribution(runs, "in_training")
     lines = []
@@ -209,13 +325,11 @@ def _returns(runs: Sequence[dict[str, Any]]) -> Table:
         rows = {name: slice(None)}
         if len(values) > 1:
             order = np.argsort(values.mean(axis=1))
-            rows |= {
-                "  its best bounds": slice(order[-1], order[-1] + 1),
-                "  its worst bounds": slice(order[0], order[0] + 1),
-            }
+            rows["  its best bounds"] = slice(order[-1], order[-1] + 1)
+            rows["  its worst bounds"] = slice(order[0], order[0] + 1)
         for label, part in rows.items():
             own = values[part]
-            mean, half = interval(_spread(own))
+            mean, half = interval(_over(own))
             lines.append(
                 (
                     label,
@@ -241,71 +355,60 @@ def _returns(runs: Sequence[dict[str, Any]]) -> Table:
     return Table("Returns on the target", header, tuple(lines))
 
 
-def _verdicts(returns: dict[str, Array]) -> Table:
+def _verdicts(returns: dict[str, Array], settings: ComparisonSettings) -> Table:
+    """Whether each claim is confirmed."""
     lines = []
-    for told, claims in (("thesis", CLAIMS), ("ours", OURS)):
+    for source, claims in (("thesis", CLAIMS), ("ours", OURS)):
         for better, worse in claims:
-            if better in returns and worse in returns:
-                found = difference(returns[better], returns[worse])
-                said = (
-                    "not decided"
-                    if not found.p < LEVEL
-                    else "confirmed"
-                    if found.mean > 0
-                    else "contradicted"
-                )
-                lines.append(
-                    (
-                        told,
-                        f"{better} > {worse}",
-                        f"{found.mean:+.0f}",
-                        _ends(found.mean, found.half),
-                        number(found.p, 2),
-                        said,
-                    )
-                )
-    header = ("claim", "", "difference", "95 % interval", "p", f"at {LEVEL:.0%}")
+            if better not in returns or worse not in returns:
+                continue
+            found = difference(returns[better], returns[worse])
+            if not found.p < settings.level:
+                said = "not decided"
+            else:
+                said = "confirmed" if found.mean > 0 else "contradicted"
+            ends = _ends(found.mean, found.half)
+            p = number(found.p, 2)
+            lines.append((source, f"{better} > {worse}", f"{found.mean:+.0f}", ends, p, said))
+    header = ("claim", "", "difference", "95 % interval", "p", f"at {settings.level:.0%}")
     return Table("Is the thesis confirmed?", header, tuple(lines))
 
 
 def _pairs(returns: dict[str, Array]) -> Table:
+    """Differences of all pairs, with adjusted p-values."""
     names = list(returns)
     pairs = list(combinations(names, 2))
     found = [difference(returns[one], returns[other]) for one, other in pairs]
     adjusted = holm(np.array([one.p for one in found]))
-    cells = {
-        pair: f"{one.mean:+.0f} ({number(p, 2)})"
-        for pair, one, p in zip(pairs, found, adjusted, strict=True)
-    }
-    lines = [
-        (f"{i + 1} {name}", *(cells.get((name, other), "") for other in names[1:]))
-        for i, name in enumerate(names[:-1])
-    ]
+    cells = {}
+    for pair, one, p in zip(pairs, found, adjusted, strict=True):
+        cells[pair] = f"{one.mean:+.0f} ({number(p, 2)})"
+    lines = []
+    for i, name in enumerate(names):
+        lines.append((f"{i + 1} {name}", *(cells.get((name, other), "") for other in names[1:])))
     header = ("", *(f"less {i + 2}" for i in range(len(names) - 1)))
-    last = (f"{len(names)} {names[-1]}", *[""] * (len(names) - 1))
-    return Table(
-        "All pairs: the row's return less the column's, and p by Holm's method",
-        header,
-        (*lines, last),
-    )
+    title = "All pairs: the row's return less the column's, and p by Holm's method"
+    return Table(title, header, tuple(lines))
 
 
-def _distributions(distributions: Sequence[dict[str, Any]]) -> Table:
+def _distributions(distributions: Distributions) -> Table:
+    """Means and standard deviations of the masses, and what they cost."""
     lines = []
     for one in distributions:
-        mean = one["mean"]
-        sd = one["sd"]
-        added = sum(sizes[0] for _, label, sizes in one["effects"] if "body_mass:torso" in label)
-        light = len(mean) < len(MEAN)
-        masses = [MEAN[0] - MISSING + added, *mean] if light else mean
+        masses = one["mean"]
+        if len(masses) < len(MEAN):  # the torso is fixed, and perhaps corrected by an effect
+            added = 0.0
+            for _, label, magnitudes in one["effects"]:
+                if "body_mass:torso" in label:
+                    added += magnitudes[0]
+            masses = [MEAN[0] - MISSING + added, *masses]
         label = f"{one['law']} {one['number'] + 1}" if one["law"] == UNIFORM else one["law"]
-        cost = f"{one['steps']:,}" if one["steps"] else "-"
         lines.append(
             (
                 label,
                 *(f"{mass:.3f}" for mass in masses),
-                *(number(value, 2) for value in sd[-3:]),
-                cost,
+                *(number(value, 2) for value in one["sd"][-3:]),
+                f"{one['steps']:,}" if one["steps"] else "-",
             )
         )
     header = (
@@ -317,41 +420,40 @@ def _distributions(distributions: Sequence[dict[str, Any]]) -> Table:
     return Table("The laws [kg]; the torso, m1, is fixed", header, tuple(lines))
 
 
-def _diagnosed(distributions: Sequence[dict[str, Any]]) -> list[str]:
-    told = [one for one in distributions if one["law"] == EXTENDED]
-    return [
-        (
-            f"The diagnosis of the model with the light torso: {one['verdict']}; "
-            f"{'; '.join(one['causes']) or 'no cause'}."
-        )
-        for one in told
-    ]
+def _diagnosed(distributions: Distributions) -> list[str]:
+    """What the diagnosis said, if there was one."""
+    sentences = []
+    for one in distributions:
+        if one["law"] == EXTENDED:
+            causes = "; ".join(one["causes"]) or "no cause"
+            sentences.append(
+                f"The diagnosis of the model with the light torso: {one['verdict']}; {causes}."
+            )
+    return sentences
 
 
-def _same(distributions: Sequence[dict[str, Any]]) -> list[str]:
-    """Which fits are one law; what their policies differ by is chance."""
+def _same(distributions: Distributions, settings: ComparisonSettings) -> list[str]:
+    """Which fits are the same distribution, so that their policies differ by chance."""
     fits = [one for one in distributions if one["law"] in FITTED]
-    alike = [
-        one["law"]
-        for one in fits
-        if np.allclose(
-            [one["mean"], one["sd"]], [fits[-1]["mean"], fits[-1]["sd"]], rtol=0, atol=SAME
-        )
-    ]
-    return (
-        [f"The same law within {SAME:g} kg: {', '.join(alike)}. What these differ by is chance."]
-        if len(alike) > 1
-        else []
-    )
+    same = []
+    for one in fits:
+        own = [one["mean"], one["sd"]]
+        last = [fits[-1]["mean"], fits[-1]["sd"]]
+        if np.allclose(own, last, rtol=0, atol=settings.tolerance):
+            same.append(one["law"])
+    if len(same) < 2:
+        return []
+    names = ", ".join(same)
+    within = f"{settings.tolerance:g} kg"
+    return [f"The same law within {within}: {names}. What these differ by is chance."]
 
 
 def _best(returns: dict[str, Array]) -> list[str]:
-    """Whether the extended model's policies return at least as much as any other's but the truth's."""
-    others = {
-        name: float(values.mean())
-        for name, values in returns.items()
-        if name not in (TRUTH, EXTENDED)
-    }
+    """Whether the extended model's policies return as much as all others' but the truth's."""
+    others = {}
+    for name, values in returns.items():
+        if name not in (TRUTH, EXTENDED):
+            others[name] = float(values.mean())
     if EXTENDED not in returns or not others:
         return []
     best = max(others, key=lambda name: others[name])
@@ -365,26 +467,20 @@ def _best(returns: dict[str, Array]) -> list[str]:
 
 
 def _ends(mean: float, half: float) -> str:
+    """The ends of an interval, if it has some."""
     return f"{mean - half:.0f} to {mean + half:.0f}" if np.isfinite(half) else "-"
 
 
 def _draw(figure: Any, returns: dict[str, Array]) -> None:
-    """Each policy's return (of uniform randomization each of its bounds'), and means with their
-    intervals.
-    """
+    """Each policy's return (for uniform randomization, each bound's), and means with intervals."""
     axes = figure.subplots()
-    highest = max(float(_spread(values).max()) for values in returns.values())
+    highest = max(float(_over(values).max()) for values in returns.values())
     for place, values in enumerate(returns.values()):
-        each = _spread(values)
+        each = _over(values)
         mean, half = interval(each)
+        bar = half if np.isfinite(half) else 0.0
         axes.plot(np.full(len(each), place), each, "o", markersize=4, alpha=0.6)
-        axes.errorbar(
-            place + 0.2, mean, half if np.isfinite(half) else 0.0, fmt="_", color="black", capsize=3
-        )
-    axes.set_xticks(
-        range(len(returns)),
-        [name.replace(", ", ",\n") for name in returns],
-        rotation=30,
-        ha="right",
-    )
+        axes.errorbar(place + 0.2, mean, bar, fmt="_", color="black", capsize=3)
+    labels = [name.replace(", ", ",\n") for name in returns]
+    axes.set_xticks(range(len(returns)), labels, rotation=30, ha="right")
     axes.set(ylabel="return on the target", ylim=(0, 1.05 * highest))

@@ -13,25 +13,33 @@ from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, Size
 
 
 def figure_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
-    """Total variance and mean squared error against epsilon, and the one that section 5.3 chooses
-    (thesis, figure 6.4).
+    """Total variance and mean squared error against epsilon, and the one chosen (figure 6.4).
+
+    Parameters
+    ----------
+    work : Work
+        Runs the sweeps.
+    seeds : int or None
+        Number of data sets; None for that of `size`.
+    size : Size
+        How large the study is.
+
+    Returns
+    -------
+    Study
+        The sweep over data sets, and how often each epsilon is chosen (section 5.3).
     """
     count = seeds or size.seeds
-    swept = work.map(tuned, [item("6.1", "noisy", seed, size) for seed in range(count)])
-    columns = {
-        name: np.array([[row[name] for row in one["tuning"]] for one in swept])
-        for name in ("total_variance", "mse")
-    }
-    chosen = np.array([one["chosen"] for one in swept])
-    shares = [int((chosen == epsilon).sum()) for epsilon in SWEEP]
-    lines = [
-        (
-            f"{epsilon:.0e}",
-            *(number(v, 3) for name in columns for v in _spread(columns[name][:, i])),
-            str(shares[i]),
-        )
-        for i, epsilon in enumerate(SWEEP)
-    ]
+    sweeps = work.map(tuned, [item("6.1", "noisy", seed, size) for seed in range(count)])
+    columns = {}
+    for name in ("total_variance", "mse"):
+        columns[name] = np.array([[row[name] for row in sweep["tuning"]] for sweep in sweeps])
+    chosen = np.array([sweep["chosen"] for sweep in sweeps])
+    lines = []
+    for i, epsilon in enumerate(SWEEP):
+        numbers = [v for values in columns.values() for v in _median_and_range(values[:, i])]
+        times = int((chosen == epsilon).sum())
+        lines.append((f"{epsilon:.0e}", *(number(v, 3) for v in numbers), str(times)))
     header = (
         "epsilon",
         "total variance [kg^2]",
@@ -47,33 +55,41 @@ def figure_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> St
         f"{count} data sets"
     )
     remarks = (
-        (
-            "Chosen is the smallest epsilon whose mean squared error is at most 1.1 times the "
-            "least of the sweep; the thesis chooses 1e-5."
-        ),
+        "Chosen is the smallest epsilon whose mean squared error is at most 1.1 times the "
+        "least of the sweep; the thesis chooses 1e-5.",
         f"From epsilon {SWEEP[0]:.0e} to 1e-5 the median mean squared error falls by "
-        f"{_fall(columns['mse']):.3g} times, the median total"
-        f" variance by {_fall(columns['total_variance']):.3g} times.",
+        f"{_fall(columns['mse']):.3g} times, the median total variance by "
+        f"{_fall(columns['total_variance']):.3g} times.",
     )
     data = {
         "epsilon": list(SWEEP),
         **columns,
         "chosen": chosen,
-        "steps": [one["steps"] for one in swept],
+        "steps": [sweep["steps"] for sweep in sweeps],
     }
-    draw = lambda figure: _draw(figure, columns)
     return Study(
         "figure-6.4",
         f"Figure 6.4: the choice of epsilon; {count} data sets",
         (Table(title, header, tuple(lines)),),
         remarks,
         data,
-        draw,
+        lambda figure: _draw(figure, columns),
     )
 
 
 def tuned(item: Item) -> dict[str, Any]:
-    """The sweep over epsilon on one data set, and the epsilon that it chooses."""
+    """The sweep over epsilon on one data set, and the epsilon that it chooses.
+
+    Parameters
+    ----------
+    item : dict
+        As `hopper_fits.item` gives it.
+
+    Returns
+    -------
+    dict
+        The table of the sweep, the chosen epsilon, and the cost on one thread.
+    """
     problem, _ = problem_of(item)
     fit = DROPO(epsilon="tune", sweep=SWEEP).fit(problem, rng=0)
     assert fit.noise_tuning is not None
@@ -85,17 +101,19 @@ def tuned(item: Item) -> dict[str, Any]:
     }
 
 
-def _spread(values: np.ndarray) -> tuple[float, float, float]:
+def _median_and_range(values: np.ndarray) -> tuple[float, float, float]:
+    """Median, minimum and maximum."""
     return float(np.median(values)), float(values.min()), float(values.max())
 
 
 def _fall(values: np.ndarray) -> float:
-    """The median at epsilon 1e-8 over that at 1e-5."""
-    middle = np.median(values, axis=0)
-    return float(middle[0] / middle[SWEEP.index(1e-5)])
+    """The median at the first epsilon over that at 1e-5."""
+    medians = np.median(values, axis=0)
+    return float(medians[0] / medians[SWEEP.index(1e-5)])
 
 
 def _draw(figure: Any, columns: dict[str, np.ndarray]) -> None:
+    """Median and range of each quantity against epsilon."""
     for axes, (name, values) in zip(figure.subplots(1, 2), columns.items(), strict=True):
         axes.fill_between(SWEEP, values.min(axis=0), values.max(axis=0), alpha=0.2, linewidth=0)
         axes.plot(SWEEP, np.median(values, axis=0), "o-", markersize=4)

@@ -54,7 +54,7 @@ ALGORITHM = ARS(updates=300, directions=16, best=8, step=0.02, size=0.03, trials
 
 
 def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> Runs:
-    """n trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
+    """N trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
     trajectory.
     """
     noise = rng.standard_normal((n, SETTINGS.steps, model.nu))
@@ -86,7 +86,7 @@ def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
         runs = run(model, policies, 2 * ALGORITHM.directions, rng)
         ALGORITHM.improve(state, tried, returns(model, runs).reshape(2, ALGORITHM.directions))
         visited = runs.states[:, :-1].reshape(-1, 12)
-        state.see(observe(visited[np.isfinite(visited).all(axis=1)]))
+        state.add_observations(observe(visited[np.isfinite(visited).all(axis=1)]))
         yield LinearPolicy(state.weights, state.mean, state.deviation, SETTINGS.action_noise)
 
 

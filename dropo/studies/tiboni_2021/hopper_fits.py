@@ -1,5 +1,6 @@
-"""Fits of the thesis' hopper data by each method, and laws compared by one likelihood: the tasks of
-the studies.
+"""Fits of the thesis' hopper data by each method, and distributions compared by one likelihood.
+
+These are the tasks of the studies.
 """
 
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from dropo.estimators.least_squares import LeastSquares
 from dropo.estimators.random_effects import RandomEffects
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.published import hopper_published, hopper_published_noisy, published
 from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size, data_set, every
 
@@ -27,28 +28,58 @@ AUTHORS = "authors' data"
 """In the place of a table's number: the transitions that the authors published."""
 
 Item = dict[str, Any]
+"""What a task takes: table, kind, seed and size of the data, and more."""
 
 
 def item(table: str, kind: str, seed: int, size: Size, **more: Any) -> Item:
-    """What a task below takes: which data, and more, such as the method."""
+    """The item of a task.
+
+    Parameters
+    ----------
+    table : str
+        "6.1", "6.2", "6.3" or `AUTHORS`.
+    kind : str
+        "clean" or "noisy".
+    seed : int
+        Seed of the data.
+    size : Size
+        How large the study is.
+    **more
+        What else the task takes, such as `method`.
+    """
     return {"table": table, "kind": kind, "seed": seed, "size": asdict(size), **more}
 
 
 def problem_of(item: Item) -> tuple[Problem, Array]:
-    """The item's problem, on one thread, and the masses (B, 4) [kg] behind its data."""
+    """The data that an item names.
+
+    Parameters
+    ----------
+    item : dict
+        As `item` gives it.
+
+    Returns
+    -------
+    problem : Problem
+        The problem, on one thread.
+    masses : (B, 4) array
+        Masses [kg] behind its data.
+
+    Raises
+    ------
+    BadFile
+        If the authors' data are neither found nor fetched.
+    """
     size = Size(**item["size"])
     if item["table"] != AUTHORS:
         return data_set(item["table"], item["kind"], item["seed"], size.transitions)
-    made = {"clean": hopper_published, "noisy": hopper_published_noisy}[item["kind"]](threads=1)
-    return made.using(
-        transitions=10 * size.transitions
-        if item.get("method") == "dropo, all data"
-        else size.transitions
-    ), MEAN[None]
+    make = {"clean": hopper_published, "noisy": hopper_published_noisy}[item["kind"]]
+    factor = 10 if item.get("method") == "dropo, all data" else 1
+    return make(threads=1).using(transitions=factor * size.transitions), MEAN[None]
 
 
 def at_hand() -> bool:
-    """Whether the authors' data are here, or can be fetched."""
+    """Whether the authors' data are found, or can be fetched."""
     try:
         return all(len(published(which)) > 0 for which in ("clean", "noisy-1e-5"))
     except (BadFile, OSError):
@@ -56,7 +87,15 @@ def at_hand() -> bool:
 
 
 def estimator(method: str, size: Size) -> Estimator:
-    """The method of that name in the studies' tables, with its defaults."""
+    """Builds a method by its name in the studies' tables, with its defaults.
+
+    Parameters
+    ----------
+    method : str
+        Its name.
+    size : Size
+        Settings of DROID and of the published method.
+    """
     draws, budget, _ = size.published
     as_published: dict[str, Any] = {
         "likelihood": "monte-carlo",
@@ -80,10 +119,21 @@ def estimator(method: str, size: Size) -> Estimator:
 
 
 def fitted(item: Item) -> dict[str, Any]:
-    """The item's `method` on its data: what the fit found, its cost on one thread, and the mean and
-    sd of the masses drawn.
+    """Fits the item's data by its `method`.
+
+    Parameters
+    ----------
+    item : dict
+        As `item` gives it, with `method` and perhaps `start`, a seed of the fit.
+
+    Returns
+    -------
+    dict
+        What the fit found, its cost on one thread, and mean and standard deviation of the masses
+        drawn [kg].
     """
-    (problem, drawn), size = problem_of(item), Size(**item["size"])
+    problem, drawn = problem_of(item)
+    size = Size(**item["size"])
     if item["method"] == "dropo, published":
         problem = every(size.published[2], problem)
     fit = estimator(item["method"], size).fit(problem, rng=item.get("start", 0))
@@ -95,7 +145,7 @@ def fitted(item: Item) -> dict[str, Any]:
 
 
 def found(fit: Fit) -> dict[str, Any]:
-    """What the tables keep of a fit."""
+    """What the tables keep of a fit, as plain numbers."""
     with np.errstate(invalid="ignore", divide="ignore"):
         sd_se = fit.scale_se * np.where(fit.scale > 0, fit.sd / fit.scale, np.nan)
     arrays = {
@@ -119,64 +169,92 @@ def found(fit: Fit) -> dict[str, Any]:
 
 
 def compared(item: Item) -> dict[str, Any]:
-    """Log-likelihoods [nats] of `laws` {name: [mean, sd]} on the item's data, by the emulator
-    around the first of them.
+    """Log-likelihoods of distributions, by the emulator around the first of them.
 
-    exact: of the emulator, without sampling; simulator, emulator: both at the same `draws` draws of
-    the law.
+    Parameters
+    ----------
+    item : dict
+        As `item` gives it, with `distributions` {name: [mean, sd]} [kg].
+
+    Returns
+    -------
+    dict
+        By name, in nats: exact: of the emulator, without sampling; simulator, emulator: of both at
+        the same draws of the distribution.
     """
     problem, _ = problem_of(item)
     family = TruncatedGaussian(problem.space)
     rng = np.random.default_rng(0)
-    members = {
-        name: distribution(family, *map(np.array, values)) for name, values in item["laws"].items()
-    }
+    members = {}
+    for name, (mean, sd) in item["distributions"].items():
+        members[name] = distribution(family, np.array(mean), np.array(sd))
+    # The emulator covers all of the distributions.
     phis = list(members.values())
     centre = family.mean(phis[0])
-    reach = [np.maximum(family.scale(phi), np.abs(family.mean(phi) - centre)) for phi in phis]
-    width = np.clip(np.max(reach, axis=0), 5e-5 * (problem.space.high - problem.space.low), None)
+    spans = [np.maximum(family.scale(phi), np.abs(family.mean(phi) - centre)) for phi in phis]
+    width = np.clip(np.max(spans, axis=0), 5e-5 * (problem.space.high - problem.space.low), None)
     assert problem.epsilon is not None
     local = Emulated().linearize_at(
         problem.simulator, problem.segments, family, problem.epsilon, centre, width, rng
     )
     base = family.base(Size(**item["size"]).draws, rng)
     targets = problem.simulator.targets(problem.segments)
-    gaussian = Gaussian(base.shape[1])
+    gaussian = MonteCarlo(base.shape[1])
     out = {}
     for name, phi in members.items():
         values = family.draw(phi, base)
-        both = {
+        predictions = {
             "simulator": problem.simulator.predict(values, problem.segments),
             "emulator": local.predict(values),
         }
-        sampled = {
-            way: float(gaussian.log_density(made, targets, problem.epsilon).sum())
-            for way, made in both.items()
-        }
-        out[name] = {"exact": float(local(phi)), **sampled}
+        out[name] = {"exact": float(local(phi))}
+        for source, predicted in predictions.items():
+            densities = gaussian.log_density(predicted, targets, problem.epsilon)
+            out[name][source] = float(densities.sum())
     return out
 
 
 def distribution(family: TruncatedGaussian, mean: Array, sd: Array) -> Array:
-    """phi of the truncated Gaussian of that mean and standard deviation; the least scale where it
-    is below.
+    """The truncated Gaussian of a mean and a standard deviation.
+
+    Parameters
+    ----------
+    family : TruncatedGaussian
+        The family.
+    mean, sd : (4,) arrays
+        Mean and standard deviation of the distribution itself [kg].
+
+    Returns
+    -------
+    array
+        Its phi; with the smallest scale where the standard deviation is below that.
     """
-    share = family.sd(family.phi(mean, family.unknowns.high[4:])) / family.unknowns.high[4:]
-    return family.phi(mean, sd / share)
+    widest = family.unknowns.high[4:]
+    sd_per_scale = family.sd(family.phi(mean, widest)) / widest
+    return family.phi(mean, sd / sd_per_scale)
 
 
-def judged(item: Item) -> dict[str, Any]:
-    """The thesis' log-likelihood [nats] of `laws` {name: [mean, sd]} on the item's data: each from
-    `draws` simulations.
+def evaluated(item: Item) -> dict[str, Any]:
+    """The thesis' log-likelihood of distributions on the item's data, by Monte Carlo.
+
+    Parameters
+    ----------
+    item : dict
+        As `item` gives it, with `distributions` {name: [mean, sd]} [kg].
+
+    Returns
+    -------
+    dict
+        Log-likelihoods by name [nats].
     """
     problem, _ = problem_of(item)
     family = TruncatedGaussian(problem.space)
     assert problem.epsilon is not None
-    gaussian = Gaussian(Size(**item["size"]).draws)
+    gaussian = MonteCarlo(Size(**item["size"]).draws)
     objective = gaussian.bind(
         problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0)
     )
-    return {
-        name: objective(distribution(family, *map(np.array, values)))
-        for name, values in item["laws"].items()
-    }
+    out = {}
+    for name, (mean, sd) in item["distributions"].items():
+        out[name] = objective(distribution(family, np.array(mean), np.array(sd)))
+    return out

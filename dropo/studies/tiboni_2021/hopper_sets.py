@@ -1,5 +1,6 @@
-"""The data sets of the thesis' tables 6.1 to 6.3, drawn anew from a seed, and what the thesis found
-on its own.
+"""The data sets of the thesis' tables 6.1 to 6.3, drawn anew from a seed.
+
+Beside them, what the thesis found on its own.
 """
 
 from dataclasses import dataclass, replace
@@ -18,10 +19,12 @@ SPREAD = {
     "6.1": np.zeros(4),
     "6.2": np.array([0.5, 1e-5, 1e-5, 1e-5]),
     "6.3": np.array([1e-5, 0.25, 0.25, 0.25]),
-}  # [kg]
+}
+"""Table -> standard deviations of the masses [kg]."""
 EPSILON = {"clean": 1e-8, "noisy": NOISE}
 BLOCK = 10  # transitions under one draw of the masses
-PUBLISHED_STEPS = 5000 * 100 * 1000 * 4  # evaluations x K x transitions x physics steps
+PUBLISHED_STEPS = 5000 * 100 * 1000 * 4
+"""Simulator steps of the thesis' fit: evaluations x K x transitions x physics steps."""
 
 THESIS: dict[tuple[str, str, str], tuple[tuple[float, ...], tuple[float, ...]]] = {
     ("6.1", "clean", "dropo"): ((3.534, 3.927, 2.714, 5.089), (1.0e-5, 1.1e-5, 1.1e-5, 1.0e-5)),
@@ -59,10 +62,20 @@ THESIS: dict[tuple[str, str, str], tuple[tuple[float, ...], tuple[float, ...]]] 
 class Size:
     """How large a study is; the defaults are the thesis' own, and what its text asks for.
 
-    transitions: of a data set, in two trajectories; seeds: data sets; starts: random starts of one
-    fit; droid: evaluations;
-    draws: simulations of a law to compare likelihoods with; published: K, evaluations and the
-    stride between transitions at which the published method is run.
+    Attributes
+    ----------
+    transitions : int
+        Transitions of a data set, in two trajectories.
+    seeds : int
+        Number of data sets.
+    starts : int
+        Random starts of one fit.
+    droid : int
+        Evaluations of DROID.
+    draws : int
+        Simulations of a distribution by which likelihoods are compared.
+    published : (int, int, int)
+        K, evaluations, and the stride between transitions, at which the published method is run.
     """
 
     transitions: int = 1000
@@ -77,22 +90,53 @@ FULL = Size()
 
 
 def data_set(table: str, kind: str, seed: int, transitions: int = 1000) -> tuple[Problem, Array]:
-    """The problem, and the masses (B, 4) [kg] behind its data: other ones every 10 transitions, or
-    the truth in table 6.1.
+    """Draws a data set of a table.
+
+    Parameters
+    ----------
+    table : str
+        "6.1", "6.2" or "6.3".
+    kind : str
+        "clean" or "noisy".
+    seed : int
+        Seed of the data.
+    transitions : int
+        Number of transitions, in two trajectories.
+
+    Returns
+    -------
+    problem : Problem
+        The problem, on one thread.
+    masses : (B, 4) array
+        Masses [kg] behind its data: other ones every 10 transitions, the truth in table 6.1.
     """
     noise = NOISE if kind == "noisy" else 0.0
-    masses = lambda rng, blocks: MEAN + SPREAD[table] * rng.standard_normal((blocks, 4))
-    drawn = {} if table == "6.1" else {"masses": masses, "block": BLOCK}
-    data, sample = simulate(transitions // 2, 2, rng=seed, noise_variance=noise, **drawn)  # type: ignore[arg-type]
-    return hopper_problem(
-        f"table {table}, {kind}, data set {seed}", data, EPSILON[kind], threads=1
-    ), sample
+
+    def masses(rng: np.random.Generator, blocks: int) -> Array:
+        return MEAN + SPREAD[table] * rng.standard_normal((blocks, 4))
+
+    varies = table != "6.1"
+    data, sample = simulate(
+        transitions // 2,
+        2,
+        rng=seed,
+        masses=masses if varies else None,
+        block=BLOCK if varies else None,
+        noise_variance=noise,
+    )
+    name = f"table {table}, {kind}, data set {seed}"
+    return hopper_problem(name, data, EPSILON[kind], threads=1), sample
 
 
 def every(stride: int, problem: Problem) -> Problem:
-    """The problem with every so-many-th transition alone."""
-    return replace(
-        problem,
-        trajectories=problem.trajectories.rows(np.arange(0, len(problem.trajectories), stride)),
-        everything=None,
-    )
+    """Thins a problem's data.
+
+    Parameters
+    ----------
+    stride : int
+        Every `stride`-th transition stays.
+    problem : Problem
+        The problem.
+    """
+    rows = np.arange(0, len(problem.trajectories), stride)
+    return replace(problem, trajectories=problem.trajectories.rows(rows), everything=None)

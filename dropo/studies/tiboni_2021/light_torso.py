@@ -1,5 +1,6 @@
-"""Laws of the hopper's masses found with a torso 1 kg too light, and policies trained under them:
-the tasks of figure 6.3.
+"""Distributions of the hopper's masses found with a torso 1 kg too light, and policies under them.
+
+These are the tasks of figure 6.3.
 """
 
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from dropo import Diagnose
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.interactive_estimator import distribution
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 from dropo.estimators.droid import DROID
@@ -34,12 +36,21 @@ FITTED = (PUBLISHED, TUNED, "droid", "least squares")
 LAWS = (TRUTH, EXTENDED, *FITTED, *THESIS, AS_IT_IS, UNIFORM)
 BOUNDS_SEED = 63
 Item = dict[str, Any]
+"""What a task takes: the name of a distribution as `law`, and more."""
 
 
 @dataclass(frozen=True)
 class Training:
-    """updates: of augmented random search; episodes: in which a policy is judged on the target;
-    steps: of an episode.
+    """How a policy is trained and evaluated.
+
+    Attributes
+    ----------
+    updates : int
+        Updates of augmented random search.
+    episodes : int
+        Episodes on the target in which a policy is evaluated.
+    steps : int
+        Control steps of an episode.
     """
 
     updates: int = 100
@@ -48,7 +59,15 @@ class Training:
 
 
 def estimator(method: str, droid: int) -> Estimator:
-    """The method as in table 6.4; the tuned epsilon is one of those that it compares."""
+    """Builds a method as in table 6.4; the tuned epsilon is one of those that it compares.
+
+    Parameters
+    ----------
+    method : str
+        One of `FITTED`.
+    droid : int
+        Evaluations of DROID.
+    """
     methods: dict[str, Estimator] = {
         PUBLISHED: DROPO(epsilon=EPSILONS[0]),
         TUNED: DROPO(epsilon="tune", sweep=tuple(sorted(EPSILONS))),
@@ -59,43 +78,50 @@ def estimator(method: str, droid: int) -> Estimator:
 
 
 def found(item: Item) -> dict[str, Any]:
-    """The `law` by its name: family and phi, mean and sd of the masses [kg], what a diagnosis
-    added, and what all that cost.
+    """Finds a distribution by its name.
 
-    Of the data ("authors' data" or "6.1") the first `transitions` are fitted; droid: its
-    evaluations; number: of the uniform bounds.
+    Parameters
+    ----------
+    item : dict
+        law: one of `LAWS`; data: "authors' data" or "6.1"; transitions: how many of them are
+        fitted; droid: evaluations of DROID; number: which of the uniform bounds.
+
+    Returns
+    -------
+    dict
+        Family and phi, mean and standard deviation of the masses [kg], what a diagnosis added, and
+        the cost.
     """
     name = item["law"]
     if name == TRUTH:
-        return {"law": name, **_laid_down(whole(), "point", MEAN)}
-    asked = hopper_fits.item(item["data"], "clean", 0, Size(transitions=item["transitions"]))
-    light = light_torso(asked)
+        return {"law": name, **_given(whole(), "point", MEAN)}
+    size = Size(transitions=item["transitions"])
+    light = light_torso(hopper_fits.item(item["data"], "clean", 0, size))
     if name == EXTENDED:
         return {"law": name, **_extended(light)}
     if name in FITTED:
         return {"law": name, **_kept(estimator(name, item["droid"]).fit(light, rng=0))}
     if name == UNIFORM:
         low, high = random_bounds(light, item["number"] + 1, np.random.default_rng(BOUNDS_SEED))[-1]
-        return {
-            "law": name,
-            "number": item["number"],
-            **_laid_down(light, "uniform", (low + high) / 2, (high - low) / 2),
-        }
+        bounds = _given(light, "uniform", (low + high) / 2, (high - low) / 2)
+        return {"law": name, "number": item["number"], **bounds}
     if name == AS_IT_IS:
-        return {"law": name, **_laid_down(light, "point", MEAN[1:])}
-    mean, scale = (np.array(values) for values in THESIS[name])
-    return {"law": name, **_laid_down(light, "truncated_gaussian", mean, scale)}
+        return {"law": name, **_given(light, "point", MEAN[1:])}
+    mean, scale = THESIS[name]
+    printed = _given(light, "truncated_gaussian", np.array(mean), np.array(scale))
+    return {"law": name, **printed}
 
 
-def _laid_down(
+def _given(
     problem: Problem, family: str, mean: Array, scale: Array | None = None
 ) -> dict[str, Any]:
-    """A law that is not fitted."""
+    """A distribution that is not fitted."""
     phi = mean if scale is None else find("families", family)(problem.space).phi(mean, scale)
     return _kept(distribution(problem, "given", family, phi))
 
 
-def _kept(fit: Any, more: int = 0) -> dict[str, Any]:
+def _kept(fit: Fit, other_steps: int = 0) -> dict[str, Any]:
+    """What is kept of a fit; `other_steps` simulator steps were made before it."""
     return {
         "family": fit.family,
         "phi": fit.phi.tolist(),
@@ -103,22 +129,21 @@ def _kept(fit: Any, more: int = 0) -> dict[str, Any]:
         "sd": fit.sd.tolist(),
         "effects": [],
         "epsilon": float(np.max(fit.epsilon)),
-        "steps": fit.simulator_steps + more,
+        "steps": fit.simulator_steps + other_steps,
     }
 
 
 def _extended(light: Problem) -> dict[str, Any]:
-    """What a diagnosis says of the data, and DROPO's fit of the model that it extends."""
+    """DROPO's fit of the model that a diagnosis extends, and what the diagnosis says."""
     diagnosis = Diagnose().run(light)
     fit = DROPO(epsilon="learn").fit(diagnosis.problem, rng=0)
     simulator = diagnosis.problem.simulator
     assert isinstance(simulator, MujocoSimulator)
-    effects = [
-        [instance.effect, instance.label, sizes.tolist()] for instance, sizes in simulator.fixed
-    ]
-    kept = _kept(fit, diagnosis.simulator_steps)
+    effects = []
+    for instance, magnitudes in simulator.fixed:
+        effects.append([instance.effect, instance.label, magnitudes.tolist()])
     return {
-        **kept,
+        **_kept(fit, diagnosis.simulator_steps),
         "effects": effects,
         "verdict": diagnosis.verdict,
         "causes": [cause.sentence for cause in diagnosis.causes],
@@ -126,57 +151,72 @@ def _extended(light: Problem) -> dict[str, Any]:
 
 
 def whole() -> Problem:
-    """The target: the hopper with its true masses, and with data only because a problem has some."""
-    return hopper_problem("hopper", simulate(1, 1, rng=0)[0], 1e-8, threads=1)
+    """The target: the hopper with its true masses; its data are a single transition."""
+    data, _ = simulate(1, 1, rng=0)
+    return hopper_problem("hopper", data, 1e-8, threads=1)
 
 
-def machine(effects: list[list[Any]]) -> Problem:
-    """The model with the torso too light, and with the effects that a diagnosis added: [effect,
-    label, sizes] of each.
+def extended_model(effects: list[list[Any]]) -> Problem:
+    """The model with the torso too light, and with the effects that a diagnosis added.
+
+    Parameters
+    ----------
+    effects : list of list
+        Name, label and magnitudes of each effect.
+
+    Returns
+    -------
+    Problem
+        Of the other three masses; its data are two transitions.
     """
     light = light_torso(hopper_fits.item("6.1", "clean", 0, Size(transitions=2)))
     simulator = light.simulator
     assert isinstance(simulator, MujocoSimulator)
-    instances = [
-        {
-            instance.label: instance
-            for instance in find("effects", effect)(simulator.effect_context)
-        }[label]
-        for effect, label, _ in effects
-    ]
-    fixed = [
-        (instance, np.array(sizes))
-        for instance, (_, _, sizes) in zip(instances, effects, strict=True)
-    ]
+    fixed = []
+    for effect, label, magnitudes in effects:
+        instances = find("effects", effect)(simulator.effect_context)
+        by_label = {instance.label: instance for instance in instances}
+        fixed.append((by_label[label], np.array(magnitudes)))
     return replace(light, simulator=simulator.with_effects((), fixed))
 
 
 def trained(item: Item) -> dict[str, Any]:
-    """A policy trained from the item's seed under its `law`, and its returns on the target; no
-    noise on what policies see.
+    """Trains a policy under a distribution, and evaluates it on the target.
 
-    Policies of the same seed share their search directions and, all of them, the target's starts.
-    in_training: the best trial's mean return under the law itself; upright: the share of the
-    target's episodes that do not end early.
+    Policies of the same seed share their search directions; all of them share the target's starts.
+    What policies see has no noise.
+
+    Parameters
+    ----------
+    item : dict
+        law, number, seed: of the policy; family, phi, effects: of its distribution, as `found`
+        gives them; training: as `Training`.
+
+    Returns
+    -------
+    dict
+        return, error: mean return on the target, and its standard error; upright: fraction of the
+        target's episodes that do not end early; in_training: the best trial's mean return under
+        the distribution itself; control_steps, broken: those of the training, and its failed
+        simulations.
     """
     from dropo import ARS, evaluate, train
 
     size = Training(**item["training"])
     target = whole()
-    model = target if item["law"] == TRUTH else machine(item["effects"])
-    drawn = distribution(model, item["law"], item["family"], np.array(item["phi"]))
-    policy = train(
-        model, drawn, ARS(updates=size.updates), noise=0.0, steps=size.steps, rng=item["seed"]
-    )
-    played = evaluate(policy, target, episodes=size.episodes, steps=size.steps, noise=0.0, rng=0)
+    model = target if item["law"] == TRUTH else extended_model(item["effects"])
+    masses = distribution(model, item["law"], item["family"], np.array(item["phi"]))
+    search = ARS(updates=size.updates)
+    policy = train(model, masses, search, noise=0.0, steps=size.steps, rng=item["seed"])
+    rollouts = evaluate(policy, target, episodes=size.episodes, steps=size.steps, noise=0.0, rng=0)
     trials = np.array(policy.about["history"])[:, 2]
     return {
         "law": item["law"],
         "number": item["number"],
         "seed": item["seed"],
-        "return": played.mean,
-        "error": played.standard_error,
-        "upright": float(np.mean(played.lengths == played.steps)),
+        "return": rollouts.mean,
+        "error": rollouts.standard_error,
+        "upright": float(np.mean(rollouts.lengths == rollouts.steps)),
         "in_training": float(trials.max()),
         "control_steps": policy.about["control_steps"],
         "broken": policy.about["failed_simulations"],

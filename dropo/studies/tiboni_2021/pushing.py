@@ -1,5 +1,6 @@
-"""Pushing: policies that push a box to a goal, for the distributions that each method finds, on a
-target that is another simulation.
+"""Pushing: policies that push a box to a goal, for the distributions that each method finds.
+
+The target is another simulation.
 """
 
 import time
@@ -43,9 +44,8 @@ from dropo.studies.tiboni_2021.transfer import (
     verdict,
 )
 
-# [m]
-NEAR = 0.02
-SHIFT = 0.005
+NEAR = 0.02  # [m] of the goal
+SHIFT = 0.005  # [m] error of the centre of mass
 THESIS = {
     "thesis, dropo": {
         "box_mass": "1.065",
@@ -71,17 +71,32 @@ POLICY = ParameterSpace(
         Parameter("short", -0.02, 0.02, "m"),
     )
 )
-STARTS = np.array([0.005, 0.005, 0.05])  # sd [m, m, rad] of where the box stands at first
+STARTS = np.array([0.005, 0.005, 0.05])
+"""Standard deviations [m, m, rad] of where the box stands at first."""
 SEEN = 1e-3  # [m, rad] sd of the noise with which a policy sees the box
 STEPS = 300  # control steps of 10 ms
 
 
 @dataclass(frozen=True)
 class Size:
-    """transitions: of a data set; fits: data sets, and so fits of each method; bounds: runs of
-    uniform randomization, which take its ten bounds in turn; droid, published: evaluations of
-    DROID and of the method as published; draws: of a distribution in each evaluation of a
-    policy; evaluations: of policies in a search; trials: of each policy on the target.
+    """How large the study is.
+
+    Attributes
+    ----------
+    transitions : int
+        Transitions of a data set.
+    fits : int
+        Data sets, and so fits of each method.
+    bounds : int
+        Runs of uniform randomization, which take its ten bounds in turn.
+    droid, published : int
+        Evaluations of DROID, and of the method as published.
+    draws : int
+        Draws of a distribution in each evaluation of a policy.
+    evaluations : int
+        Evaluations of policies in a search.
+    trials : int
+        Tries of each policy on the target.
     """
 
     transitions: int = 1050
@@ -100,8 +115,25 @@ FULL = Size()
 def pushing_study(
     work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
 ) -> Study:
-    """Table 6.6 and figure 6.10, simulation against simulation: a box' centre of mass found, and
-    the box pushed 24 cm on the target.
+    """Table 6.6 and figure 6.10, simulation against simulation.
+
+    A box' centre of mass is found, and the box is pushed 24 cm on the target.
+
+    Parameters
+    ----------
+    work : Work
+        Runs the fits and the policies.
+    seeds : int or None
+        Number of data sets; None for that of `size`.
+    published : bool
+        Whether the method is also run once as published.
+    size : Size
+        How large the study is.
+
+    Returns
+    -------
+    Study
+        Distances on the target, what was found, and what it cost.
     """
     fits = size.fits if seeds is None else seeds
     runs = work.map(pushed, items(fits, size.bounds, asdict(size), published=published))
@@ -111,27 +143,19 @@ def pushing_study(
         found(runs, pushing(1), THESIS),
         cost(runs),
     )
-    remarks = (
+    remarks: tuple[str, ...] = (
         *verdict(runs, NEAR),
         _centre(runs),
         f"A run is a fit and its policy, tried {size.trials} times from boxes that stand a "
-        "little elsewhere; a policy's actions are joint"
-        " accelerations, and its four numbers are those of least expected distance over "
-        "the distribution, by CMA-ES.",
+        "little elsewhere; a policy's actions are joint accelerations, and its four numbers are "
+        "those of least expected distance over the distribution, by CMA-ES.",
         "The target's bolts move its box' centre of mass by 3 cm; besides, they change its "
-        "inertia and its height, the arm's gains are"
-        " others, and its sensors have noise, which no model here has.",
-        *(
-            [
-                (
-                    f"As published: K = {DRAWS}, epsilon {EPSILON:.0e}, CMA-ES with "
-                    f"{size.published} evaluations."
-                )
-            ]
-            if published
-            else []
-        ),
+        "inertia and its height, the arm's gains are others, and its sensors have noise, which no "
+        "model here has.",
     )
+    if published:
+        as_published = f"K = {DRAWS}, epsilon {EPSILON:.0e}, CMA-ES"
+        remarks = (*remarks, f"As published: {as_published} with {size.published} evaluations.")
     title = f"Pushing: a box pushed {100 * GOAL:.0f} cm ahead, {fits} data sets"
     return Study(
         "pushing", title, tables, remarks, {"runs": runs}, lambda figure: draw(figure, runs)
@@ -139,6 +163,7 @@ def pushing_study(
 
 
 def _centre(runs: list[dict[str, Any]]) -> str:
+    """How well DROPO finds the centre of mass."""
     place = list(TRUTH).index("com_y")
     errors = np.abs(by_method(runs, "mean")["dropo"][:, place] - TRUTH["com_y"])
     within = "within" if errors.max() <= SHIFT else "not within"
@@ -149,8 +174,18 @@ def _centre(runs: list[dict[str, Any]]) -> str:
 
 
 def pushed(item: Item) -> dict[str, Any]:
-    """The item's distribution, its policy, and how far from the goal the target's box stops in
-    every trial.
+    """Fits the item's distribution, searches its policy, and tries it on the target.
+
+    Parameters
+    ----------
+    item : dict
+        One of `transfer.items`.
+
+    Returns
+    -------
+    dict
+        The distribution, the policy, and how far from the goal the target's box stops in every
+        trial [m].
     """
     size = Size(**item["size"])
     problem = pushing(1, data_set(item)).using(transitions=size.transitions)
@@ -173,26 +208,41 @@ def pushed(item: Item) -> dict[str, Any]:
 
 
 def policy(values: Array, size: Size, rng: np.random.Generator) -> tuple[Array, int]:
-    """The policy's numbers (4,) of least expected distance under parameter vectors (K, d), and the
-    simulator steps that it took.
+    """Searches the policy of least expected distance by CMA-ES.
+
+    Parameters
+    ----------
+    values : (K, d) array
+        Parameter vectors over which distances are averaged.
+    size : Size
+        How many of them are taken, and the evaluations of the search.
+    rng : numpy.random.Generator
+        Source of the starts, of the noise and of the search.
+
+    Returns
+    -------
+    numbers : (4,) array
+        The policy's numbers.
+    steps : int
+        Simulator steps that it took.
     """
     own = values[np.arange(size.draws) % len(values)]
     model, fields = fields_of(pushing_simulator(1), own)
     randomness, search = rng.spawn(2)
     seed = int(randomness.integers(2**63))  # every policy meets the same starts and the same noise
     optimizer = find("optimizers", "cma-es")(len(POLICY), search, restarts=0)
-    made = 0
-    while made < size.evaluations:
+    evaluations = 0
+    while evaluations < size.evaluations:
+        # Every candidate with every parameter vector.
         points = optimizer.ask()
         numbers = np.repeat(POLICY.from_unit(points), size.draws, axis=0)
-        each = {
-            name: np.tile(array, (len(points), *(1,) * (array.ndim - 1)))
-            for name, array in fields.items()
-        }
-        distances = ends(model, numbers, each, np.random.default_rng(seed), same=size.draws)
+        tiled = {}
+        for name, array in fields.items():
+            tiled[name] = np.tile(array, (len(points), *(1,) * (array.ndim - 1)))
+        distances = ends(model, numbers, tiled, np.random.default_rng(seed), same=size.draws)
         optimizer.tell(points, distances.reshape(len(points), -1).mean(axis=1))
-        made += len(points)
-    return POLICY.from_unit(optimizer.best[0]), made * size.draws * STEPS * FRAME_SKIP
+        evaluations += len(points)
+    return POLICY.from_unit(optimizer.best[0]), evaluations * size.draws * STEPS * FRAME_SKIP
 
 
 def ends(
@@ -203,8 +253,25 @@ def ends(
     *,
     same: int | None = None,
 ) -> Array:
-    """(n,) distances [m] of boxes to the goal after policies (n, 4); 1 m where a simulation
-    diverged. same: starts repeat after so many.
+    """Distances of boxes to the goal after policies.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The arm with the box.
+    numbers : (n, 4) array
+        Numbers of the policies.
+    fields : dict of (n, 1, ...) arrays
+        Fields of the model in each run.
+    rng : numpy.random.Generator
+        Source of the starts and of the noise with which policies see the box.
+    same : int or None
+        Starts repeat after so many runs; None if every run has its own.
+
+    Returns
+    -------
+    (n,) array
+        Distances [m]; 1 m if a simulation diverged.
     """
     count = len(numbers)
     starts = np.resize(STARTS * rng.standard_normal((same or count, 3)), (count, 3))

@@ -1,6 +1,4 @@
-"""Rows of the studies' tables: estimates with their z, the thesis' own beneath, and errors over
-many data sets.
-"""
+"""Tables of the studies: estimates with their z, the thesis' own beneath, errors over data sets."""
 
 from typing import Any
 
@@ -18,96 +16,107 @@ SPREADS = ("sd [kg] (z)", *MASSES)
 
 
 def z_of(row: dict[str, Any], what: str) -> np.ndarray:
-    """(4,) (estimate - drawn sample's) / standard error, of the "mean" or the "sd"; NaN where there
-    is no standard error.
+    """Errors against the drawn sample in standard errors.
+
+    Parameters
+    ----------
+    row : dict
+        What `hopper_fits.fitted` gives.
+    what : str
+        "mean" or "sd".
+
+    Returns
+    -------
+    (4,) array
+        (estimate - drawn sample's) / standard error; NaN where there is no standard error.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.subtract(row[what], row[f"drawn_{what}"]) / np.array(row[f"{what}_se"])
 
 
-def means(title: str, rows: Rows, table: str | None, kind: str) -> Table:
-    """Means with their z, and what they cost; "fewer" is how many times fewer steps than the
-    published 2e9.
+def means(title: str, rows: Rows, table: str, kind: str) -> Table:
+    """Means with their z, and what they cost.
+
+    "fewer" is how many times fewer steps than the published 2e9.
+
+    Parameters
+    ----------
+    title : str
+        What the data are.
+    rows : dict
+        Fits by method.
+    table, kind : str
+        The thesis' table and data, whose numbers stand beneath.
     """
     first = next(iter(rows.values()))
     lines = [("drawn sample", *(f"{v:.4f}" for v in first["drawn_mean"]), "-", "-", "-")]
     for method, row in rows.items():
-        cost = (
-            f"{row['steps']:,}",
-            f"{PUBLISHED_STEPS / row['steps']:,.0f}",
-            f"{row['seconds']:.1f}",
-        )
-        lines.append(
-            (
-                method,
-                *(
-                    _with_z(v, z, ".4f")
-                    for v, z in zip(row["mean"], z_of(row, "mean"), strict=True)
-                ),
-                *cost,
-            )
-        )
+        steps = f"{row['steps']:,}"
+        fewer = f"{PUBLISHED_STEPS / row['steps']:,.0f}"
+        cells = _with_z(row, "mean", ".4f")
+        lines.append((method, *cells, steps, fewer, f"{row['seconds']:.1f}"))
         if (table, kind, method) in THESIS:
-            lines.append(
-                (
-                    f"  thesis, {method}",
-                    *(f"{v:.3f}" for v in THESIS[table, kind, method][0]),
-                    "-",
-                    "-",
-                    "-",
-                )
-            )  # type: ignore[index]
+            printed, _ = THESIS[table, kind, method]
+            lines.append((f"  thesis, {method}", *(f"{v:.3f}" for v in printed), "-", "-", "-"))
     return Table(f"{title}: means", MEANS, tuple(lines))
 
 
-def spreads(title: str, rows: Rows, table: str | None, kind: str) -> Table:
-    """Standard deviations of the fitted laws with their z; the thesis prints the scale of a
-    Gaussian cut at two of it.
+def spreads(title: str, rows: Rows, table: str, kind: str) -> Table:
+    """Standard deviations of the fitted distributions with their z.
+
+    The thesis prints the scale of a Gaussian cut at two of it.
+
+    Parameters
+    ----------
+    title : str
+        What the data are.
+    rows : dict
+        Fits by method.
+    table, kind : str
+        The thesis' table and data, whose numbers stand beneath.
     """
     first = next(iter(rows.values()))
     lines = [("drawn sample", *(number(v, 3) for v in first["drawn_sd"]))]
     for method, row in rows.items():
-        lines.append(
-            (
-                method,
-                *(_with_z(v, z, ".3g") for v, z in zip(row["sd"], z_of(row, "sd"), strict=True)),
-            )
-        )
+        lines.append((method, *_with_z(row, "sd", ".3g")))
         if (table, kind, method) in THESIS:
-            lines.append(
-                (
-                    f"  thesis, {method} (scale)",
-                    *(number(v, 3) for v in THESIS[table, kind, method][1]),
-                )
-            )  # type: ignore[index]
+            _, printed = THESIS[table, kind, method]
+            lines.append((f"  thesis, {method} (scale)", *(number(v, 3) for v in printed)))
     return Table(f"{title}: spreads", SPREADS, tuple(lines))
 
 
 def over_data_sets(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
-    """For every method: the errors of its means and spreads against each data set's own drawn
-    sample.
+    """Errors of means and spreads against each data set's own drawn sample.
 
-    average +- its standard error, root mean square, and root mean square of z.
+    They are the average +- its standard error, the root mean square, and that of z.
+
+    Parameters
+    ----------
+    title : str
+        What the data are.
+    found : dict
+        Fits of each data set by method.
     """
     lines = []
     for method, rows in found.items():
         for what in ("mean", "sd"):
             if not np.any([row[what] for row in rows]):  # a point has no spread
                 continue
-            errors = np.array(
-                [np.subtract(row[what], row[f"drawn_{what}"]) for row in rows]
-            )  # (data sets, 4)
+            errors = np.array([np.subtract(row[what], row[f"drawn_{what}"]) for row in rows])
             z = np.array([z_of(row, what) for row in rows])
             for i, mass in enumerate(MASSES):
+                own = errors[:, i]
+                standard_error = own.std(ddof=1) / np.sqrt(len(own)) if len(own) > 1 else np.nan
                 known = z[np.isfinite(z[:, i]), i]
-                error = errors[:, i].std(ddof=1) / np.sqrt(len(rows)) if len(rows) > 1 else np.nan
-                cells = (
-                    f"{errors[:, i].mean():+.1e}",
-                    number(error, 2),
-                    number(_rms(errors[:, i]), 2),
-                )
                 lines.append(
-                    (f"{method}, {what} {mass}", *cells, number(_rms(known), 2), str(len(known)))
+                    (
+                        f"{method}, {what} {mass}",
+                        f"{own.mean():+.1e}",
+                        number(standard_error, 2),
+                        number(_rms(own), 2),
+                        number(_rms(known), 2),
+                        str(len(known)),
+                    )
                 )
     count = len(next(iter(found.values())))
     header = ("error against the drawn sample [kg]", "average", "+-", "RMS", "RMS z", "with z")
@@ -115,18 +124,25 @@ def over_data_sets(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
 
 
 def costs(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
-    """What each method took, over data sets: one thread each."""
+    """What each method took over data sets, on one thread.
+
+    Parameters
+    ----------
+    title : str
+        What the data are.
+    found : dict
+        Fits of each data set by method.
+    """
     lines = []
     for method, rows in found.items():
         steps = [row["steps"] for row in rows]
         seconds = [row["seconds"] for row in rows]
-        few = f"{PUBLISHED_STEPS / max(steps):,.0f}"
         lines.append(
             (
                 method,
                 f"{np.median(steps):,.0f}",
                 f"{max(steps):,}",
-                few,
+                f"{PUBLISHED_STEPS / max(steps):,.0f}",
                 f"{np.median(seconds):.1f}",
                 f"{max(seconds):.1f}",
             )
@@ -136,8 +152,17 @@ def costs(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
 
 
 def likelihoods(title: str, distributions: dict[str, dict[str, float]], draws: int) -> Table:
-    """Laws compared: the emulator's exact log-likelihood, and simulator and emulator at the same
-    draws.
+    """Distributions compared by their log-likelihoods.
+
+    Parameters
+    ----------
+    title : str
+        What the data are.
+    distributions : dict
+        What `hopper_fits.compared` gives: the emulator's exact log-likelihood, and those of
+        simulator and emulator at the same draws.
+    draws : int
+        Number of these draws.
     """
     header = (
         "log-likelihood [nat]",
@@ -146,21 +171,27 @@ def likelihoods(title: str, distributions: dict[str, dict[str, float]], draws: i
         "emulator, same",
         "difference",
     )
-    lines = [
-        (
-            name,
-            *(f"{row[way]:,.1f}" for way in ("exact", "simulator", "emulator")),
-            f"{row['simulator'] - row['emulator']:+.1f}",
-        )
-        for name, row in distributions.items()
-    ]
+    lines = []
+    for name, row in distributions.items():
+        values = [f"{row[source]:,.1f}" for source in ("exact", "simulator", "emulator")]
+        lines.append((name, *values, f"{row['simulator'] - row['emulator']:+.1f}"))
     return Table(f"{title}: laws", header, tuple(lines))
 
 
 def _rms(values: np.ndarray) -> float:
+    """The root mean square; NaN of no values."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
-def _with_z(value: float, z: float, form: str) -> str:
-    shown = "-" if not np.isfinite(z) else f"{z:+.1f}" if abs(z) < 100 else f"{z:+.0e}"
-    return f"{value:{form}} ({shown})"
+def _with_z(row: dict[str, Any], what: str, form: str) -> list[str]:
+    """The estimates of the four masses, each with its z in brackets."""
+    cells = []
+    for value, z in zip(row[what], z_of(row, what), strict=True):
+        if not np.isfinite(z):
+            shown = "-"
+        elif abs(z) < 100:
+            shown = f"{z:+.1f}"
+        else:
+            shown = f"{z:+.0e}"
+        cells.append(f"{value:{form}} ({shown})")
+    return cells

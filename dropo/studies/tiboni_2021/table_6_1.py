@@ -6,75 +6,91 @@ import numpy as np
 from scipy.special import ndtr
 
 from dropo.core.services.tables import number
+from dropo.core.services.validation import Array
 from dropo.problems.hopper.model import BODIES
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.distribution_recovery import reduced
-from dropo.studies.tiboni_2021.hopper_fits import AUTHORS, at_hand, fitted, item, judged
+from dropo.studies.tiboni_2021.hopper_fits import AUTHORS, at_hand, evaluated, fitted, item
 from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, MASSES, MEAN, Size
 from dropo.studies.tiboni_2021.rows import Rows, costs, means, over_data_sets, spreads
 
 FAST = ("dropo", "least squares")
 SLOW = ("droid",)
 PRINTED = 5e-4  # [kg] half the last digit that the thesis prints
-POINT = [1e-5] * 4  # [kg] the spread of a law that is a point
+POINT = [1e-5] * 4  # [kg] the standard deviation of a distribution that is a point
 
 NOTES = (
-    (
-        "z is (estimate - truth) / standard error. Without noise nothing but rounding is left, "
-        "in the errors and in the standard errors."
-    ),
-    (
-        "log-lik. is the thesis' likelihood of every fitted law at the table's epsilon, from "
-        "the same draws. Seconds are those of one thread."
-    ),
-    (
-        "The scales of DROID, in the thesis and here, say how far the search had shrunk when "
-        "it stopped, nothing about the parameters."
-    ),
+    "z is (estimate - truth) / standard error. Without noise nothing but rounding is left, "
+    "in the errors and in the standard errors.",
+    "log-lik. is the thesis' likelihood of every fitted law at the table's epsilon, from "
+    "the same draws. Seconds are those of one thread.",
+    "The scales of DROID, in the thesis and here, say how far the search had shrunk when "
+    "it stopped, nothing about the parameters.",
 )
+Set = tuple[str, str]
+"""Table (or `AUTHORS`) and kind of a data set."""
+Fits = dict[tuple[str, str, int, str], dict[str, Any]]
+"""(table, kind, seed, method) -> what `hopper_fits.fitted` gives."""
 
 
 def table_6_1(
     work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
 ) -> Study:
-    """Four masses that do not vary, from 1000 transitions, the authors' and our own, without and
-    with noise (thesis, table 6.1).
+    """Four masses that do not vary, from 1000 transitions, without and with noise (table 6.1).
+
+    The data are the authors', if they are at hand, and our own.
+
+    Parameters
+    ----------
+    work : Work
+        Runs the fits.
+    seeds : int or None
+        Number of our own data sets; None for that of `size`.
+    published : bool
+        Whether the method is also run as published.
+    size : Size
+        How large the study is.
+
+    Returns
+    -------
+    Study
+        Means, spreads, likelihoods, random starts and costs of each data set.
     """
     count = seeds or size.seeds
-    found = _fits(work, count, published, size)
-    sets = sorted({key[:2] for key in found})
+    fits = _fits(work, count, published, size)
+    sets = sorted({key[:2] for key in fits})
     starts = _from_random_starts(work, sets, size)
-    worth = _judged(work, sets, found, size)
+    log_likelihoods = _log_likelihoods(work, sets, fits, size)
     tables: list[Table] = []
     data: dict[str, Any] = {}
     remarks = [*NOTES, *([reduced(size)] if published else [])]
     for table, kind in sets:
         title = f"{table if table == AUTHORS else 'our data'}, {kind}, epsilon {EPSILON[kind]:.0e}"
-        rows: Rows = {
-            method: row
-            for (t, k, seed, method), row in found.items()
-            if (t, k, seed) == (table, kind, 0)
-        }
+        rows: Rows = {}
+        for (own_table, own_kind, seed, method), row in fits.items():
+            if (own_table, own_kind, seed) == (table, kind, 0):
+                rows[method] = row
+        own_starts = starts[table, kind]
+        own_likelihoods = log_likelihoods[table, kind]
         tables += [
             means(title, rows, "6.1", kind),
             spreads(title, rows, "6.1", kind),
-            _worth_table(title, worth[table, kind]),
+            _likelihoods_table(title, own_likelihoods),
+            _starts_table(title, own_starts, rows["dropo"]),
         ]
-        tables.append(_starts_table(title, starts[table, kind], rows["dropo"]))
         data[title] = {
             "first": rows,
-            "likelihoods": worth[table, kind],
-            "random_starts": starts[table, kind],
+            "likelihoods": own_likelihoods,
+            "random_starts": own_starts,
         }
         if table == "6.1":
-            over = {
-                method: [found[table, kind, seed, method] for seed in range(count)]
-                for method in FAST
-            }
+            over = {}
+            for method in FAST:
+                over[method] = [fits[table, kind, seed, method] for seed in range(count)]
             tables += [over_data_sets(title, over), costs(title, over)]
             data[title]["data_sets"] = over
-        remarks += _remarks(title, rows, worth[table, kind])
+        remarks += _remarks(title, rows, own_likelihoods)
     if not any(table == AUTHORS for table, _ in sets):
         remarks.append("The authors' data are not at hand, so their tables are left out.")
     return Study(
@@ -86,120 +102,99 @@ def table_6_1(
     )
 
 
-def _fits(
-    work: Work, count: int, published: bool, size: Size
-) -> dict[tuple[str, str, int, str], dict[str, Any]]:
-    slow = (*SLOW, *(("dropo, published",) if published else ()))
-    asked = [
-        ("6.1", kind, seed, m)
-        for kind in EPSILON
-        for seed in range(count)
-        for m in ((*FAST, *slow) if seed == 0 else FAST)
-    ]
+def _fits(work: Work, count: int, published: bool, size: Size) -> Fits:
+    """All methods on the first data sets, the fast ones on the others."""
+    methods = (*FAST, *SLOW, *(("dropo, published",) if published else ()))
+    keys = []
+    for kind in EPSILON:
+        for seed in range(count):
+            keys += [("6.1", kind, seed, method) for method in (methods if seed == 0 else FAST)]
     if at_hand():
-        asked += [(AUTHORS, kind, 0, method) for kind in EPSILON for method in (*FAST, *slow)]
-        asked += [
-            (AUTHORS, "noisy", 0, method)
-            for method in ("dropo, learned epsilon", "dropo, all data")
-        ]
-    answers = work.map(
-        fitted,
-        [item(table, kind, seed, size, method=method) for table, kind, seed, method in asked],
-    )
-    return dict(zip(asked, answers, strict=True))
+        keys += [(AUTHORS, kind, 0, method) for kind in EPSILON for method in methods]
+        keys.append((AUTHORS, "noisy", 0, "dropo, learned epsilon"))
+        keys.append((AUTHORS, "noisy", 0, "dropo, all data"))
+    items = [item(table, kind, seed, size, method=method) for table, kind, seed, method in keys]
+    return dict(zip(keys, work.map(fitted, items), strict=True))
 
 
-def _from_random_starts(
-    work: Work, sets: list[tuple[str, str]], size: Size
-) -> dict[tuple[str, str], list[dict[str, Any]]]:
-    asked = [(table, kind, start) for table, kind in sets for start in range(size.starts)]
+def _from_random_starts(work: Work, sets: list[Set], size: Size) -> dict[Set, list[dict[str, Any]]]:
+    """DROPO's fits of each data set from random starts."""
+    keys = [(table, kind, start) for table, kind in sets for start in range(size.starts)]
     items = [
         item(table, kind, 0, size, method="dropo, random start", start=start)
-        for table, kind, start in asked
+        for table, kind, start in keys
     ]
-    answers = work.map(fitted, items)
-    return {
-        (t, k): [
-            row
-            for (table, kind, _), row in zip(asked, answers, strict=True)
-            if (table, kind) == (t, k)
-        ]
-        for t, k in sets
-    }
+    out: dict[Set, list[dict[str, Any]]] = {key: [] for key in sets}
+    for (table, kind, _), row in zip(keys, work.map(fitted, items), strict=True):
+        out[table, kind].append(row)
+    return out
 
 
-def _judged(
-    work: Work, sets: list[tuple[str, str]], found: dict[Any, Any], size: Size
-) -> dict[tuple[str, str], dict[str, float]]:
+def _log_likelihoods(
+    work: Work, sets: list[Set], fits: Fits, size: Size
+) -> dict[Set, dict[str, float]]:
+    """The thesis' log-likelihood of each fitted distribution and of the truth [nats]."""
     items = []
     for table, kind in sets:
-        chosen = [m for m in (*FAST, *SLOW, "dropo, published") if (table, kind, 0, m) in found]
-        distributions = {
-            method: [found[table, kind, 0, method][what] for what in ("mean", "sd")]
-            for method in chosen
-        }
-        items.append(
-            item(
-                table,
-                kind,
-                0,
-                size,
-                distributions={**distributions, "truth, scale 1e-5": [MEAN.tolist(), POINT]},
-            )
-        )
-    return dict(zip(sets, work.map(judged, items), strict=True))
+        distributions = {}
+        for method in (*FAST, *SLOW, "dropo, published"):
+            if (table, kind, 0, method) in fits:
+                fit = fits[table, kind, 0, method]
+                distributions[method] = [fit["mean"], fit["sd"]]
+        distributions["truth, scale 1e-5"] = [MEAN.tolist(), POINT]
+        items.append(item(table, kind, 0, size, distributions=distributions))
+    return dict(zip(sets, work.map(evaluated, items), strict=True))
 
 
-def _worth_table(title: str, worth: dict[str, float]) -> Table:
-    best = max(worth.values())
-    lines = tuple((name, f"{value:,.2f}", f"{value - best:+.2f}") for name, value in worth.items())
-    return Table(f"{title}: likelihoods", ("log-lik. [nat]", "value", "to the best"), lines)
+def _likelihoods_table(title: str, log_likelihoods: dict[str, float]) -> Table:
+    """Log-likelihoods, and how far they are from the best."""
+    best = max(log_likelihoods.values())
+    lines = []
+    for name, value in log_likelihoods.items():
+        lines.append((name, f"{value:,.2f}", f"{value - best:+.2f}"))
+    return Table(f"{title}: likelihoods", ("log-lik. [nat]", "value", "to the best"), tuple(lines))
 
 
 def _starts_table(title: str, rows: list[dict[str, Any]], middle: dict[str, Any]) -> Table:
     """How far apart fits from random starts end: of each other and of the truth."""
     errors = np.array([np.subtract(row["mean"], row["drawn_mean"]) for row in rows])
     apart = np.array([np.subtract(row["mean"], middle["mean"]) for row in rows])
+    scales = np.array([row["scale"] for row in rows])
     values = [row["log_likelihood"] for row in rows]
+    steps = [row["steps"] for row in rows]
+    seconds = [row["seconds"] for row in rows]
+    steps_cells = (f"{np.median(steps):,.0f}", f"{max(steps):,}")
+    seconds_cells = (f"{np.median(seconds):.1f}", f"{max(seconds):.1f}")
     lines = (
-        ("worst error of a mean [kg]", *(number(v, 2) for v in np.abs(errors).max(axis=0))),
-        ("farthest from the middle's fit [kg]", *(number(v, 2) for v in np.abs(apart).max(axis=0))),
-        ("certified at the least scale", *(_share(rows, f"{part}_mass") for part in BODIES)),
-        (
-            "largest scale [kg]",
-            *(number(v, 2) for v in np.max([row["scale"] for row in rows], axis=0)),
-        ),
+        ("worst error of a mean [kg]", *_numbers(np.abs(errors).max(axis=0))),
+        ("farthest from the middle's fit [kg]", *_numbers(np.abs(apart).max(axis=0))),
+        ("certified at the least scale", *(_certified(rows, f"{body}_mass") for body in BODIES)),
+        ("largest scale [kg]", *_numbers(scales.max(axis=0))),
         ("log-likelihood, least and most", f"{min(values):,.3f}", f"{max(values):,.3f}", "", ""),
-        (
-            "steps, median and most",
-            f"{np.median([row['steps'] for row in rows]):,.0f}",
-            f"{max(row['steps'] for row in rows):,}",
-            "",
-            "",
-        ),
-        (
-            "s, median and most",
-            *(f"{f([row['seconds'] for row in rows]):.1f}" for f in (np.median, np.max)),
-            "",
-            "",
-        ),
+        ("steps, median and most", *steps_cells, "", ""),
+        ("s, median and most", *seconds_cells, "", ""),
     )
     return Table(f"{title}: from {len(rows)} random starts", ("dropo", *MASSES), lines)
 
 
-def _share(rows: list[dict[str, Any]], name: str) -> str:
+def _numbers(values: Array) -> list[str]:
+    """Values with two digits."""
+    return [number(value, 2) for value in values]
+
+
+def _certified(rows: list[dict[str, Any]], name: str) -> str:
     """In how many fits the likelihood itself says that the parameter does not vary."""
     return f"{sum(name in row['certified'] for row in rows)} of {len(rows)}"
 
 
-def _remarks(title: str, rows: Rows, worth: dict[str, float]) -> list[str]:
+def _remarks(title: str, rows: Rows, log_likelihoods: dict[str, float]) -> list[str]:
     """Where these rows contradict the thesis', and what was learned of the noise."""
     row = rows["dropo"]
     out = []
     error = np.subtract(row["mean"], MEAN)
     se = np.array(row["mean_se"])
     scale = np.array(row["scale"])
-    gain = worth["dropo"] - worth["truth, scale 1e-5"]
+    gain = log_likelihoods["dropo"] - log_likelihoods["truth, scale 1e-5"]
     if (np.abs(error) > PRINTED).any():
         chance = float(np.prod(2 * ndtr(PRINTED / se) - 1))
         errors = ", ".join(f"{s:.4f}" for s in se)

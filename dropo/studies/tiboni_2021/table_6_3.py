@@ -1,4 +1,4 @@
-"""Table 6.3."""
+"""Table 6.3: the masses of thigh, leg and foot vary."""
 
 from dropo.studies.engine.study import Study
 from dropo.studies.engine.work import Work
@@ -9,7 +9,17 @@ from dropo.studies.tiboni_2021.hopper_sets import FULL, Size
 def table_6_3(
     work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
 ) -> Study:
-    """The spread of three masses recovered from 1000 transitions, without and with noise (thesis,
-    table 6.3).
+    """The spread of three masses from 1000 transitions, without and with noise (table 6.3).
+
+    Parameters
+    ----------
+    work : Work
+        Runs the fits.
+    seeds : int or None
+        Number of data sets; None for that of `size`.
+    published : bool
+        Whether the method is also run as published.
+    size : Size
+        How large the study is.
     """
     return recovered("table-6.3", "6.3", work, seeds, published, size)

@@ -1,5 +1,6 @@
 """Table 6.4: the torso is fixed 1 kg too light, and the other three masses are fitted."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,7 @@ from dropo.estimators.droid import DROID
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.families.truncated_gaussian import TruncatedGaussian
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.model import hopper_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.engine.study import Study, Table
@@ -37,35 +38,45 @@ MASSES = ("m2", "m3", "m4")
 
 
 def table_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
-    """A torso fixed 1 kg too light, three masses fitted: our optimum beside the thesis' by the same
-    likelihood (table 6.4).
+    """A torso fixed 1 kg too light, three masses fitted, beside the thesis' fit (table 6.4).
 
-    On the authors' clean transitions, where they are at hand, and on `seeds` data sets of our own,
-    one by default.
+    The data are the authors' clean transitions, if they are at hand, and our own.
+
+    Parameters
+    ----------
+    work : Work
+        Runs the fits.
+    seeds : int or None
+        Number of our own data sets; None for one.
+    size : Size
+        How large the study is.
+
+    Returns
+    -------
+    Study
+        Our optimum and the thesis' compared by the same likelihood.
     """
     sets = [(AUTHORS, 0)] if at_hand() else []
     sets += [("6.1", seed) for seed in range(seeds or 1)]
-    asked = [(table, seed, method) for table, seed in sets for method in METHODS]
-    answers = work.map(
-        light, [item(table, "clean", seed, size, method=method) for table, seed, method in asked]
-    )
-    rows = dict(zip(asked, answers, strict=True))
-    questions = [
-        item(table, "clean", seed, size, distributions=_distributions(rows, table, seed))
-        for table, seed in sets
-    ]
-    judged = work.map(likelihoods, questions)
+    keys = [(table, seed, method) for table, seed in sets for method in METHODS]
+    items = [item(table, "clean", seed, size, method=method) for table, seed, method in keys]
+    all_fits = dict(zip(keys, work.map(light, items), strict=True))
+    fits = {}
+    for table, seed in sets:
+        fits[table, seed] = {method: all_fits[table, seed, method] for method in METHODS}
+    items = []
+    for (table, seed), own in fits.items():
+        items.append(item(table, "clean", seed, size, distributions=_distributions(own)))
     tables: list[Table] = []
     data: dict[str, Any] = {}
     remarks = [
         "Fits are DROPO's with the emulated likelihood; 'log-lik.' is the thesis' "
-        "likelihood of every law at each epsilon, from"
-        f" {size.draws} draws of the true simulator. The scales are those of a Gaussian "
-        "cut at two of it, as the thesis prints them.",
+        f"likelihood of every law at each epsilon, from {size.draws} draws of the true simulator. "
+        "The scales are those of a Gaussian cut at two of it, as the thesis prints them.",
     ]
-    for (table, seed), values in zip(sets, judged, strict=True):
+    for (table, seed), values in zip(sets, work.map(likelihoods, items), strict=True):
         title = AUTHORS if table == AUTHORS else f"our data set {seed}"
-        own = {method: rows[table, seed, method] for method in METHODS}
+        own = fits[table, seed]
         tables += [_fits(title, own), _likelihoods(title, values)]
         data[title] = {"fits": own, "likelihoods": values}
         remarks.append(_verdict(title, values))
@@ -79,8 +90,17 @@ def table_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Stu
 
 
 def light_torso(item: Item) -> Problem:
-    """The item's problem with the torso's mass fixed 1 kg below the truth, everything else as it
-    was.
+    """The item's problem with the torso's mass fixed 1 kg below the truth.
+
+    Parameters
+    ----------
+    item : dict
+        As `hopper_fits.item` gives it.
+
+    Returns
+    -------
+    Problem
+        Of the other three masses; everything else is as it was.
     """
     problem, _ = problem_of(item)
     model = hopper_model()
@@ -96,7 +116,18 @@ def light_torso(item: Item) -> Problem:
 
 
 def light(item: Item) -> dict[str, Any]:
-    """The item's `method` on its data, with the torso too light."""
+    """Fits the item's data with the torso too light.
+
+    Parameters
+    ----------
+    item : dict
+        As `hopper_fits.item` gives it, with `method`, one of `METHODS`.
+
+    Returns
+    -------
+    dict
+        What `hopper_fits.found` keeps of the fit.
+    """
     problem = light_torso(item)
     method = item["method"]
     size = Size(**item["size"])
@@ -109,50 +140,51 @@ def light(item: Item) -> dict[str, Any]:
 
 
 def likelihoods(item: Item) -> dict[str, Any]:
-    """The thesis' log-likelihood of `laws` {name: [mean, scale]} at every epsilon, and the mean
-    squared error of their means.
+    """The thesis' log-likelihood of distributions at every epsilon.
+
+    Parameters
+    ----------
+    item : dict
+        As `hopper_fits.item` gives it, with `distributions` {name: [mean, scale]} [kg].
+
+    Returns
+    -------
+    dict
+        By name: log-likelihoods by epsilon [nats], and `mse` of the mean predictions.
     """
     problem = light_torso(item)
     family = TruncatedGaussian(problem.space)
-    gaussian = Gaussian(Size(**item["size"]).draws)
+    gaussian = MonteCarlo(Size(**item["size"]).draws)
     base = family.base(gaussian.draws, np.random.default_rng(0))
     targets = problem.simulator.targets(problem.segments)
     out = {}
-    for name, (mean, scale) in item["laws"].items():
-        predictions = problem.simulator.predict(
-            family.draw(family.phi(mean, scale), base), problem.segments
-        )
-        by_epsilon = {
-            f"{epsilon:.0e}": float(gaussian.log_density(predictions, targets, epsilon).sum())
-            for epsilon in EPSILONS
-        }
-        out[name] = {**by_epsilon, "mse": float(np.mean((predictions.mean(axis=0) - targets) ** 2))}
+    for name, (mean, scale) in item["distributions"].items():
+        values = family.draw(family.phi(mean, scale), base)
+        predictions = problem.simulator.predict(values, problem.segments)
+        row = {}
+        for epsilon in EPSILONS:
+            densities = gaussian.log_density(predictions, targets, epsilon)
+            row[f"{epsilon:.0e}"] = float(densities.sum())
+        row["mse"] = float(np.mean((predictions.mean(axis=0) - targets) ** 2))
+        out[name] = row
     return out
 
 
-def _distributions(rows: dict[Any, dict[str, Any]], table: str, seed: int) -> dict[str, Any]:
-    own = {
-        method: [rows[table, seed, method]["mean"], rows[table, seed, method]["scale"]]
-        for method in METHODS
-    }
-    return {**own, **{name: [list(mean), list(scale)] for name, (mean, scale) in THESIS.items()}}
+def _distributions(fits: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Means and scales of our fits and of the thesis', by name."""
+    out = {method: [fit["mean"], fit["scale"]] for method, fit in fits.items()}
+    for name, (mean, scale) in THESIS.items():
+        out[name] = [list(mean), list(scale)]
+    return out
 
 
 def _fits(title: str, rows: dict[str, dict[str, Any]]) -> Table:
+    """Means, scales and costs of our fits, the thesis' beneath."""
     lines = []
     for method, row in rows.items():
-        lines.append(
-            (
-                method,
-                *(f"{v:.3f}" for v in row["mean"]),
-                *(number(v, 3) for v in row["scale"]),
-                *_cost(row),
-            )
-        )
+        lines.append((method, *_mean_and_scale(row["mean"], row["scale"]), *_cost(row)))
     for name, (mean, scale) in THESIS.items():
-        lines.append(
-            (name, *(f"{v:.3f}" for v in mean), *(number(v, 3) for v in scale), "-", "-", "-")
-        )
+        lines.append((name, *_mean_and_scale(mean, scale), "-", "-", "-"))
     header = (
         "",
         *(f"mean {m}" for m in MASSES),
@@ -164,36 +196,41 @@ def _fits(title: str, rows: dict[str, dict[str, Any]]) -> Table:
     return Table(f"{title}: fits", header, tuple(lines))
 
 
+def _mean_and_scale(mean: Sequence[float], scale: Sequence[float]) -> list[str]:
+    """Means and scales of the three masses as cells."""
+    return [*(f"{value:.3f}" for value in mean), *(number(value, 3) for value in scale)]
+
+
 def _cost(row: dict[str, Any]) -> tuple[str, str, str]:
+    """Epsilon, simulator steps and seconds of a fit."""
     epsilon: Array = np.array(row["epsilon"])
-    shown = (
-        number(epsilon[0], 2)
-        if np.ptp(epsilon) == 0
-        else f"{number(epsilon.min(), 2)} to {number(epsilon.max(), 2)}"
-    )
+    if np.ptp(epsilon) == 0:
+        shown = number(epsilon[0], 2)
+    else:
+        shown = f"{number(epsilon.min(), 2)} to {number(epsilon.max(), 2)}"
     return shown, f"{row['steps']:,}", f"{row['seconds']:.1f}"
 
 
 def _likelihoods(title: str, values: dict[str, dict[str, float]]) -> Table:
+    """Log-likelihoods by epsilon, and mean squared errors."""
     columns = [f"{epsilon:.0e}" for epsilon in EPSILONS]
-    lines = tuple(
-        (name, *(f"{row[c]:,.1f}" for c in columns), number(row["mse"], 3))
-        for name, row in values.items()
-    )
-    return Table(
-        f"{title}: log-lik. [nat] by epsilon", ("law", *columns, "mean squared error"), lines
-    )
+    lines = []
+    for name, row in values.items():
+        cells = [f"{row[column]:,.1f}" for column in columns]
+        lines.append((name, *cells, number(row["mse"], 3)))
+    header = ("law", *columns, "mean squared error")
+    return Table(f"{title}: log-lik. [nat] by epsilon", header, tuple(lines))
 
 
 def _verdict(title: str, values: dict[str, dict[str, float]]) -> str:
+    """Our optimum against the thesis', in a sentence."""
     ours = values["dropo, epsilon 1e-03"]
     thesis = values["thesis, dropo"]
     gain = ours["1e-03"] - thesis["1e-03"]
     return (
         f"{title}: at the thesis' epsilon, 1e-3, our optimum is {gain:+.1f} nat above its "
-        "solution by the same likelihood, with a mean"
-        f" squared error of {ours['mse']:.3g} instead of {thesis['mse']:.3g}: noise of "
-        "standard deviation 0.032 leaves nothing for a spread"
-        " to explain, and the thesis' law is not the maximum of its own objective. Wide "
+        f"solution by the same likelihood, with a mean squared error of {ours['mse']:.3g} instead "
+        f"of {thesis['mse']:.3g}: noise of standard deviation 0.032 leaves nothing for a spread "
+        "to explain, and the thesis' law is not the maximum of its own objective. Wide "
         "laws come at smaller epsilon."
     )

@@ -37,11 +37,10 @@ def test_every_family_keeps_to_the_contract(name):
         (LogNormal, lambda m, s: stats.lognorm(s, scale=m * np.exp(-(s**2) / 2))),
     ],
 )
-def test_moments_and_quantiles_are_those_of_the_law(family, distribution):
+def test_moments_and_quantiles_are_those_of_the_distribution(family, distribution):
     """Mean, sd and the map of base points agree with scipy's distribution."""
-    member = family(
-        ParameterSpace(tuple(Parameter(p.name, p.low, p.high, lower=-np.inf) for p in SPACE))
-    )
+    parameters = tuple(Parameter(p.name, p.low, p.high, lower=-np.inf) for p in SPACE)
+    member = family(ParameterSpace(parameters))
     phi = member.phi([1.5, 0.5, 2.0], [0.3, 0.1, 0.7])
     base = np.random.default_rng(0).random((1 + member.redraws, 100, 3))
     same = distribution(np.array([1.5, 0.5, 2.0]), np.array([0.3, 0.1, 0.7]))
@@ -51,15 +50,14 @@ def test_moments_and_quantiles_are_those_of_the_law(family, distribution):
 
 
 def test_truncated_gaussian_has_sd_below_its_scale():
-    """sd = 0.8796 sigma, to the four digits of the published remark, and no draw is beyond 2 sigma."""
+    """sd = 0.8796 sigma, to the four digits of the published remark; no draw is beyond 2 sigma."""
     family = TruncatedGaussian(SPACE)
     phi = family.phi([2.0, 0.5, 3.0], [0.2, 0.05, 0.4])
     np.testing.assert_allclose(family.sd(phi) / family.scale(phi), 0.8796, atol=5e-5)
-    away = np.abs(
-        family.sample(phi, 5000, np.random.default_rng(0)) - family.mean(phi)
-    ) / family.scale(phi)
-    assert away.max() <= 2.0
-    assert away.max() > 1.99
+    draws = family.sample(phi, 5000, np.random.default_rng(0))
+    distances = np.abs(draws - family.mean(phi)) / family.scale(phi)
+    assert distances.max() <= 2.0
+    assert distances.max() > 1.99
 
 
 def test_thesis_box():
@@ -87,7 +85,8 @@ def test_infeasible_draws_are_made_again_twenty_times_then_held():
     family = TruncatedGaussian(ParameterSpace((Parameter("mass", 1.0, 3.0, lower=1.0),)))
     phi = family.phi([1.0], [0.5])
     base = np.full((21, 3, 1), 0.1)  # below the mean, so below the bound
-    base[0, 0], base[20, 1] = 0.7, 0.8
+    base[0, 0] = 0.7
+    base[20, 1] = 0.8
     low, middle, last = family.draw(phi, base)[:, 0]
     assert low == family._draw(phi, np.array([[0.7]]))[0, 0]
     assert middle == family._draw(phi, np.array([[0.8]]))[0, 0]
@@ -117,12 +116,9 @@ def test_full_gaussian_from_moments_and_back():
         mean = rng.uniform(-5, 5, 4)
         phi = family.phi_of(mean, covariance)
         np.testing.assert_allclose(family.mean(phi), mean)
-        np.testing.assert_allclose(
-            family.sd(phi)[:, None] * family.correlation(phi) * family.sd(phi),
-            covariance,
-            rtol=1e-9,
-            atol=1e-12,
-        )
+        sd = family.sd(phi)
+        found = sd[:, None] * family.correlation(phi) * sd
+        np.testing.assert_allclose(found, covariance, rtol=1e-9, atol=1e-12)
 
 
 def test_canonical_partial_correlations():
@@ -139,9 +135,9 @@ def test_canonical_partial_correlations():
     )
     r = family.correlation(phi)
     np.testing.assert_allclose([r[0, 1], r[0, 2]], [0.6, -0.3])
-    assert (r[1, 2] - r[0, 1] * r[0, 2]) / np.sqrt(
-        (1 - r[0, 1] ** 2) * (1 - r[0, 2] ** 2)
-    ) == pytest.approx(0.5)
+    covariance = r[1, 2] - r[0, 1] * r[0, 2]
+    variances = (1 - r[0, 1] ** 2) * (1 - r[0, 2] ** 2)
+    assert covariance / np.sqrt(variances) == pytest.approx(0.5)
 
 
 def test_every_point_of_the_box_is_a_correlation_matrix():
@@ -172,7 +168,8 @@ def test_refusals():
     """
     with pytest.raises(
         BadArgument,
-        match=r"'low' of Parameter 'damping' must be positive for LogNormal. Got 0.0 .* another family",
+        match=r"'low' of Parameter 'damping' must be positive for LogNormal. "
+        r"Got 0.0 .* another family",
     ):
         LogNormal(ParameterSpace((Parameter("damping", 0.0, 1.0),)))
     with pytest.raises(BadArgument, match=r"covariance.*positive definite"):

@@ -8,7 +8,7 @@ from dropo.core.contracts.noise import Noise
 from dropo.core.services.errors import BadArgument
 from dropo.families.truncated_gaussian import SD, TruncatedGaussian
 from dropo.likelihoods import monte_carlo as gaussian
-from dropo.likelihoods.monte_carlo import Gaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.testing import check_likelihood
 from tests.reference.densities import gaussian_one_by_one
@@ -16,7 +16,7 @@ from tests.reference.densities import gaussian_one_by_one
 
 def test_keeps_to_the_contract():
     """The checks that plug-in authors call are silent."""
-    check_likelihood(Gaussian())
+    check_likelihood(MonteCarlo())
 
 
 @pytest.mark.parametrize("p", [1, 3, 11])
@@ -27,7 +27,7 @@ def test_agrees_with_the_slow_twin(p, monkeypatch):
     targets = predictions[0] + 0.1
     epsilon = rng.uniform(0.01, 0.1, p)
     monkeypatch.setattr(gaussian, "BLOCK", 7 * 40 * p)
-    found = Gaussian().log_density(predictions, targets, epsilon)
+    found = MonteCarlo().log_density(predictions, targets, epsilon)
     np.testing.assert_allclose(found, gaussian_one_by_one(predictions, targets, epsilon), rtol=1e-9)
 
 
@@ -71,7 +71,7 @@ def test_linear_simulator_has_the_exact_likelihood():
     phi = family.phi(mean, scale)
     found = np.array(
         [
-            Gaussian(2048).bind(simulator, segments, family, 0.01, rng)(phi)
+            MonteCarlo(2048).bind(simulator, segments, family, 0.01, rng)(phi)
             for rng in np.random.default_rng(0).spawn(16)
         ]
     )
@@ -92,7 +92,7 @@ def test_log_likelihood_is_the_sum_of_rows_and_deterministic():
     simulator, segments, family = linear_problem()
     phi = family.phi([1.0, -2.0], [0.5, 0.9])
     one, same, other = (
-        Gaussian(20).bind(simulator, segments, family, 0.01, np.random.default_rng(seed))
+        MonteCarlo(20).bind(simulator, segments, family, 0.01, np.random.default_rng(seed))
         for seed in (1, 1, 2)
     )
     assert one(phi) == same(phi) == one(phi) == one.rows(phi).sum() != other(phi)
@@ -104,8 +104,8 @@ def test_learned_epsilon_is_an_unknown():
     """
     simulator, segments, family = linear_problem()
     phi = family.phi([1.0, -2.0], [0.5, 0.9])
-    given = Gaussian(20).bind(simulator, segments, family, 0.03, np.random.default_rng(0))
-    learned = Gaussian(20).bind(
+    given = MonteCarlo(20).bind(simulator, segments, family, 0.03, np.random.default_rng(0))
+    learned = MonteCarlo(20).bind(
         simulator, segments, family, Noise(np.full(3, 0.01), "factor"), np.random.default_rng(0)
     )
     assert learned.unknowns.names == (*family.unknowns.names, "epsilon")
@@ -125,7 +125,7 @@ def test_singular_without_epsilon_names_row_and_way_out():
         BadArgument,
         match=r"K = 20 predictions at row 2 is singular in p = 2 signals.* Give epsilon > 0",
     ):
-        Gaussian().log_density(predictions, np.zeros((5, 2)), np.zeros(2))
+        MonteCarlo().log_density(predictions, np.zeros((5, 2)), np.zeros(2))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -135,8 +135,8 @@ def test_fewer_draws_than_signals_without_epsilon(seed):
     """
     predictions = 50 * np.random.default_rng(seed).normal(size=(5, 3, 11))
     with pytest.raises(BadArgument, match=r"K = 5 predictions at row 0 is singular in p = 11"):
-        Gaussian().log_density(predictions, np.zeros((3, 11)), 0.0)
-    assert np.isfinite(Gaussian().log_density(predictions, np.zeros((3, 11)), 1e-4)).all()
+        MonteCarlo().log_density(predictions, np.zeros((3, 11)), 0.0)
+    assert np.isfinite(MonteCarlo().log_density(predictions, np.zeros((3, 11)), 1e-4)).all()
 
 
 def test_a_covariance_beyond_rounding_fails_its_row_alone():
@@ -144,10 +144,10 @@ def test_a_covariance_beyond_rounding_fails_its_row_alone():
     densities.
     """
     predictions = np.random.default_rng(0).normal(size=(20, 4, 2))
-    whole = Gaussian().log_density(predictions, np.zeros((4, 2)), 1e-6)
+    whole = MonteCarlo().log_density(predictions, np.zeros((4, 2)), 1e-6)
     predictions[:, 1, 0] *= 1e9
     predictions[:, 1, 1] = predictions[:, 1, 0]
-    lost = Gaussian().log_density(predictions, np.zeros((4, 2)), 1e-6)
+    lost = MonteCarlo().log_density(predictions, np.zeros((4, 2)), 1e-6)
     assert lost[1] == -np.inf
     np.testing.assert_array_equal(np.delete(lost, 1), np.delete(whole, 1))
 
@@ -156,17 +156,17 @@ def test_refusals():
     """K below 2, epsilon of the wrong kind, size or sign."""
     simulator, segments, family = linear_problem()
     with pytest.raises(
-        BadArgument, match=r"'draws' of Gaussian must be at least 2, to have a covariance. Got 1"
+        BadArgument, match=r"'draws' of MonteCarlo must be at least 2, to have a covariance. Got 1"
     ):
-        Gaussian(draws=1)
+        MonteCarlo(draws=1)
     for epsilon, words in (
         ([0.1, 0.2], "one for each of 3 signals"),
         (-0.1, "not negative"),
         (np.nan, "finite"),
     ):
         with pytest.raises(BadArgument, match=words):
-            Gaussian().bind(simulator, segments, family, epsilon, np.random.default_rng(0))
+            MonteCarlo().bind(simulator, segments, family, epsilon, np.random.default_rng(0))
     with pytest.raises(
-        BadArgument, match=r"'predictions' of Gaussian.log_density must be of shape \(any, 4, 2\)"
+        BadArgument, match=r"'predictions' of MonteCarlo.log_density must be of shape \(any, 4, 2\)"
     ):
-        Gaussian().log_density(np.zeros((9, 4, 3)), np.zeros((4, 2)), 0.1)
+        MonteCarlo().log_density(np.zeros((9, 4, 3)), np.zeros((4, 2)), 0.1)
