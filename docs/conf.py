@@ -23,6 +23,8 @@ suppress_warnings = ["misc.highlighting_failure"]
 nb_execution_mode = "force"  # the notebooks are kept without output: every build runs them
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
+napoleon_google_docstring = False
+napoleon_use_ivar = True  # fields of a dataclass stand once, where its docstring lists them
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}
 python_maximum_signature_line_length = 100
@@ -80,23 +82,54 @@ def fields_in_source(thing: Any) -> list[str]:
     return [text.replace("field(default_factory=dict)", "{}") for text in texts]
 
 
+SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)  # a heading of numpydoc
+TEXT = (
+    "Notes",
+    "References",
+    "Examples",
+    "Warnings",
+    "See Also",
+)  # sections without a list of names
+
+
 def as_written(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """A docstring as it is read in the source: paragraphs of plain text, `code` in backticks,
-    indented lines kept.
+    indented lines kept. Sections as numpydoc has them are left to napoleon, which comes next.
     """
-    paragraphs = re.split(r"\n\s*\n", "\n".join(lines).strip())
-    lines[:] = [*"\n\n".join(map(paragraph, paragraphs)).split("\n"), ""]
+    head, *sections = SECTION.split("\n".join(lines).strip())
+    written = [paragraphs(head)]
+    for title, body in zip(sections[::2], sections[1::2], strict=True):
+        text = body.strip("\n")
+        content = paragraphs(text) if title in TEXT else descriptions(text)
+        written.append(f"{title}\n{'-' * len(title)}\n{content}")
+    lines[:] = [*"\n\n".join(written).split("\n"), ""]
+
+
+def paragraphs(text: str) -> str:
+    """Paragraphs of a docstring as reStructuredText."""
+    return "\n\n".join(map(paragraph, re.split(r"\n\s*\n", text.strip())))
 
 
 def paragraph(text: str) -> str:
     """One paragraph of a docstring as reStructuredText."""
     if any(line.startswith("    ") for line in text.split("\n")):
         return "::\n\n" + textwrap.indent(text, "    ")
+    plain = re.sub(r"^\.\. (?=\[)", "", text, flags=re.MULTILINE)  # a numbered reference
+    return re.sub(r"^([-+.#])", r"\\\1", inline(plain).lstrip(), flags=re.MULTILINE)
+
+
+def descriptions(text: str) -> str:
+    """A section of names and indented descriptions, of which the latter are plain text."""
+    lines = text.split("\n")
+    return "\n".join(inline(line) if line.startswith(" ") else line for line in lines)
+
+
+def inline(text: str) -> str:
+    """Plain text with `code` in backticks as reStructuredText."""
     pieces = text.split("`")
     plain = [re.sub(r"([\\*|_])", r"\\\1", piece) for piece in pieces[::2]]
     code = [f"``{piece}``\\ " for piece in pieces[1::2]]
-    joined = "".join(piece for pair in zip(plain, [*code, ""], strict=False) for piece in pair)
-    return re.sub(r"^([-+.#])", r"\\\1", joined.lstrip(), flags=re.MULTILINE)
+    return "".join(piece for pair in zip(plain, [*code, ""], strict=False) for piece in pair)
 
 
 def within(app: Any, page: str, text: list[str]) -> None:
@@ -107,5 +140,5 @@ def within(app: Any, page: str, text: list[str]) -> None:
 def setup(app: Any) -> None:
     """Sphinx calls this."""
     app.connect("autodoc-process-signature", own_signature)
-    app.connect("autodoc-process-docstring", as_written)
+    app.connect("autodoc-process-docstring", as_written, priority=400)  # napoleon's is 500
     app.connect("source-read", within)

@@ -4,7 +4,9 @@ output is what is printed.
 `python tests/test_docs.py` prints the output blocks anew, into the pages.
 """
 
+import ast
 import contextlib
+import importlib
 import importlib.util
 import io
 import json
@@ -14,6 +16,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import tokenize
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -30,7 +33,9 @@ PAGES = [
     *sorted((ROOT / "papers").glob("*/README.md")),
 ]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FILE = re.compile(r"(?:#|<!--) ([\w.-]+\.(?:yaml|xml))")  # the first line of a block that is a file
+FILE = re.compile(
+    r"(?:#|<!--) ([\w.-]+\.(?:yaml|xml|py))\b"
+)  # the first line of a block that is a file
 WITH_PYTHON = [
     page for page in PAGES if any(kind == "python" for kind, _ in BLOCK.findall(page.read_text()))
 ]
@@ -47,9 +52,24 @@ def _fresh_catalogue(monkeypatch):
     monkeypatch.setattr(catalogue, "_registered", {kind: {} for kind in catalogue.BUILT_IN})
 
 
+@contextlib.contextmanager
+def importable_folder():
+    """Modules of the present folder can be imported, and are forgotten afterwards."""
+    folder = str(Path.cwd())
+    sys.path.insert(0, folder)
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
+        for name, module in list(sys.modules.items()):
+            if str(getattr(module, "__file__", None)).startswith(folder):
+                del sys.modules[name]
+
+
 def run_page(page: Path) -> list[tuple[re.Match[str], str]]:
     """Runs the Python blocks of a page in order, in one namespace, in the present folder, with the
-    files that the page shows.
+    files that the page shows; those of Python are there to be imported.
 
     The blocks below a comment `<!-- printed -->`, each with what the Python block before it
     printed.
@@ -61,10 +81,10 @@ def run_page(page: Path) -> list[tuple[re.Match[str], str]]:
     for found in BLOCK.finditer(whole):
         kind, text = found.groups()
         first = FILE.match(text)
-        if kind in ("yaml", "xml") and first:
+        if first:
             Path(first[1]).write_text(text)
         elif kind == "python":
-            with contextlib.redirect_stdout(io.StringIO()) as stream:
+            with importable_folder(), contextlib.redirect_stdout(io.StringIO()) as stream:
                 exec(
                     compile("\n" * whole[: found.start(2)].count("\n") + text, str(page), "exec"),
                     namespace,
@@ -83,6 +103,83 @@ def test_python_blocks_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for found, printed in run_page(page):
         same_lines(printed, found[2])
+
+
+def code_lines(source: str) -> int:
+    """How many lines hold code: no docstring, no comment, not blank."""
+    passive = {
+        tokenize.COMMENT,
+        tokenize.NL,
+        tokenize.NEWLINE,
+        tokenize.INDENT,
+        tokenize.DEDENT,
+        tokenize.ENDMARKER,
+    }
+    lines = set()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type not in passive:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(source)):
+        text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if text and isinstance(node.value.value, str):
+            lines.difference_update(range(node.lineno, node.end_lineno + 1))
+    return len(lines)
+
+
+def test_plugin_files_are_short():
+    """The page about plug-ins has four files, each of at most 20 lines of code."""
+    page = (ROOT / "docs" / "plugins.md").read_text()
+    files = {
+        FILE.match(text)[1]: code_lines(text)
+        for kind, text in BLOCK.findall(page)
+        if kind == "python" and FILE.match(text)
+    }
+    assert len(files) == 4
+    assert max(files.values()) <= 20, files
+    assert code_lines('"""Text."""\n\n# why\na = (\n    1,\n)\n') == 3
+
+
+GROUPS = {f"dropo.{kind}" for kind in catalogue.BUILT_IN}
+"""Groups of entry points, which are called like rooms, but are none."""
+
+
+def unresolved(text: str) -> list[str]:
+    """The dotted names beginning with `dropo.` that lead to no module, class or function."""
+    return sorted({name for name in re.findall(r"\bdropo(?:\.\w+)+", text) if not resolves(name)})
+
+
+def resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or an attribute of one."""
+    if name in GROUPS:
+        return True
+    parts = name.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            thing = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[cut:]:
+            if not hasattr(thing, part):
+                return False
+            thing = getattr(thing, part)
+        return True
+    return False
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        *PAGES,
+        *sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")),
+        *(ROOT / name for name in ("CHANGELOG.md", "CONTRIBUTING.md", "AGENTS.md")),
+        ROOT / "benchmarks" / "README.md",
+    ],
+    ids=named,
+)
+def test_modules_named_exist(page):
+    """Every `dropo.<room>.<module>` that a page names is there; the control: a false one is not."""
+    assert unresolved(page.read_text()) == []
+    assert unresolved("see `dropo.core.nothing.here`") == ["dropo.core.nothing.here"]
 
 
 def commands(text: str) -> list[str]:

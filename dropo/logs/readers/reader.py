@@ -163,9 +163,7 @@ def open_log(path: str | Path) -> Log:
         raise BadFile(path, "", "a log", "no such file")
     if place.is_file() and place.stat().st_size == 0:
         raise BadFile(path, "", "a log", "an empty file")
-    module, name = _find_reader(place)
-    reader = getattr(importlib.import_module(f"{READERS}.{module}"), name)
-    return cast(Log, reader(place))
+    return cast(Log, find("readers", _reader_name(place))(place))
 
 
 _FOLDERS = ("lerobot", "minari", "ros2")
