@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 from scipy.stats import chi2
 
 from dropo.core.contracts.fisher_scoring import maximize_locally
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.records.fit_parts import VarianceComponentTests, VarianceTest
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints

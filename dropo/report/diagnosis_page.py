@@ -122,11 +122,8 @@ def _searched(found: FigureData) -> Section:
             "its error (dark line)."
         )
         text = f"Bars: nats that each effect gains on data held out. {listed}."
-        svg = picture(
-            lambda ax, i=i: plots.candidates(found, ax, found=i),
-            text,
-            size=svg_rows(max(len(rows), 2), ROW, HEAD),
-        )  # type: ignore[misc]
+        draw = partial(plots.candidates, found, found=i)
+        svg = picture(draw, text, size=svg_rows(max(len(rows), 2), ROW, HEAD))
         shown.append(figure(svg, title, caption))
     names = found.similarity.labels
     if len(names) > 1:
@@ -304,10 +301,8 @@ def _evidence(found: FigureData, units: dict[str, str]) -> Section | None:
             if one.axis == RESPONSE
             else ""
         )
-        svg = picture(
-            lambda ax, i=i: plots.residuals(found, ax, found=i),
-            f"Dots: error of {one.signal} over {one.axis}. {text}",
-        )  # type: ignore[misc]
+        draw = partial(plots.residuals, found, found=i)
+        svg = picture(draw, f"Dots: error of {one.signal} over {one.axis}. {text}")
         shown.append(figure(svg, f"{words(one.label)}: errors over {one.axis}", text))
     for i, part in enumerate(found.sizes):
         listed = ", ".join(
@@ -324,10 +319,8 @@ def _evidence(found: FigureData, units: dict[str, str]) -> Section | None:
     for i, sums in enumerate(found.sums):
         peak = float(np.abs(sums.score).max(initial=0.0))
         text = f"The largest departure is {peak:.2f}; beyond {BRIDGE} the size changes with time."
-        svg = picture(
-            lambda ax, i=i: plots.changes(found, ax, found=i),
-            f"Summed scores over the data. {text}",
-        )  # type: ignore[misc]
+        draw = partial(plots.changes, found, found=i)
+        svg = picture(draw, f"Summed scores over the data. {text}")
         shown.append(figure(svg, f"{words(sums.label)}: does its size change?", text))
     return (
         Section(

@@ -1,5 +1,6 @@
 """Sections that a fit's and a diagnosis' page share."""
 
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -27,23 +28,22 @@ def motion(found: Predictions | None, more: str = "") -> Section:
     title = "Measured and simulated motion"
     if found is None:
         return Section(title, "", paragraph(f"No motion is shown: {WITHOUT}"))
-    reach = found.measured.shape[1]
+    horizon = found.measured.shape[1]
+    seen = "No fit has seen these data." if found.held_out else "These data were fitted to."
     lead = (
-        f"Each line starts again from a measurement after {reach} control "
-        f"step{'s' * (reach > 1)}; bands should hold {percent(LEVEL)}"
-        f" of the dots. {more}{' ' * bool(more)}{'No fit has seen these data.' if found.held_out else 'These data were fitted to.'}"
+        f"Each line starts again from a measurement after {horizon} control "
+        f"step{'s' * (horizon > 1)}; bands should hold {percent(LEVEL)}"
+        f" of the dots. {more}{' ' * bool(more)}{seen}"
     )
     before = [(found.before.name, "before", False)] if changed(found) else []
     key = legend(("measured", "ink", True), *before, (found.after.name, "after", False))
     pictures = [
         figure(
             picture(
-                lambda ax, s=signal: plots.trajectory(found, s, ax),
-                _motion_text(found, signal),
-                size=SMALL,
+                partial(plots.trajectory, found, signal), _motion_text(found, signal), size=SMALL
             ),
             "",
-        )  # type: ignore[misc]
+        )
         for signal in telling(found)
     ]
     rest = len(found.names) - len(pictures)

@@ -52,7 +52,7 @@ def test_starts_of_a_late_velocity_are_in_doubt():
         np.median(linearized.whiten.distances(linearized.residuals)) / linearized.residuals.shape[1]
     )
     certain = whitener(
-        Library(machine("torque-arm").simulator, (), 0),
+        Library(simulated_robot("torque-arm").simulator, (), 0),
         windows,
         np.zeros(0),
         sigma,

@@ -278,10 +278,8 @@ def bins_of(values: Array, bins: int = SETTINGS.bins) -> list[np.ndarray]:
     if len(np.unique(values)) > 2:
         edges = np.unique(np.quantile(values, np.linspace(0, 1, bins + 1)))
         last = max(len(edges) - 2, 0)
-        label = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, last)
-    else:
-        label = values
-    return [label == one for one in np.unique(label)]
+        values = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, last)
+    return [values == one for one in np.unique(values)]
 
 
 def command_variable(actuator: str) -> str:

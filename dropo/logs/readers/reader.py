@@ -18,7 +18,6 @@ from dropo.core.services.registry import find, names
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, str], None]
 """Called with the fraction of the work that is done, and what is being done."""
-READERS = "dropo.logs.readers"
 MINARI_FILES = (
     "data/metadata.json",
     "metadata.json",
@@ -170,24 +169,25 @@ _FOLDERS = ("lerobot", "minari", "ros2")
 """Readers that are chosen by the layout of a folder, not by the ending of a file."""
 
 
-def _find_reader(place: Path) -> tuple[str, str]:
-    """Module and name of the reader for a file or folder."""
+def _reader_name(place: Path) -> str:
+    """The name of the reader for a file, which is its ending, or for a folder."""
     if place.is_dir():
         if (place / "meta" / "info.json").is_file():
             return "lerobot"
         if (place / "metadata.yaml").is_file():
-            return "bags", "RosLog"
+            return "ros2"
         if any((place / name).exists() for name in MINARI_FILES):
-            return "episodes", "MinariLog"
+            return "minari"
         expected = (
             "a ROS 2 bag (metadata.yaml), LeRobot episodes (meta/info.json) or a Minari data set"
         )
         raise BadFile(place, "", expected, "another folder")
-    suffix = place.suffix.lower()
-    if suffix not in _BY_SUFFIX:
-        expected = f"a log that ends in {', '.join(_BY_SUFFIX)}"
+    endings = [name for name in names("readers") if name not in _FOLDERS]
+    ending = place.suffix.lower().removeprefix(".")
+    if ending not in endings:
+        expected = f"a log that ends in {', '.join(f'.{name}' for name in endings)}"
         raise BadFile(place, "", expected, f"a file {place.suffix!r}")
-    return _BY_SUFFIX[suffix]
+    return ending
 
 
 def package(name: str, path: Path, extra: str) -> Any:
