@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from dropo import Diagnose
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 SOME = (
     "joint_damping",

@@ -6,7 +6,7 @@ import pytest
 
 from dropo.diagnosis.search import window_length as length
 from dropo.diagnosis.search.window_length import LENGTHS, SHORTEST, choose_length
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from dropo.diagnosis.search.whitening import Whitener
 from dropo.diagnosis.search.windows import split
 from dropo.problems.simulated.robots import machine
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 NOISE = 1e-4
 

@@ -9,8 +9,8 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.problems.file.reader import load
 from dropo.problems.file.writer import write_problem
-from tests.effects.robots import ROBOTS
 from tests.effects.test_physics import instance
+from tests.models.robots import ROBOTS
 
 PAYLOAD = "parameter_drift:body_mass:upper"
 

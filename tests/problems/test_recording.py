@@ -5,7 +5,7 @@ import pytest
 
 from dropo.problems.simulated.recording import record
 from dropo.problems.simulated.robots import machine
-from tests.diagnosis.arms import instance
+from tests.models.hidden_in_arm import instance
 
 ARM = machine("torque-arm")
 STEPS = 20
