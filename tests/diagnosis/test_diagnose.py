@@ -13,7 +13,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
 from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.diagnosis.arms import UPPER, problem
+from tests.models.hidden_in_arm import UPPER, problem
 
 SOME = (
     "joint_damping",

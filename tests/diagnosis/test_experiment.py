@@ -10,7 +10,7 @@ from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.windows import split
 from dropo.evaluation.open_loop import open_loop
-from tests.diagnosis.arms import instance, problem
+from tests.models.hidden_in_arm import instance, problem
 
 SIGMA = 3e-3
 PAIR = ("actuator_lag:shoulder_motor", "actuator_delay:shoulder_motor")

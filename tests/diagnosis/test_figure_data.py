@@ -5,11 +5,7 @@ import pytest
 from scipy import stats
 
 from dropo import Diagnose
-from dropo.diagnosis.findings.figures import own_axis
-from dropo.diagnosis.search.invariance import regimes
-from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.windows import split
-from tests.diagnosis.arms import instance, problem
+from tests.models.hidden_in_arm import problem
 
 SOME = (
     "joint_damping",

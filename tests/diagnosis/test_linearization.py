@@ -20,7 +20,7 @@ from dropo.diagnosis.search.whitening import Whitener
 from dropo.diagnosis.search.windows import split
 from dropo.problems.simulated.robots import simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 NOISE = 1e-4
 

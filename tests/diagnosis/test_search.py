@@ -11,8 +11,8 @@ from dropo.diagnosis.findings.omnibus import omnibus
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.review import ambiguity, review
 from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
-from dropo.diagnosis.search.selection import Round, commonest_first, gain_of, is_confirmed
-from tests.diagnosis.toy import instances, measured, selection
+from dropo.diagnosis.search.selection import Round, commonest_first, confirmed, gain_of
+from tests.models.linear_mass import instances, measured, selection
 
 SIZES = {
     "damping": 0.05,

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.effects.robots import ARM, CART, ROBOTS
 from tests.effects.test_physics import instance, predicted, same
+from tests.models.robots import ARM, CART, ROBOTS
 from tests.reference import effects as slow
 
 STEP = 0.004

@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.services.registry import find, names
 from dropo.testing import check_effect
-from tests.effects.robots import ROBOTS
+from tests.models.robots import ROBOTS
 
 # what cannot be seen: a plane's third direction, contacts that do not come about, forces that a
 # joint holds

@@ -8,9 +8,8 @@ from dropo.core.contracts.time_profile import place_in_data
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.problems.file.writer import write_problem
-from dropo.problems.loading import load
-from tests.effects.robots import ROBOTS
 from tests.effects.test_physics import instance
+from tests.models.robots import ROBOTS
 
 PAYLOAD = "parameter_drift:body_mass:upper"
 

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from dropo.core.services.registry import find, names
-from tests.effects.robots import ROBOTS
+from tests.models.robots import ROBOTS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text()
 

@@ -9,7 +9,7 @@ import pytest
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.effects.robots import ARM, CART, CUBE, ROBOTS, STRANGE
+from tests.models.robots import ARM, CART, CUBE, ROBOTS, STRANGE
 from tests.reference.effects import replay
 
 XML = {"arm": ARM, "cube": CUBE, "cart": CART, "strange": STRANGE}

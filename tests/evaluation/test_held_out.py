@@ -23,7 +23,7 @@ from dropo.evaluation.held_out import (
 from dropo.evaluation.predictions import predict
 from dropo.problems.simulated.slide import NOISE
 from dropo.simulators.toy import SlidingBlock, simulate
-from tests.diagnosis.arms import problem as arm
+from tests.models.hidden_in_arm import problem as arm
 
 TRUTH = np.array([1.5, 0.8])
 

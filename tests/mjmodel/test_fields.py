@@ -7,8 +7,8 @@ import pytest
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.mjmodel.fields import Binding, FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
+from tests.models.cases import BALL, BOX, CART, CASES, PENDULUM, VALVE, mass, places
 from tests.reference.stepping import load, replay_one_by_one
-from tests.simulators.models import BALL, BOX, CART, CASES, PENDULUM, VALVE, mass, places
 
 
 def model_of(xml):

@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.mjmodel.observation import Layout, exponential, logarithm, multiply
-from tests.simulators.models import BALL, BOX, CART, SENSED, VALVE
+from tests.models.cases import BALL, BOX, CART, SENSED, VALVE
 
 
 def layout(xml, items):

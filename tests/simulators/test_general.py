@@ -12,7 +12,7 @@ from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.simulators.function import EnvSimulator, FunctionSimulator
 from dropo.testing import check_simulator
-from tests.simulators.models import CUTS
+from tests.models.cases import CUTS
 
 RATE = [Parameter("rate", 0.5, 2.0, "1/s"), Parameter("gain", 0.5, 2.0)]
 

@@ -16,8 +16,8 @@ from dropo.problems.simulated.robots import masses, simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.testing import check_simulator
+from tests.models.cases import BOX, CART, CASES, CUTS, PENDULUM, SENSED, Case, mass, places
 from tests.reference.stepping import load, replay_one_by_one
-from tests.simulators.models import BOX, CART, CASES, CUTS, PENDULUM, SENSED, Case, mass, places
 
 every_case = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 every_cut = pytest.mark.parametrize("cut", CUTS)

@@ -15,7 +15,7 @@ from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.testing import check_simulator
-from tests.simulators.models import CUTS
+from tests.models.cases import CUTS
 
 pytest.importorskip("torch")
 

@@ -10,7 +10,7 @@ from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.simulators.toy import SlidingBlock
 from dropo.testing import check_simulator
-from tests.simulators.models import CUTS
+from tests.models.cases import CUTS
 
 torch = pytest.importorskip("torch")
 from dropo.simulators.torch import TorchSimulator  # noqa: E402

@@ -6,7 +6,7 @@ import pytest
 from dropo.core.services.errors import BadArgument
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from dropo.testing import check_simulator
-from tests.simulators.models import CUTS
+from tests.models.cases import CUTS
 
 
 def sliding():
