@@ -142,9 +142,7 @@ def test_some_of_the_rows():
     np.testing.assert_array_equal(kept.group, [0, 0, 1, 2, 2, 2])
     with pytest.raises(BadArgument, match="'rows' of Trajectories must be at least one"):
         data.select([3])
-    with pytest.raises(
-        BadArgument, match=r"'transitions' of Trajectories.first must be at least 1"
-    ):
+    with pytest.raises(BadArgument, match=r"'transitions' of Trajectories.head must be at least 1"):
         data.head(0)
 
 
