@@ -5,7 +5,11 @@ import pytest
 from scipy import stats
 
 from dropo import Diagnose
-from tests.models.hidden_in_arm import problem
+from dropo.diagnosis.findings.figures import own_axis
+from dropo.diagnosis.search.invariance import regimes
+from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.windows import split
+from tests.models.hidden_in_arm import instance, problem
 
 SOME = (
     "joint_damping",

@@ -11,7 +11,7 @@ from dropo.diagnosis.findings.omnibus import omnibus
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.review import ambiguity, review
 from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
-from dropo.diagnosis.search.selection import Round, commonest_first, confirmed, gain_of
+from dropo.diagnosis.search.selection import Round, commonest_first, gain_of, is_confirmed
 from tests.models.linear_mass import instances, measured, selection
 
 SIZES = {

@@ -5,7 +5,7 @@ import pytest
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis.search import selection as search
-from dropo.diagnosis.search.single_steps import size_in_single_steps
+from dropo.diagnosis.search.single_steps import magnitude_in_single_steps
 from tests.models.linear_mass import DT, GAIN, instances, selection
 
 # sd of the random forces [m/s^2]

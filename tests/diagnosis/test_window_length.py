@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from dropo.diagnosis.search import window_length as length
-from dropo.diagnosis.search.window_length import LENGTHS, SHORTEST, choose_length
+from dropo.diagnosis.search.window_length import (
+    SETTINGS,
+    WindowLengthSettings,
+    choose_length,
+)
 from tests.models.hidden_in_arm import problem
 
 

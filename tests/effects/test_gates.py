@@ -8,6 +8,7 @@ from dropo.core.contracts.time_profile import place_in_data
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.problems.file.writer import write_problem
+from dropo.problems.loading import load
 from tests.effects.test_physics import instance
 from tests.models.robots import ROBOTS
 

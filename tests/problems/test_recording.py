@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dropo.problems.simulated.recording import record
-from dropo.problems.simulated.robots import machine
+from dropo.problems.simulated.robots import simulated_robot
 from tests.models.hidden_in_arm import instance
 
 ARM = simulated_robot("torque-arm")
