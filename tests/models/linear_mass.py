@@ -26,7 +26,7 @@ EFFECTS = {
 
 
 class Mass(Simulator):
-    """x'' = gain u + sum of magnitudes times EFFECTS, by Euler's method, the gain declared or not."""
+    """x'' = gain u + sum of magnitudes times EFFECTS, by Euler's method; gain may be declared."""
 
     def __init__(self, declared=False, effects=tuple(EFFECTS)):
         own = [Parameter("gain of the motor", 1.0, 4.0)] if declared else []
