@@ -312,8 +312,9 @@ def _minimize(cost: Callable[[float], float], settings: VelocitySettings) -> flo
     grid = np.arange(settings.lowest, settings.highest + step / 2, step)
     best = grid[int(np.argmin([guarded(float(x)) for x in grid]))]
     bounds = (max(settings.lowest, best - step), min(settings.highest, best + step))
-    options = {"xatol": settings.tolerance}
-    found = minimize_scalar(guarded, bounds=bounds, method="bounded", options=options)
+    found = minimize_scalar(
+        guarded, bounds=bounds, method="bounded", options={"xatol": settings.tolerance}
+    )
     return float(np.exp(found.x))
 
 
