@@ -30,9 +30,9 @@ class Replay:
     ----------
     horizon : int
         Control steps from each measured state to the state that is compared.
-    error : Array, shape (p,)
+    error : (p,) array
         Root mean square error of every signal, in its unit; NaN if a simulation diverged.
-    change : Array, shape (p,)
+    change : (p,) array
         Root mean square of how far the measured signal itself goes in that time.
     """
 
@@ -90,7 +90,7 @@ class ActionEstimate(Report):
         }
 
     def parts(self) -> list[str | Table]:
-        """A sentence, the actions, the forces that are left over, and the errors of the replay."""
+        """Give a sentence, and tables of actions, forces that are left over, and replay errors."""
         how = {
             "modelled": "inferred by inverse dynamics",
             "ideal": "taken from the states that were reached, as by ideal controllers",
@@ -180,6 +180,10 @@ def infer_actions(
 
     Raises
     ------
+    UnknownName
+        If there is no such problem or kind of controllers.
+    BadFile
+        If something is wrong in the problem file or its data.
     Incompatible
         If states are not whole, or the actuators are not of the kind that is asked for.
 
@@ -257,8 +261,10 @@ def _unexplained(simulator: MujocoSimulator, forces: Array) -> dict[str, tuple[s
 
 
 def _rms(values: Array) -> Array:
+    """Root mean square of each column."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def _finite(value: float) -> float | None:
+    """A number for JSON, which has no NaN."""
     return float(value) if np.isfinite(value) else None

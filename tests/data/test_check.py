@@ -20,7 +20,8 @@ XML = """
 <mujoco>
   <worldbody>
     <body name="ball"><freejoint name="free"/><geom name="shell" size="0.1" mass="1"/></body>
-    <body name="cart"><joint name="slide" type="slide" axis="1 0 0"/><geom name="box" size="0.1" mass="1" pos="0 3 0"/></body>
+    <body name="cart"><joint name="slide" type="slide" axis="1 0 0"/>
+    <geom name="box" size="0.1" mass="1" pos="0 3 0"/></body>
   </worldbody>
   <actuator>
     <motor name="push" joint="slide" ctrllimited="true" ctrlrange="-1 1"/>

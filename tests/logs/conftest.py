@@ -1,4 +1,4 @@
-"""A simulated arm of two joints with known motion, and the log of it that a perfect logger writes."""
+"""A simulated arm of two joints with known motion, and the log that a perfect logger writes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,10 +17,12 @@ XML = """
   <worldbody>
     <body name="upper">
       <joint name="shoulder" type="hinge" axis="0 -1 0" damping="0.05"/>
-      <geom name="link" type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8" contype="0" conaffinity="0"/>
+      <geom name="link" type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8"
+        contype="0" conaffinity="0"/>
       <body name="lower" pos="0 0 -0.3">
         <joint name="elbow" type="hinge" axis="0 -1 0" damping="0.05"/>
-        <geom name="tip" type="capsule" fromto="0 0 0 0 0 -0.25" size="0.02" mass="0.4" contype="0" conaffinity="0"/>
+        <geom name="tip" type="capsule" fromto="0 0 0 0 0 -0.25" size="0.02" mass="0.4"
+          contype="0" conaffinity="0"/>
       </body>
     </body>
   </worldbody>

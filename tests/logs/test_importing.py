@@ -120,7 +120,8 @@ def two_files(folder: Path, log: Columns, beside: Columns, columns: dict[str, st
     for name, unit in columns.items():
         text = text.replace(
             f"{{column: {name},",
-            f"{{column: {name}, file: '{{stem}}_drive.npz', clock: {{column: ticks, unit: {unit}}},",
+            f"{{column: {name}, file: '{{stem}}_drive.npz', "
+            f"clock: {{column: ticks, unit: {unit}}},",
         )
     return imported(folder, log, text)
 
@@ -312,7 +313,10 @@ def test_control_step(folder: Path, arm: Any) -> None:
     assert imported(folder, arm.log(rate=500), text + "rate: 100\n").frame_skip == 10
     with pytest.raises(
         BadFile,
-        match=r"rate: expected a rate whose control step is a whole number of .* such as 500 Hz, got 400",
+        match=(
+            r"rate: expected a rate whose control step is a whole number of .* such as 500 "
+            r"Hz, got 400"
+        ),
     ):
         imported(folder, arm.log(rate=500), text + "rate: 400\n")
 
@@ -376,7 +380,10 @@ def test_nothing_is_written_where_something_is_refused(folder: Path, arm: Any) -
     log = arm.log()
     with pytest.raises(
         BadArgument,
-        match=r"qvel.elbow: it has the opposite sign of the change of qpos.elbow, .* Give one of the two",
+        match=(
+            r"qvel.elbow: it has the opposite sign of the change of qpos.elbow, .* Give one "
+            r"of the two"
+        ),
     ):
         imported(folder, {**log, "dq2": -log["dq2"]})
     with pytest.raises(BadFile):
@@ -397,7 +404,10 @@ def test_a_problem_file_with_parameters_is_kept(folder: Path, arm: Any) -> None:
     before = (folder / "out" / "data.npz").read_bytes()
     with pytest.raises(
         BadFile,
-        match=r"problem.yaml: expected no file, or one that an import wrote, .* got one that was changed",
+        match=(
+            r"problem.yaml: expected no file, or one that an import wrote, .* got one that "
+            r"was changed"
+        ),
     ):
         imported(folder, arm.log(seconds=4))
     assert (folder / "out" / "data.npz").read_bytes() == before
@@ -464,7 +474,7 @@ def measured_data() -> Path:
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_measured_sets(tmp_path: Path, name: str) -> None:
-    """Each imports without an error, and its problem passes the check that comes before every fit."""
+    """Each imports without an error, and its problem passes the check before every fit."""
     source = measured_data()
     model, text = MEASURED[name]
     (tmp_path / "map.yaml").write_text(text)

@@ -22,14 +22,14 @@ Columns = dict[str, NDArray[Any]]
 def found(folder: Path, columns: Columns) -> list[Finding]:
     """What the check says of a log with these columns."""
     np.savez(folder / "log.npz", **columns)
-    machine = load_model_joints(folder / "robot.xml")
+    robot = load_model_joints(folder / "robot.xml")
     return check_runs(
         read_runs(
             [folder / "log.npz"],
-            read_mapping(folder / "map.yaml", machine),
+            read_mapping(folder / "map.yaml", robot),
             lambda share, text: None,
         ),
-        machine,
+        robot,
     )
 
 
@@ -254,7 +254,10 @@ def test_several_runs_are_named(folder: Path, clean: Columns) -> None:
 BALL = (
     "<mujoco><worldbody><body name='ball'><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
 )
-BALL_MAP = "time: {column: t}\nqpos: {ball: {columns: ['p[0:3]', 'q[0:4]']}}\nqvel: {ball: {columns: ['v[0:3]', 'w[0:3]']}}"
+BALL_MAP = (
+    "time: {column: t}\nqpos: {ball: {columns: ['p[0:3]', 'q[0:4]']}}\n"
+    "qvel: {ball: {columns: ['v[0:3]', 'w[0:3]']}}"
+)
 T = np.arange(300) / 300
 
 
@@ -285,7 +288,7 @@ def tossed(lie: str = "") -> Columns:
 
 
 def test_free_fall(folder: Path) -> None:
-    """Gravity tells the unit of length, the unit of time, and the axes; a right toss gives nothing."""
+    """Gravity shows the units of length and time, and the axes; a right toss gives nothing."""
     (folder / "robot.xml").write_text(BALL)
     (folder / "map.yaml").write_text(BALL_MAP)
     assert found(folder, tossed()) == []

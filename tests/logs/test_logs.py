@@ -80,7 +80,7 @@ def matrices(columns: Columns, rows: slice = slice(None)) -> Columns:
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", " "])
 def test_csv(folder: Path, columns: Columns, csv: Any, separator: str) -> None:
-    """Whatever separates the cells; a byte order mark and a "#" before the names are passed over."""
+    """Whatever separates the cells; a byte order mark and a "#" before the names are ignored."""
     path = csv(folder / "log.csv", columns)
     path.write_text("\ufeff# " + path.read_text().replace(",", separator))
     (run,) = runs(folder, path, PLAIN)
@@ -283,7 +283,10 @@ def test_minari(folder: Path, columns: Columns, monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(angle.time, np.arange(N) / 100)
     with pytest.raises(
         BadFile,
-        match=r"rate: expected the rows of a second \[Hz\], since .* has no time stamps, got nothing",
+        match=(
+            r"rate: expected the rows of a second \[Hz\], since .* has no time stamps, got "
+            r"nothing"
+        ),
     ):
         runs(folder, folder / "set", text)
 
@@ -341,7 +344,10 @@ def test_mcap(folder: Path, columns: Columns) -> None:
     assert open_log(path).columns("/joints")[:2] == ["log_time", "header.stamp"]
     with pytest.raises(
         BadFile,
-        match=r"topic: expected one of its topics: /camera \(JointState\), /joints \(JointState\), got '/joint'",
+        match=(
+            r"topic: expected one of its topics: /camera \(JointState\), /joints "
+            r"\(JointState\), got '/joint'"
+        ),
     ):
         runs(folder, path, TOPICS + "\ntime: {topic: /joint}")
     whole = path.read_bytes()
@@ -386,7 +392,10 @@ def test_ros_bags(folder: Path, columns: Columns, kind: str) -> None:
     same(run, columns, start=columns["t"][0])
     with pytest.raises(
         BadFile,
-        match=r"topic: expected one of its topics: /joints \(sensor_msgs/msg/JointState\), got '/joint'",
+        match=(
+            r"topic: expected one of its topics: /joints \(sensor_msgs/msg/JointState\), got "
+            r"'/joint'"
+        ),
     ):
         runs(folder, path, TOPICS + "\ntime: {topic: /joint}")
     if kind == "ros1":
@@ -420,7 +429,8 @@ def test_mcap_of_ros2(folder: Path, columns: Columns) -> None:
                 writer.add_message(channel, stamp, bytes(store.serialize_cdr(message, name)), stamp)
         writer.finish()
     lines = [
-        f"{field}: {{{first}: {{column: x, topic: /{kind}}}, {second}: {{column: y, topic: /{kind}}}}}"
+        f"{field}: {{{first}: {{column: x, topic: /{kind}}}, "
+        f"{second}: {{column: y, topic: /{kind}}}}}"
         for field, kind, first, second in (
             ("qpos", "q", "shoulder", "elbow"),
             ("qvel", "dq", "shoulder", "elbow"),

@@ -36,7 +36,11 @@ def refusal(folder: Path, text: str, model: str = "robot.xml") -> str:
 
 def test_units_signs_and_offsets(folder: Path) -> None:
     """value = unit (sign column + offset): the offset is in the column's own unit."""
-    text = "time: {column: t, unit: ms}\nqpos: {elbow: {column: q2, unit: deg, sign: -1, offset: 90}}\nctrl: {m1: {column: u, unit: mN m}}"
+    text = (
+        "time: {column: t, unit: ms}\n"
+        "qpos: {elbow: {column: q2, unit: deg, sign: -1, offset: 90}}\n"
+        "ctrl: {m1: {column: u, unit: mN m}}"
+    )
     np.savez(
         folder / "log.npz", t=[0.0, 500.0, 1500.0], q2=[0.0, 90.0, 180.0], u=[0.0, 1000.0, 2000.0]
     )
@@ -105,8 +109,12 @@ REFUSED = {
     "qpos: {elbow: {column: q}}\nctrl: {m3: {column: u}}": (
         "ctrl.m3: expected the name of an actuator of the model (the nearest is 'm1'), got 'm3'."
     ),
-    "qpos: {elbow: {colum: q}}": "qpos.elbow.colum: expected a known key (the nearest is 'column'), got 'colum'.",
-    "qpos: {elbow: {column: q, unit: degrees}}": "qpos.elbow.unit: expected a unit (the nearest is 'deg'), got 'degrees'.",
+    "qpos: {elbow: {colum: q}}": (
+        "qpos.elbow.colum: expected a known key (the nearest is 'column'), got 'colum'."
+    ),
+    "qpos: {elbow: {column: q, unit: degrees}}": (
+        "qpos.elbow.unit: expected a unit (the nearest is 'deg'), got 'degrees'."
+    ),
     "qpos: {elbow: {column: q, sign: 2}}": "qpos.elbow.sign: expected 1 or -1, got 2.",
     "qpos: {elbow: {column: q, offset: x}}": "qpos.elbow.offset: expected a number, got 'x'.",
     "qpos: {elbow: {}}": "qpos.elbow.column: expected the name of a column, got nothing.",
@@ -117,8 +125,12 @@ REFUSED = {
         "qvel: expected velocities of joints whose positions are mapped, got shoulder without one."
     ),
     "rate: 100": "qpos: expected at least one joint by name, got none.",
-    "qpos: {elbow: {column: q}}\nrate: 0": "rate: expected the control steps of a second [Hz], above 0, got 0.",
-    "qpos: {elbow: {column: q}}\nrun: {only: a}": "run.only: expected names of runs, or patterns such as 'A0_*', got 'a'.",
+    "qpos: {elbow: {column: q}}\nrate: 0": (
+        "rate: expected the control steps of a second [Hz], above 0, got 0."
+    ),
+    "qpos: {elbow: {column: q}}\nrun: {only: a}": (
+        "run.only: expected names of runs, or patterns such as 'A0_*', got 'a'."
+    ),
     "poss: {}": "poss: expected a known key (the nearest is 'qpos'), got 'poss'.",
 }
 

@@ -53,7 +53,7 @@ def test_commands_are_held():
 
 
 def test_rotations_turn_evenly():
-    """Half way between two measurements lies half the turn, whichever sign they were written with."""
+    """Half way between two measurements lies half the turn, whichever sign they have."""
     time = np.array([0.0, 1.0, 3.0])
     turns = np.array([[0.0, 0, 0], [0, 0, 1.0], [0, 2.0, 0]])
     measured = Rotation.from_rotvec(turns).as_quat(scalar_first=True)

@@ -13,9 +13,12 @@ from dropo.logs.signals.velocities import estimate_velocities
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
-XML = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="shoulder" axis="0 1 0" damping="0.05"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/><body name="lower" pos="0 0 -0.3">
-<joint name="elbow" axis="0 1 0" damping="0.05"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.4"/>
+XML = """<mujoco><option timestep="0.005"/><worldbody><body>
+<joint name="shoulder" axis="0 1 0" damping="0.05"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
+<body name="lower" pos="0 0 -0.3">
+<joint name="elbow" axis="0 1 0" damping="0.05"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.4"/>
 </body></body></worldbody>
 <actuator><motor joint="shoulder"/></actuator></mujoco>"""
 STEP = 0.01

@@ -22,8 +22,10 @@ from dropo.problems.file.reader import read_inputs
 from dropo.problems.loading import load
 
 XML = """
-<mujoco><option timestep="0.01"/><worldbody><body name="cart"><joint name="slide" type="slide" axis="1 0 0" damping="0.5"/>
-<geom name="box" type="box" size="0.1 0.1 0.1" mass="2"/><body name="pole" pos="0 0 0.1"><joint name="hinge" axis="0 1 0" damping="0.1"/>
+<mujoco><option timestep="0.01"/><worldbody><body name="cart">
+<joint name="slide" type="slide" axis="1 0 0" damping="0.5"/>
+<geom name="box" type="box" size="0.1 0.1 0.1" mass="2"/><body name="pole" pos="0 0 0.1">
+<joint name="hinge" axis="0 1 0" damping="0.1"/>
 <geom name="rod" type="capsule" size="0.02" fromto="0 0 0 0 0 0.5" mass="0.5"/></body></body>
 <body name="cube" pos="3 0 0"><freejoint name="cube"/><geom size="0.1" mass="1"/></body></worldbody>
 <actuator><motor name="push" joint="slide" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>
@@ -295,7 +297,7 @@ def refusal(read: Callable[[], object]) -> str | None:
 @MANY
 @given(data=files(PROBLEM))
 def test_problem_files(folder: Path, data: bytes) -> None:
-    """Reading gives a problem, or a refusal that names the file, or a file beside it that it names."""
+    """Reading gives a problem, or a refusal that names the file or a file beside it."""
     path = folder / "problem.yaml"
     path.write_bytes(data)
     for read in (partial(load, path, threads=1, checked=False), partial(read_inputs, path)):
@@ -310,7 +312,7 @@ def test_mapping_files(folder: Path, data: bytes) -> None:
     """Likewise."""
     path = folder / "map.yaml"
     path.write_bytes(data)
-    machine = load_model_joints(folder / "robot.xml")
-    message = refusal(lambda: read_mapping(path, machine))
+    robot = load_model_joints(folder / "robot.xml")
+    message = refusal(lambda: read_mapping(path, robot))
     assert message is None or str(path) in message
     assert len(message or "") < 10_000

@@ -35,7 +35,8 @@ XML = """
 </mujoco>
 """
 BALL = """
-<mujoco><worldbody><body name="ball"><freejoint name="free"/><geom name="shell" size="0.1" mass="1"/></body></worldbody></mujoco>
+<mujoco><worldbody><body name="ball"><freejoint name="free"/>
+<geom name="shell" size="0.1" mass="1"/></body></worldbody></mujoco>
 """
 TEXT = """
 model: robot.xml
@@ -444,8 +445,12 @@ ADDED = {
     "epsilon: -1": "epsilon: expected a variance, 0 or more, got -1.",
     "epsilon: small": "epsilon: expected a variance, 0 or more, got 'small'.",
     "epsilon: .nan": "epsilon: expected a variance, 0 or more, got nan.",
-    "epsilon: [1, 2]": "epsilon: expected one number, or one for each of the 4 signals, got 2 numbers.",
-    "epsilon: {qpos.slid: 1}": "epsilon.qpos.slid: expected a signal (the nearest is 'qpos.slide'), got 'qpos.slid'.",
+    "epsilon: [1, 2]": (
+        "epsilon: expected one number, or one for each of the 4 signals, got 2 numbers."
+    ),
+    "epsilon: {qpos.slid: 1}": (
+        "epsilon.qpos.slid: expected a signal (the nearest is 'qpos.slide'), got 'qpos.slid'."
+    ),
     "epsilon: {qpos.slide: 1}": (
         "epsilon: expected a variance for each of the 4 signals, got none for qpos.hinge, "
         "qvel.slide, qvel.hinge."
@@ -459,8 +464,12 @@ ADDED = {
     "held_out: [3]": "held_out: expected trajectory numbers from 0 to 2, got 3.",
     "held_out: [0, 1, 2]": "held_out: expected some trajectories left to fit, got all 3 of them.",
     "held_out: 2": "held_out: expected a list of trajectory numbers, or data as in `data`, got 2.",
-    "held_out: []": "held_out: expected a list of trajectory numbers, or data as in `data`, got [].",
-    "reset: never": "reset: expected 'transition', 'start', or {set: [observation items]}, got 'never'.",
+    "held_out: []": (
+        "held_out: expected a list of trajectory numbers, or data as in `data`, got []."
+    ),
+    "reset: never": (
+        "reset: expected 'transition', 'start', or {set: [observation items]}, got 'never'."
+    ),
     "reset: {sat: [qpos]}": "reset.sat: expected a known key (the nearest is 'set'), got 'sat'.",
     "reset: {set: [act]}": "reset.set: The observation must have at least one column. Got none.",
     "reset: {set: [qpo]}": "reset.set: No field called 'qpo'. Did you mean 'qpos'?",
@@ -548,7 +557,8 @@ def test_a_quaternion_must_have_length_one(folder: Path) -> None:
     )
     path = folder / "problem.yaml"
     path.write_text(
-        "model: ball.xml\ndata: ball.npz\nparameters: {mass: {field: body_mass, name: ball, low: 1, high: 2}}\n"
+        "model: ball.xml\ndata: ball.npz\n"
+        "parameters: {mass: {field: body_mass, name: ball, low: 1, high: 2}}\n"
     )
     sentence = (
         "problem.yaml: data: qpos.free: a quaternion must have length 1, and one has 2, row 0. "
@@ -748,13 +758,19 @@ def test_the_first_fault_of_the_file_is_told(folder: Path, old: str) -> None:
             "lambda: expected a whole number of at most 9007199254740992, got "
             "100000000000000000000."
         ),
-        "motors: {slide: {gear_ratio: 0}}": "motors.slide.gear_ratio: expected a number above 0, got 0.",
-        "motors: {slide: 3}": "motors.slide: expected the name of a motor, or a mapping with its numbers, got 3.",
+        "motors: {slide: {gear_ratio: 0}}": (
+            "motors.slide.gear_ratio: expected a number above 0, got 0."
+        ),
+        "motors: {slide: 3}": (
+            "motors.slide: expected the name of a motor, or a mapping with its numbers, got 3."
+        ),
         "task: {alive: a:b}": (
             "task.reward: expected a function as module:name, or file.py:name beside the "
             "problem file, got nothing."
         ),
-        "effects: [{effect: wind, target: null, fit: {wind: 3}}]": "effects[0].fit.wind: expected [low, high], two numbers, got 3.",
+        "effects: [{effect: wind, target: null, fit: {wind: 3}}]": (
+            "effects[0].fit.wind: expected [low, high], two numbers, got 3."
+        ),
     }.items(),
 )
 def test_refusals_deeper_in_the_file(folder: Path, line: str, message: str) -> None:

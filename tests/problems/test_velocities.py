@@ -9,8 +9,8 @@ from dropo.estimators.least_squares import LeastSquares
 from tests.models.hidden_in_arm import UPPER
 from tests.models.hidden_in_arm import problem as arm_problem
 
-MODEL = """<mujoco><option timestep="0.005" integrator="RK4"/>
-<worldbody><body name="arm"><joint name="pivot" axis="0 1 0" damping="0.002"/>
+MODEL = """<mujoco><option timestep="0.005" integrator="RK4"/><worldbody><body name="arm">
+<joint name="pivot" axis="0 1 0" damping="0.002"/>
 <inertial pos="0 0 -0.2" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody></mujoco>"""
 PROBLEM = {
     "model": "model.xml",

@@ -31,7 +31,7 @@ def arm():
 
 
 def predicted(found):
-    """(R, p) what a problem's simulator gives for its own data, with its parameters a little off."""
+    """(R, p) what a problem's simulator gives for its own data, its parameters a little off."""
     return found.simulator.predict(
         np.asarray(found.simulator.nominal)[None] * 1.1, found.trajectories.segments(5)
     )[0]

@@ -208,7 +208,7 @@ def _find_plateaus(column: Column) -> tuple[Ints, Ints]:
 def find_hangs(column: Column, settings: ColumnSettings = DEFAULTS) -> list[tuple[int, int]]:
     """Find stretches in which a sensor hangs.
 
-    It moves before, and behind jumps by what it moved meanwhile.
+    It moves before, and then jumps by as much as it would have moved.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def _check_clipping(column: Column, settings: ColumnSettings) -> Iterator[Findin
 
 
 def _runs_into_end(before: Array, step: float) -> bool:
-    """Whether a signal runs into its last value as fast as it moved before, without coming to rest.
+    """Whether a signal runs into its last value as fast as it went before, without coming to rest.
 
     `step` is that of a quantised signal.
     """
@@ -412,5 +412,5 @@ def _check_saturation(
             f"{int(at_limit.sum())} of {len(at_limit)} commands stand at a limit of "
             f"[{low:g}, {high:g}], the first {column.format_place(first)}."
         )
-        advice = "The machine may have been asked for more: gains are told by the others."
+        advice = "The machine may have been asked for more: gains follow from the others."
         yield column.make_finding("information", first, text, advice)

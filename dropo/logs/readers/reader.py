@@ -42,7 +42,7 @@ def part_progress(progress: Progress, part: int, parts: int) -> Progress:
     callable
         Of the part.
     """
-    return lambda share, text: progress((part + share) / parts, text)
+    return lambda fraction, text: progress((part + fraction) / parts, text)
 
 
 class Log(ABC):

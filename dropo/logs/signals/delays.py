@@ -29,7 +29,7 @@ class DelaySettings:
     blocks : int
         Blocks of rows whose scores are taken as independent for the standard errors.
     minimum_overlap : int
-        Rows in which both must have been seen.
+        Rows of the signal that the shifted reference must cover.
     """
 
     grid_rows: int = 4000
@@ -71,7 +71,7 @@ class Clock:
     Attributes
     ----------
     seconds : float
-        Offset [s]; it holds the sensor's own delay too, which cannot be told from it.
+        Offset [s]; it holds the sensor's own delay, too, which nothing distinguishes from it.
     se : float
         Standard error of `seconds`.
     skew : float
@@ -202,18 +202,18 @@ def _match(
 ) -> _Match:
     """Shift the reference, each with its stamps, onto the signal; `skew` 0 keeps the rate."""
     require(most > 0, "most", "above 0", most, caller)
-    time, seen = _as_columns("reference", *reference, caller)
+    time, recorded = _as_columns("reference", *reference, caller)
     stamps, measured = _as_columns("signal", *signal, caller)
-    rule = f"of {seen.shape[1]} columns, as the reference"
-    require(seen.shape[1] == measured.shape[1], "signal", rule, measured.shape[1], caller)
+    rule = f"of {recorded.shape[1]} columns, as the reference"
+    require(recorded.shape[1] == measured.shape[1], "signal", rule, measured.shape[1], caller)
 
     # the reference as a smooth curve
-    smooth = estimate_velocities(time, seen)
+    smooth = estimate_velocities(time, recorded)
     curve = CubicHermiteSpline(time, smooth.positions, smooth.velocities)
     speeds = smooth.velocities.std(axis=0)
     moving = bool((speeds > 0).all() and (measured.std(axis=0) > 0).all())
     require(moving, "reference and signal", "moving", "a constant", caller)
-    width = float((seen.std(axis=0) / speeds).min())  # seconds over which the reference changes
+    width = float((recorded.std(axis=0) / speeds).min())  # seconds over which the reference changes
     origin = float(time[0])
     duration = float(stamps[-1] - time[0])
 
@@ -264,13 +264,13 @@ def _unexplained(
     inside = (at >= curve.x[0]) & (at <= curve.x[-1])
     if inside.sum() < minimum_overlap:
         return np.ones_like(measured)
-    seen = curve(at[inside])
+    shifted = curve(at[inside])
     here = measured[inside]
-    seen = seen - seen.mean(axis=0)
+    shifted = shifted - shifted.mean(axis=0)
     here = here - here.mean(axis=0)
-    gain = np.sum(seen * here, axis=0) / np.sum(seen**2, axis=0)
+    gain = np.sum(shifted * here, axis=0) / np.sum(shifted**2, axis=0)
     out = np.zeros_like(measured)
-    out[inside] = (here - gain * seen) / measured.std(axis=0)
+    out[inside] = (here - gain * shifted) / measured.std(axis=0)
     return out
 
 

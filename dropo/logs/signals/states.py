@@ -149,6 +149,8 @@ def estimate_states(
     ------
     Incompatible
         If the simulator does not start from the columns that it compares.
+    BadArgument
+        If `values`, `measured` or `noise` has another shape, is not finite, or names no column.
     SimulationFailed
         If a simulation diverges.
 
