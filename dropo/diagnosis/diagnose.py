@@ -1,8 +1,8 @@
-"""Data and a model in; what the model gets wrong, named, out."""
+"""Data and a model in; what the model gets wrong, and why, out."""
 
 import time
-from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,35 +15,71 @@ from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.findings.causes import causes, suspects
-from dropo.diagnosis.findings.disturbances import LeftOut, left_out, outlier_runs
+from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import figure_data
-from dropo.diagnosis.findings.horizons import errors_after, horizons
+from dropo.diagnosis.findings.horizons import Horizon, errors_after, horizons
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
-from dropo.diagnosis.findings.unexplained_forces import impulses
+from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
+from dropo.diagnosis.parts import Cause
 from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.library import instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.review import Review, review, together
-from dropo.diagnosis.search.selection import Progress, Selection, State
-from dropo.diagnosis.search.window_length import choose_length, first_noise
+from dropo.diagnosis.search.review import Review, merge, review
+from dropo.diagnosis.search.selection import Progress, Selection, SelectionSettings, State
+from dropo.diagnosis.search.window_length import (
+    WindowLengthSettings,
+    choose_length,
+    first_noise,
+    noise_floor,
+)
 from dropo.diagnosis.search.windows import Windows, split, spread_of
 from dropo.evaluation.held_out import SETTINGS as HELD_OUT
 
-WINDOWS = 96  # to fit, and held out
-LEAST = 1e-5  # of a signal's spread: the least noise
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """Numbers that decide in a diagnosis.
+
+    Attributes
+    ----------
+    windows : int
+        About how many windows are fitted, and how many are held out, unless something else is
+        asked for.
+    selection : SelectionSettings
+        When an effect is accepted.
+    window_length : WindowLengthSettings
+        How the windows' horizon is chosen.
+    """
+
+    windows: int = 96
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
+    window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
 
 
 @dataclass(frozen=True)
 class Diagnose:
-    """Settings of a diagnosis. effects: names of effects, or "effect:place"; None for all. length:
-    control steps in a window; windows: about how many to fit, and how many to hold out;
-    parameters: the declared ones that are fitted at the same time, the others stay as the model
-    has them. Where None is given, the problem's settings decide, else its horizon
-    (`choose_length`), 96, and all are fitted. disturbances: once the causes are known, spans of
-    time in which something else acts are looked for; they are listed, left out, and what is left
-    is diagnosed anew.
+    """A diagnosis of what a problem's simulator gets wrong.
+
+    Attributes
+    ----------
+    effects : sequence of str, optional
+        Names of effects to look for, or "effect:place"; all if None.
+    length : int, optional
+        Control steps in a window. If None, the problem's horizon decides, else the data
+        (`choose_length`).
+    windows : int, optional
+        About how many windows are fitted, and how many are held out. If None, the problem's
+        settings decide, else 96.
+    parameters : sequence of str, optional
+        The declared parameters that are fitted at the same time; the others stay as the model has
+        them. If None, the problem's settings decide, else all are fitted.
+    disturbances : bool
+        Whether spans of time in which something else acts are looked for once the causes are known.
+        They are listed and left out, and the rest is diagnosed anew.
+    settings : DiagnosisSettings
+        Numbers that decide.
     """
 
     effects: Sequence[str] | None = None
@@ -52,6 +88,7 @@ class Diagnose:
     windows: int | None = None
     parameters: Sequence[str] | None = None
     disturbances: bool = True
+    settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
 
     def run(
         self,
@@ -60,140 +97,189 @@ class Diagnose:
         rng: np.random.Generator | int | None = 0,
         progress: Progress = silent,
     ) -> Diagnosis:
-        """What the problem's simulator gets wrong, judged on data that nothing was fitted to.
+        """Find what the problem's simulator gets wrong, evaluated on data that nothing was fitted
+        to.
 
-        progress: called with the share that is done (0 to 1) and a text. Incompatible where the
-        simulator is no MuJoCo model, UnknownName for an effect or a place that does not exist,
-        BadArgument where the data are too few.
+        Parameters
+        ----------
+        problem : Problem
+            Measured data and a MuJoCo model.
+        rng : numpy.random.Generator, int or None
+            A generator or a seed.
+        progress : callable
+            Called with the fraction that is done (0 to 1) and a text.
+
+        Returns
+        -------
+        Diagnosis
+
+        Raises
+        ------
+        Incompatible
+            If the simulator has no MuJoCo model.
+        UnknownName
+            If an effect, a place or a parameter does not exist.
+        BadArgument
+            If the problem is none, the length is below 1, the data are too few, or a signal never
+            changes.
+        SimulationFailed
+            If the simulation diverges in too many windows.
         """
-        require(
-            isinstance(problem, Problem),
-            "problem",
-            "a Problem, which dropo.load makes of a name or a file",
-            problem,
-            "diagnose",
-        )
-        require(
-            self.length is None or self.length >= 1, "length", "at least 1", self.length, "Diagnose"
-        )
+        expected = "a Problem, which dropo.load makes of a name or a file"
+        require(isinstance(problem, Problem), "problem", expected, problem, "diagnose")
+        long_enough = self.length is None or self.length >= 1
+        require(long_enough, "length", "at least 1", self.length, "Diagnose")
         begun = time.perf_counter()
         seed = int(rng) if isinstance(rng, int | np.integer) else None
-        with threadpool_limits(
-            1, user_api="blas"
-        ):  # the simulator's threads use the cores; small products gain nothing
-            found = self._judged(problem, np.random.default_rng(rng), progress)
+        # The simulator's threads use the cores; products of small matrices gain nothing from more.
+        with threadpool_limits(1, user_api="blas"):
+            found = self._run(problem, np.random.default_rng(rng), progress)
         return replace(found, wall_time_s=time.perf_counter() - begun, seed=seed)
 
-    def _most(self, problem: Problem) -> int:
-        """About how many windows each side has."""
-        most: Any = (
-            problem.settings.get("windows", WINDOWS) if self.windows is None else self.windows
-        )
-        return int(most)
+    def baseline(self, problem: Problem) -> float:
+        """Evaluate the model as it is, its declared parameters fitted; `run` starts there.
 
-    def _judged(
+        Parameters
+        ----------
+        problem : Problem
+            Measured data and a model.
+
+        Returns
+        -------
+        float
+            Log-likelihood of the windows held out [nats per transition].
+
+        Raises
+        ------
+        BadArgument
+            If the data are too few.
+        UnknownName
+            If a parameter does not exist.
+        SimulationFailed
+            If the simulation diverges in too many windows.
+        """
+        library = Library(problem.simulator, (), len(problem.space))
+        train, test = split(problem, self._length(problem), self._windows(problem))
+        selection = self._selection(library, train)
+        free = _free(problem, self.parameters)
+        return per_step(_first(problem, library, selection, train, test, free))
+
+    def _windows(self, problem: Problem) -> int:
+        """About how many windows each side has."""
+        if self.windows is not None:
+            return int(self.windows)
+        stated: Any = problem.settings.get("windows", self.settings.windows)
+        return int(stated)
+
+    def _length(self, problem: Problem) -> int:
+        """Control steps in a window."""
+        if self.length is not None:
+            return self.length
+        return choose_length(problem, self.settings.window_length)
+
+    def _selection(
+        self, library: Library, train: Windows, progress: Progress = silent
+    ) -> Selection:
+        """A search that has not begun."""
+        floor = noise_floor(library.simulator, train, self.settings.window_length)
+        return Selection(library, floor, progress, self.settings.selection)
+
+    def _run(
         self,
         problem: Problem,
-        generator: np.random.Generator,
+        rng: np.random.Generator,
         progress: Progress,
-        quiet: WithoutDisturbances | None = None,
+        undisturbed: WithoutDisturbances | None = None,
         spent: int = 0,
     ) -> Diagnosis:
-        """The diagnosis of a problem, or of what is left of it without disturbances, for which so
-        many simulator steps were spent.
+        """The diagnosis of a problem, or of what is left of it without disturbances.
+
+        spent: simulator steps that were spent on finding those.
         """
         whole = problem
-        problem = problem if quiet is None else quiet.problem
+        if undisturbed is not None:
+            problem = undisturbed.problem
+
+        # Everything that may be wrong, and the data to find it in.
         free = _free(problem, self.parameters)
         simulator = robot_of(problem)
         instances = instances_for(problem, self.effects, free)
-        length = choose_length(problem, self._most(problem)) if self.length is None else self.length
-        hidden = impulses(simulator.model, length)
-        library = Library(
-            simulator.with_effects([*instances, *hidden]), [*instances, *hidden], len(problem.space)
-        )
+        length = self._length(problem)
+        everything = [*instances, *impulses(simulator.model, length)]
+        library = Library(simulator.with_effects(everything), everything, len(problem.space))
         progress = with_cost(progress, library.simulator)
-        train, test = split(problem, length, self._most(problem))
+        train, test = split(problem, length, self._windows(problem))
         _refuse_constant(problem, train)
-        selection = Selection(library, _floor(library, train), progress)
+
+        # The search, and what it leaves.
+        selection = self._selection(library, train, progress)
         progress(0.0, "fitting the model as it is")
         first, last, reviews = _search(problem, library, selection, train, test, free)
         progress(0.9, "what remains")
-        rest, forces = remaining(problem, library, last, selection.floor, generator)
-        fixed = [
+        rest, forces = remaining(problem, library, last, selection.floor, rng)
+        found_effects = [
             (instance, last.theta[library.places[instance.label]]) for instance in last.accepted
         ]
-        extended = replace(problem, simulator=simulator.with_effects((), fixed))
+        extended = replace(problem, simulator=simulator.with_effects((), found_effects))
         declared = last.theta[: len(problem.space)]
-        if quiet is None and self.disturbances:
-            quiet = without_disturbances(problem, extended.simulator, declared)
-            if quiet is not None and _enough(quiet.problem, length, self._most(problem)):
-                return self._judged(whole, generator, progress, quiet, library.simulator.steps)
-            quiet = None
-        without = [reviews[instance.label].without.theta for instance in last.accepted]
-        *before, after = errors_after(problem, library, [*without, last.theta], last)
-        errors = [(one.overall, after.overall) for one in before]
-        found = causes(library, last, reviews, len(instances), errors)
+
+        # Once the causes are known, disturbances stand out: leave them out and begin anew.
+        if undisturbed is None and self.disturbances:
+            undisturbed = without_disturbances(problem, extended.simulator, declared)
+            if undisturbed is not None and self._can_diagnose(undisturbed.problem, length):
+                return self._run(whole, rng, progress, undisturbed, library.simulator.steps)
+            undisturbed = None
+
+        # How good each model is on data held out.
+        count = len(instances)
+        errors = _errors_without_and_with(problem, library, last, reviews)
+        found = causes(library, last, reviews, count, errors, selection.settings)
         thetas = [nominal_of(library), first.theta, last.theta]
-        chance = generator.spawn(1)[0]
-        as_it_came, fitted, with_causes = horizons(problem, library, thetas, last, chance)
-        with_them = (
-            []
-            if quiet is None
-            else horizons(whole, library, thetas, last, chance, replace(HELD_OUT, horizons=()))
-        )
+        (draws,) = rng.spawn(1)
+        nominal, fitted, with_causes = horizons(problem, library, thetas, last, draws)
+        inside: list[list[Horizon]] = []
+        if undisturbed is not None:
+            # The windows' own horizon alone, on all data held out.
+            own_horizon = replace(HELD_OUT, horizons=())
+            inside = horizons(whole, library, thetas, last, draws, own_horizon)
+
+        # What figures and tables show.
         progress(0.95, "what the pictures show")
-        wrong = not rest.calibrated
-        figures = figure_data(library, selection, first, last, reviews, forces, len(instances))
-        moved = motion(problem, library, first, last, fitted, with_causes)
+        figures = figure_data(library, selection, first, last, reviews, forces, count)
+        shown = motion(problem, library, first, last, fitted, with_causes)
         steps = spent + library.simulator.steps
-        excluded: LeftOut | None = None
-        if quiet is not None:
-            excluded = left_out(quiet, with_them)
         names = [signal.name for signal in simulator.signals]
+        wrong = not rest.calibrated
+        odd = outlier_runs(problem, extended, declared) if self.disturbances and wrong else ()
         return Diagnosis(
             name=problem.name,
-            verdict=_verdict(bool(found), wrong or any(cause.acts_like for cause in found)),
+            verdict=_verdict(found, wrong),
             causes=found,
-            suspects=suspects(selection, last, len(instances)),
+            suspects=suspects(selection, last, count),
             baseline=HeldOut(per_step(first), tuple(fitted)),
             extended=HeldOut(per_step(last), tuple(with_causes)),
             remaining=rest,
             problem=extended,
             noise=dict(zip(names, last.train.whiten.sigma.tolist(), strict=True)),
             window_steps=length,
-            nominal=tuple(as_it_came) if len(free) else (),
+            nominal=tuple(nominal) if len(free) else (),
             parameters=dict(zip(problem.space.names, declared.tolist(), strict=True)),
             undetermined=undetermined(library, last),
-            disturbances=excluded,
-            outlier_runs=outlier_runs(problem, extended, declared)
-            if self.disturbances and wrong
-            else (),
+            disturbances=None if undisturbed is None else left_out(undisturbed, inside),
+            outlier_runs=odd,
             figures=figures,
-            motion=moved,
+            motion=shown,
             warnings=problem.warnings,
             simulator_steps=steps,
         )
 
-    def baseline(self, problem: Problem) -> float:
-        """[nats per transition] of the windows held out under the model as it is, its declared
-        parameters fitted; `run` starts there.
-        """
-        library = Library(problem.simulator, (), len(problem.space))
-        most = self._most(problem)
-        train, test = split(
-            problem, choose_length(problem, most) if self.length is None else self.length, most
-        )
-        return per_step(
-            _first(
-                problem,
-                library,
-                Selection(library, _floor(library, train)),
-                train,
-                test,
-                _free(problem, self.parameters),
-            )
-        )
+    def _can_diagnose(self, problem: Problem, length: int) -> bool:
+        """Whether the data hold enough windows."""
+        try:
+            split(problem, length, self._windows(problem))
+        except BadArgument:
+            return False
+        return True
 
 
 def diagnose(
@@ -202,27 +288,66 @@ def diagnose(
     *,
     rng: np.random.Generator | int | None = 0,
 ) -> Diagnosis:
-    """Shows what the simulation gets wrong, names the cause, extends the model and measures the
-    gain.
+    """Show what the simulation gets wrong, name the cause, extend the model and measure the gain.
 
-    effects: names of effects to look for, or "effect:place"; None for all of `dropo list effects`.
-    Errors as of `Diagnose.run`.
+    Parameters
+    ----------
+    problem : Problem
+        Measured data and a MuJoCo model.
+    effects : sequence of str, optional
+        Names of effects to look for, or "effect:place"; all of `dropo list effects` if None.
+    rng : numpy.random.Generator, int or None
+        A generator or a seed.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    Incompatible
+        If the simulator has no MuJoCo model.
+    UnknownName
+        If an effect or a place does not exist.
+    BadArgument
+        If the problem is none, the data are too few, or a signal never changes.
+    SimulationFailed
+        If the simulation diverges in too many windows.
     """
     return Diagnose(effects).run(problem, rng=rng)
 
 
 def per_step(state: State) -> float:
-    """Log-likelihood of the windows held out [nats per transition]."""
+    """Return the log-likelihood of a state's windows held out [nats per transition]."""
     return float(state.test.log_likelihood.sum() / state.test.windows.steps)
 
 
+def nominal_of(library: Library) -> Array:
+    """Return the parameters of a library's model as it is.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+
+    Returns
+    -------
+    (m,) array
+        The declared parameters as the model has them, within their bounds, and no effects.
+    """
+    space = library.simulator.space
+    nominal = np.asarray(library.simulator.nominal, dtype=float)
+    return np.clip(nominal, space.low, space.high)
+
+
 def _free(problem: Problem, parameters: Sequence[str] | None) -> Ints:
-    """The places of the declared parameters that are fitted."""
+    """The indices of the declared parameters that are fitted."""
+    names = problem.space.names
     wanted: Any = parameters
     if wanted is None:
-        wanted = problem.settings.get("parameters", problem.space.names)
-    chosen = [known("parameter", str(name), problem.space.names) for name in wanted]
-    return np.array([problem.space.names.index(name) for name in chosen], dtype=np.int64)
+        wanted = problem.settings.get("parameters", names)
+    chosen = [known("parameter", str(name), names) for name in wanted]
+    return np.array([names.index(name) for name in chosen], dtype=np.int64)
 
 
 def _search(
@@ -233,22 +358,21 @@ def _search(
     test: Windows,
     free: Ints,
 ) -> tuple[State, State, dict[str, Review]]:
-    """The model as it is, the one that the search ends with, and what became of each of its effects
-    when it was judged again.
-    """
+    """The model as it is, the one that the search ends with, and its effects' reviews."""
     first = _first(problem, library, selection, train, test, free)
-    instances = [
-        instance for instance in library.instances if instance.effect != "unexplained_force"
-    ]
+    instances = without_impulses(library.instances)
     found = selection.run(first, first, instances)
     last, reviews = review(selection, found)
-    while last is not found:  # after an exchange, others may be confirmed
+    # After an exchange, others may be confirmed.
+    while last is not found:
         found = selection.run(first, last, instances)
         if found is last:
             break
         last, reviews = review(selection, found)
-    whole = together(selection, last, instances)
-    return first, whole, reviews if whole is last else review(selection, whole)[1]
+    merged = merge(selection, last, instances)
+    if merged is not last:
+        _, reviews = review(selection, merged)
+    return first, merged, reviews
 
 
 def _first(
@@ -260,49 +384,34 @@ def _first(
     free: Ints,
 ) -> State:
     """The model as it is, with its declared parameters and the noise fitted."""
-    start = nominal_of(library)
-    return selection.begin(
-        train, test, start, first_noise(problem, library, train, start, selection.floor), free
-    )
+    theta = nominal_of(library)
+    sigma = first_noise(problem, library, train, theta, selection.floor)
+    return selection.begin(train, test, theta, sigma, free)
 
 
-def _floor(library: Library, train: Windows) -> Array:
-    """(p,) the least noise."""
-    return np.maximum(LEAST * spread_of(library.simulator, train), 1e-12)
-
-
-def nominal_of(library: Library) -> Array:
-    """(m,) the declared parameters as the model has them, within their bounds, and no effects."""
-    space = library.simulator.space
-    return np.clip(np.asarray(library.simulator.nominal, dtype=float), space.low, space.high)
-
-
-def _enough(problem: Problem, length: int, windows: int) -> bool:
-    """Whether the data can be diagnosed."""
-    try:
-        split(problem, length, windows)
-    except BadArgument:
-        return False
-    return True
+def _errors_without_and_with(
+    problem: Problem, library: Library, last: State, reviews: Mapping[str, Review]
+) -> list[tuple[float, float]]:
+    """For each accepted effect, the error on held-out data without it and with everything."""
+    thetas = [reviews[instance.label].without.theta for instance in last.accepted]
+    *without, everything = errors_after(problem, library, [*thetas, last.theta], last)
+    return [(errors.overall, everything.overall) for errors in without]
 
 
 def _refuse_constant(problem: Problem, train: Windows) -> None:
-    """Signals that never change say nothing of a model, and have no scale to judge errors on."""
-    still = [
-        s.name
-        for s, spread in zip(
-            problem.simulator.signals, spread_of(problem.simulator, train), strict=True
-        )
-        if not spread > 0
-    ]
-    if still:
-        raise BadArgument(
-            f"The signal {still[0]!r} is the same in all the data: a stuck sensor? Leave "
-            "it out of the observation."
-        )
+    """Refuse signals that never change: they have no scale on which errors could be evaluated."""
+    spread = spread_of(problem.simulator, train)
+    for signal, size in zip(problem.simulator.signals, spread, strict=True):
+        if not size > 0:
+            raise BadArgument(
+                f"The signal {signal.name!r} is the same in all the data: a stuck sensor? Leave "
+                "it out of the observation."
+            )
 
 
-def _verdict(found: bool, wrong: bool) -> str:
+def _verdict(found: Sequence[Cause], wrong: bool) -> str:
+    """The finding in a word; wrong: whether something remains."""
+    wrong = wrong or any(cause.acts_like for cause in found)
     if found:
         return "partly" if wrong else "explained"
     return "unexplained" if wrong else "consistent"

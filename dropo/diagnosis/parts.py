@@ -61,7 +61,7 @@ class Alternative:
     target : str or None
         Where it acts; None where it is global.
     why : str
-        Why it cannot be told from the cause.
+        Why it cannot be distinguished from the cause.
     to_tell : str or None
         What to record to tell the two apart; None where nothing was found.
     """

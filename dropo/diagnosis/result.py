@@ -79,8 +79,8 @@ class Diagnosis(Report):
     undetermined : tuple of str
         What the data do not determine of the numbers that were fitted, a sentence each.
     disturbances : LeftOut or None
-        Spans in which something pushes, which were left out.
-    odd_runs : tuple of OddRun
+        Spans in which something acts that no command explains, which were left out.
+    outlier_runs : tuple of OutlierRun
         Runs that disagree with the others.
     figures : FigureData or None
         What figures are drawn from.
@@ -143,11 +143,12 @@ class Diagnosis(Report):
         """
         horizons = self.baseline.horizons
         followed = [horizon for horizon in horizons if horizon.rmse < 1] or horizons
-        _, steps, unit, error, noise = max(
-            (error / max(noise, 1e-300), horizon.steps, unit, error, noise)
-            for horizon in followed
-            for unit, (error, noise) in horizon.units.items()
-        )
+        found = []
+        for horizon in followed:
+            for unit, (error, noise) in horizon.units.items():
+                ratio = error / max(noise, 1e-300)
+                found.append((ratio, horizon.steps, unit, error, noise))
+        _, steps, unit, error, noise = max(found)
         factor = 1.0
         shown = unit
         if unit in ("m", "rad", "m/s", "rad/s") and error < 0.1:
@@ -256,7 +257,7 @@ class Diagnosis(Report):
 
 
 def _cause_sentences(cause: Cause) -> list[str]:
-    """The cause, what differs with its size, and what it cannot be told from."""
+    """The cause, what differs with its size, and what it cannot be distinguished from."""
     if cause.acts_like:
         sentences = [f"Acts like: {cause.sentence}. Its size differs with {cause.acts_like}."]
     else:

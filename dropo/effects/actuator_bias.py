@@ -9,22 +9,21 @@ from dropo.mjmodel.joints import actuators
 
 
 def actuator_bias(context: EffectContext) -> Iterator[EffectInstance]:
-    """A constant that is added to an actuator's command after it was clamped: u' = u + b."""
+    """A constant that is added to an actuator's command, after the command was clamped.
+
+    u' = u + b
+    """
     for actuator in actuators(context.model):
-        reach = actuator.largest_command
-        size = Quantity(
-            "bias",
-            "command",
-            -reach,
-            reach,
-            (-0.03 * reach, -0.003 * reach, 0.003 * reach, 0.03 * reach),
-        )
+        largest = actuator.largest_command
+        probes = tuple(fraction * largest for fraction in (-0.03, -0.003, 0.003, 0.03))
+        bias = Quantity("bias", "command", -largest, largest, probes)
         yield EffectInstance(
-            "actuator_bias", actuator.name, (size,), actuation=partial(_shift, actuator.id)
+            "actuator_bias", actuator.name, (bias,), actuation=partial(_shift, actuator.id)
         )
 
 
 def _shift(place: int, commands: Array, step: float, magnitudes: Array) -> Array:
+    """Adds the bias to the commands of one actuator."""
     out = commands.copy()
     out[:, place] += magnitudes[0]
     return out

@@ -12,34 +12,33 @@ from dropo.mjmodel.joints import actuators
 
 
 def actuator_deadband(context: EffectContext) -> Iterator[EffectInstance]:
-    """A dead zone around zero, u' = sign(u) max(|u| - w, 0); or backlash: the command moves the
-    actuator by play of width w.
+    """Commands that are lost around zero (a dead zone), or around a reversal (backlash).
 
-    Both come before the command is clamped. Play begins in its middle, at the trajectory's first
-    command.
+    Dead zone: u' = sign(u) max(|u| - w, 0). Backlash: the command moves the actuator through play
+    of width w, which begins in its middle at the trajectory's first command. Both come before the
+    command is clamped.
     """
     for actuator in actuators(context.model):
-        reach = actuator.largest_command
-        for variant, hook in (("", _zone), ("backlash", _backlash)):
-            size = Quantity(
-                "width", "command", 0.0, reach, (0.01 * reach, 0.05 * reach), smooth=False
-            )
+        largest = actuator.largest_command
+        probes = (0.01 * largest, 0.05 * largest)
+        width = Quantity("width", "command", 0.0, largest, probes, smooth=False)
+        for variant, hook in (("", _dead_zone), ("backlash", _backlash)):
+            change = partial(hook, actuator.id)
             yield EffectInstance(
-                "actuator_deadband",
-                actuator.name,
-                (size,),
-                variant,
-                command=partial(hook, actuator.id),
+                "actuator_deadband", actuator.name, (width,), variant, command=change
             )
 
 
-def _zone(place: int, commands: Array, magnitudes: Array) -> Array:
+def _dead_zone(place: int, commands: Array, magnitudes: Array) -> Array:
+    """Cuts the width off the commands of one actuator, towards zero."""
     out = commands.copy()
-    out[:, place] = np.sign(out[:, place]) * np.maximum(np.abs(out[:, place]) - magnitudes[0], 0)
+    column = commands[:, place]
+    out[:, place] = np.sign(column) * np.maximum(np.abs(column) - magnitudes[0], 0)
     return out
 
 
 def _backlash(place: int, commands: Array, magnitudes: Array) -> Array:
+    """Passes the commands of one actuator through play."""
     out = commands.copy()
     out[:, place] = play(commands[:, place], float(magnitudes[0]), float(commands[0, place]))
     return out

@@ -11,8 +11,9 @@ from dropo.mjmodel.joints import actuators
 
 
 def actuator_gain(context: EffectContext) -> Iterator[EffectInstance]:
-    """The gain of an actuator, or of all of them alike, with its feedback terms: its whole force by
-    one factor, F' = (1 + g) F.
+    """The gain of an actuator, or of all of them alike.
+
+    F' = (1 + g) F: the whole force by one factor, feedback terms included.
     """
     for target, ids in each_and_all(actuators(context.model)):
         gain = Quantity("gain", "1", -0.9, 4.0, (-0.05, -0.01, 0.01, 0.05), relative=True)
@@ -20,6 +21,7 @@ def actuator_gain(context: EffectContext) -> Iterator[EffectInstance]:
 
 
 def _scale(ids: Sequence[int], model: Any, magnitudes: Array) -> None:
+    """Scales the gain and bias parameters of some actuators."""
     for place in ids:
         model.actuator_gainprm[place, :3] *= 1 + magnitudes[0]
         model.actuator_biasprm[place, :3] *= 1 + magnitudes[0]

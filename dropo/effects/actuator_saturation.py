@@ -11,36 +11,31 @@ from dropo.mjmodel.joints import actuators
 
 
 def actuator_saturation(context: EffectContext) -> Iterator[EffectInstance]:
-    """A limit of the command below the declared one, |u| <= (1 - s) u_max; of an actuator without
-    one, |u| <= 1 / s.
+    """A limit of an actuator's command below the declared one.
+
+    |u| <= (1 - s) u_max; of an actuator without a declared limit |u| <= 1 / s.
     """
     for actuator in actuators(context.model):
         if context.model.actuator_ctrllimited[actuator.id]:
-            size = Quantity("share", "1", 0.0, 0.99, (0.02, 0.1, 0.3), smooth=False)
-            yield EffectInstance(
-                "actuator_saturation",
-                actuator.name,
-                (size,),
-                command=partial(_lower, actuator.id, actuator.largest_command),
-            )
+            loss = Quantity("share", "1", 0.0, 0.99, (0.02, 0.1, 0.3), smooth=False)
+            change = partial(_lower, actuator.id, actuator.largest_command)
         else:
-            size = Quantity(
-                "1 / limit", "1/command", 0.0, 100.0, (0.5, 1.0, 2.0, 10.0), smooth=False
-            )
-            yield EffectInstance(
-                "actuator_saturation", actuator.name, (size,), command=partial(_limit, actuator.id)
-            )
+            probes = (0.5, 1.0, 2.0, 10.0)
+            loss = Quantity("1 / limit", "1/command", 0.0, 100.0, probes, smooth=False)
+            change = partial(_limit, actuator.id)
+        yield EffectInstance("actuator_saturation", actuator.name, (loss,), command=change)
 
 
-def _lower(place: int, reach: float, commands: Array, magnitudes: Array) -> Array:
+def _lower(place: int, largest: float, commands: Array, magnitudes: Array) -> Array:
+    """Clips the commands of one actuator to a fraction of the largest."""
+    limit = largest * (1 - magnitudes[0])
     out = commands.copy()
-    out[:, place] = np.clip(
-        commands[:, place], -reach * (1 - magnitudes[0]), reach * (1 - magnitudes[0])
-    )
+    out[:, place] = np.clip(commands[:, place], -limit, limit)
     return out
 
 
 def _limit(place: int, commands: Array, magnitudes: Array) -> Array:
+    """Clips the commands of one actuator to the inverse of the magnitude."""
     out = commands.copy()
     out[:, place] = np.clip(commands[:, place], -1 / magnitudes[0], 1 / magnitudes[0])
     return out

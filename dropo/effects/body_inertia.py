@@ -10,14 +10,17 @@ from dropo.mjmodel.bodies import moving_bodies
 
 
 def body_inertia(context: EffectContext) -> Iterator[EffectInstance]:
-    """The rotational inertia of a body, all its principal moments by one factor: I' = (1 + s) I."""
+    """The rotational inertia of a body, all its principal moments by one factor.
+
+    I' = (1 + s) I
+    """
     for body, name in moving_bodies(context.model):
         base = float(context.model.body_inertia[body].max())
-        size = Quantity(
-            "inertia", "1", -0.8, 4.0, (-0.2, -0.02, 0.02, 0.2), relative=True, base=base
-        )
-        yield EffectInstance("body_inertia", name, (size,), model=partial(_scale, body))
+        probes = (-0.2, -0.02, 0.02, 0.2)
+        factor = Quantity("inertia", "1", -0.8, 4.0, probes, relative=True, base=base)
+        yield EffectInstance("body_inertia", name, (factor,), model=partial(_scale, body))
 
 
 def _scale(body: int, model: Any, magnitudes: Array) -> None:
+    """Scales the principal moments of a body."""
     model.body_inertia[body] *= 1 + magnitudes[0]

@@ -10,19 +10,17 @@ from dropo.mjmodel.bodies import moving_bodies
 
 
 def body_mass(context: EffectContext) -> Iterator[EffectInstance]:
-    """The mass of a body; its rotational inertia stays: m' = m + d."""
+    """The mass of a body; its rotational inertia stays.
+
+    m' = m + d
+    """
     for body, name in moving_bodies(context.model):
         mass = float(context.model.body_mass[body])
-        size = Quantity(
-            "mass",
-            "kg",
-            -0.8 * mass,
-            3 * mass,
-            (-0.1 * mass, -0.02 * mass, 0.02 * mass, 0.1 * mass),
-            base=mass,
-        )
-        yield EffectInstance("body_mass", name, (size,), model=partial(_add, body))
+        probes = tuple(fraction * mass for fraction in (-0.1, -0.02, 0.02, 0.1))
+        change = Quantity("mass", "kg", -0.8 * mass, 3 * mass, probes, base=mass)
+        yield EffectInstance("body_mass", name, (change,), model=partial(_add, body))
 
 
 def _add(body: int, model: Any, magnitudes: Array) -> None:
+    """Adds to the mass of a body."""
     model.body_mass[body] += magnitudes[0]

@@ -1,6 +1,7 @@
 """Friction of contacts."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -8,36 +9,41 @@ from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.mjmodel.bodies import contact_geoms
 
-PROBES = (-0.8, -0.5, -0.2, -0.02, 0.02, 0.2)  # contacts that stick feel nothing of a small change
+PROBES = (-0.8, -0.5, -0.2, -0.02, 0.02, 0.2)
+"""Large ones too: contacts that stick do not change with a small change of friction."""
 
 
 def contact_friction(context: EffectContext) -> Iterator[EffectInstance]:
-    """Sliding friction of all contacts by one factor, or of one geom's: mu' = (1 + s) mu.
+    """Sliding friction of all contacts by one factor, or of one geom's contacts.
 
-    A contact takes the larger friction of its two geoms, so that one geom's has no effect below
-    that of the world's geoms; such sizes are not offered.
+    mu' = (1 + s) mu. A contact takes the larger friction of its two geoms, so that one geom's has
+    no effect below that of the world's geoms; such magnitudes are not offered.
     """
-    size = Quantity("sliding", "1", -0.95, 5.0, PROBES, smooth=False, relative=True)
-    geoms = contact_geoms(context.model)
+    model = context.model
+    geoms = contact_geoms(model)
     if not geoms:
         return
-    yield EffectInstance("contact_friction", None, (size,), model=_scale_all)
-    world = context.model.geom_friction[context.model.geom_bodyid == 0, 0]
-    for geom, name in geoms if len(geoms) > 1 else []:
-        own = float(context.model.geom_friction[geom, 0])
-        least = max(size.low, float(world.max(initial=0.0)) / own - 1) if own > 0 else 0.0
-        if least < 0:
-            probes = tuple(probe for probe in size.probes if probe > least)
-            number = Quantity(
-                "sliding", "1", least, size.high, probes, smooth=False, relative=True, base=own
-            )
-            yield EffectInstance("contact_friction", name, (number,), model=partial(_scale, geom))
+    factor = Quantity("sliding", "1", -0.95, 5.0, PROBES, smooth=False, relative=True)
+    yield EffectInstance("contact_friction", None, (factor,), model=_scale_all)
+    if len(geoms) == 1:
+        return
+    world = float(model.geom_friction[model.geom_bodyid == 0, 0].max(initial=0.0))
+    for geom, name in geoms:
+        own = float(model.geom_friction[geom, 0])
+        if own <= 0 or world >= own:
+            continue
+        low = max(factor.low, world / own - 1)
+        probes = tuple(probe for probe in PROBES if probe > low)
+        number = replace(factor, low=low, probes=probes, base=own)
+        yield EffectInstance("contact_friction", name, (number,), model=partial(_scale, geom))
 
 
 def _scale_all(model: Any, magnitudes: Array) -> None:
+    """Scales the sliding friction of all geoms and pairs."""
     model.geom_friction[:, 0] *= 1 + magnitudes[0]
     model.pair_friction[:, :2] *= 1 + magnitudes[0]
 
 
 def _scale(geom: int, model: Any, magnitudes: Array) -> None:
+    """Scales the sliding friction of one geom."""
     model.geom_friction[geom, 0] *= 1 + magnitudes[0]

@@ -11,44 +11,52 @@ from dropo.core.services.validation import Array
 from dropo.mjmodel.bodies import contact_geoms
 
 NUMBERS = ("time constant", "damping ratio")
+"""The two numbers of a positive solref."""
 
 
 def contact_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
-    """Time constant or damping ratio (MuJoCo's solref) by a factor, or the distance at which
-    contacts begin; of all geoms or of one.
+    """Time constant or damping ratio of contacts by a factor, or the distance where they begin.
 
-    MuJoCo takes a mean of two geoms' solref, and the sum of their margins. Geoms that give
-    stiffness and damping themselves (a negative solref) keep theirs.
+    They are MuJoCo's solref and margin, of all geoms or of one. MuJoCo takes a mean of two geoms'
+    solref, and the sum of their margins. Geoms that give stiffness and damping themselves (a
+    negative solref) keep theirs.
     """
     geoms = contact_geoms(context.model)
     places: list[tuple[str | None, tuple[int, ...]]] = [(None, ())] if geoms else []
-    places += [(name, (geom,)) for geom, name in geoms if len(geoms) > 1]
+    if len(geoms) > 1:
+        places += [(name, (geom,)) for geom, name in geoms]
     for target, ids in places:
         soft = context.model.geom_solref[list(ids) or slice(None), 0] > 0
-        for place, name in enumerate(NUMBERS) if np.any(soft) else []:
-            size = Quantity(name, "1", -0.8, 5.0, (-0.2, -0.02, 0.02, 0.2), relative=True)
-            yield EffectInstance(
-                "contact_stiffness",
-                target,
-                (size,),
-                name.replace(" ", "-"),
-                model=partial(_scale, place, ids),
-            )
-        size = Quantity("margin", "m", -0.05, 0.05, (-2e-3, -2e-4, 2e-4, 2e-3), smooth=False)
-        yield EffectInstance(
-            "contact_stiffness", target, (size,), "margin", model=partial(_widen, ids)
-        )
+        if np.any(soft):
+            for place, name in enumerate(NUMBERS):
+                probes = (-0.2, -0.02, 0.02, 0.2)
+                factor = Quantity(name, "1", -0.8, 5.0, probes, relative=True)
+                change = partial(_scale, place, ids)
+                variant = name.replace(" ", "-")
+                yield EffectInstance("contact_stiffness", target, (factor,), variant, model=change)
+        margin = Quantity("margin", "m", -0.05, 0.05, (-2e-3, -2e-4, 2e-4, 2e-3), smooth=False)
+        widen = partial(_widen, ids)
+        yield EffectInstance("contact_stiffness", target, (margin,), "margin", model=widen)
 
 
 def _scale(place: int, ids: tuple[int, ...], model: Any, magnitudes: Array) -> None:
-    """One number of solref, of those geoms, of all geoms and pairs where none are given."""
-    for solref in (model.geom_solref[[*ids]],) if ids else (model.geom_solref, model.pair_solref):
-        solref[:, place] *= np.where(solref[:, 0] > 0, 1 + magnitudes[0], 1.0)
-        if ids:
-            model.geom_solref[[*ids]] = solref
+    """Scales one number of solref: of the geoms given, or of all geoms and pairs."""
+    if ids:
+        model.geom_solref[[*ids]] = _scaled(model.geom_solref[[*ids]], place, magnitudes)
+    else:
+        model.geom_solref[:] = _scaled(model.geom_solref, place, magnitudes)
+        model.pair_solref[:] = _scaled(model.pair_solref, place, magnitudes)
+
+
+def _scaled(solref: Array, place: int, magnitudes: Array) -> Array:
+    """The rows of solref with one number scaled; negative rows stay."""
+    out = solref.copy()
+    out[:, place] *= np.where(solref[:, 0] > 0, 1 + magnitudes[0], 1.0)
+    return out
 
 
 def _widen(ids: tuple[int, ...], model: Any, magnitudes: Array) -> None:
+    """Adds to the margin of the geoms given, or to that of all contacts."""
     if ids:
         model.geom_margin[[*ids]] += magnitudes[0]
     else:

@@ -12,17 +12,17 @@ from dropo.mjmodel.bodies import moving_bodies
 
 def external_force(context: EffectContext) -> Iterator[EffectInstance]:
     """A constant force at a body's centre of mass, along one of the world's axes."""
-    weight = float(
-        context.model.body_mass.sum() * max(np.linalg.norm(context.model.opt.gravity), 1.0)
-    )
+    gravity = max(np.linalg.norm(context.model.opt.gravity), 1.0)
+    weight = float(context.model.body_mass.sum() * gravity)
     for body, name in moving_bodies(context.model):
         for axis, letter in enumerate("xyz"):
-            probes = tuple(share * weight for share in (-0.02, -0.002, 0.002, 0.02))
-            size = Quantity(letter, "N", -weight, weight, probes)
+            probes = tuple(fraction * weight for fraction in (-0.02, -0.002, 0.002, 0.02))
+            force = Quantity(letter, "N", -weight, weight, probes)
             yield EffectInstance(
-                "external_force", name, (size,), letter, wrench=partial(_push, body, axis)
+                "external_force", name, (force,), letter, wrench=partial(_push, body, axis)
             )
 
 
 def _push(body: int, axis: int, magnitudes: Array) -> tuple[int, Array]:
+    """The body, and the force and torque on it."""
     return body, np.eye(6)[axis] * magnitudes[0]

@@ -11,18 +11,22 @@ from dropo.core.services.validation import Array
 
 
 def gravity_tilt(context: EffectContext) -> Iterator[EffectInstance]:
-    """The direction of gravity: g' = R(angle) g, a rotation about the world's x or y axis, as where
-    the base is tilted.
+    """The direction of gravity, as where the base is tilted.
+
+    g' = R(angle) g, with R a rotation about the world's x or y axis.
     """
-    for axis, letter in enumerate("xy") if np.any(context.model.opt.gravity) else []:
-        size = Quantity(letter, "rad", -0.5, 0.5, (-0.05, -0.005, 0.005, 0.05))
-        yield EffectInstance("gravity_tilt", None, (size,), letter, model=partial(_tilt, axis))
+    if not np.any(context.model.opt.gravity):
+        return
+    for axis, letter in enumerate("xy"):
+        angle = Quantity(letter, "rad", -0.5, 0.5, (-0.05, -0.005, 0.005, 0.05))
+        yield EffectInstance("gravity_tilt", None, (angle,), letter, model=partial(_tilt, axis))
 
 
 def _tilt(axis: int, model: Any, magnitudes: Array) -> None:
+    """Turns gravity about the world's x (0) or y (1) axis."""
     c = np.cos(magnitudes[0])
     s = np.sin(magnitudes[0])
-    rotation = (
-        [[1, 0, 0], [0, c, -s], [0, s, c]] if axis == 0 else [[c, 0, s], [0, 1, 0], [-s, 0, c]]
-    )
-    model.opt.gravity[:] = np.array(rotation) @ model.opt.gravity
+    about_x = [[1, 0, 0], [0, c, -s], [0, s, c]]
+    about_y = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    rotation = np.array(about_x if axis == 0 else about_y)
+    model.opt.gravity[:] = rotation @ model.opt.gravity

@@ -10,12 +10,14 @@ from dropo.core.services.validation import Array
 from dropo.mjmodel.forces import torque_scale
 from dropo.mjmodel.joints import Joint, actuators
 
-PERIODS = (6, 7, 8, 10, 12, 14, 16, 18, 20, 21, 24, 28, 30, 36, 42, 48)  # cogs a turn
+COGS = (6, 7, 8, 10, 12, 14, 16, 18, 20, 21, 24, 28, 30, 36, 42, 48)
+"""The numbers of cogs a turn that are offered."""
 
 
 def joint_cogging(context: EffectContext) -> Iterator[EffectInstance]:
-    """Torque a sin(n q) + b cos(n q) of a driven hinge, for each of some numbers n of cogs a turn;
-    the variant names n.
+    """Torque of a driven hinge that repeats with its angle, as of a motor's cogs.
+
+    a sin(n q) + b cos(n q), for each of some numbers n of cogs a turn; the variant names n.
     """
     driven = {
         actuator.joint.id: actuator.joint
@@ -30,18 +32,19 @@ def joint_cogging(context: EffectContext) -> Iterator[EffectInstance]:
             Quantity(name, joint.force, -scale, scale, (0.01 * scale,))
             for name in ("sine", "cosine")
         )
-        for cogs in PERIODS:
+        for cogs in COGS:
             yield EffectInstance(
                 "joint_cogging",
                 joint.name,
                 parts,
                 f"{cogs}-a-turn",
-                force=partial(_cogs, joint, cogs),
+                force=partial(_torque, joint, cogs),
                 order=cogs,
             )
 
 
-def _cogs(joint: Joint, cogs: int, state: StepState, magnitudes: Array) -> Array:
+def _torque(joint: Joint, cogs: int, state: StepState, magnitudes: Array) -> Array:
+    """The torque at the present angles."""
     out = np.zeros_like(state.qvel)
     angle = cogs * state.qpos[:, joint.qpos]
     out[:, joint.qvel] = magnitudes[0] * np.sin(angle) + magnitudes[1] * np.cos(angle)

@@ -3,17 +3,17 @@
 from collections.abc import Iterator
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance
-from dropo.effects.support.model_field import Entry, Field, by_kind
+from dropo.effects.support.model_field import FieldEntry, ModelField, by_kind
 from dropo.mjmodel.joints import joints
 
-FIELD = Field("joint_damping", "dof_damping", "damping")
+FIELD = ModelField("joint_damping", "dof_damping", "damping")
 
 
 def joint_damping(context: EffectContext) -> Iterator[EffectInstance]:
     """Viscous damping of a joint, or of all of them alike."""
     for kind, same in by_kind(joints(context.model)):
         entries = [
-            Entry(joint.name, (joint.qvel,), 0.5 * float(context.model.dof_M0[joint.qvel]))
+            FieldEntry(joint.name, (joint.qvel,), 0.5 * float(context.model.dof_M0[joint.qvel]))
             for joint in same
         ]
         yield from FIELD.instances(context.model, entries, same[0].damping, kind)

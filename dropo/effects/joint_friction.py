@@ -3,18 +3,18 @@
 from collections.abc import Iterator
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance
-from dropo.effects.support.model_field import Entry, Field, by_kind
+from dropo.effects.support.model_field import FieldEntry, ModelField, by_kind
 from dropo.mjmodel.forces import torque_scale
 from dropo.mjmodel.joints import joints
 
-FIELD = Field("joint_friction", "dof_frictionloss", "frictionloss", reach=50.0)
+FIELD = ModelField("joint_friction", "dof_frictionloss", "frictionloss", bound=50.0)
 
 
 def joint_friction(context: EffectContext) -> Iterator[EffectInstance]:
     """Coulomb (dry) friction of a joint, or of all of them alike."""
     for kind, same in by_kind(joints(context.model)):
         entries = [
-            Entry(joint.name, (joint.qvel,), 0.01 * torque_scale(context.model, joint))
+            FieldEntry(joint.name, (joint.qvel,), 0.01 * torque_scale(context.model, joint))
             for joint in same
         ]
         yield from FIELD.instances(context.model, entries, same[0].force, kind)

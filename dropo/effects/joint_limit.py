@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
-from dropo.effects.support.model_field import Entry, Field
+from dropo.effects.support.model_field import FieldEntry, ModelField
 from dropo.mjmodel.joints import joints
 
-FIELD = Field("joint_limit", "jnt_range", "stop")
+FIELD = ModelField("joint_limit", "jnt_range", "stop")
 
 
 def joint_limit(context: EffectContext) -> Iterator[EffectInstance]:
@@ -14,12 +14,13 @@ def joint_limit(context: EffectContext) -> Iterator[EffectInstance]:
     for joint in joints(context.model):
         if not context.model.jnt_limited[joint.id]:
             continue
-        width = float(context.model.jnt_range[joint.id, 1] - context.model.jnt_range[joint.id, 0])
+        stops = context.model.jnt_range[joint.id]
+        width = float(stops[1] - stops[0])
+        probes = tuple(fraction * width for fraction in (-0.05, -0.005, 0.005, 0.05))
         for side, name in enumerate(("lower", "upper")):
-            probes = tuple(share * width for share in (-0.05, -0.005, 0.005, 0.05))
-            base = float(context.model.jnt_range[joint.id, side])
+            base = float(stops[side])
             shift = Quantity(
                 name, joint.length, -0.5 * width, 0.5 * width, probes, smooth=False, base=base
             )
-            change = FIELD.change([Entry(joint.name, (joint.id, side), width)])
+            change = FIELD.change([FieldEntry(joint.name, (joint.id, side), width)])
             yield EffectInstance("joint_limit", joint.name, (shift,), name, model=change)

@@ -13,15 +13,16 @@ from dropo.mjmodel.joints import Joint, joints
 
 
 def joint_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
-    """A spring in a joint: -k (q - r) about the model's own rest position r, or F - k (q - r) with
-    a load F, which moves it.
+    """A spring in a joint, about the model's own rest position or about one that a load moves.
+
+    -k (q - r) about the model's rest position r; with the variant "rest", F - k (q - r) with a load
+    F.
     """
     for joint in joints(context.model):
         scale = torque_scale(context.model, joint)
         base = float(context.model.jnt_stiffness[joint.id])
-        probes = tuple(
-            share * scale for share in (-0.05, -0.005, 0.005, 0.05) if share * scale >= -base
-        )
+        sizes = [fraction * scale for fraction in (-0.05, -0.005, 0.005, 0.05)]
+        probes = tuple(size for size in sizes if size >= -base)
         stiffness = Quantity("stiffness", joint.stiffness, -base, 5 * scale, probes, base=base)
         yield EffectInstance(
             "joint_stiffness", joint.name, (stiffness,), model=partial(_stiffen, joint)
@@ -33,10 +34,12 @@ def joint_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
 
 
 def _stiffen(joint: Joint, model: Any, magnitudes: Array) -> None:
+    """Adds to the stiffness of a joint."""
     model.jnt_stiffness[joint.id] += magnitudes[0]
 
 
 def _spring(joint: Joint, state: StepState, magnitudes: Array) -> Array:
+    """The force of the added spring and the load."""
     out = np.zeros_like(state.qvel)
     rest = state.model.qpos_spring[joint.qpos]
     out[:, joint.qvel] = magnitudes[1] - magnitudes[0] * (state.qpos[:, joint.qpos] - rest)

@@ -10,28 +10,39 @@ from dropo.core.services.validation import Array
 from dropo.mjmodel.forces import torque_scale
 from dropo.mjmodel.joints import Joint, joints
 
-ZERO = 1e-2  # [rad/s, m/s] below which the sign of a speed fades out
+SIGN_WIDTH = 1e-2
+"""The speed below which the sign of a speed fades out [rad/s, m/s]."""
 
 
 def joint_stribeck(context: EffectContext) -> Iterator[EffectInstance]:
-    """Dry friction that falls with speed: -F exp(-(v / v_s)^2) tanh(v / 0.01) (Stribeck 1902), with
-    v_s to be found.
+    """Dry friction of a joint that falls with its speed.
+
+    -F exp(-(v / v_s)^2) tanh(v / 0.01), where v_s is to be found too.
+
+    References
+    ----------
+    Stribeck 1902, Die wesentlichen Eigenschaften der Gleit- und Rollenlager.
     """
     for joint in joints(context.model):
         scale = torque_scale(context.model, joint)
-        size = Quantity("friction", joint.force, 0.0, 0.5 * scale, (1e-3 * scale, 1e-2 * scale))
+        probes = (1e-3 * scale, 1e-2 * scale)
+        friction = Quantity("friction", joint.force, 0.0, 0.5 * scale, probes)
         speed = Quantity("log(speed / 0.5)", "1", -3.0, 3.0, (-1.0, 1.0))
-        trials = tuple(
-            ((share * scale, width),) for share in (1e-3, 1e-2) for width in (-1.0, 0.0, 1.0)
-        )
+        trials = tuple(((probe, width),) for probe in probes for width in (-1.0, 0.0, 1.0))
         yield EffectInstance(
-            "joint_stribeck", joint.name, (size, speed), force=partial(_rub, joint), trials=trials
+            "joint_stribeck",
+            joint.name,
+            (friction, speed),
+            force=partial(_friction, joint),
+            trials=trials,
         )
 
 
-def _rub(joint: Joint, state: StepState, magnitudes: Array) -> Array:
+def _friction(joint: Joint, state: StepState, magnitudes: Array) -> Array:
+    """The friction force at the present speeds."""
     out = np.zeros_like(state.qvel)
     speed = state.qvel[:, joint.qvel]
     width = 0.5 * np.exp(magnitudes[1])
-    out[:, joint.qvel] = -magnitudes[0] * np.exp(-((speed / width) ** 2)) * np.tanh(speed / ZERO)
+    fading = np.exp(-((speed / width) ** 2))
+    out[:, joint.qvel] = -magnitudes[0] * fading * np.tanh(speed / SIGN_WIDTH)
     return out

@@ -15,29 +15,23 @@ from dropo.effects.joint_damping import joint_damping
 from dropo.effects.joint_friction import joint_friction
 
 CHANGING = (body_mass, joint_damping, joint_friction, actuator_gain, contact_friction)
-"""What changes on machines: payloads, grease that warms up, wear, batteries, dirt."""
+"""What changes on real robots: payloads, warm grease, wear, batteries, dirt."""
 
 
 def parameter_drift(context: EffectContext) -> Iterator[EffectInstance]:
-    """A declared parameter, or a number of the model, that changes: "from" a moment on that is to
-    be found, or as a "ramp".
+    """A declared parameter, or a number of the model, that changes while the data are recorded.
 
-    theta(t) = theta + d [t >= t*] or theta + d r(t), with t how far into the data a segment begins
-    and r from 0 to 1 in ten stages. The target is the parameter's name or the label of the effect
-    that sets in.
+    It changes "from" a moment on that is to be found, theta(t) = theta + d [t >= t*], or as a
+    "ramp", theta(t) = theta + d r(t): t is how far into the data a segment begins, and r grows from
+    0 to 1 in ten stages. The target is the parameter's name or the label of the effect that
+    changes.
     """
     for place, parameter in enumerate(context.parameters):
         width = parameter.high - parameter.low
-        probes = tuple(share * width for share in (-0.1, -0.01, 0.01, 0.1))
-        size = Quantity(parameter.name, parameter.unit, -width, width, probes)
-        yield from _drifting(
-            EffectInstance(
-                parameter.name,
-                None,
-                (size,),
-                declared=partial(_add, place, parameter.lower, parameter.upper),
-            )
-        )
+        probes = tuple(fraction * width for fraction in (-0.1, -0.01, 0.01, 0.1))
+        change = Quantity(parameter.name, parameter.unit, -width, width, probes)
+        add = partial(_add, place, parameter.lower, parameter.upper)
+        yield from _drifting(EffectInstance(parameter.name, None, (change,), declared=add))
     for effect in CHANGING:
         for instance in effect(context):
             if instance.target is not None or effect is contact_friction:
@@ -45,12 +39,13 @@ def parameter_drift(context: EffectContext) -> Iterator[EffectInstance]:
 
 
 def _drifting(instance: EffectInstance) -> Iterator[EffectInstance]:
+    """The two ways in which an effect can change."""
     yield setting_in(instance)
     yield growing(instance)
 
 
 def _add(place: int, lower: float, upper: float, values: Array, magnitudes: Array) -> Array:
-    """The value with its change, within what is physically possible."""
+    """Changes one value, within what is physically possible."""
     out = np.array(values)
     out[place] = np.clip(out[place] + magnitudes[0], lower, upper)
     return out

@@ -7,38 +7,36 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.effects.support.places import SENSOR_SIZES
+from dropo.effects.support.places import LARGE_SENSOR_ERRORS
 
 
 def sensor_bias(context: EffectContext) -> Iterator[EffectInstance]:
-    """A constant that is added to a signal, y' = y + b; of a rotation, a small turn about an axis
-    of the body.
+    """A constant that is added to a signal; of a rotation, a small turn about an axis of the body.
+
+    y' = y + b
     """
     for place, (name, unit) in enumerate(context.signals):
-        scale = SENSOR_SIZES.get(unit, 0.1)
-        size = Quantity(
-            "bias",
-            unit or "1",
-            -10 * scale,
-            10 * scale,
-            tuple(share * scale for share in (-0.1, -0.01, 0.01, 0.1)),
-        )
+        scale = LARGE_SENSOR_ERRORS.get(unit, 0.1)
+        probes = tuple(fraction * scale for fraction in (-0.1, -0.01, 0.01, 0.1))
+        bias = Quantity("bias", unit or "1", -10 * scale, 10 * scale, probes)
         yield EffectInstance(
             "sensor_bias",
             name,
-            (size,),
-            start=partial(_back, place),
+            (bias,),
+            start=partial(_undo, place),
             measurement=partial(_add, place),
         )
 
 
-def _back(place: int, rows: Array, slopes: Array, magnitudes: Array) -> Array:
-    out = np.zeros_like(rows)
+def _undo(place: int, signals: Array, speeds: Array, magnitudes: Array) -> Array:
+    """Offsets that take the bias from the start signals."""
+    out = np.zeros_like(signals)
     out[:, place] = -magnitudes[0]
     return out
 
 
 def _add(place: int, signals: Array, magnitudes: Array) -> Array:
+    """Adds the bias to one signal."""
     out = signals.copy()
     out[..., place] += magnitudes[0]
     return out

@@ -9,37 +9,41 @@ from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.effects.support.places import is_rotation
 
-TRIED = (0.02, 0.2, 0.5, 1.0, 2.0)  # control steps: of a fast signal the right one alone stands out
+TRIALS = (0.02, 0.2, 0.5, 1.0, 2.0)
+"""Delays that a screening tries, in control steps; for a fast signal, only one near the right delay
+improves the prediction.
+"""
 
 
 def sensor_delay(context: EffectContext) -> Iterator[EffectInstance]:
-    """A delay of one signal, y'(t) = y(t - T); not of rotations, whose three numbers come together.
+    """The delay of one signal; not of rotations, whose three numbers come together.
 
-    A start is moved on by T times the speed of the measured signal. Of all signals alike a delay is
-    the same as one of all commands, which stands for both.
+    y'(t) = y(t - T). A start is moved on by T times the speed of the measured signal. A delay of
+    all signals alike is the same as one of all commands (`actuator_delay`), which stands for both.
     """
     dt = context.control_step
-    p = len(context.signals)
+    count = len(context.signals)
     for place, (name, _) in enumerate(context.signals):
-        if not is_rotation(name):
-            size = Quantity("delay", "s", 0.0, 5 * dt, (0.02 * dt, 0.2 * dt, dt), smooth=False)
-            trials = tuple(((share * dt,),) for share in TRIED)
-            yield EffectInstance(
-                "sensor_delay",
-                name,
-                (size,),
-                start=partial(_ahead, place),
-                sensor_delay=partial(_late, place, p),
-                trials=trials,
-            )
+        if is_rotation(name):
+            continue
+        delay = Quantity("delay", "s", 0.0, 5 * dt, (0.02 * dt, 0.2 * dt, dt), smooth=False)
+        yield EffectInstance(
+            "sensor_delay",
+            name,
+            (delay,),
+            start=partial(_move_on, place),
+            sensor_delay=partial(_delays, place, count),
+            trials=tuple(((steps * dt,),) for steps in TRIALS),
+        )
 
 
-def _ahead(place: int, rows: Array, slopes: Array, magnitudes: Array) -> Array:
-    """The signal now, from what was seen late and how fast it moves."""
-    out = np.zeros_like(rows)
-    out[:, place] = magnitudes[0] * slopes[:, place]
+def _move_on(place: int, signals: Array, speeds: Array, magnitudes: Array) -> Array:
+    """Offsets from the delayed start signal to the present one, by its speed."""
+    out = np.zeros_like(signals)
+    out[:, place] = magnitudes[0] * speeds[:, place]
     return out
 
 
-def _late(place: int, p: int, magnitudes: Array) -> Array:
-    return np.eye(p)[place] * magnitudes[0]
+def _delays(place: int, count: int, magnitudes: Array) -> Array:
+    """The delay of each of the signals."""
+    return np.eye(count)[place] * magnitudes[0]

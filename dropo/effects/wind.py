@@ -9,21 +9,22 @@ from dropo.core.services.validation import Array
 
 
 def wind(context: EffectContext) -> Iterator[EffectInstance]:
-    """Wind along one of the world's axes, in a medium of a density to be found with it (MuJoCo's
-    drag, see air_drag).
+    """Wind along one of the world's axes, in a medium whose density is found with it.
+
+    MuJoCo's drag, see `air_drag`.
     """
-    base = float(context.model.opt.density)
+    option = context.model.opt
+    base = float(option.density)
+    trials = tuple((pair,) for pair in ((1.2, -5.0), (1.2, 5.0), (20.0, -5.0), (20.0, 5.0)))
+    density = Quantity("density", "kg/m^3", -base, 2000.0, (1.2, 20.0), base=base)
     for axis, letter in enumerate("xyz"):
-        trials = tuple((pair,) for pair in ((1.2, -5.0), (1.2, 5.0), (20.0, -5.0), (20.0, 5.0)))
-        density = Quantity("density", "kg/m^3", -base, 2000.0, (1.2, 20.0), base=base)
-        speed = Quantity(
-            "speed", "m/s", -30.0, 30.0, (-5.0, 5.0), base=float(context.model.opt.wind[axis])
-        )
-        yield EffectInstance(
-            "wind", None, (density, speed), letter, model=partial(_blow, axis), trials=trials
-        )
+        own = float(option.wind[axis])
+        speed = Quantity("speed", "m/s", -30.0, 30.0, (-5.0, 5.0), base=own)
+        change = partial(_blow, axis)
+        yield EffectInstance("wind", None, (density, speed), letter, model=change, trials=trials)
 
 
 def _blow(axis: int, model: Any, magnitudes: Array) -> None:
+    """Adds to the density of the medium and to its speed along one axis."""
     model.opt.density += float(magnitudes[0])
     model.opt.wind[axis] += magnitudes[1]

@@ -7,15 +7,19 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.likelihood import Likelihood, LogLikelihood
-from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.likelihood import (
+    Likelihood,
+    LocalLikelihood,
+    LocalLogLikelihood,
+    LogLikelihood,
+)
 from dropo.core.contracts.maximize import SearchResult, maximize
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
 from dropo.core.records.fit import Fit
-from dropo.core.records.fit_parts import EmulatorCheck, StartFilter
+from dropo.core.records.fit_parts import StartFilter
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible, SimulationFailed
@@ -230,7 +234,7 @@ class DROPO(Estimator):
             )
 
         # Hold the local model against the simulator at the fit.
-        checked, warnings = check_emulator(problem, run, family, objective, found.point, rng)
+        check, warnings = check_emulator(problem, run, family, objective, found.point, rng)
         return self._summarise(
             problem,
             run,
@@ -238,7 +242,7 @@ class DROPO(Estimator):
             objective,
             found,
             warnings=warnings,
-            emulator_check=EmulatorCheck.from_json(checked, {}),
+            emulator_check=check,
             start_filter=start_filter,
             constant_parameters=tuple(parameters_without_spread(family, objective, found.point)),
         )

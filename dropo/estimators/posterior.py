@@ -8,8 +8,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.likelihood import Likelihood
-from dropo.core.contracts.local_likelihood import LocalLikelihood
+from dropo.core.contracts.likelihood import Likelihood, LocalLikelihood
 from dropo.core.contracts.noise import Noise, NoiseModel
 from dropo.core.contracts.prior import LogPrior, Prior
 from dropo.core.contracts.problem import Problem

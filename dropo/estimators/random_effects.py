@@ -8,8 +8,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.grouped_likelihood import GroupedLogLikelihood, Groups
-from dropo.core.contracts.likelihood import LogLikelihood
+from dropo.core.contracts.likelihood import GroupedLogLikelihood, Groups, LogLikelihood
 from dropo.core.contracts.maximize import SearchResult
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
@@ -144,12 +143,8 @@ class _Population(DROPO):
         d = len(fit.mean)
         spread = fit.correlation * np.outer(fit.sd, fit.sd)
         kept, covariance = _posterior(groups, spread, information[:d, :d])
-
-        # Whether they differ.
         names = problem.space.names
-        found_tests = variance_component_tests(objective, names, found.point, run.rng)
-        tests = VarianceComponentTests.from_json(found_tests)
-
+        tests = variance_component_tests(objective, names, found.point, run.rng)
         effects = _effects(problem, fit, groups, kept, covariance, tests)
         sentence = _describe_tests(tests, self.settings)
         message = f"{fit.message} {sentence}\n{_table(fit, effects)}"
@@ -245,8 +240,8 @@ def _describe_tests(tests: VarianceComponentTests, settings: GroupSettings) -> s
     overall = _describe_p(tests.overall)
     if tests.overall.p_value >= settings.level:
         return f"No difference between recordings is found ({overall})."
-    differ = []
-    same = []
+    differ: list[str] = []
+    same: list[str] = []
     for name, test in tests.parameters.items():
         group = differ if test.p_value < settings.level else same
         group.append(f"{name} ({_describe_p(test)})")

@@ -1,6 +1,4 @@
-"""The block bootstrap: the estimate's own distribution, by fitting the data again with whole pieces
-drawn anew.
-"""
+"""The block bootstrap: the estimate's own distribution, by fitting data of pieces drawn anew."""
 
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -20,8 +18,16 @@ from dropo.core.services.validation import Array, require
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """Estimates on data drawn anew. means, scales: (B, d), NaN in the rows of fits that failed;
-    pieces: what was drawn.
+    """Estimates on data drawn anew.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        The d parameters.
+    means, scales : (B, d) array
+        Of each fit, in the parameters' units; NaN in the rows of fits that failed.
+    pieces : str
+        What was drawn.
     """
 
     space: ParameterSpace
@@ -31,11 +37,30 @@ class Bootstrap:
 
     @property
     def standard_errors(self) -> Array:
-        """(d,) of the means."""
+        """(d,) standard errors of the means."""
         return np.asarray(np.nanstd(self.means, axis=0, ddof=1))
 
     def interval(self, level: float = 0.95) -> Array:
-        """(d, 2) percentile intervals of the means (Efron and Tibshirani 1993, chapter 13)."""
+        """Return percentile intervals of the means.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+
+        Returns
+        -------
+        (d, 2) array
+
+        Raises
+        ------
+        BadArgument
+            If the level is not between 0 and 1.
+
+        References
+        ----------
+        Efron and Tibshirani, An introduction to the bootstrap, 1993, chapter 13.
+        """
         require(0 < level < 1, "level", "between 0 and 1", level, "Bootstrap.interval")
         return np.asarray(np.nanquantile(self.means, [(1 - level) / 2, (1 + level) / 2], axis=0).T)
 
@@ -48,11 +73,39 @@ def bootstrap(
     rng: np.random.Generator | int | None = 0,
     executor: Executor | None = None,
 ) -> Bootstrap:
-    """Fits the problem on `replications` data sets of pieces drawn with replacement.
+    """Fit a problem on data sets of pieces drawn with replacement.
 
     Pieces are trajectories where there are 20, else the named groups where there are 20, else
-    overlapping blocks of 5 n^(1/3) of n transitions (Künsch 1989), within trajectories. executor:
-    any concurrent.futures.Executor, threads where there is none; the same draws on any.
+    overlapping blocks of 5 n^(1/3) of n transitions [1]_, within trajectories.
+
+    Parameters
+    ----------
+    problem : Problem
+        With d parameters.
+    estimator : Estimator
+        What fits it.
+    replications : int
+        B, how many data sets are drawn.
+    rng : numpy.random.Generator, int or None
+        A generator or a seed.
+    executor : concurrent.futures.Executor, optional
+        Where fits run, threads by default; the draws are the same on any.
+
+    Returns
+    -------
+    Bootstrap
+
+    Raises
+    ------
+    BadArgument
+        If there are fewer than two replications.
+    SimulationFailed
+        If every fit failed.
+
+    References
+    ----------
+    .. [1] Künsch, The jackknife and the bootstrap for general stationary observations, Annals of
+       Statistics 17, 1989.
     """
     require(replications >= 2, "replications", "at least 2", replications, "bootstrap")
     pieces, kind = _pieces(problem)
@@ -63,7 +116,8 @@ def bootstrap(
     else:
         with ThreadPoolExecutor(thread_name_prefix="bootstrap") as threads:
             found = list(threads.map(task, seeds))
-    means, scales = (np.array(values) for values in zip(*found, strict=True))
+    means = np.array([mean for mean, _ in found])
+    scales = np.array([scale for _, scale in found])
     if not np.isfinite(means).all(axis=1).any():
         raise SimulationFailed(
             "Every fit of the bootstrap failed. Fit the data themselves first, to see why."
@@ -74,23 +128,36 @@ def bootstrap(
 def resampled(
     trajectories: Trajectories, pieces: list[Ints], size: int, rng: np.random.Generator
 ) -> Trajectories:
-    """At least `size` transitions of pieces drawn with replacement, each of them a group and an end
-    of a trajectory.
+    """Draw pieces with replacement until there are enough transitions.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The data.
+    pieces : list of int array
+        The rows of each piece.
+    size : int
+        Transitions that are drawn at least.
+    rng : numpy.random.Generator
+        Draws the pieces.
+
+    Returns
+    -------
+    Trajectories
+        Each drawn piece ends a trajectory, and its groups are groups of their own.
     """
     drawn: list[Ints] = []
     while sum(map(len, drawn)) < size:
         drawn.append(pieces[rng.integers(len(pieces))])
     rows = np.concatenate(drawn)
+    lengths = [len(piece) for piece in drawn]
     ends = trajectories.terminals[rows].copy()
     ends[:-1] |= np.diff(rows) != 1
-    ends[np.cumsum([len(piece) for piece in drawn]) - 1] = True
-    group = (
-        None
-        if trajectories.group is None
-        else _fresh(
-            trajectories.group[rows], np.repeat(np.arange(len(drawn)), list(map(len, drawn)))
-        )
-    )
+    ends[np.cumsum(lengths) - 1] = True
+    group: Ints | None = None
+    if trajectories.group is not None:
+        piece = np.repeat(np.arange(len(drawn)), lengths)
+        group = _new_groups(trajectories.group[rows], piece)
     time = None if trajectories.time is None else trajectories.time[rows]
     return Trajectories(
         trajectories.observations[rows],
@@ -102,35 +169,38 @@ def resampled(
     )
 
 
-def _fresh(group: Ints, piece: Ints) -> Ints:
+def _new_groups(group: Ints, piece: Ints) -> Ints:
     """A group in two pieces is two groups: drawn twice, it is another draw of the parameters."""
-    return np.asarray(np.unique(np.stack([piece, group]), axis=1, return_inverse=True)[1]).ravel()
+    pairs = np.stack([piece, group])
+    return np.asarray(np.unique(pairs, axis=1, return_inverse=True)[1]).ravel()
 
 
 def _pieces(problem: Problem) -> tuple[list[Ints], str]:
+    """The rows of each piece, and what pieces are."""
     data = problem.trajectories
     if len(data.spans) >= MANY:
         return [np.arange(start, stop) for start, stop in data.spans], "trajectories"
-    if data.group is not None and len(np.unique(data.group)) >= MANY:
-        return [np.flatnonzero(data.group == g) for g in np.unique(data.group)], "groups"
+    if data.group is not None:
+        groups = np.unique(data.group)
+        if len(groups) >= MANY:
+            return [np.flatnonzero(data.group == group) for group in groups], "groups"
     length = max(problem.length, int(np.ceil(5 * len(data) ** (1 / 3))))
-    blocks = [
-        np.arange(i, min(i + length, stop))
-        for start, stop in data.spans
-        for i in range(start, max(start + 1, stop - length + 1))
-    ]
+    blocks = []
+    for start, stop in data.spans:
+        last = max(start + 1, stop - length + 1)
+        blocks += [np.arange(first, min(first + length, stop)) for first in range(start, last)]
     return blocks, f"blocks of {length} transitions"
 
 
 def _replication(
     problem: Problem, estimator: Estimator, pieces: list[Ints], seed: int
 ) -> tuple[ArrayLike, ArrayLike]:
+    """The mean and scale (d,) of a fit on data drawn anew; NaN where it fails."""
     rng = np.random.default_rng(seed)
     data = resampled(problem.trajectories, pieces, len(problem.trajectories), rng)
+    drawn = replace(problem, trajectories=data, everything=None, held_out=None)
     try:
-        fit = estimator.fit(
-            replace(problem, trajectories=data, everything=None, held_out=None), rng=rng
-        )
+        fit = estimator.fit(drawn, rng=rng)
     except DropoError:
         nothing = np.full(len(problem.space), np.nan)
         return nothing, nothing

@@ -3,14 +3,14 @@ comparison is not lost in noise.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit_parts import EmulatorCheck
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 
@@ -21,11 +21,11 @@ class EmulatorCheckSettings:
 
     Attributes
     ----------
-    draws
+    draws : int
         Draws of the fitted distribution.
-    segments
+    segments : int
         About how many segments are simulated.
-    tolerance
+    tolerance : float
         Nats a row by which emulator and simulator may differ.
     """
 
@@ -45,7 +45,7 @@ def check_emulator(
     phi: Array,
     rng: np.random.Generator,
     settings: EmulatorCheckSettings = SETTINGS,
-) -> tuple[dict[str, Any], list[str]]:
+) -> tuple[EmulatorCheck, list[str]]:
     """Compare the log-likelihoods of an emulator and of its simulator at a fit.
 
     Both predict the same draws of the fitted distribution on the same rows; the log-likelihoods
@@ -53,25 +53,25 @@ def check_emulator(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Its simulator is the true one.
-    run
+    run : Run
         Counts the simulations.
-    family
+    family : Family
         Of the fitted distribution.
-    local
+    local : LocalLogLikelihood
         The emulator's likelihood.
-    phi
-        (m,) the fit's unknowns, those of the family first.
-    rng
+    phi : (m,) array
+        The fit's unknowns, those of the family first.
+    rng : numpy.random.Generator
         Draws the parameters.
-    settings
-        How many draws and rows, and what difference is told.
+    settings : EmulatorCheckSettings
+        How many draws and rows, and which difference is reported.
 
     Returns
     -------
-    found : dict
-        "emulator_check", for fit.json.
+    check : EmulatorCheck
+        Both log-likelihoods.
     warnings : list of str
         Where simulator and emulator differ too much, or draws are physically impossible.
     """
@@ -91,16 +91,11 @@ def check_emulator(
     true = gaussian.log_density(simulated, targets, epsilon).sum()
     emulated = gaussian.log_density(local.predict(values)[:, rows], targets, epsilon).sum()
     difference = float(true - emulated)
-    found = {
-        "draws": settings.draws,
-        "rows": count,
-        "simulator": _finite(true),
-        "emulator": _finite(emulated),
-    }
+    check = EmulatorCheck(settings.draws, count, _or_nan(true), _or_nan(emulated))
     if not (np.isfinite(difference) and abs(difference) <= settings.tolerance * count):
         apart = f"the simulator and its emulator differ by {difference / count:.2g} nat a row"
         warnings.append(f"at the fit {apart}: check with likelihood 'monte-carlo'")
-    return {"emulator_check": found}, warnings
+    return check, warnings
 
 
 def _impossible_draws(family: Family, values: Array) -> list[str]:
@@ -117,9 +112,9 @@ def _impossible_draws(family: Family, values: Array) -> list[str]:
     return [f"draws of {', '.join(names)} lie beyond what is possible: {remedy}"]
 
 
-def _finite(value: float) -> float | None:
-    """The value, or None where it is not finite."""
-    return float(value) if np.isfinite(value) else None
+def _or_nan(value: float) -> float:
+    """The value, or NaN where it is not finite."""
+    return float(value) if np.isfinite(value) else np.nan
 
 
 def parameters_without_spread(
@@ -129,13 +124,13 @@ def parameters_without_spread(
 
     Parameters
     ----------
-    family
+    family : Family
         Of the fitted distribution.
-    local
+    local : LocalLogLikelihood
         A local likelihood, which has scores.
-    phi
-        (m,) its maximum.
-    tolerance
+    phi : (m,) array
+        Its maximum.
+    tolerance : float
         Relative distance to the lower bound at which a scale is on it.
 
     Returns

@@ -18,14 +18,14 @@ class Features:
 
     Attributes
     ----------
-    names
+    names : tuple of str
         Of the F named features.
-    named
-        (n, F) one column a name, of size about 1, the first a constant.
-    smooth
-        (n, F') random Fourier features of state and command.
-    rows
-        (n,) the compared rows that have features.
+    named : (n, F) array
+        One column a name, of size about 1, the first a constant.
+    smooth : (n, F') array
+        Random Fourier features of state and command.
+    rows : (n,) array
+        The compared rows that have features.
     """
 
     names: tuple[str, ...]
@@ -48,13 +48,13 @@ def features_of(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Its segments have R compared rows.
-    predicted
-        (R, p) mean predictions.
-    rng
+    predicted : (R, p) array
+        Mean predictions.
+    rng : numpy.random.Generator
         Draws the random features.
-    settings
+    settings : ResidualTestSettings
         How many random features there are, and at what a feature is cut.
 
     Returns

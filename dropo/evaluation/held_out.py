@@ -28,22 +28,22 @@ class HeldOutSettings:
 
     Attributes
     ----------
-    horizons
+    horizons : tuple of int
         After how many control steps a diagnosis gives errors.
-    maximum
+    maximum : int
         Windows of one horizon, at most.
-    maximum_steps
+    maximum_steps : int
         Control steps in all windows of one horizon, at most ...
-    minimum
+    minimum : int
         ... but no fewer windows than these, as far as the data have them.
-    fewest
+    fewest : int
         Windows below which a diagnosis gives no errors of a horizon.
-    blocks
+    blocks : int
         Blocks of time that few trajectories are cut into, of which every other one is held out.
-    few_trajectories
+    few_trajectories : int
         Number of trajectories below which blocks of time take their place.
-    least_variance
-        Share of a signal's variance that is taken for motion however large its noise is.
+    least_variance : float
+        Fraction of a signal's variance that counts as motion however large its noise is.
     """
 
     horizons: tuple[int, ...] = (1, 5, 20, 100, 400)
@@ -69,12 +69,12 @@ class DataPart:
 
     Attributes
     ----------
-    trajectories
+    trajectories : Trajectories
         The data that it is a part of, N rows.
-    block
-        (N,) the trajectory or block of time of each row.
-    chosen
-        (N,) whether a row is in this part.
+    block : (N,) array
+        The trajectory or block of time of each row.
+    chosen : (N,) array
+        Whether a row is in this part.
     """
 
     trajectories: Trajectories
@@ -85,18 +85,18 @@ class DataPart:
 def held_out_part(
     problem: Problem, horizon: int, held_out: bool = True, settings: HeldOutSettings = SETTINGS
 ) -> DataPart:
-    """Return the part of a problem's data that judges a fit, or the part that it is fitted to.
+    """Return the part of a problem's data that evaluates a fit, or the part that is fitted.
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Held out are its own held-out data where it has such, else every other trajectory, else
         every other block of time of the few trajectories that there are.
-    horizon
+    horizon : int
         Control steps in a window of the fit: each block of time holds one at least.
-    held_out
+    held_out : bool
         False: the other part.
-    settings
+    settings : HeldOutSettings
         How many blocks there are.
 
     Returns
@@ -136,11 +136,11 @@ def window_starts(part: DataPart, horizon: int, stride: int = 1) -> Ints:
 
     Parameters
     ----------
-    part
+    part : DataPart
         The data.
-    horizon
+    horizon : int
         Control steps in a window; none crosses the end of a trajectory or a block.
-    stride
+    stride : int
         Control steps from the beginning of one window to that of the next in the same block.
 
     Returns
@@ -179,11 +179,11 @@ def held_out_windows(
 
     Parameters
     ----------
-    part
+    part : DataPart
         The data.
-    horizon
+    horizon : int
         Control steps in a window.
-    settings
+    settings : HeldOutSettings
         How many windows there are.
 
     Returns
@@ -202,15 +202,15 @@ def horizon_segments(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Where its `reset` is "transition", the segments are those of `held_out_windows`. Where it
         is "partial", they are chained as the fit's. Where it is "start", each trajectory's first
         steps, since no other state is measured.
-    part
+    part : DataPart
         Whole trajectories.
-    horizon
+    horizon : int
         Control steps in a segment.
-    settings
+    settings : HeldOutSettings
         How many windows there are.
 
     Returns
@@ -234,17 +234,17 @@ class HorizonErrors:
 
     Attributes
     ----------
-    signals
+    signals : tuple of Signal
         The p compared signals.
-    horizon
+    horizon : int
         Control steps.
-    squares
-        (p,) mean square of each signal's error, in its unit squared; NaN where all rows failed.
-    spread
-        (p,) what errors of all signals together are counted in (see `noise_free_spread`).
-    rows
+    squares : (p,) array
+        Mean square of each signal's error, in its unit squared; NaN where all rows failed.
+    spread : (p,) array
+        What errors of all signals together are counted in (see `noise_free_spread`).
+    rows : int
         How many rows were compared.
-    failed
+    failed : int
         How many of them failed.
     """
 
@@ -278,14 +278,14 @@ def errors_of(
 
     Parameters
     ----------
-    simulator
+    simulator : Simulator
         Whose signals are compared.
-    predictions
-        (K, R, p) of K models, NaN where a simulation failed.
-    segments
+    predictions : (K, R, p) array
+        Of K models, NaN where a simulation failed.
+    segments : Segments
         With R compared rows.
-    spread
-        (p,) of `noise_free_spread`.
+    spread : (p,) array
+        Of `noise_free_spread`.
 
     Returns
     -------
@@ -332,10 +332,10 @@ def signal_spread(simulator: Simulator, targets: Array) -> Array:
 
     Parameters
     ----------
-    simulator
+    simulator : Simulator
         Whose signals they are.
-    targets
-        (R, p) measurements.
+    targets : (R, p) array
+        Measurements.
 
     Returns
     -------
@@ -355,13 +355,13 @@ def noise_free_spread(
 
     Parameters
     ----------
-    simulator
+    simulator : Simulator
         Whose signals they are.
-    part
+    part : DataPart
         All of its rows count.
-    noise
-        (p,) variance of each signal's noise; 0 where nothing is known of it.
-    settings
+    noise : (p,) array
+        Variance of each signal's noise; 0 where nothing is known of it.
+    settings : HeldOutSettings
         What share of the variance is left at least.
 
     Returns
@@ -388,9 +388,9 @@ def compared_segments(problem: Problem, part: DataPart) -> Segments:
 
     Parameters
     ----------
-    problem
+    problem : Problem
         That is fitted.
-    part
+    part : DataPart
         Whole trajectories.
 
     Returns

@@ -28,27 +28,27 @@ class ModelCheckSettings:
 
     Attributes
     ----------
-    level
+    level : float
         False alarms of each test, over all of its signals and features.
-    large
-        Size of the residuals (as a variance) from which it is told: 5 % of a standard error.
-    noisy
-        Residuals above so many times the stated noise, as a standard deviation, are told.
-    outlier
+    large : float
+        Size of the residuals (as a variance) from which it is reported: 5 % of a standard error.
+    noisy : float
+        Residuals above so many times the stated noise, as a standard deviation, are reported.
+    outlier : float
         Robust standard deviations at which a residual is cut, so that a few contacts do not drown
         the others.
-    folds
+    folds : int
         Parts of the rows of which each is predicted from the others.
-    blocks
+    blocks : int
         Blocks of time, where trajectories are few.
-    own
+    own : float
         Least share of a feature beside what parameters explain: below it, its rest is mostly
         noise.
-    rounding
+    rounding : float
         Residuals below this share of the signal are no evidence ...
-    faint
+    faint : float
         ... nor are those below this share of the noise.
-    regression
+    regression : ResidualTestSettings
         Of the regression on state and command.
     """
 
@@ -71,12 +71,12 @@ SETTINGS = ModelCheckSettings()
 class _Residuals:
     """Residuals of the R rows and p signals that are evidence, in units of their size.
 
-    rest: (R, p) without what parameters of each group would explain; slopes: (R, p, d) of the
+    rest: (R, p) without what parameters of each group would explain; jacobian: (R, p, d) of the
     predictions; group: (R,); units: the independent units of rows; names: of the signals.
     """
 
     rest: Array
-    slopes: Array
+    jacobian: Array
     group: Ints
     units: Units
     names: list[str]
@@ -96,20 +96,20 @@ def check_model(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         With R compared rows of p signals.
-    predicted
-        (R, p) mean predictions.
-    jacobian
-        (R, p, d) of the predictions by the parameters.
-    epsilon
-        (p,) the fit's noise variances.
-    whitened
-        (R, p) residuals whitened by the fitted covariance: where epsilon was given, their mean
+    predicted : (R, p) array
+        Mean predictions.
+    jacobian : (R, p, d) array
+        Of the predictions by the parameters.
+    epsilon : (p,) array
+        The fit's noise variances.
+    whitened : (R, p) array
+        Residuals whitened by the fitted covariance: where epsilon was given, their mean
         square must not be above 1.
-    learned
+    learned : bool
         Whether epsilon was fitted.
-    settings
+    settings : ModelCheckSettings
         Levels and limits.
 
     Returns
@@ -123,9 +123,11 @@ def check_model(
     sentences: list[str] = []
     size: ResidualSize | None = None
     structure: ResidualStructure | None = None
+    # Under a given epsilon, the size of the whitened residuals is known.
     if whitened is not None and not learned:
         size, sentence = _size(whitened, units, settings)
         sentences += sentence
+    # Residuals that are only rounding are no evidence of anything.
     scale = np.sqrt(np.mean(residual**2, axis=0))
     rounding = settings.rounding * np.std(targets, axis=0)
     least = np.maximum(rounding, settings.faint * np.sqrt(epsilon))
@@ -133,18 +135,20 @@ def check_model(
     if evident.any():
         unit = np.where(evident, scale, 1.0)
         white = (residual / unit)[:, evident]
-        slopes = (jacobian / unit[:, None])[:, evident]
+        scaled_jacobian = (jacobian / unit[:, None])[:, evident]
         group = _groups(problem, residual.shape[1], jacobian.shape[2])
-        rest = _without_draws(white, slopes, group)
+        rest = _without_draws(white, scaled_jacobian, group)
         signals = zip(problem.simulator.signals, evident, strict=True)
         names = [signal.name for signal, kept in signals if kept]
+        # The noise that was stated, where another one was fitted.
         if problem.epsilon is not None and learned:
             stated = np.asarray(problem.epsilon, dtype=float)
             stated = np.broadcast_to(stated, evident.shape)[evident]
-            factor = len(slopes) / max(len(slopes) - 1, 1)
+            factor = len(scaled_jacobian) / max(len(scaled_jacobian) - 1, 1)
             sentences += _noise(rest * scale[evident], stated, names, factor, settings)
+        # Structure: residuals must not follow state and command.
         features = features_of(problem, predicted, np.random.default_rng(0), settings.regression)
-        left = _Residuals(_cut(rest, settings.outlier), slopes, group, units, names)
+        left = _Residuals(_cut(rest, settings.outlier), scaled_jacobian, group, units, names)
         structure, sentence = _structure(left, features, settings)
         sentences += sentence
     return ModelCheck(not sentences, size, structure, tuple(sentences))
@@ -188,25 +192,25 @@ def _groups(problem: Problem, p: int, d: int) -> Ints:
     return group if np.median(np.bincount(group)) * p >= 4 * d else np.zeros_like(group)
 
 
-def _coefficients(slopes: Array, moments: Array, group: Ints) -> Array:
-    """(G, d, k) least squares on the slopes (R, p, d) within each group; moments: (R, d, k) slopes'
-    values.
+def _coefficients(jacobian: Array, moments: Array, group: Ints) -> Array:
+    """(G, d, k) least squares on the Jacobian (R, p, d) within each group.
+
+    moments: (R, d, k) of each row, the product of its Jacobian and its values.
     """
     count = int(group.max()) + 1
-    gram = np.zeros((count, slopes.shape[2], slopes.shape[2]))
+    gram = np.zeros((count, jacobian.shape[2], jacobian.shape[2]))
     right = np.zeros((count, *moments.shape[1:]))
-    np.add.at(gram, group, slopes.swapaxes(1, 2) @ slopes)
+    np.add.at(gram, group, jacobian.swapaxes(1, 2) @ jacobian)
     np.add.at(right, group, moments)
     return np.asarray(np.linalg.pinv(gram, rcond=1e-12, hermitian=True) @ right, dtype=float)
 
 
-def _without_draws(white: Array, slopes: Array, group: Ints) -> Array:
+def _without_draws(white: Array, jacobian: Array, group: Ints) -> Array:
     """The residuals (R, p) without what other parameters in each group would explain: those may
-    vary from draw to draw.
-    """
-    moments = np.einsum("rpd,rp->rd", slopes, white)[:, :, None]
-    fitted = _coefficients(slopes, moments, group)
-    return white - np.einsum("rpd,rd->rp", slopes, fitted[group, :, 0])
+    vary from draw to draw."""
+    moments = np.einsum("rpd,rp->rd", jacobian, white)[:, :, None]
+    fitted = _coefficients(jacobian, moments, group)
+    return white - np.einsum("rpd,rd->rp", jacobian, fitted[group, :, 0])
 
 
 def _cut(rest: Array, outlier: float) -> Array:
@@ -251,11 +255,11 @@ def _scores(left: _Residuals, features: Features, own_share: float) -> Array:
     rest = left.rest
     named = np.zeros((len(rest), features.named.shape[1]))
     named[features.rows] = features.named
-    along = np.einsum("rpd,rp->rd", left.slopes, rest)
+    along = np.einsum("rpd,rp->rd", left.jacobian, rest)
     out = np.empty((rest.shape[1], named.shape[1]))
     for j in range(rest.shape[1]):
-        moments = left.slopes[:, j, :, None] * named[:, None, :]
-        fitted = _coefficients(left.slopes, moments, left.group)[left.group]
+        moments = left.jacobian[:, j, :, None] * named[:, None, :]
+        fitted = _coefficients(left.jacobian, moments, left.group)[left.group]
         own = 1 - np.sum(moments * fitted, axis=(0, 1)) / np.sum(named**2, axis=0)
         product = rest[:, j, None] * named - np.einsum("rd,rdf->rf", along, fitted)
         out[j] = np.where(own > own_share, _score_of_sum(product, left.units), 0.0)

@@ -1,6 +1,4 @@
-"""Which data to add next: trajectories, or commands to try, by what they would tell about chosen
-parameters.
-"""
+"""Which data to add next: trajectories, or commands to try, by their information on parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,14 +15,23 @@ from dropo.evaluation.open_loop import open_loop
 Candidate = Trajectories | tuple[Array, Array]
 """Given trajectories; or a start observation (p,) and the actions (T, q) to try from there."""
 
-PRIOR = 12.0  # 1 / variance of a uniform law on [0, 1]: what the search interval itself tells
+PRIOR = 12.0
+"""1 / variance of a uniform distribution on [0, 1]: what the search interval itself says."""
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate, by its place in the list that was given. gain: how much it lowers the entropy of
-    the chosen parameters [nats], half the fall of the logarithm of their covariance's
-    determinant; standard_errors: (d,) that the means would have with it.
+    """A candidate and what it would add.
+
+    Attributes
+    ----------
+    index : int
+        Its place in the list that was given.
+    gain : float
+        How much it lowers the entropy of the chosen parameters [nats]: half the fall of the
+        logarithm of their covariance's determinant.
+    standard_errors : (d,) array
+        That the means would have with it.
     """
 
     index: int
@@ -35,62 +42,111 @@ class Ranked:
 def rank_next(
     problem: Problem, fit: Fit, candidates: Sequence[Candidate], about: Sequence[str] | None = None
 ) -> list[Ranked]:
-    """The candidates, the most informative first (D-optimal, Fedorov 1972), given what the
-    problem's data tell already.
+    """Order candidate data by the information that they add to the problem's own.
 
-    about: names of the parameters that matter, all by default; the others count as unknown too.
-    Commands are simulated open loop at the fitted means. By the linear-Gaussian model at the fit,
-    with its noise and the parameters' spread.
+    Commands are simulated open loop at the fitted means. The information is that of the
+    linear-Gaussian model at the fit, with its noise and the parameters' spread.
+
+    Parameters
+    ----------
+    problem : Problem
+        With d parameters.
+    fit : Fit
+        Of the problem.
+    candidates : sequence of Trajectories, or of (start, actions)
+        Data, or a start observation (p,) and the actions (T, q) to try from there.
+    about : sequence of str, optional
+        Names of the parameters that matter, all by default; the others count as unknown too.
+
+    Returns
+    -------
+    list of Ranked
+        The most informative first (D-optimal [1]_).
+
+    Raises
+    ------
+    BadArgument
+        If there is no candidate, no parameter, or an array of another shape.
+    UnknownName
+        If there is no such parameter.
+    Incompatible
+        If commands are given, and predictions are no observations.
+
+    References
+    ----------
+    .. [1] Fedorov, Theory of optimal experiments, 1972.
     """
     require(len(candidates) >= 1, "candidates", "at least one", 0, "rank_next")
     names = problem.space.names
-    chosen = [
-        names.index(known("parameter", name, names)) for name in (names if about is None else about)
-    ]
+    chosen = []
+    for name in names if about is None else about:
+        chosen.append(names.index(known("parameter", name, names)))
     require(len(chosen) >= 1, "about", "at least one parameter", about, "rank_next")
     width = problem.space.high - problem.space.low
     before = np.diag(PRIOR / width**2) + _information(problem, fit, problem.segments)
-    out = []
+    entropy = _entropy(before, width, chosen)
+    ranked = []
     for index, candidate in enumerate(candidates):
-        data = (
-            candidate
-            if isinstance(candidate, Trajectories)
-            else simulated(problem, fit, *candidate)
-        )
+        if isinstance(candidate, Trajectories):
+            data = candidate
+        else:
+            start, actions = candidate
+            data = simulated(problem, fit, start, actions)
         after = before + _information(problem, fit, problem.cut(data))
+        gain = entropy - _entropy(after, width, chosen)
         errors = np.sqrt(np.diagonal(_inverse(after, width)))
-        out.append(
-            Ranked(index, _entropy(before, width, chosen) - _entropy(after, width, chosen), errors)
-        )
-    return sorted(out, key=lambda ranked: -ranked.gain)
+        ranked.append(Ranked(index, gain, errors))
+    return sorted(ranked, key=lambda one: -one.gain)
 
 
 def simulated(problem: Problem, fit: Fit, start: Array, actions: Array) -> Trajectories:
-    """The trajectory that the fitted means predict, from a start observation (p,) under actions (T,
-    q).
+    """Simulate commands at the fitted means.
+
+    Parameters
+    ----------
+    problem : Problem
+        With p observations and q actions.
+    fit : Fit
+        Of the problem.
+    start : (p,) array
+        A start observation.
+    actions : (T, q) array
+        Commands.
+
+    Returns
+    -------
+    Trajectories
+        One of T transitions.
+
+    Raises
+    ------
+    BadArgument
+        If an array has another shape.
+    Incompatible
+        If predictions are no observations.
     """
-    seen = problem.trajectories
-    p = seen.observations.shape[1]
-    q = seen.actions.shape[1]
+    measured = problem.trajectories
+    p = measured.observations.shape[1]
+    q = measured.actions.shape[1]
     start = float_array("start", start, (p,), "rank_next")
     actions = float_array("actions", actions, (None, q), "rank_next")
     states = open_loop(problem.simulator, fit.mean, start[None], actions[None])[0]
-    return Trajectories(
-        states[:-1], actions, states[1:], np.arange(len(actions)) == len(actions) - 1
-    )
+    ends = np.arange(len(actions)) == len(actions) - 1
+    return Trajectories(states[:-1], actions, states[1:], ends)
 
 
 def _information(problem: Problem, fit: Fit, segments: Segments) -> Array:
-    """(d, d) of the means."""
+    """(d, d) the Fisher information of the means."""
     _, jacobian = problem.simulator.linearize(fit.mean, segments)
     spread = fit.correlation * np.outer(fit.sd, fit.sd)
     d = len(fit.mean)
-    return scores_and_information(np.zeros(jacobian.shape[:2]), jacobian, spread, fit.epsilon)[1][
-        :d, :d
-    ]
+    residuals = np.zeros(jacobian.shape[:2])
+    _, information = scores_and_information(residuals, jacobian, spread, fit.epsilon)
+    return information[:d, :d]
 
 
 def _inverse(information: Array, width: Array) -> Array:
+    """(d, d) the covariance, computed in units of the search intervals."""
     return np.linalg.inv(information * np.outer(width, width)) * np.outer(width, width)
 
 

@@ -9,11 +9,28 @@ from dropo.core.services.validation import Array
 
 
 def open_loop(simulator: Simulator, value: Array, starts: Array, actions: Array) -> Array:
-    """Observations (n, T + 1, p) from start observations (n, p), which come first, under actions
-    (n, T, q), with the parameters (d,).
+    """Simulate whole trajectories from start observations.
 
-    Those of a simulation that diverges are NaN from there on. A simulator whose predictions are no
-    observations is refused: it compares a rotation by three numbers.
+    Parameters
+    ----------
+    simulator : Simulator
+        With d parameters.
+    value : (d,) array
+        The parameters.
+    starts : (n, p) array
+        Start observations.
+    actions : (n, T, q) array
+        Commands.
+
+    Returns
+    -------
+    (n, T + 1, p) array
+        Observations, the start first; NaN from where a simulation diverges.
+
+    Raises
+    ------
+    Incompatible
+        If predictions are no observations, as where a rotation is compared by 3 numbers.
     """
     n, t, q = actions.shape
     p = starts.shape[1]
@@ -22,9 +39,9 @@ def open_loop(simulator: Simulator, value: Array, starts: Array, actions: Array)
             "Predictions of this simulator are no observations (a rotation is compared by "
             "3 numbers). Give trajectories."
         )
+    # Trajectories whose measurements are blank but for their start.
     blank = np.repeat(starts, t, axis=0)
     ends = np.tile(np.arange(t) == t - 1, n)
     whole = Trajectories(blank, actions.reshape(n * t, q), blank, ends).segments(reset="start")
-    return np.concatenate(
-        [starts[:, None], simulator.predict(value[None], whole)[0].reshape(n, t, p)], axis=1
-    )
+    predicted = simulator.predict(value[None], whole)[0].reshape(n, t, p)
+    return np.concatenate([starts[:, None], predicted], axis=1)

@@ -30,16 +30,16 @@ class PredictionSettings:
 
     Attributes
     ----------
-    horizons
+    horizons : tuple of int
         Control steps after which errors are given; the last one is the length of the windows that
         are shown, too.
-    shown
+    shown : int
         Windows that are kept, one after another.
-    rows
+    rows : int
         Control steps, about, in the segments that the calibration is taken from.
-    draws
+    draws : int
         Draws of the parameters.
-    noise_draws
+    noise_draws : int
         Draws of the noise for each draw of the parameters.
     """
 
@@ -83,13 +83,13 @@ def predict(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         The data are those held out, where it has such.
-    fit
+    fit : Fit
         Of the problem.
-    rng
+    rng : numpy.random.Generator
         A generator or a seed.
-    settings
+    settings : PredictionSettings
         How much is predicted.
 
     Returns

@@ -1,6 +1,4 @@
-"""The profile likelihood of one or two parameters: how well the data are explained where these are
-held, all else at its best.
-"""
+"""The profile likelihood of one or two parameters: these are held, all else is at its best."""
 
 from dataclasses import dataclass
 
@@ -8,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from dropo.core.contracts.fisher_scoring import maximize_locally
-from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon, Noise
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
@@ -17,14 +15,26 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 
-REACH = 3.5  # standard errors to either side of the estimate
+WIDTH = 3.5
+"""Standard errors to either side of the estimate that a profile covers, by default."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """grid: the n values of each of the one or two parameters' means; values: (n,) or (n, n), the
-    highest log-likelihood there [nats]; best: the highest of all, at no held value. Rows count
-    as independent: where they are not, compare with `Fit.interval`.
+    """The highest log-likelihood at given values of one or two parameters' means.
+
+    Rows count as independent: where they are not, compare with `Fit.interval`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The one or two parameters.
+    grid : tuple of (n,) array
+        The values of each, in its unit.
+    values : (n,) or (n, n) array
+        The highest log-likelihood there, all else at its best [nats].
+    best : float
+        The highest of all, at no held value [nats].
     """
 
     names: tuple[str, ...]
@@ -33,23 +43,47 @@ class Profile:
     best: float
 
     def region(self, level: float = 0.95) -> Array:
-        """Where the likelihood-ratio test does not reject, a mask like `values`: 2 (best - value)
-        <= the chi-square quantile.
+        """Return where the likelihood-ratio test does not reject.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+
+        Returns
+        -------
+        (n,) or (n, n) bool array
+            Where 2 (best - value) is at most the chi-square quantile.
+
+        Raises
+        ------
+        BadArgument
+            If the level is not between 0 and 1.
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Profile.region")
-        return np.asarray(2 * (self.best - self.values) <= stats.chi2.ppf(level, len(self.names)))
+        quantile = stats.chi2.ppf(level, len(self.names))
+        return np.asarray(2 * (self.best - self.values) <= quantile)
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
-        """The ends of one parameter's region, between grid points by straight lines; infinite where
-        the grid does not reach it.
+        """Return the ends of one parameter's region, linear between grid points.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+
+        Returns
+        -------
+        tuple of float
+            In the parameter's unit; infinite where the region goes on beyond the grid.
+
+        Raises
+        ------
+        BadArgument
+            If the profile is one of two parameters, or the level is not between 0 and 1.
         """
-        require(
-            len(self.names) == 1,
-            "parameters",
-            "one, for an interval",
-            self.names,
-            "Profile.interval",
-        )
+        one = len(self.names) == 1
+        require(one, "parameters", "one, for an interval", self.names, "Profile.interval")
         inside = self.region(level)
         (grid,) = self.grid
         if not inside.any():
@@ -62,8 +96,10 @@ class Profile:
 
     def _crossing(self, height: float, outside: int, inside: int) -> float:
         """Where the line between two neighbours of the grid has that height."""
-        share = (height - self.values[outside]) / (self.values[inside] - self.values[outside])
-        return float(self.grid[0][outside] + share * (self.grid[0][inside] - self.grid[0][outside]))
+        (grid,) = self.grid
+        rise = self.values[inside] - self.values[outside]
+        fraction = (height - self.values[outside]) / rise
+        return float(grid[outside] + fraction * (grid[inside] - grid[outside]))
 
 
 def profile(
@@ -75,42 +111,68 @@ def profile(
     likelihood: LocalLikelihood | None = None,
     epsilon: Epsilon | None = None,
     rng: np.random.Generator | int | None = 0,
+    width: float = WIDTH,
 ) -> Profile:
-    """The profile log-likelihood of the means of one or two parameters, on `points` values each
-    around a fit.
+    """Compute the profile log-likelihood of the means of one or two parameters.
 
-    likelihood: a local one, built around the fit; by default that of the fit, else the emulated.
-    epsilon: its noise; by default the problem's where it states one, else learned with the rest.
+    Parameters
+    ----------
+    problem : Problem
+        That was fitted.
+    fit : Fit
+        Around which the profile is taken.
+    parameters : tuple of str
+        One or two names.
+    points : int
+        Values of each parameter.
+    likelihood : LocalLikelihood, optional
+        Built around the fit; by default that of the fit, else the emulated.
+    epsilon : Epsilon, optional
+        Its noise; by default the problem's where it states one, else learned with the rest.
+    rng : numpy.random.Generator, int or None
+        A generator or a seed.
+    width : float
+        Standard errors to either side of the estimate.
+
+    Returns
+    -------
+    Profile
+
+    Raises
+    ------
+    BadArgument
+        If there are not one or two different parameters, or fewer than five points.
+    UnknownName
+        If there is no such parameter.
+    Incompatible
+        If the likelihood is not a local one.
     """
-    require(
-        len(parameters) in (1, 2) and len(set(parameters)) == len(parameters),
-        "parameters",
-        "one or two names",
-        parameters,
-        "profile",
-    )
+    different = len(parameters) in (1, 2) and len(set(parameters)) == len(parameters)
+    require(different, "parameters", "one or two names", parameters, "profile")
     require(points >= 5, "points", "at least 5", points, "profile")
     for name in parameters:
         known("parameter", name, problem.space.names)
-    objective = _around(problem, fit, likelihood, epsilon, np.random.default_rng(rng))
-    start = np.clip(_start(objective, fit), objective.unknowns.low, objective.unknowns.high)
+
+    # The maximum, and a grid around it.
+    generator = np.random.default_rng(rng)
+    objective = _local_likelihood(problem, fit, likelihood, epsilon, generator, width)
+    unknowns = objective.unknowns
+    start = np.clip(_start(objective, fit), unknowns.low, unknowns.high)
     top = maximize_locally(objective, start)
-    places = [objective.unknowns.names.index(f"mean.{name}") for name in parameters]
-    grids = [_grid(objective, top.phi, place, points) for place in places]
+    places = [unknowns.names.index(f"mean.{name}") for name in parameters]
+    grids = [_grid(objective, top.phi, place, points, width) for place in places]
+
+    # At each point of the grid, everything else at its best.
     values = np.full([points] * len(places), -np.inf)
     for index in np.ndindex(*values.shape):
-        held = _Held(
-            objective,
-            top.phi,
-            places,
-            np.array([grid[i] for grid, i in zip(grids, index, strict=True)]),
-        )
-        values[index] = (
-            maximize_locally(held, top.phi[held.free]).value
-            if held.free.any()
-            else held.value_score_information(np.empty(0))[0]
-        )
-    return Profile(tuple(parameters), tuple(grids), values, max(top.value, float(values.max())))
+        point = np.array([grid[i] for grid, i in zip(grids, index, strict=True)])
+        held = _Held(objective, top.phi, places, point)
+        if held.free.any():
+            values[index] = maximize_locally(held, top.phi[held.free]).value
+        else:
+            values[index] = held.value_score_information(np.empty(0))[0]
+    best = max(top.value, float(values.max()))
+    return Profile(tuple(parameters), tuple(grids), values, best)
 
 
 class _Held(LocalLogLikelihood):
@@ -121,11 +183,11 @@ class _Held(LocalLogLikelihood):
         self.whole = phi.copy()
         self.whole[places] = values
         self.free = ~np.isin(np.arange(len(phi)), places)
-        self.unknowns = ParameterSpace(
-            tuple(p for p, free in zip(objective.unknowns, self.free, strict=True) if free)
-        )
+        unknowns = zip(objective.unknowns, self.free, strict=True)
+        self.unknowns = ParameterSpace(tuple(one for one, free in unknowns if free))
 
     def _at(self, phi: Array) -> Array:
+        """All unknowns, from those that are not held."""
         full = self.whole.copy()
         full[self.free] = phi
         return full
@@ -147,13 +209,15 @@ class _Held(LocalLogLikelihood):
         return self.objective.mean(self._at(phi))
 
 
-def _around(
+def _local_likelihood(
     problem: Problem,
     fit: Fit,
     likelihood: LocalLikelihood | None,
     epsilon: Epsilon | None,
     rng: np.random.Generator,
+    width: float,
 ) -> LocalLogLikelihood:
+    """The local log-likelihood around a fit, as far as the profile goes."""
     if likelihood is None:
         own = fit.likelihood or "emulated"
         likelihood = find("likelihoods", own)()
@@ -163,16 +227,19 @@ def _around(
             "Give likelihood=Emulated()."
         )
     if epsilon is None:
-        learned = None if problem.epsilon is not None and fit.method != "least-squares" else "each"
+        stated = problem.epsilon is not None and fit.method != "least-squares"
         epsilon = Noise(
-            fit.epsilon, learned, start=problem.start_noise, degrees=problem.noise_degrees
-        )  # type: ignore[arg-type]
+            fit.epsilon,
+            None if stated else "each",
+            start=problem.start_noise,
+            degrees=problem.noise_degrees,
+        )
     box = problem.space.high - problem.space.low
     error = np.where(np.isfinite(fit.mean_se), fit.mean_se, box / 6)
-    width = np.clip(np.maximum(fit.sd, (REACH + 1) / 2 * error), 1e-6 * box, box / 6)
+    half = np.clip(np.maximum(fit.sd, (width + 1) / 2 * error), 1e-6 * box, box / 6)
     family = find("families", fit.family)(problem.space)
     return likelihood.linearize_at(
-        problem.simulator, problem.segments, family, epsilon, fit.mean, width, rng
+        problem.simulator, problem.segments, family, epsilon, fit.mean, half, rng
     )
 
 
@@ -182,14 +249,12 @@ def _start(objective: LocalLogLikelihood, fit: Fit) -> Array:
     return np.concatenate([fit.phi, own])
 
 
-def _grid(objective: LocalLogLikelihood, phi: Array, place: int, points: int) -> Array:
-    """Values within `REACH` standard errors of the maximum, by the information, and within the
-    local likelihood's bounds.
-    """
+def _grid(
+    objective: LocalLogLikelihood, phi: Array, place: int, points: int, width: float
+) -> Array:
+    """Values within some standard errors of the maximum, by the information, and within bounds."""
     information = objective.value_score_information(phi)[2]
     error = float(np.sqrt(np.linalg.pinv(information, hermitian=True)[place, place]))
-    low = objective.unknowns.low[place]
-    high = objective.unknowns.high[place]
-    return np.linspace(
-        max(low, phi[place] - REACH * error), min(high, phi[place] + REACH * error), points
-    )
+    low = max(objective.unknowns.low[place], phi[place] - width * error)
+    high = min(objective.unknowns.high[place], phi[place] + width * error)
+    return np.linspace(low, high, points)

@@ -28,17 +28,17 @@ class ResidualTestSettings:
 
     Attributes
     ----------
-    smallest_penalty, largest_penalty
+    smallest_penalty, largest_penalty : float
         Ends of the logarithmic grid of ridge penalties that generalised cross-validation chooses
         from.
-    penalties
+    penalties : int
         Number of penalties.
-    fourier_features
+    fourier_features : int
         Random features of a Gaussian kernel [1]_.
-    cut
+    cut : float
         Standard deviations at which a feature is cut.
-    fewest_blocks
-        Blocks of rows below which the test says nothing.
+    fewest_blocks : int
+        Blocks of rows below which there is no test.
 
     References
     ----------
@@ -68,11 +68,11 @@ class ResidualTest:
 
     Attributes
     ----------
-    z
+    z : float
         Normal score of the fall of all signals together, over blocks; 0 where blocks are too few.
-    by_signal
-        (p,) the same of each signal.
-    fall
+    by_signal : (p,) array
+        The same of each signal.
+    fall : float
         Sum of the fall over all rows that were predicted and all signals.
     """
 
@@ -92,16 +92,16 @@ def predictability(
 
     Parameters
     ----------
-    design
-        (n, F) features.
-    residuals
-        (n, p) residuals, whitened or not.
-    folds
+    design : (n, F) array
+        Features.
+    residuals : (n, p) array
+        Residuals, whitened or not.
+    folds : sequence of (n,) bool array pairs
         Which rows each regression is fitted to and predicts; no row is predicted twice. Folds with
         nothing to fit or to predict are left out.
-    block
-        (n,) labels of the blocks that count as independent; only those of predicted rows matter.
-    settings
+    block : (n,) array
+        Labels of the blocks that count as independent; only those of predicted rows matter.
+    settings : ResidualTestSettings
         How the regression is made.
 
     Returns
@@ -154,11 +154,11 @@ def random_features(
 
     Parameters
     ----------
-    rows
-        (n, s) standardised columns; without columns there are no features.
-    rng
+    rows : (n, s) array
+        Standardised columns; without columns there are no features.
+    rng : numpy.random.Generator
         Draws frequencies and phases.
-    settings
+    settings : ResidualTestSettings
         How many features there are.
 
     Returns

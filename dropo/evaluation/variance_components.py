@@ -3,14 +3,14 @@ of what they may be.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
 from dropo.core.contracts.fisher_scoring import maximize_locally
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood
+from dropo.core.records.fit_parts import VarianceComponentTests, VarianceTest
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -22,11 +22,11 @@ class VarianceTestSettings:
 
     Attributes
     ----------
-    draws
+    draws : int
         Draws of the distribution on the boundary; with 4000 its weights are right to 0.008.
-    no_information
+    no_information : float
         Share of the largest root of an information, below which a variance has none.
-    small
+    small : float
         Standard deviation, as a share of the mean's standard error, at which the information of
         variances is that at 0.
     """
@@ -45,7 +45,7 @@ def variance_component_tests(
     phi: Array,
     rng: np.random.Generator,
     settings: VarianceTestSettings = SETTINGS,
-) -> dict[str, Any]:
+) -> VarianceComponentTests:
     """Test whether parameters differ between groups, by restricted likelihood ratios.
 
     Overall, all standard deviations without correlations are tested against none, by the
@@ -56,22 +56,21 @@ def variance_component_tests(
 
     Parameters
     ----------
-    objective
+    objective : LocalLogLikelihood
         Its unknowns are means, scales, "partial." correlations, and noise.
-    names
+    names : tuple of str
         The parameters.
-    phi
-        (m,) a maximum of the objective.
-    rng
+    phi : (m,) array
+        A maximum of the objective.
+    rng : numpy.random.Generator
         Draws the weights of the chi-bar-square distribution.
-    settings
+    settings : VarianceTestSettings
         Draws and tolerances.
 
     Returns
     -------
-    dict
-        "statistic", twice the gain in log-likelihood, and "p_value" overall, and of each
-        parameter under "parameters".
+    VarianceComponentTests
+        Overall, and of each parameter.
 
     References
     ----------
@@ -86,7 +85,7 @@ def variance_component_tests(
     information = _information_at_none(objective, none.whole(nowhere), settings.small)
     weights = boundary_weights(information, rng, settings)
     independent_value = restricted(independent, independent.maximum(phi))
-    overall = _entry(independent_value - restricted(none, nowhere), weights)
+    overall = _test(independent_value - restricted(none, nowhere), weights)
     whole = _Held(objective, {})
     best = restricted(whole, whole.maximum(phi))
     parameters = {}
@@ -95,8 +94,8 @@ def variance_component_tests(
         without = _Held(objective, {f"scale.{name}": 0.0} | own)
         mixture = np.eye(len(own) + 2)[-2:].mean(axis=0)
         gain = best - restricted(without, without.maximum(phi))
-        parameters[name] = _entry(gain, mixture)
-    return {**overall, "parameters": parameters}
+        parameters[name] = _test(gain, mixture)
+    return VarianceComponentTests(overall, parameters)
 
 
 def _correlations_of(
@@ -118,10 +117,10 @@ def restricted(objective: LocalLogLikelihood, phi: Array) -> float:
 
     Parameters
     ----------
-    objective
+    objective : LocalLogLikelihood
         A local likelihood.
-    phi
-        (m,) where.
+    phi : (m,) array
+        Where.
 
     Returns
     -------
@@ -150,11 +149,11 @@ def boundary_weights(
 
     Parameters
     ----------
-    information
-        (d, d) of the variances.
-    rng
+    information : (d, d) array
+        Of the variances.
+    rng : numpy.random.Generator
         Draws.
-    settings
+    settings : VarianceTestSettings
         How many, and below what a variance has no information.
 
     Returns
@@ -173,11 +172,11 @@ def boundary_weights(
     return np.bincount(positive, minlength=len(size) + 1) / settings.draws
 
 
-def _entry(gain: float, weights: Array) -> dict[str, float]:
+def _test(gain: float, weights: Array) -> VarianceTest:
     """Twice the gain, at least 0, and its p-value sum_k weights_k P(chi2_k >= statistic)."""
     statistic = max(0.0, 2 * gain)
     tails = np.append(statistic <= 0, chi2.sf(statistic, np.arange(1, len(weights))))
-    return {"statistic": statistic, "p_value": min(1.0, float(weights @ tails))}
+    return VarianceTest(statistic, min(1.0, float(weights @ tails)))
 
 
 def _places(objective: LocalLogLikelihood, kinds: str | tuple[str, ...]) -> Ints:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, namespace

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.grouped_likelihood import GroupedLogLikelihood, Groups
-from dropo.core.contracts.local_likelihood import LocalLikelihood
+from dropo.core.contracts.likelihood import GroupedLogLikelihood, Groups, LocalLikelihood
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, is_tensor, namespace, plain

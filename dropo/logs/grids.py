@@ -7,24 +7,30 @@ import numpy as np
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.logs.recordings import Run, Series
+from dropo.logs.recordings import LogRun, TimeSeries
 from dropo.logs.signals.resampling import resample, resample_rotations
-from dropo.logs.signals.stamps import gaps
+from dropo.logs.signals.stamps import find_gaps
 from dropo.mjmodel.joints import Joint, ModelJoints
 
-SHORT = 3
-"""A trajectory of fewer rows holds no transition worth keeping."""
 ON_GRID = 1e-3
-"""Stamps within this share of a control step of the grid are taken to be on it: nothing is
-resampled then.
-"""
-CLOSE = 0.05
-"""How far a rate may be from the model's own, as a share."""
+"""Stamps within this fraction of a control step of the grid are on it, and are not resampled."""
+SHORTEST = 3
+"""A trajectory of fewer rows holds no transition worth keeping."""
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """A span of a run that is in no trajectory, and why."""
+class ExcludedSpan:
+    """A span of a run that is in no trajectory.
+
+    Attributes
+    ----------
+    run : str
+        The run.
+    start, stop : float
+        From when to when [s].
+    why : str
+        The reason.
+    """
 
     run: str
     start: float
@@ -33,65 +39,111 @@ class LeftOut:
 
 
 @dataclass(frozen=True, eq=False)
-class Span:
-    """A whole piece of a run: the instants (n,) of its grid, and the labels of the series whose
-    rows had to be resampled.
+class GridSpan:
+    """A whole piece of a run.
+
+    Attributes
+    ----------
+    at : (n,) array
+        The instants of its grid [s].
+    resampled : frozenset of str
+        The labels of the series whose rows are not on the grid.
     """
 
     at: Array
     resampled: frozenset[str]
 
 
-def steps_per_action(runs: Sequence[Run], timestep: float, rate: float | None) -> tuple[int, float]:
-    """Physics steps in one control step, and how far the log's or the mapping's rate is from it, as
-    a share of it.
+def steps_per_action(
+    runs: Sequence[LogRun], timestep: float, rate: float | None
+) -> tuple[int, float]:
+    """Find how many physics steps make a control step.
 
-    Without a rate, the median over the runs of the median step of the first position's stamps.
+    Parameters
+    ----------
+    runs : sequence of LogRun
+        With positions.
+    timestep : float
+        A physics step [s].
+    rate : float or None
+        Control steps in a second [Hz]; by default the median over the runs of the median step of
+        the first position's stamps.
+
+    Returns
+    -------
+    count : int
+        Physics steps.
+    error : float
+        How much longer the wanted control step is than so many, as a fraction.
     """
-    positions = [
-        next(series for series in run.series if series.channel.field == "qpos") for run in runs
-    ]
-    wanted = (
-        float(np.median([np.median(np.diff(series.time)) for series in positions]))
-        if rate is None
-        else 1 / rate
-    )
+    if rate is None:
+        steps = [float(np.median(np.diff(_first_position(run.series).time))) for run in runs]
+        wanted = float(np.median(steps))
+    else:
+        wanted = 1 / rate
     count = max(1, round(wanted / timestep))
     return count, wanted / (count * timestep) - 1
 
 
+def _first_position(series: Sequence[TimeSeries]) -> TimeSeries:
+    """The first series of positions."""
+    return next(one for one in series if one.channel.field == "qpos")
+
+
+# Where a run is whole
+
+
 def whole_spans(
-    run: Run, series: Sequence[Series], step: float
-) -> tuple[list[Span], list[LeftOut]]:
-    """The pieces of a run in which every series has rows, on a grid of `step` seconds, and the
-    spans between them.
+    run: LogRun, series: Sequence[TimeSeries], step: float
+) -> tuple[list[GridSpan], list[ExcludedSpan]]:
+    """Find the pieces of a run in which every series has rows.
+
+    Parameters
+    ----------
+    run : LogRun
+        The run.
+    series : sequence of TimeSeries
+        Those that must have rows.
+    step : float
+        A control step [s].
+
+    Returns
+    -------
+    spans : list of GridSpan
+        The pieces, on a grid of control steps.
+    excluded : list of ExcludedSpan
+        The spans between them.
     """
-    begin = max(one.time[0] for one in series)
-    end = min(
-        one.time[-1] + (np.median(np.diff(one.time)) if one.channel.field == "ctrl" else 0.0)
-        for one in series
-    )
-    first = min(one.time[0] for one in series)
-    last = max(one.time[-1] for one in series)
-    out: list[LeftOut] = [
-        LeftOut(run.name, a, b, "not every signal is there")
-        for a, b in ((first, begin), (end, last))
-        if b - a > step
-    ]
-    holes = _joined(hole for one in series for hole in _holes(run.name, one))
+    begin = max(float(one.time[0]) for one in series)
+    end = min(_end(one) for one in series)
+    first = min(float(one.time[0]) for one in series)
+    last = max(float(one.time[-1]) for one in series)
+    excluded = []
+    for start, stop in ((first, begin), (end, last)):
+        if stop - start > step:
+            excluded.append(ExcludedSpan(run.name, start, stop, "not every signal is there"))
+    holes: list[ExcludedSpan] = []
+    for one in series:
+        holes += _find_holes(run.name, one)
     spans = []
-    for hole in (*holes, LeftOut(run.name, end, end, "")):
-        if hole.start > begin or not hole.why:
-            spans += _span(run.name, series, begin, min(hole.start, end), step, out)
-        if hole.why:
-            out.append(hole)
+    for hole in _merge(holes):
+        if hole.start > begin:
+            spans += _make_span(run.name, series, begin, min(hole.start, end), step, excluded)
+        excluded.append(hole)
         begin = max(begin, hole.stop)
-    return spans, out
+    spans += _make_span(run.name, series, begin, end, step, excluded)
+    return spans, excluded
 
 
-def _joined(holes: Iterable[LeftOut]) -> list[LeftOut]:
+def _end(series: TimeSeries) -> float:
+    """Until when a series holds: a command for a step behind its last row."""
+    held = float(np.median(np.diff(series.time))) if series.channel.field == "ctrl" else 0.0
+    return float(series.time[-1]) + held
+
+
+def _merge(holes: Iterable[ExcludedSpan]) -> list[ExcludedSpan]:
     """Spans in order, those that overlap as one, whose reason is the first one's."""
-    out: list[LeftOut] = []
+    out: list[ExcludedSpan] = []
     for hole in sorted(holes, key=lambda hole: hole.start):
         if out and hole.start < out[-1].stop:
             out[-1] = replace(out[-1], stop=max(out[-1].stop, hole.stop))
@@ -100,104 +152,192 @@ def _joined(holes: Iterable[LeftOut]) -> list[LeftOut]:
     return out
 
 
-def _holes(run: str, series: Series) -> list[LeftOut]:
+def _find_holes(run: str, series: TimeSeries) -> list[ExcludedSpan]:
     """Where there are no numbers for too long: nothing was logged, or nothing that can be used."""
     out = []
-    for i in gaps(series.time):
+    for i in find_gaps(series.time):
         lost = int(series.rows[i] - series.rows[i - 1]) - 1
-        why = (
-            f"{lost} rows of {series.label} hang, or have no value"
-            if lost
-            else f"a gap in the stamps of {series.label}"
-        )
-        out.append(LeftOut(run, float(series.time[i - 1]), float(series.time[i]), why))
+        why = f"a gap in the stamps of {series.label}"
+        if lost:
+            why = f"{lost} rows of {series.label} hang, or have no value"
+        out.append(ExcludedSpan(run, float(series.time[i - 1]), float(series.time[i]), why))
     return out
 
 
-def _span(
-    run: str, series: Sequence[Series], begin: float, end: float, step: float, out: list[LeftOut]
-) -> list[Span]:
-    """The grid begins on a position's stamp, so that the shift of estimated velocities does not
-    move the commands.
+def _make_span(
+    run: str,
+    series: Sequence[TimeSeries],
+    begin: float,
+    end: float,
+    step: float,
+    excluded: list[ExcludedSpan],
+) -> list[GridSpan]:
+    """The piece from `begin` to `end`, or none, noted in `excluded`, where it is too short.
+
+    The grid begins on a position's stamp, so that the shift of estimated velocities does not move
+    the commands.
     """
-    stamps = next(one.time for one in series if one.channel.field == "qpos")
-    begin = float(next(iter(stamps[stamps >= begin - ON_GRID * step]), begin))
-    count = int((end - begin) / step * (1 + 1e-12) + ON_GRID) + 1 if end > begin else 0
-    at: Array = begin + step * np.arange(count, dtype=np.float64)
-    if len(at) < SHORT:
-        if end > begin:
-            out.append(LeftOut(run, begin, end, f"shorter than {SHORT} control steps"))
+    stamps = _first_position(series).time
+    later = stamps[stamps >= begin - ON_GRID * step]
+    begin = float(later[0]) if len(later) else begin
+    if end <= begin:
         return []
-    return [Span(at, frozenset(one.label for one in series if not _on_grid(one.time, at, step)))]
+    count = int((end - begin) / step * (1 + 1e-12) + ON_GRID) + 1
+    at: Array = begin + step * np.arange(count, dtype=np.float64)
+    if count < SHORTEST:
+        why = f"shorter than {SHORTEST} control steps"
+        excluded.append(ExcludedSpan(run, begin, end, why))
+        return []
+    resampled = [one.label for one in series if not _is_on_grid(one.time, at, step)]
+    return [GridSpan(at, frozenset(resampled))]
 
 
 def _nearest(time: Array, at: Array) -> Ints:
+    """The row whose stamp is nearest to each instant."""
     after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
     return after - (at - time[after - 1] < time[after] - at)
 
 
-def _on_grid(time: Array, at: Array, step: float) -> bool:
+def _is_on_grid(time: Array, at: Array, step: float) -> bool:
     """Whether every instant of the grid is a stamp; a command's last row may be missing."""
-    off = np.abs(time[_nearest(time, at)] - at)
-    return bool(
-        (off[:-1] < ON_GRID * step).all() and (off[-1] < ON_GRID * step or at[-1] > time[-1])
-    )
+    distance = np.abs(time[_nearest(time, at)] - at)
+    near = distance < ON_GRID * step
+    return bool(near[:-1].all() and (near[-1] or at[-1] > time[-1]))
 
 
-def measured(series: Series, span: Span, joint: Joint | None) -> Array:
-    """A position's or velocity's numbers (n, k) on the grid: as they are where they are on it, else
-    by Akima splines and great arcs.
+# What the signals are there
+
+
+def sample_state(series: TimeSeries, span: GridSpan, joint: Joint | None) -> Array:
+    """Take a position or velocity on the grid.
+
+    Parameters
+    ----------
+    series : TimeSeries
+        k numbers.
+    span : GridSpan
+        n instants.
+    joint : Joint or None
+        Whose position or velocity it is.
+
+    Returns
+    -------
+    (n, k) array
+        As they were logged where the stamps are on the grid; else by Akima splines, and by great
+        arcs for rotations.
     """
     if series.label not in span.resampled:
         return series.values[_nearest(series.time, span.at)]
     at = np.clip(span.at, series.time[0], series.time[-1])
     values = resample(series.time, series.values, at)
-    quaternion = (
-        joint.quaternion() if joint is not None and series.channel.field == "qpos" else None
-    )
-    if quaternion is not None:
-        values[:, quaternion] = resample_rotations(series.time, series.values[:, quaternion], at)
+    if joint is not None and series.channel.field == "qpos":
+        quaternion = joint.quaternion()
+        if quaternion is not None:
+            measured = series.values[:, quaternion]
+            values[:, quaternion] = resample_rotations(series.time, measured, at)
     return values
 
 
-def commanded(series: Series, span: Span, step: float) -> Array:
-    """A command's numbers (n, 1) on the grid: each row is held until the next, and averaged over
-    the control step.
+def sample_command(series: TimeSeries, span: GridSpan, step: float) -> Array:
+    """Take a command on the grid.
+
+    Parameters
+    ----------
+    series : TimeSeries
+        The command.
+    span : GridSpan
+        n instants.
+    step : float
+        A control step [s].
+
+    Returns
+    -------
+    (n, 1) array
+        Each row is held until the next, and averaged over the control step.
     """
     row = np.searchsorted(series.time, span.at + ON_GRID * step, side="right") - 1
-    alone = bool((np.diff(row) == 1).all())  # one row in each control step
-    if series.label not in span.resampled and alone:
+    one_each = bool((np.diff(row) == 1).all())  # row in each control step
+    if series.label not in span.resampled and one_each:
         return series.values[row]
     return held_means(series.time, series.values, span.at, step)
 
 
 def held_means(time: Array, values: Array, at: Array, step: float) -> Array:
-    """(m, q) the means over each [at, at + step] of values (n, q) that are held from their stamps
-    (n,) to the next, the last for good.
-    """
-    held = np.concatenate(
-        [np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time)[:, None], axis=0)]
-    )
+    """Average values that are held from their stamps to the next, the last for good.
 
-    def integral(instants: Array) -> Array:
+    Parameters
+    ----------
+    time : (n,) array
+        Increasing stamps [s].
+    values : (n, q) array
+        What is held.
+    at : (m,) array
+        Where the means begin [s].
+    step : float
+        Over how long they are [s].
+
+    Returns
+    -------
+    (m, q) array
+        The means over each [at, at + step].
+    """
+    areas = np.cumsum(values[:-1] * np.diff(time)[:, None], axis=0)
+    held = np.concatenate([np.zeros((1, values.shape[1])), areas])
+
+    def integrate(instants: Array) -> Array:
         row = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, None)
         return np.asarray(held[row] + values[row] * (instants - time[row])[:, None])
 
-    return (integral(at + step) - integral(at)) / step
+    return (integrate(at + step) - integrate(at)) / step
 
 
-def observed(
-    machine: ModelJoints,
+def observation_items(robot: ModelJoints, names: Sequence[str]) -> list[str]:
+    """Name the items of an observation, as a problem file does.
+
+    Parameters
+    ----------
+    robot : ModelJoints
+        All joints of the model.
+    names : sequence of str
+        The joints that were measured.
+
+    Returns
+    -------
+    list of str
+        Positions, then velocities, in the model's order.
+    """
+    if len(names) == len(robot.joints):
+        return ["qpos", "qvel"]
+    ordered = [names[i] for i in _model_order(robot, names)]
+    return [*(f"qpos.{name}" for name in ordered), *(f"qvel.{name}" for name in ordered)]
+
+
+def join_observations(
+    robot: ModelJoints,
     names: Sequence[str],
     positions: Sequence[Array],
     velocities: Sequence[Array],
-) -> tuple[list[str], Array]:
-    """The items of an observation and its rows: qpos, then qvel, of the named joints, in the
-    model's order.
+) -> Array:
+    """Join positions and velocities of joints into observations.
+
+    Parameters
+    ----------
+    robot : ModelJoints
+        All joints of the model.
+    names : sequence of str
+        The joints that were measured.
+    positions, velocities : sequences of (n, k) arrays
+        Of each of them.
+
+    Returns
+    -------
+    (n, p) array
+        In the order of `observation_items`.
     """
-    order = sorted(range(len(names)), key=lambda i: machine.joints[names[i]].qpos)
-    rows = np.hstack([*(positions[i] for i in order), *(velocities[i] for i in order)])
-    if len(names) == len(machine.joints):
-        return ["qpos", "qvel"], rows
-    items = [f"{field}.{names[i]}" for field in ("qpos", "qvel") for i in order]
-    return items, rows
+    order = _model_order(robot, names)
+    return np.hstack([*(positions[i] for i in order), *(velocities[i] for i in order)])
+
+
+def _model_order(robot: ModelJoints, names: Sequence[str]) -> list[int]:
+    """Places of the joints in the order of the model."""
+    return sorted(range(len(names)), key=lambda i: robot.joints[names[i]].qpos)

@@ -1,11 +1,14 @@
-"""Raw logs to data that a fit takes: checked, aligned, resampled on the model's control step, with
-the noise of every signal.
+"""Raw logs to data that a fit takes: checked, aligned, and resampled on the model's control step.
+
+In reading order: `import_logs` calls `prepare`, which does the work step by step, and writes the
+three files; `_gather` cuts the runs into trajectories, and `_join_arrays` makes the arrays of
+data.npz of them.
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,37 +22,91 @@ from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding
 from dropo.logs.grids import (
-    CLOSE,
-    LeftOut,
-    commanded,
-    measured,
-    observed,
+    ExcludedSpan,
+    GridSpan,
+    join_observations,
+    observation_items,
+    sample_command,
+    sample_state,
     steps_per_action,
     whole_spans,
 )
-from dropo.logs.log_checks import check_runs
+from dropo.logs.log_checks import LogCheckSettings, check_runs
 from dropo.logs.mapping import Mapping, read_mapping
-from dropo.logs.preparing import Noise, cleaned, with_velocities
+from dropo.logs.preparing import NoiseSettings, SignalNoise, add_velocities, clean_run
 from dropo.logs.readers.reader import Progress
-from dropo.logs.recordings import Run, read_runs
-from dropo.logs.signals.clocks import Lateness, aligned
+from dropo.logs.recordings import LogRun, read_runs
+from dropo.logs.signals.clocks import AlignmentSettings, SignalDelay, align_runs
 from dropo.mjmodel.joints import ModelJoints, load_model_joints
 
 PROBLEM = "problem.yaml"
 RECORD = "import.json"
 SHOWN = 20
-OURS = ("model", "frame_skip", "data", "observation", "action")
-HEAD = """# Written by `dropo data import`. `dropo fit` needs parameters; noise levels of the signals stand in {record}. For example:
+"""Excluded spans that are printed."""
+OUR_KEYS = ("model", "frame_skip", "data", "observation", "action")
+"""What an import writes into a problem file."""
+HEAD = """\
+# Written by `dropo data import`. `dropo fit` needs parameters; noise levels of the \
+signals stand in {record}. For example:
 # parameters:
 #   mass: {{field: body_mass, name: {body}, low: {low:.3g}, high: {high:.3g}, unit: kg}}
 """
+
+
+@dataclass(frozen=True)
+class ImportSettings:
+    """How logs are imported.
+
+    Attributes
+    ----------
+    rate_error : float
+        How far a rate that the mapping gives may be from one of whole physics steps, as a fraction.
+    checks : LogCheckSettings
+        What makes a raw log look odd.
+    alignment : AlignmentSettings
+        How delays are estimated and removed.
+    noise : NoiseSettings
+        From how much of a log noise levels are estimated.
+    """
+
+    rate_error: float = 0.05
+    checks: LogCheckSettings = field(default_factory=LogCheckSettings)
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+
+
+DEFAULTS = ImportSettings()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Import(Report):
     """What an import made of the logs: the arrays of data.npz, and all that import.json says.
 
-    rows: by run, read, resampled and dropped; trajectories: rows of each; noise: by signal.
+    Attributes
+    ----------
+    arrays : dict
+        The arrays of data.npz.
+    observation, action : list of str
+        The items of an observation and of an action, as a problem file names them.
+    frame_skip : int
+        Physics steps in a control step.
+    control_step : float
+        The same in seconds.
+    rows : dict
+        By run how many rows were "read", "dropped", "resampled" and "kept", its "trajectories" and
+        the "log".
+    trajectories : list of int
+        Rows of each trajectory.
+    delays : list of SignalDelay
+        All that were found, removed or not.
+    noise : dict
+        `SignalNoise` by signal.
+    left_out : list of ExcludedSpan
+        What is in no trajectory, and why.
+    findings : list of Finding
+        What looked odd in the raw logs.
+    inputs : tuple of str
+        The candidates of the commands.
     """
 
     arrays: dict[str, Array]
@@ -59,14 +116,19 @@ class Import(Report):
     control_step: float
     rows: dict[str, dict[str, Any]]
     trajectories: list[int]
-    delays: list[Lateness]
-    noise: dict[str, Noise]
-    left_out: list[LeftOut]
+    delays: list[SignalDelay]
+    noise: dict[str, SignalNoise]
+    left_out: list[ExcludedSpan]
     findings: list[Finding]
     inputs: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """The content of import.json."""
+        """Give the content of import.json."""
+        left_out = []
+        for span in self.left_out:
+            left_out.append(
+                {"run": span.run, "from_s": span.start, "to_s": span.stop, "why": span.why}
+            )
         return {
             "version": __version__,
             "frame_skip": self.frame_skip,
@@ -74,58 +136,61 @@ class Import(Report):
             "runs": self.rows,
             "trajectories": self.trajectories,
             "inputs": list(self.inputs),
-            "delays": [asdict(late) | {"removed": late.removed} for late in self.delays],
+            "delays": [asdict(delay) for delay in self.delays],
             "noise": {name: asdict(noise) for name, noise in self.noise.items()},
-            "left_out": [
-                {"run": span.run, "from_s": span.start, "to_s": span.stop, "why": span.why}
-                for span in self.left_out
-            ],
+            "left_out": left_out,
             "findings": [asdict(finding) for finding in self.findings],
         }
 
     def parts(self) -> list[str | Table]:
-        """Counts, a table of the noise, delays, spans left out, and findings."""
-        read, resampled, dropped = (
-            sum(run[key] for run in self.rows.values()) for key in ("read", "resampled", "dropped")
-        )
-        counts = (
-            f"{len(self.arrays['observations'])} rows in {len(self.trajectories)} "
-            f"trajectories of {len(self.rows)} runs, every "
-            f"{1e3 * self.control_step:.6g} ms ({self.frame_skip} physics steps); of "
-            f"{read} rows read, {dropped} were dropped; "
-            f"{resampled} rows are resampled."
-        )
-        rows = tuple(
-            (
-                name,
-                noise.unit,
-                "-" if noise.sd is None else number(noise.sd),
-                "estimated" if noise.estimated else "logged",
+        """Give the counts, a table of the noise, delays, excluded spans, and findings."""
+        parts: list[str | Table] = [self._counts(), self._noise_table()]
+        # delays
+        removed = [str(delay) for delay in self.delays if delay.removed]
+        parts += removed
+        small = len(self.delays) - len(removed)
+        if small:
+            parts.append(f"Delays too small to tell, and left: {small} (see {RECORD}).")
+        # excluded spans
+        for span in self.left_out[:SHOWN]:
+            parts.append(
+                f"left out: {span.run}, {span.start:.6g} s to {span.stop:.6g} s: {span.why}"
             )
-            for name, noise in self.noise.items()
+        if len(self.left_out) > SHOWN:
+            parts.append(f"... and {len(self.left_out) - SHOWN} more spans left out")
+        return parts + [str(finding) for finding in self.findings]
+
+    def _counts(self) -> str:
+        """How many rows there are, and how many were dropped or resampled."""
+        totals = {}
+        for key in ("read", "resampled", "dropped"):
+            totals[key] = sum(run[key] for run in self.rows.values())
+        return (
+            f"{len(self.arrays['observations'])} rows in {len(self.trajectories)} trajectories of "
+            f"{len(self.rows)} runs, every {1e3 * self.control_step:.6g} ms ({self.frame_skip} "
+            f"physics steps); of {totals['read']} rows read, {totals['dropped']} were dropped; "
+            f"{totals['resampled']} rows are resampled."
         )
-        left_out = [
-            f"left out: {span.run}, {span.start:.6g} s to {span.stop:.6g} s: {span.why}"
-            for span in self.left_out
-        ]
-        more = (
-            [f"... and {len(left_out) - SHOWN} more spans left out"]
-            if len(left_out) > SHOWN
-            else []
-        )
-        delays = [str(late) for late in self.delays if late.removed]
-        on_time = len(self.delays) - len(delays)
-        delays += (
-            [f"Delays too small to tell, and left: {on_time} (see {RECORD})."] if on_time else []
-        )
-        return [
-            counts,
-            Table("", ("signal", "unit", "noise sd", ""), rows),
-            *delays,
-            *left_out[:SHOWN],
-            *more,
-            *map(str, self.findings),
-        ]
+
+    def _noise_table(self) -> Table:
+        """The noise level of every signal."""
+        rows = []
+        for name, noise in self.noise.items():
+            sd = "-" if noise.sd is None else number(noise.sd)
+            rows.append((name, noise.unit, sd, "estimated" if noise.estimated else "logged"))
+        return Table("", ("signal", "unit", "noise sd", ""), tuple(rows))
+
+
+def ignore_progress(fraction: float, text: str) -> None:
+    """Report no progress.
+
+    Parameters
+    ----------
+    fraction : float
+        How much of the work is done.
+    text : str
+        What is being done.
+    """
 
 
 def import_logs(
@@ -134,58 +199,130 @@ def import_logs(
     model: str | Path,
     out: str | Path,
     *,
-    progress: Progress = lambda share, text: None,
+    progress: Progress = ignore_progress,
+    settings: ImportSettings = DEFAULTS,
 ) -> Import:
-    """Reads logs by a mapping file, and writes the data, problem.yaml and import.json beside it;
-    nothing where something is refused.
+    """Turn raw logs into data, and write these with problem.yaml and import.json beside them.
 
-    logs: files or folders, of which each is a recording (or holds several runs); mapping: the YAML
-    file that says which column is which joint or actuator; model: the MJCF file; out: the data
-    file, .npz; progress(share, text): called while it works.
+    Parameters
+    ----------
+    logs : str, Path, or sequence of them
+        Files or folders, of which each is a recording or holds several runs.
+    mapping : str or Path
+        The YAML file that says which column is which joint or actuator.
+    model : str or Path
+        The MJCF file.
+    out : str or Path
+        The data file, .npz.
+    progress : callable
+        Called while it works, with the fraction of the work that is done and what is being done.
+    settings : ImportSettings, optional
+        How logs are checked and aligned.
+
+    Returns
+    -------
+    Import
+        What was written.
+
+    Raises
+    ------
+    BadFile
+        If the data cannot be written there, a problem file there was changed by someone, or a log,
+        the mapping or the model cannot be read. Nothing is written.
+    BadArgument
+        If a check finds an error in a log, or no run holds a trajectory. Nothing is written.
     """
     place = Path(out)
     _check_place(place)
-    logs = [logs] if isinstance(logs, str | Path) else logs
-    machine = load_model_joints(model)
-    found = prepare(logs, read_mapping(mapping, machine), machine, progress=progress)
-    _write(found, place, Path(model), machine)
+    paths = [logs] if isinstance(logs, str | Path) else logs
+    robot = load_model_joints(model)
+    found = prepare(paths, read_mapping(mapping, robot), robot, progress, settings)
+    _write(found, place, Path(model), robot)
     return found
 
 
 def prepare(
     logs: Sequence[str | Path],
     mapping: Mapping,
-    machine: ModelJoints,
-    *,
-    progress: Progress = lambda share, text: None,
+    robot: ModelJoints,
+    progress: Progress = ignore_progress,
+    settings: ImportSettings = DEFAULTS,
 ) -> Import:
-    """What `import_logs` writes, without writing it."""
-    raw = read_runs(logs, mapping, lambda share, text: progress(0.5 * share, text))
-    findings = check_runs(raw, machine)
+    """Turn raw logs into data without writing them.
+
+    Parameters
+    ----------
+    logs : sequence of str or Path
+        Files or folders.
+    mapping : Mapping
+        Which column is what.
+    robot : ModelJoints
+        The joints and actuators of the model.
+    progress : callable
+        As of `import_logs`.
+    settings : ImportSettings, optional
+        How logs are checked and aligned.
+
+    Returns
+    -------
+    Import
+        What `import_logs` writes.
+
+    Raises
+    ------
+    BadFile
+        If a log cannot be read, or the mapping's rate is not one of whole physics steps.
+    BadArgument
+        If a check finds an error in a log, or no run holds a trajectory.
+    """
+    # read and check
+    raw = read_runs(logs, mapping, lambda fraction, text: progress(0.5 * fraction, text))
+    findings = check_runs(raw, robot, settings.checks)
     for finding in findings:
         if finding.level == "error":
-            raise BadArgument(
-                f"{', '.join(map(str, logs))}: {str(finding).removeprefix('error: ')}"
-            )
+            named = ", ".join(map(str, logs))
+            raise BadArgument(f"{named}: {str(finding).removeprefix('error: ')}")
+    # bring all stamps to one clock
     progress(0.5, "aligning")
-    runs, delays = aligned([cleaned(run, machine) for run in raw], machine)
-    skip, off = steps_per_action(runs, machine.timestep, mapping.rate)
-    if abs(off) > CLOSE and mapping.rate is not None:
-        near = 1 / (skip * machine.timestep)
+    clean = [clean_run(run, robot) for run in raw]
+    runs, delays = align_runs(clean, robot, settings.alignment)
+    skip, error = steps_per_action(runs, robot.timestep, mapping.rate)
+    if mapping.rate is not None and abs(error) > settings.rate_error:
+        near = 1 / (skip * robot.timestep)
         expected = (
             "a rate whose control step is a whole number of physics steps of "
-            f"{machine.timestep:g} s, such as {near:.6g} Hz"
+            f"{robot.timestep:g} s, such as {near:.6g} Hz"
         )
         raise mapping.refusal("rate", expected, f"{mapping.rate:g}")
+    # estimate what was not logged, and cut into trajectories
     progress(0.7, "velocities")
-    runs, noise = with_velocities(runs, machine)
+    runs, noise = add_velocities(runs, robot, settings.noise)
     progress(0.9, "resampling")
-    return _gathered(raw, runs, mapping, machine, skip, delays, noise, findings)
+    gathered = _gather(raw, runs, mapping, robot, skip)
+    positions = [channel.name for channel in mapping.of("qpos")]
+    action, _ = _action_items(mapping, robot)
+    return Import(
+        arrays=_join_arrays(gathered.pieces),
+        observation=observation_items(robot, positions),
+        action=action,
+        frame_skip=skip,
+        control_step=skip * robot.timestep,
+        rows=gathered.rows,
+        trajectories=[len(piece.time) for piece in gathered.pieces],
+        delays=delays,
+        noise=noise,
+        left_out=gathered.excluded,
+        findings=findings,
+        inputs=mapping.candidates,
+    )
+
+
+# Trajectories
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """One trajectory."""
+    """One trajectory: observations (n, p), the actions (n, q) of every candidate, stamps (n,)."""
 
     observations: Array
     actions: dict[str, Array]
@@ -193,139 +330,146 @@ class _Piece:
     run: int
 
 
-def _gathered(
-    raw: Sequence[Run],
-    runs: Sequence[Run],
+@dataclass(frozen=True, eq=False)
+class _Gathered:
+    """The trajectories of all runs, counts by run, and what is in no trajectory."""
+
+    pieces: list[_Piece]
+    rows: dict[str, dict[str, Any]]
+    excluded: list[ExcludedSpan]
+
+
+def _gather(
+    raw: Sequence[LogRun],
+    runs: Sequence[LogRun],
     mapping: Mapping,
-    machine: ModelJoints,
+    robot: ModelJoints,
     skip: int,
-    delays: list[Lateness],
-    noise: dict[str, Noise],
-    findings: list[Finding],
-) -> Import:
-    step = skip * machine.timestep
-    pieces: list[_Piece] = []
-    left_out: list[LeftOut] = []
-    rows: dict[str, dict[str, Any]] = {}
-    items: list[str] = []
-    action, places = _action(mapping, machine)
-    for number_, (before, run) in enumerate(zip(raw, runs, strict=True)):
-        own, without = whole_spans(run, run.series, step)
-        left_out += without
-        for span in own:
-            names = [channel.name for channel in mapping.of("qpos")]
-            states = {
-                field: [
-                    measured(s, span, machine.joints[name])
-                    for name in names
-                    if (s := run.of(field, name))
-                ]
-                for field in ("qpos", "qvel")
-            }
-            items, observations = observed(machine, names, states["qpos"], states["qvel"])
-            pieces.append(
-                _Piece(observations, _commands(run, span, step, mapping, places), span.at, number_)
-            )
-        kept = min((len(series.time) for series in run.series), default=0)
-        longest = max((len(stamps.time) for stamps in before.stamps), default=0)
-        rows[_unique(run, rows)] = {
-            "log": str(run.path),
-            "read": before.rows,
-            "dropped": before.without_stamp + longest - kept,
-            "resampled": sum(len(span.at) for span in own if span.resampled),
-            "kept": sum(len(span.at) for span in own),
-            "trajectories": len(own),
-        }
-    if not pieces:
-        why = left_out[0].why if left_out else "too few rows"
+) -> _Gathered:
+    """Cut the runs, of which `raw` are those that were read, into trajectories on the grid."""
+    step = skip * robot.timestep
+    gathered = _Gathered([], {}, [])
+    _, actuators = _action_items(mapping, robot)
+    for i, (logged, run) in enumerate(zip(raw, runs, strict=True)):
+        spans, excluded = whole_spans(run, run.series, step)
+        gathered.excluded.extend(excluded)
+        for span in spans:
+            observations = _observations(run, span, mapping, robot)
+            actions = _commands(run, span, step, mapping, actuators)
+            gathered.pieces.append(_Piece(observations, actions, span.at, i))
+        gathered.rows[_unique_name(run, gathered.rows)] = _count_rows(logged, run, spans)
+    if not gathered.pieces:
+        why = gathered.excluded[0].why if gathered.excluded else "too few rows"
         raise BadArgument(
             f"No run holds a trajectory: {why}. See `dropo data check LOG --map MAP --model MODEL`."
         )
-    return Import(
-        _arrays(pieces, mapping),
-        items,
-        action,
-        skip,
-        step,
-        rows,
-        [len(p.time) for p in pieces],
-        delays,
-        noise,
-        left_out,
-        findings,
-        mapping.candidates,
-    )
+    return gathered
 
 
-def _unique(run: Run, taken: dict[str, Any]) -> str:
-    return (
-        run.name
-        if run.name not in taken
-        else str(run.path)
-        if str(run.path) not in taken
-        else f"{run.path}: {run.name} ({len(taken)})"
-    )
+def _count_rows(logged: LogRun, run: LogRun, spans: Sequence[GridSpan]) -> dict[str, Any]:
+    """What import.json says of the rows of a run, before and after it was prepared."""
+    kept = min((len(series.time) for series in run.series), default=0)
+    longest = max((len(stamps.time) for stamps in logged.stamps), default=0)
+    return {
+        "log": str(run.path),
+        "read": logged.rows,
+        "dropped": logged.without_stamp + longest - kept,
+        "resampled": sum(len(span.at) for span in spans if span.resampled),
+        "kept": sum(len(span.at) for span in spans),
+        "trajectories": len(spans),
+    }
 
 
-def _action(mapping: Mapping, machine: ModelJoints) -> tuple[list[str], list[str]]:
-    """The items of an action row, and the actuators in their order; all of them, at zero, where no
-    command is mapped.
+def _unique_name(run: LogRun, taken: dict[str, Any]) -> str:
+    """The name of a run, or what tells it apart from others of that name."""
+    if run.name not in taken:
+        return run.name
+    if str(run.path) not in taken:
+        return str(run.path)
+    return f"{run.path}: {run.name} ({len(taken)})"
+
+
+def _observations(run: LogRun, span: GridSpan, mapping: Mapping, robot: ModelJoints) -> Array:
+    """The observations (n, p) of a span."""
+    names = [channel.name for channel in mapping.of("qpos")]
+    positions = _sample_states("qpos", names, run, span, robot)
+    velocities = _sample_states("qvel", names, run, span, robot)
+    return join_observations(robot, names, positions, velocities)
+
+
+def _sample_states(
+    quantity: str, names: list[str], run: LogRun, span: GridSpan, robot: ModelJoints
+) -> list[Array]:
+    """The positions or velocities (n, k) of joints in a span."""
+    states = []
+    for name in names:
+        series = run.of(quantity, name)
+        if series is not None:
+            states.append(sample_state(series, span, robot.joints[name]))
+    return states
+
+
+def _action_items(mapping: Mapping, robot: ModelJoints) -> tuple[list[str], list[str]]:
+    """The items of an action, and the actuators in their order.
+
+    These are all actuators, at zero, where no command is mapped.
     """
     names = {channel.name for channel in mapping.channels if channel.field == "ctrl"}
-    ordered = [name for name in machine.actuators if name in names or not names]
-    return (
-        ["ctrl"]
-        if len(ordered) == len(machine.actuators)
-        else [f"ctrl[{machine.actuators[name].id}]" for name in ordered]
-    ), ordered
+    ordered = [name for name in robot.actuators if name in names or not names]
+    if len(ordered) == len(robot.actuators):
+        return ["ctrl"], ordered
+    return [f"ctrl[{robot.actuators[name].id}]" for name in ordered], ordered
 
 
 def _commands(
-    run: Run, span: Any, step: float, mapping: Mapping, names: list[str]
+    run: LogRun, span: GridSpan, step: float, mapping: Mapping, actuators: list[str]
 ) -> dict[str, Array]:
-    """The actions (n, q) of every candidate."""
+    """The actions (n, q) of every candidate in a span."""
     if not mapping.candidates:
-        return {"": np.zeros((len(span.at), len(names)))}
-    return {
-        candidate: np.hstack(
-            [commanded(s, span, step) for name in names if (s := run.of("ctrl", name, candidate))]
-        )
-        for candidate in mapping.candidates
-    }
+        return {"": np.zeros((len(span.at), len(actuators)))}
+    actions = {}
+    for candidate in mapping.candidates:
+        columns = []
+        for name in actuators:
+            series = run.of("ctrl", name, candidate)
+            if series is not None:
+                columns.append(sample_command(series, span, step))
+        actions[candidate] = np.hstack(columns)
+    return actions
 
 
-def _arrays(pieces: list[_Piece], mapping: Mapping) -> dict[str, Array]:
-    """The arrays of data.npz; the first candidate's commands are the actions, and all candidates'
-    stand beside them.
+def _join_arrays(pieces: list[_Piece]) -> dict[str, Array]:
+    """The arrays of data.npz.
+
+    The first candidate's commands are the actions, and those of all stand beside them.
     """
-
-    def joined(of: Callable[[_Piece], Array]) -> Array:
-        return np.concatenate([of(piece) for piece in pieces])
-
     candidates = list(pieces[0].actions)
+    lengths = [len(piece.time) for piece in pieces]
     arrays = {
-        "observations": joined(lambda p: p.observations),
-        "actions": joined(lambda p: p.actions[candidates[0]]),
-        "terminals": joined(lambda p: np.arange(len(p.time)) == len(p.time) - 1),
-        "time": joined(lambda p: p.time),
-        "group": joined(lambda p: np.full(len(p.time), p.run)),
+        "observations": np.concatenate([piece.observations for piece in pieces]),
+        "actions": np.concatenate([piece.actions[candidates[0]] for piece in pieces]),
+        "terminals": np.concatenate([np.arange(n) == n - 1 for n in lengths]),
+        "time": np.concatenate([piece.time for piece in pieces]),
+        "group": np.repeat([piece.run for piece in pieces], lengths),
     }
     if len(candidates) > 1:
-        arrays |= {
-            f"actions.{name}": joined(lambda p, name=name: p.actions[name]) for name in candidates
-        }  # type: ignore[misc]
+        for name in candidates:
+            arrays[f"actions.{name}"] = np.concatenate([piece.actions[name] for piece in pieces])
     return arrays
 
 
+# Files
+
+
 def _check_place(out: Path) -> None:
-    """Refuses a place that is no .npz file, and a problem file there that someone has worked on."""
+    """Refuse a place that is no .npz file, or beside which someone changed a problem file."""
     if out.suffix != ".npz":
         raise BadFile(out, "--out", "a file that ends in .npz", repr(out.suffix))
     problem = out.parent / PROBLEM
     if not problem.exists():
         return
     try:
-        changed = bool(set(read_yaml(problem, "a problem file")) - set(OURS))
+        changed = bool(set(read_yaml(problem, "a problem file")) - set(OUR_KEYS))
     except BadFile:
         changed = True
     if changed:
@@ -336,10 +480,10 @@ def _check_place(out: Path) -> None:
         raise BadFile(problem, "", expected, "one that was changed")
 
 
-def _write(found: Import, out: Path, model: Path, machine: ModelJoints) -> None:
-    """The three files, each whole; none where one cannot be written."""
+def _write(found: Import, out: Path, model: Path, robot: ModelJoints) -> None:
+    """Write the three files, each whole; none where one cannot be written."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    body, mass = machine.heaviest_body
+    body, mass = robot.heaviest_body
     head = HEAD.format(record=RECORD, body=body, low=mass / 2, high=2 * mass)
     content = {
         "model": os.path.relpath(model, out.parent),

@@ -25,14 +25,14 @@ _SLICE = re.compile(r"(?P<name>.+)\[(?P<start>\d{1,9}):(?P<stop>\d{1,9})\]")
 
 
 @dataclass(frozen=True)
-class Clock:
+class TimeColumn:
     """A column of time stamps.
 
     Attributes
     ----------
-    column
+    column : str or None
         None: the log's own, where its kind has one.
-    unit
+    unit : str
         Of the stamps: "s", "ms", "us" or "ns".
     """
 
@@ -46,19 +46,19 @@ class Source:
 
     Attributes
     ----------
-    file
+    file : str or None
         A file beside the log, such as "{stem}_imu.csv"; None: the log.
-    topic
+    topic : str or None
         A topic of the log.
-    clock
+    clock : TimeColumn
         The clock of the stamps.
-    own_clock
+    own_clock : bool
         Whether the stamps come from another clock than those of the log.
     """
 
     file: str | None = None
     topic: str | None = None
-    clock: Clock = Clock()
+    clock: TimeColumn = TimeColumn()
     own_clock: bool = False
 
 
@@ -70,17 +70,19 @@ class Channel:
 
     Attributes
     ----------
-    field
+    field : str
         "qpos" or "qvel" of a joint, or "ctrl" of an actuator.
-    name
+    name : str
         The joint or actuator.
-    columns, units, factors, signs, offsets
-        One for each number: column, SI unit, and how the column becomes a value.
-    source
+    columns, units : tuple of str
+        For each number the column and the SI unit.
+    factors, signs, offsets : tuple of float
+        For each number, how the column becomes a value.
+    source : Source
         Where the columns stand.
-    candidate
+    candidate : str
         Of the commands, where a log has several.
-    key
+    key : str
         Where the channel stands in the mapping file.
     """
 
@@ -109,15 +111,15 @@ class Mapping:
 
     Attributes
     ----------
-    path
+    path : Path
         The file.
-    channels
+    channels : tuple of Channel
         The columns of joints and actuators.
-    run
+    run : str or None
         The column that tells runs apart.
-    only
+    only : tuple of str
         Names or patterns of the runs to take.
-    rate
+    rate : float or None
         Of the control step [Hz].
     """
 
@@ -132,9 +134,9 @@ class Mapping:
 
         Parameters
         ----------
-        field
+        field : str
             "qpos", "qvel" or "ctrl".
-        candidate
+        candidate : str
             Of the commands.
 
         Returns
@@ -156,9 +158,9 @@ class Mapping:
 
         Parameters
         ----------
-        key
+        key : str
             The entry's keys from the top of the file, joined by dots.
-        expected, got
+        expected, got : str
             What had to stand there, and what stands there.
 
         Returns
@@ -169,14 +171,14 @@ class Mapping:
         return BadFile(self.path, key, expected, got)
 
 
-def read_mapping(path: str | Path, machine: ModelJoints) -> Mapping:
+def read_mapping(path: str | Path, robot: ModelJoints) -> Mapping:
     """Read a mapping file and check it against a model.
 
     Parameters
     ----------
-    path
+    path : str or Path
         The YAML file.
-    machine
+    robot : ModelJoints
         The model's joints and actuators.
 
     Returns
@@ -196,31 +198,31 @@ def read_mapping(path: str | Path, machine: ModelJoints) -> Mapping:
     content = file.content
     time = content.time
     source = Source(time.file, time.topic, _make_clock(time))
-    channels = (*_read_joints(file, machine, source), *_read_commands(file, machine, source))
+    channels = (*_read_joints(file, robot, source), *_read_commands(file, robot, source))
     only = tuple(content.run.only or ())
     return Mapping(file.path, channels, content.run.column, only, content.rate)
 
 
-def _make_clock(entry: "ClockEntry") -> Clock:
+def _make_clock(entry: "ClockEntry") -> TimeColumn:
     """The clock that an entry describes."""
-    return Clock(entry.column, entry.unit)
+    return TimeColumn(entry.column, entry.unit)
 
 
 def _read_joints(
-    file: "FileContent[MappingFile]", machine: ModelJoints, source: Source
+    file: "FileContent[MappingFile]", robot: ModelJoints, source: Source
 ) -> Iterator[Channel]:
     """The channels of positions and velocities."""
     content = file.content
     for field, entries in (("qpos", content.qpos), ("qvel", content.qvel)):
         for name, entry in entries.items():
             key = f"{field}.{name}"
-            file.require_known(key, name, machine.joints, "the name of a joint of the model")
+            file.require_known(key, name, robot.joints, "the name of a joint of the model")
             reader = _ChannelReader(file, key, entry, source)
-            yield reader.read_joint(field, machine.joints[name])
+            yield reader.read_joint(field, robot.joints[name])
 
 
 def _read_commands(
-    file: "FileContent[MappingFile]", machine: ModelJoints, source: Source
+    file: "FileContent[MappingFile]", robot: ModelJoints, source: Source
 ) -> Iterator[Channel]:
     """The channels of the commands, candidate by candidate."""
     content = file.content
@@ -229,7 +231,7 @@ def _read_commands(
         prefix = f"inputs.{candidate}" if content.inputs else "ctrl"
         for name, entry in entries.items():
             key = f"{prefix}.{name}"
-            file.require_known(key, name, machine.actuators, "the name of an actuator of the model")
+            file.require_known(key, name, robot.actuators, "the name of an actuator of the model")
             yield _ChannelReader(file, key, entry, source).read_command(name, candidate)
 
 

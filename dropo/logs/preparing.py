@@ -1,6 +1,4 @@
-"""Series of a raw log made fit for a simulator: cleaned, unwrapped, and with velocities where none
-were logged.
-"""
+"""Series of a raw log made fit for a simulator: cleaned, unwrapped, and with all velocities."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,26 +7,50 @@ import numpy as np
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.data.checks.columns import Column, hangs, unwrapped
+from dropo.data.checks.columns import Column, find_hangs, unwrap
 from dropo.logs.mapping import Channel
-from dropo.logs.recordings import Run, Series
-from dropo.logs.signals.stamps import gaps, going_on
+from dropo.logs.recordings import LogRun, TimeSeries
+from dropo.logs.signals.resampling import align_signs
+from dropo.logs.signals.stamps import find_gaps, increasing
 from dropo.logs.signals.velocities import Velocities, estimate_velocities
 from dropo.mjmodel.joints import Joint, ModelJoints
 
-ROWS = 4000
-RUNS = 20
-"""Rows of a run, and runs, that a noise level is estimated from at most."""
-LEAST = 20
-"""Rows that a velocity is estimated from at least."""
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """From how much of a log noise levels and velocities are estimated.
+
+    Attributes
+    ----------
+    rows : int
+        Rows of a run that a noise level is estimated from at most.
+    runs : int
+        Runs that a noise level is estimated from at most.
+    minimum_rows : int
+        Rows of a stretch that a velocity is estimated from at least.
+    """
+
+    rows: int = 4000
+    runs: int = 20
+    minimum_rows: int = 20
+
+
+DEFAULTS = NoiseSettings()
 
 
 @dataclass(frozen=True)
-class Noise:
-    """The noise level of a signal, a standard deviation in its unit: of the measurement, or of the
-    estimate where it has none.
+class SignalNoise:
+    """The noise level of a signal.
 
-    sd is None for commands, which are taken as they are, and where there are too few rows.
+    Attributes
+    ----------
+    sd : float or None
+        Standard deviation, in the unit, of the measurement, or of the estimate where there is none;
+        None for commands, which are taken as they are, and where there are too few rows.
+    unit : str
+        Of the signal.
+    estimated : bool
+        Whether the signal was estimated rather than logged.
     """
 
     sd: float | None
@@ -36,134 +58,166 @@ class Noise:
     estimated: bool = False
 
 
-def cleaned(run: Run, machine: ModelJoints) -> Run:
-    """The run without rows whose stamps do not go on or in which a sensor hangs; hinge angles go on
-    beyond a turn.
+def clean_run(run: LogRun, robot: ModelJoints) -> LogRun:
+    """Leave out rows that cannot be used, and let hinge angles go on beyond a turn.
+
+    Parameters
+    ----------
+    run : LogRun
+        As it was read.
+    robot : ModelJoints
+        The joints and actuators of the model.
+
+    Returns
+    -------
+    LogRun
+        Without rows whose stamps do not go on, or in which a sensor hangs.
     """
-    return replace(run, series=tuple(_cleaned(series, machine) for series in run.series))
+    return replace(run, series=tuple(_clean(series, robot) for series in run.series))
 
 
-def _cleaned(series: Series, machine: ModelJoints) -> Series:
-    series = series.take(going_on(series.time))
+def _clean(series: TimeSeries, robot: ModelJoints) -> TimeSeries:
+    """The series without rows that cannot be used."""
+    series = series.take(increasing(series.time))
     if series.channel.field == "ctrl":
         return series
+    # of a stretch in which a sensor hangs only the first row was measured
     keep = np.ones(len(series.time), dtype=bool)
-    cut = gaps(series.time)
+    gaps = find_gaps(series.time)
     for values in series.values.T:
-        for start, stop in hangs(
-            Column(series.label, "", series.time, values, series.rows, breaks=cut)
-        ):
+        column = Column(series.label, "", series.time, values, series.rows, breaks=gaps)
+        for start, stop in find_hangs(column):
             keep[start + 1 : stop] = False
     series = series.take(keep)
-    hinge = series.channel.field == "qpos" and machine.joints[series.channel.name].kind == "hinge"
-    return replace(series, values=unwrapped(series.values[:, 0])[:, None]) if hinge else series
+    if series.channel.field == "qpos" and robot.joints[series.channel.name].kind == "hinge":
+        return replace(series, values=unwrap(series.values[:, 0])[:, None])
+    return series
 
 
-def with_velocities(
-    runs: Sequence[Run], machine: ModelJoints
-) -> tuple[list[Run], dict[str, Noise]]:
-    """The runs with a velocity for every position, and the noise level of every column of both.
+def add_velocities(
+    runs: Sequence[LogRun], robot: ModelJoints, settings: NoiseSettings = DEFAULTS
+) -> tuple[list[LogRun], dict[str, SignalNoise]]:
+    """Estimate the velocities that were not logged, and the noise level of every signal.
 
-    Velocities that were not logged come from a smoother (not causal) of each stretch between gaps,
-    as late behind the positions as the model's own are.
+    Velocities come from a smoother (not causal) of each stretch between gaps, as late behind the
+    positions as the model's own are.
+
+    Parameters
+    ----------
+    runs : sequence of LogRun
+        Cleaned and aligned.
+    robot : ModelJoints
+        The joints and actuators of the model.
+    settings : NoiseSettings, optional
+        From how much of the log noise levels are estimated.
+
+    Returns
+    -------
+    runs : list of LogRun
+        With a velocity for every position.
+    noise : dict
+        `SignalNoise` of every column by its name.
     """
-    levels: dict[str, list[tuple[float, int]]] = {}
-    units: dict[str, tuple[str, bool]] = {}
-    some = {int(i) for i in np.linspace(0, len(runs) - 1, min(RUNS, len(runs)))}
+    levels = _NoiseLevels()
+    evaluated = set(np.linspace(0, len(runs) - 1, min(settings.runs, len(runs))).astype(int))
     out = []
-    for number, run in enumerate(runs):
-        more = []
+    for i, run in enumerate(runs):
+        velocities = []
         for series in run.series:
-            if series.channel.field == "qpos" and run.of("qvel", series.channel.name) is None:
-                velocity, noise = _estimated(series, machine.joints[series.channel.name])
-                velocity = velocity.later(machine.velocity_lag)
-                more.append(velocity)
-                _note(levels, units, velocity.channel, noise, len(velocity.time), True)
-            if number in some:
-                noise = (
-                    _noise(series)
-                    if series.channel.field != "ctrl"
-                    else np.full(len(series.channel.columns), np.nan)
-                )
-                _note(levels, units, series.channel, noise, len(series.time), False)
-        out.append(replace(run, series=(*run.series, *more)))
-    return out, {name: Noise(_pooled(pairs), *units[name]) for name, pairs in levels.items()}
+            channel = series.channel
+            if channel.field == "qpos" and run.of("qvel", channel.name) is None:
+                joint = robot.joints[channel.name]
+                velocity, noise = _estimate_velocity(series, joint, settings)
+                velocities.append(velocity.shift(robot.velocity_lag))
+                levels.add(velocity.channel, noise, len(velocity.time), estimated=True)
+            if i in evaluated:
+                noise = _measurement_noise(series, settings)
+                levels.add(channel, noise, len(series.time), estimated=False)
+        out.append(replace(run, series=(*run.series, *velocities)))
+    return out, levels.pool()
 
 
-def _note(
-    levels: dict[str, list[tuple[float, int]]],
-    units: dict[str, tuple[str, bool]],
-    channel: Channel,
-    noise: Array,
-    rows: int,
-    estimated: bool,
-) -> None:
-    for i, (unit, sd) in enumerate(zip(channel.units, noise, strict=True)):
-        name = channel.label if len(channel.units) == 1 else f"{channel.label}[{i}]"
-        levels.setdefault(name, []).append((float(sd), rows))
-        units[name] = (unit, estimated)
+class _NoiseLevels:
+    """The noise levels of every column in several runs."""
+
+    def __init__(self) -> None:
+        self._levels: dict[str, list[tuple[float, int]]] = {}
+        self._signals: dict[str, tuple[str, bool]] = {}
+
+    def add(self, channel: Channel, noise: Array, rows: int, *, estimated: bool) -> None:
+        """Add the noise (k,) of so many rows of a channel."""
+        for i, (unit, sd) in enumerate(zip(channel.units, noise, strict=True)):
+            name = channel.label if len(channel.units) == 1 else f"{channel.label}[{i}]"
+            self._levels.setdefault(name, []).append((float(sd), rows))
+            self._signals[name] = (unit, estimated)
+
+    def pool(self) -> dict[str, SignalNoise]:
+        """The noise of each column, from the mean variance of all rows."""
+        pooled = {}
+        for name, levels in self._levels.items():
+            unit, estimated = self._signals[name]
+            known = [level for level in levels if np.isfinite(level[0])]
+            sd = None
+            if known:
+                sds, rows = np.array(known).T
+                sd = float(np.sqrt(np.sum(rows * sds**2) / np.sum(rows)))
+            pooled[name] = SignalNoise(sd, unit, estimated)
+        return pooled
 
 
-def _pooled(pairs: list[tuple[float, int]]) -> float | None:
-    """The root of the mean variance of the rows of several runs."""
-    sd, rows = np.array([pair for pair in pairs if np.isfinite(pair[0])]).reshape(-1, 2).T
-    return float(np.sqrt(np.sum(rows * sd**2) / np.sum(rows))) if len(sd) else None
-
-
-def _pieces(series: Series) -> list[Ints]:
-    return [
-        piece
-        for piece in np.split(np.arange(len(series.time)), gaps(series.time))
-        if len(piece) >= LEAST
-    ]
-
-
-def _noise(series: Series) -> Array:
-    """(k,) of the measured numbers, from the longest stretch; NaN where it is short."""
-    pieces = _pieces(series)
+def _measurement_noise(series: TimeSeries, settings: NoiseSettings) -> Array:
+    """(k,) of the logged numbers, from the longest stretch; NaN for commands and short ones."""
+    pieces = _pieces(series, settings) if series.channel.field != "ctrl" else []
     if not pieces:
         return np.full(series.values.shape[1], np.nan)
-    rows = max(pieces, key=len)[:ROWS]
+    rows = max(pieces, key=len)[: settings.rows]
     return estimate_velocities(series.time[rows], series.values[rows]).position_noise
 
 
-def _estimated(position: Series, joint: Joint) -> tuple[Series, Array]:
-    """The velocity of a position, of its stretches that are long enough, and its noise level (k,)."""
+def _pieces(series: TimeSeries, settings: NoiseSettings) -> list[Ints]:
+    """The rows of the stretches between gaps that are long enough."""
+    pieces = np.split(np.arange(len(series.time)), find_gaps(series.time))
+    return [piece for piece in pieces if len(piece) >= settings.minimum_rows]
+
+
+def _estimate_velocity(
+    position: TimeSeries, joint: Joint, settings: NoiseSettings
+) -> tuple[TimeSeries, Array]:
+    """The velocity of a position in stretches that are long enough, and its noise (k,)."""
     units = joint.units("qvel")
     channel = replace(position.channel, field="qvel", units=units, columns=units)
-    stretches = [
-        (
-            rows,
-            *_velocity(
-                estimate_velocities(position.time[rows], _even(position.values[rows], joint)), joint
-            ),
-        )
-        for rows in _pieces(position)
-    ]
-    if not stretches:
-        return Series(
-            channel, position.time, np.zeros((len(position.time), len(units))), position.rows
-        ), np.full(len(units), np.nan)
-    rows = np.concatenate([stretch[0] for stretch in stretches])
-    variance = sum(len(stretch[0]) * stretch[2] ** 2 for stretch in stretches) / len(rows)
-    values = np.concatenate([stretch[1] for stretch in stretches])
-    return Series(channel, position.time[rows], values, position.rows[rows]), np.sqrt(variance)
+    pieces = _pieces(position, settings)
+    if not pieces:
+        still = np.zeros((len(position.time), len(units)))
+        empty = TimeSeries(channel, position.time, still, position.rows)
+        return empty, np.full(len(units), np.nan)
+    velocities = []
+    variances = []
+    for rows in pieces:
+        values = _continuous(position.values[rows], joint)
+        found, noise = _joint_velocity(estimate_velocities(position.time[rows], values), joint)
+        velocities.append(found)
+        variances.append(len(rows) * noise**2)
+    rows = np.concatenate(pieces)
+    found = np.concatenate(velocities)
+    series = TimeSeries(channel, position.time[rows], found, position.rows[rows])
+    return series, np.sqrt(sum(variances) / len(rows))
 
 
-def _even(values: Array, joint: Joint) -> Array:
+def _continuous(values: Array, joint: Joint) -> Array:
     """Positions whose quaternion, q or -q, goes on without jumps."""
     quaternion = joint.quaternion()
     if quaternion is None:
         return values
     out = values.copy()
-    turned = np.sum(out[1:, quaternion] * out[:-1, quaternion], axis=1) < 0
-    out[1:, quaternion] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
+    out[:, quaternion] = align_signs(out[:, quaternion], out[0, quaternion])
     return out
 
 
-def _velocity(smooth: Velocities, joint: Joint) -> tuple[Array, Array]:
-    """Velocities (n, k) and their noise (k,): a quaternion's are turned into the body's angular
-    velocity, 2 Im(conj(q) dq/dt).
+def _joint_velocity(smooth: Velocities, joint: Joint) -> tuple[Array, Array]:
+    """Velocities (n, k) of a joint and their noise (k,).
+
+    A quaternion's derivative becomes the body's angular velocity, 2 Im(conj(q) dq/dt).
     """
     quaternion = joint.quaternion()
     if quaternion is None:
@@ -174,9 +228,8 @@ def _velocity(smooth: Velocities, joint: Joint) -> tuple[Array, Array]:
     v = q[:, 1:]
     dw = dq[:, :1]
     dv = dq[:, 1:]
-    turning = 2 * (w * dv - dw * v - np.cross(v, dv)) / np.sum(q**2, axis=1, keepdims=True)
-    level = 2 * np.sqrt(np.mean(smooth.velocity_noise[quaternion] ** 2))
+    angular = 2 * (w * dv - dw * v - np.cross(v, dv)) / np.sum(q**2, axis=1, keepdims=True)
+    noise = 2 * np.sqrt(np.mean(smooth.velocity_noise[quaternion] ** 2))
     linear = slice(0, quaternion.start)
-    return np.hstack([smooth.velocities[:, linear], turning]), np.concatenate(
-        [smooth.velocity_noise[linear], np.full(3, level)]
-    )
+    velocities = np.hstack([smooth.velocities[:, linear], angular])
+    return velocities, np.concatenate([smooth.velocity_noise[linear], np.full(3, noise)])

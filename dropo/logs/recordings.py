@@ -1,8 +1,10 @@
-"""Runs of raw logs as series of numbers: read by a mapping, in SI units, each with its own time
-stamps.
+"""Runs of raw logs as series of numbers, in SI units, each with its own time stamps.
+
+In reading order: `read_runs` opens every log, `_read_table` reads the columns of one source by the
+mapping, and `_make_run` cuts them into runs.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,19 +18,27 @@ from dropo.core.services.errors import BadFile
 from dropo.core.services.file_content import describe_options, describe_value
 from dropo.core.services.validation import Array
 from dropo.logs.mapping import Channel, Mapping, Source
-from dropo.logs.readers.reader import Arrays, Log, Progress, open_log
+from dropo.logs.readers.reader import Arrays, Log, Progress, open_log, part_progress
 from dropo.logs.units import seconds
 
 FAR = 1e6
-"""Stamps beyond so many seconds, and dates, count from the log's first one."""
+"""Stamps of more seconds, and dates, count from the log's first one, so that digits are left."""
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
-    """The numbers of a channel in the order of the log: values (n, k) at `time` (n,) [s]; rows
-    (n,): their places in the log.
+class TimeSeries:
+    """The numbers of a channel in the order of the log, without rows that have no value.
 
-    Rows without a value are left out.
+    Attributes
+    ----------
+    channel : Channel
+        What was measured or commanded.
+    time : (n,) array
+        Stamps [s].
+    values : (n, k) array
+        In the channel's SI units.
+    rows : (n,) int array
+        Their places in the log.
     """
 
     channel: Channel
@@ -38,22 +48,50 @@ class Series:
 
     @property
     def label(self) -> str:
-        """ "qpos.elbow"."""
+        """Name in tables, such as "qpos.elbow"."""
         return self.channel.label
 
-    def take(self, keep: NDArray[Any]) -> "Series":
-        """Some of the rows."""
+    def take(self, keep: NDArray[Any]) -> "TimeSeries":
+        """Take some of the rows.
+
+        Parameters
+        ----------
+        keep : (n,) bool or int array
+            Which.
+
+        Returns
+        -------
+        TimeSeries
+        """
         return replace(self, time=self.time[keep], values=self.values[keep], rows=self.rows[keep])
 
-    def later(self, seconds: float | Array) -> "Series":
-        """The same values at later stamps."""
+    def shift(self, seconds: float) -> "TimeSeries":
+        """Give the same values later stamps.
+
+        Parameters
+        ----------
+        seconds : float
+            By how much later.
+
+        Returns
+        -------
+        TimeSeries
+        """
         return replace(self, time=self.time + seconds)
 
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
-    """All time stamps of one source in a run, (n,) [s], with their rows in the log; `name` is what
-    messages call them.
+    """All time stamps of one source in a run.
+
+    Attributes
+    ----------
+    name : str
+        What messages call them.
+    time : (n,) array
+        In seconds.
+    rows : (n,) int array
+        Their places in the log.
     """
 
     name: str
@@ -62,50 +100,106 @@ class Stamps:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """One recording: its series, the stamps of every source, how many rows were read, and how many
-    lacked a stamp.
+class LogRun:
+    """One recording.
+
+    Attributes
+    ----------
+    name : str
+        Of the run, or of its file.
+    path : Path
+        The log.
+    series : tuple of TimeSeries
+        One for each channel.
+    stamps : tuple of Stamps
+        One for each source.
+    rows : int
+        How many were read, of all sources.
+    without_stamp : int
+        How many of them lacked a stamp.
     """
 
     name: str
     path: Path
-    series: tuple[Series, ...]
+    series: tuple[TimeSeries, ...]
     stamps: tuple[Stamps, ...]
     rows: int
     without_stamp: int = 0
 
-    def of(self, field: str, name: str, candidate: str = "") -> Series | None:
-        """The series of a joint or actuator, or None."""
-        key = (field, name, candidate)
-        return next(
-            (
-                s
-                for s in self.series
-                if (s.channel.field, s.channel.name, s.channel.candidate) == key
-            ),
-            None,
-        )
+    def of(self, field: str, name: str, candidate: str = "") -> TimeSeries | None:
+        """Find the series of a joint or actuator.
+
+        Parameters
+        ----------
+        field : str
+            "qpos", "qvel" or "ctrl".
+        name : str
+            The joint or actuator.
+        candidate : str
+            Of the commands, where a log has several.
+
+        Returns
+        -------
+        TimeSeries or None
+        """
+        wanted = (field, name, candidate)
+        for series in self.series:
+            channel = series.channel
+            if (channel.field, channel.name, channel.candidate) == wanted:
+                return series
+        return None
 
 
-def read_runs(logs: Sequence[str | Path], mapping: Mapping, progress: Progress) -> list[Run]:
-    """The runs of all logs, in order, where the mapping says `only` those it names."""
-    runs = []
+def read_runs(logs: Sequence[str | Path], mapping: Mapping, progress: Progress) -> list[LogRun]:
+    """Read the runs of logs.
+
+    Parameters
+    ----------
+    logs : sequence of str or Path
+        Files or folders.
+    mapping : Mapping
+        Which columns are what, and which runs to take.
+    progress : callable
+        Called with the fraction of the work that is done, and what is being done.
+
+    Returns
+    -------
+    list of LogRun
+        In the order of the logs.
+
+    Raises
+    ------
+    BadFile
+        If a log cannot be read, lacks a column or stamps, holds texts in place of numbers, or no
+        run fits the mapping.
+    """
+    runs: list[LogRun] = []
     for i, path in enumerate(logs):
-        runs += list(
-            _runs(
-                open_log(path),
-                mapping,
-                lambda share, text, i=i: progress((i + share) / len(logs), text),
-            )
-        )  # type: ignore[misc]
+        runs += _read_log(open_log(path), mapping, part_progress(progress, i, len(logs)))
     if not runs:
         raise mapping.refusal("run.only", "runs of the logs", "patterns that fit none")
     return runs
 
 
+def _read_log(log: Log, mapping: Mapping, progress: Progress) -> list[LogRun]:
+    """The runs of one log."""
+    by_source: dict[Source, list[Channel]] = {}
+    for channel in mapping.channels:
+        by_source.setdefault(channel.source, []).append(channel)
+    tables = []
+    for source, channels in by_source.items():
+        tables.append(_read_table(log, source, channels, mapping, progress))
+    origins: dict[str, Any] = {}  # the log's first stamp, once it is known
+    names = _run_names(tables[0], log, mapping)
+    return [_make_run(log, name, tables, mapping, origins) for name in names]
+
+
+# The columns of one source
+
+
 @dataclass(frozen=True, eq=False)
-class _Table:
-    """What one source gave: channels' columns, stamps, and each row's run."""
+class _SourceTable:
+    """What one source holds: columns (n,) of its channels, stamps (n,), and each row's run (n,)."""
 
     source: Source
     channels: list[Channel]
@@ -113,92 +207,48 @@ class _Table:
     stamps: NDArray[Any] | None
     run: NDArray[Any] | None
 
-
-def _runs(log: Log, mapping: Mapping, progress: Progress) -> Iterator[Run]:
-    by_source: dict[Source, list[Channel]] = {}
-    for channel in mapping.channels:
-        by_source.setdefault(channel.source, []).append(channel)
-    tables = [
-        _table(log, source, channels, mapping, progress) for source, channels in by_source.items()
-    ]
-    names = _names(tables, log, mapping)
-    origins: dict[bool, Any] = {}
-    for name in names:
-        yield _run(log, name, tables, mapping, origins)
+    @property
+    def name(self) -> str:
+        """What messages call its stamps."""
+        column = self.source.clock.column or "time"
+        where = ", ".join(part for part in (self.source.file, self.source.topic) if part)
+        return f"{column} of {where}" if where else column
 
 
-def _names(tables: list[_Table], log: Log, mapping: Mapping) -> list[Any]:
-    """The runs' names in the order of the log; None where a log is one run."""
-    if tables[0].run is None:
-        if mapping.only:
-            raise mapping.refusal(
-                "run.only",
-                "a log with several runs",
-                f"{log.path}, which is one (`run: {{column: ...}}` tells them apart)",
-            )
-        return [None]
-    _, first = np.unique(tables[0].run, return_index=True)
-    names = [tables[0].run[i] for i in sorted(first)]
-    return [
-        name
-        for name in names
-        if not mapping.only or any(fnmatchcase(_word(name), pattern) for pattern in mapping.only)
-    ]
-
-
-def _word(name: Any) -> str:
-    return f"{name:g}" if isinstance(name, float | np.floating) else str(name)
-
-
-def _table(
+def _read_table(
     log: Log, source: Source, channels: list[Channel], mapping: Mapping, progress: Progress
-) -> _Table:
-    """Reads the columns of one source."""
+) -> _SourceTable:
+    """Read the columns of one source."""
     if source.file is not None:
         log = open_log(log.path.parent / source.file.replace("{stem}", log.path.stem))
-    known = log.columns(source.topic)
+    # every column must be there before any is read
+    there = log.columns(source.topic)
+    needed = []
     for channel in channels:
         for column in channel.columns:
-            _known(column, known, log, mapping, f"{channel.key}.column")
+            _require_column(column, there, log, mapping, f"{channel.key}.column")
+            needed.append(column)
     stamp = source.clock.column or _own_stamps(log, source)
     if stamp is None and mapping.rate is None:
-        raise mapping.refusal(
-            "rate", f"the rows of a second [Hz], since {log.path} has no time stamps", "nothing"
-        )
+        expected = f"the rows of a second [Hz], since {log.path} has no time stamps"
+        raise mapping.refusal("rate", expected, "nothing")
     if stamp is not None:
-        _known(
-            stamp,
-            known,
-            log,
-            mapping,
-            f"{channels[0].key}.clock" if source.own_clock else "time.column",
-        )
+        key = f"{channels[0].key}.clock" if source.own_clock else "time.column"
+        _require_column(stamp, there, log, mapping, key)
+        needed.append(stamp)
     run = mapping.run or log.run_column
     if run is not None:
-        _known(run, known, log, mapping, "run.column")
-    wanted = dict.fromkeys(
-        [column for channel in channels for column in channel.columns]
-        + [name for name in (stamp, run) if name]
-    )
-    found = log.read(source.topic, list(wanted), progress)
+        _require_column(run, there, log, mapping, "run.column")
+        needed.append(run)
+    # texts are no numbers
+    found = log.read(source.topic, list(dict.fromkeys(needed)), progress)
     for channel in channels:
         for column in channel.columns:
-            if found[column].dtype.kind not in "biuf":
-                raise BadFile(
-                    log.path,
-                    f"column {column!r}",
-                    "numbers",
-                    "texts" if found[column].dtype.kind in "US" else str(found[column].dtype),
-                )
+            _require_numbers(found[column], column, log)
     if stamp is not None and found[stamp].dtype.kind not in "iufM":
         raise BadFile(log.path, f"column {stamp!r}", "time stamps: numbers or dates", "texts")
-    return _Table(
-        source,
-        channels,
-        found,
-        None if stamp is None else found[stamp],
-        None if run is None else found[run],
-    )
+    stamps = None if stamp is None else found[stamp]
+    return _SourceTable(source, channels, found, stamps, None if run is None else found[run])
 
 
 def _own_stamps(log: Log, source: Source) -> str | None:
@@ -207,79 +257,111 @@ def _own_stamps(log: Log, source: Source) -> str | None:
     return stamps(source.topic) if stamps is not None else log.time_column
 
 
-def _known(column: str, columns: list[str], log: Log, mapping: Mapping, key: str) -> None:
-    if column not in columns:
-        raise mapping.refusal(
-            key,
-            describe_options(f"a column of {log.path}", column, columns),
-            describe_value(column),
-        )
+def _require_column(column: str, there: list[str], log: Log, mapping: Mapping, key: str) -> None:
+    """Refuse the name of a column that a log has not."""
+    if column not in there:
+        expected = describe_options(f"a column of {log.path}", column, there)
+        raise mapping.refusal(key, expected, describe_value(column))
 
 
-def _run(
-    log: Log, name: Any, tables: list[_Table], mapping: Mapping, origins: dict[bool, Any]
-) -> Run:
+def _require_numbers(values: NDArray[Any], column: str, log: Log) -> None:
+    """Refuse a column of texts or dates."""
+    kind = values.dtype.kind
+    if kind not in "biuf":
+        got = "texts" if kind in "US" else str(values.dtype)
+        raise BadFile(log.path, f"column {column!r}", "numbers", got)
+
+
+# Runs
+
+
+def _run_names(table: _SourceTable, log: Log, mapping: Mapping) -> list[Any]:
+    """The names of the runs to take, in the order of the log; None where a log is one run."""
+    if table.run is None:
+        if mapping.only:
+            got = f"{log.path}, which is one (`run: {{column: ...}}` tells them apart)"
+            raise mapping.refusal("run.only", "a log with several runs", got)
+        return [None]
+    _, first = np.unique(table.run, return_index=True)
+    names = [table.run[i] for i in sorted(first)]
+    if not mapping.only:
+        return names
+    wanted = []
+    for name in names:
+        if any(fnmatchcase(_format_name(name), pattern) for pattern in mapping.only):
+            wanted.append(name)
+    return wanted
+
+
+def _format_name(name: Any) -> str:
+    """The name of a run as text; a whole number has no decimals."""
+    return f"{name:g}" if isinstance(name, float | np.floating) else str(name)
+
+
+def _make_run(
+    log: Log, name: Any, tables: list[_SourceTable], mapping: Mapping, origins: dict[str, Any]
+) -> LogRun:
+    """The rows of all sources that belong to a run."""
     series = []
     stamps = []
     read = 0
     without = 0
+    word = log.path.stem if name is None else _format_name(name)
+    place = f"{log.path}" if name is None else f"run {word!r} of {log.path}"
     for table in tables:
-        length = len(next(iter(table.columns.values())))
-        rows = (
-            np.arange(length)
-            if table.run is None or name is None
-            else np.flatnonzero(table.run == name)
-        )
-        time = _time(table, rows, mapping, origins)
+        # the rows of the run that have a stamp
+        rows = _rows_of_run(table, name)
+        time = _seconds(table, rows, mapping, origins)
         timed = np.isfinite(time)
-        read = read + len(rows)
-        without = without + int((~timed).sum())
+        read += len(rows)
+        without += int((~timed).sum())
         rows = rows[timed]
         time = time[timed]
         numbers = rows - rows[:1] if log.separate_runs else rows
-        stamps.append(Stamps(_stamp_name(table), time, numbers))
+        stamps.append(Stamps(table.name, time, numbers))
+        # of these, for each channel, those that have a value
         for channel in table.channels:
-            values = np.stack(
-                [table.columns[column][rows] for column in channel.columns], axis=1
-            ).astype(float)
-            values = np.array(channel.factors) * (
-                np.array(channel.signs) * values + np.array(channel.offsets)
-            )
+            values = _channel_values(table, channel, rows)
             there = np.isfinite(values).all(axis=1)
             if there.sum() < 2:
-                where = f"{log.path}" if name is None else f"run {_word(name)!r} of {log.path}"
-                raise BadFile(
-                    where,
-                    f"column {channel.columns[0]!r}",
-                    "at least two rows with a number",
-                    f"{int(there.sum())}",
-                )
-            series.append(Series(channel, time[there], values[there], numbers[there]))
-    word = log.path.stem if name is None else _word(name)
-    return Run(word, log.path, tuple(series), tuple(stamps), read, without)
+                column = f"column {channel.columns[0]!r}"
+                got = f"{int(there.sum())}"
+                raise BadFile(place, column, "at least two rows with a number", got)
+            series.append(TimeSeries(channel, time[there], values[there], numbers[there]))
+    return LogRun(word, log.path, tuple(series), tuple(stamps), read, without)
 
 
-def _stamp_name(table: _Table) -> str:
-    column = table.source.clock.column or "time"
-    where = ", ".join(part for part in (table.source.file, table.source.topic) if part)
-    return f"{column} of {where}" if where else column
+def _rows_of_run(table: _SourceTable, name: Any) -> Ints:
+    """The rows of a run; all where the log is one."""
+    if table.run is None or name is None:
+        return np.arange(len(next(iter(table.columns.values()))))
+    return np.flatnonzero(table.run == name)
 
 
-def _time(table: _Table, rows: Ints, mapping: Mapping, origins: dict[bool, Any]) -> Array:
-    """Seconds; NaN where there is no stamp.
+def _channel_values(table: _SourceTable, channel: Channel, rows: Ints) -> Array:
+    """The numbers (n, k) of a channel in SI units."""
+    columns = [table.columns[column][rows] for column in channel.columns]
+    logged = np.stack(columns, axis=1).astype(float)
+    values = np.array(channel.signs) * logged + np.array(channel.offsets)
+    return np.asarray(np.array(channel.factors) * values)
 
-    Sources of one clock share their origin; another clock has its own.
+
+def _seconds(table: _SourceTable, rows: Ints, mapping: Mapping, origins: dict[str, Any]) -> Array:
+    """Stamps in seconds; NaN where there is none.
+
+    Sources on the log's clock share their origin; another clock has its own.
     """
     if table.stamps is None:
         return np.arange(len(rows)) / float(mapping.rate or 1)
     stamps = table.stamps[rows]
     unit = table.source.clock.unit
-    missing = np.isnat(stamps) if stamps.dtype.kind == "M" else ~np.isfinite(stamps)
+    dates = stamps.dtype.kind == "M"
+    missing = np.isnat(stamps) if dates else ~np.isfinite(stamps)
     if missing.all():
         return np.full(len(rows), np.nan)
     first = stamps[~missing][0]
-    far = stamps.dtype.kind == "M" or abs(float(seconds(np.asarray([first]), unit)[0])) > FAR
-    origin = (
-        (first if table.source.own_clock else origins.setdefault(False, first)) if far else None
-    )
+    origin = None
+    if dates or abs(float(seconds(np.asarray([first]), unit)[0])) > FAR:
+        own = table.source.own_clock
+        origin = first if own else origins.setdefault("log", first)
     return np.where(missing, np.nan, seconds(stamps, unit, origin))

@@ -25,25 +25,50 @@ _BY_SI: dict[str, dict[str, float]] = {
 UNITS: dict[str, tuple[str, float]] = {
     name: (si, factor) for si, names in _BY_SI.items() for name, factor in names.items()
 }
-"""Unit -> (its SI unit, factor)."""
+"""For each unit its SI unit, and the factor to it."""
 
 
 def units_of(si: tuple[str, ...]) -> list[str]:
-    """The units that may stand for quantities of these SI units."""
+    """List the units that may stand for quantities of SI units.
+
+    Parameters
+    ----------
+    si : tuple of str
+        The SI units.
+
+    Returns
+    -------
+    list of str
+    """
     return [name for name, (base, _) in UNITS.items() if base in si]
 
 
 def seconds(stamps: NDArray[Any], unit: str, origin: Any = None) -> Array:
-    """Time stamps (n,) as float64 seconds behind `origin`; whole numbers and dates are subtracted
-    before they are rounded.
+    """Convert time stamps to seconds.
 
-    origin: a stamp of the same kind; by default the value 0, or 1970 for dates.
+    Parameters
+    ----------
+    stamps : (n,) array
+        Numbers in a unit, or dates.
+    unit : str
+        Of numbers: "s", "ms", "us" or "ns".
+    origin : object, optional
+        A stamp of the same kind, from which on seconds count; by default the value 0, or 1970 for
+        dates.
+
+    Returns
+    -------
+    (n,) float64 array
+        Whole numbers and dates are subtracted before they are rounded.
     """
     if stamps.dtype.kind == "M":
-        stamps = stamps.astype("datetime64[ns]").astype(np.int64)
+        stamps = _nanoseconds(stamps)
         unit = "ns"
-        origin = (
-            None if origin is None else np.asarray(origin).astype("datetime64[ns]").astype(np.int64)
-        )
+        origin = None if origin is None else _nanoseconds(np.asarray(origin))
     since = stamps if origin is None else stamps - origin
     return np.asarray(since, dtype=np.float64) * SECONDS[unit]
+
+
+def _nanoseconds(dates: NDArray[Any]) -> NDArray[np.int64]:
+    """Dates as whole nanoseconds since 1970."""
+    return dates.astype("datetime64[ns]").astype(np.int64)

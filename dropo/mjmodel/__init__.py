@@ -1,7 +1,7 @@
-"""The only reader of MuJoCo models outside of simulators: joints, actuators, names, units, fields,
-observed columns, contacts, motors.
+"""The only reader of MuJoCo models outside of simulators: joints, actuators, their names and units,
+fields, observed columns, contacts, motors, and `RobotSimulator`, the contract of simulators with
+such a model.
 
-It also holds `RobotSimulator`, the contract of simulators that have such a model. It may import
-`core` alone. What rooms above want to know of a model is a function or a field here, not an index
-into its arrays there.
+It imports `core` alone. A room above that needs something of a model gets a function or a field
+here, and does not index the model's arrays itself.
 """

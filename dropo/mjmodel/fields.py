@@ -12,8 +12,6 @@ from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.core.services.validation import known, nearest
 from dropo.mjmodel.names import element_names
 
-# The kind of element that a field's row belongs to, by the field's prefix; `dof_` rows are found by
-# their joint's name.
 PREFIXES = {
     "body": "body",
     "jnt": "joint",
@@ -31,24 +29,31 @@ PREFIXES = {
     "sensor": "sensor",
     "mat": "material",
 }
-SERVO = ("actuator_kp", "actuator_kv")
-"""The gains of a position or velocity servo's loop, by name: MuJoCo keeps each in two places of
-gainprm and biasprm.
+"""The kind of element that the rows of a field belong to, by the field's prefix; a `dof_` row is
+found by the name of its joint.
 """
-MOVES_FRAMES = (
-    "body_ipos",
-    "body_iquat",
-)  # mj_setConst refuses these unless the body was compiled as not simple
+SERVO = ("actuator_kp", "actuator_kv")
+"""The gains of a position or velocity servo, which MuJoCo keeps in both gainprm and biasprm."""
+MOVES_FRAMES = ("body_ipos", "body_iquat")
+"""Fields that mj_setConst refuses unless the body was compiled with simple="false"."""
 
 
 @dataclass(frozen=True)
 class FieldParameter(Parameter):
     """A parameter that stands for a number of the model.
 
-    field: an MjModel array ("body_mass") or an mjOption entry ("gravity"); element: its body,
-    joint, geom, ... by name, None where the field has no elements; index: the place within the
-    element's row; relative: the value is a factor on the model's own number (on the whole row,
-    without an index); derived: mj_setConst follows (the thesis leaves it).
+    Attributes
+    ----------
+    field : str
+        An MjModel array ("body_mass") or an mjOption entry ("gravity").
+    element : str or None
+        The body, joint, geom, ... by name; None where the field has no elements.
+    index : int or None
+        The place within the element's row.
+    relative : bool
+        Whether the value is a factor on the model's own number; without an index, on the whole row.
+    derived : bool
+        Whether constants derived from the model follow (mj_setConst). The thesis leaves them.
     """
 
     _: KW_ONLY
@@ -60,30 +65,51 @@ class FieldParameter(Parameter):
 
 
 class Binding:
-    """A FieldParameter resolved against a model: sets the numbers in any copy of it."""
+    """A FieldParameter bound to a model: writes its value into any copy of the model.
+
+    Parameters
+    ----------
+    parameter : FieldParameter
+        What stands for the number.
+    model : MjModel
+        The model with the parameter's nominal value.
+
+    Raises
+    ------
+    UnknownName
+        If the model has no such field or element.
+    BadArgument
+        If the field needs an element or index that is not given, or has none that is given.
+    """
 
     def __init__(self, parameter: FieldParameter, model: mujoco.MjModel):
         self.parameter = parameter
         self._servo = _servo_places(parameter, model) if parameter.field in SERVO else []
-        if self._servo:
-            self._nominal = np.array(self.read(model), dtype=float)
-            return
-        self._in_option = parameter.field not in model_fields(model)
-        if self._in_option and parameter.field not in option_fields(model):
-            valid = [*model_fields(model), *option_fields(model)]
-            raise UnknownName(
-                f"No field of MjModel or mjOption called {parameter.field!r}. "
-                f"{nearest(parameter.field, valid)}"
-            )
-        self._where = _entries(parameter, model, self._array(model))
+        if not self._servo:
+            self._in_option = parameter.field not in model_fields(model)
+            if self._in_option and parameter.field not in option_fields(model):
+                valid = [*model_fields(model), *option_fields(model)]
+                raise UnknownName(
+                    f"No field of MjModel or mjOption called {parameter.field!r}. "
+                    f"{nearest(parameter.field, valid)}"
+                )
+            self._places = _places(parameter, model, self._array(model))
         self._nominal = np.array(self.read(model), dtype=float)
 
     def nominal(self) -> float:
-        """The parameter's value in the model as loaded."""
+        """The parameter's value in the model that it was bound to."""
         return 1.0 if self.parameter.relative else float(self._nominal.flat[0])
 
     def set(self, model: mujoco.MjModel, value: float) -> None:
-        """Writes the parameter's value into a copy of the model."""
+        """Write a value of the parameter into a copy of the model.
+
+        Parameters
+        ----------
+        model : MjModel
+            The copy, which is changed in place.
+        value : float
+            The value, in the parameter's unit.
+        """
         new = self._nominal * value if self.parameter.relative else value
         if self._servo:
             for name, place, sign in self._servo:
@@ -91,94 +117,89 @@ class Binding:
             return
         array = self._array(model)
         if isinstance(array, np.ndarray):
-            array[self._where] = new
+            array[self._places] = new
         else:
             setattr(model.opt, self.parameter.field, float(new))
 
     def _array(self, model: mujoco.MjModel) -> Any:
+        """The whole field in a copy of the model."""
         return getattr(model.opt if self._in_option else model, self.parameter.field)
 
     def read(self, model: mujoco.MjModel) -> Any:
-        """The numbers that it stands for, in a copy of the model."""
+        """Read the numbers for which the parameter stands from a copy of the model."""
         if self._servo:
             name, place, sign = self._servo[0]
             return sign * getattr(model, name)[place]
         array = self._array(model)
-        return array[self._where] if isinstance(array, np.ndarray) else array
+        return array[self._places] if isinstance(array, np.ndarray) else array
 
 
 def _servo_places(
     parameter: FieldParameter, model: mujoco.MjModel
 ) -> list[tuple[str, tuple[int, int], float]]:
-    """The arrays, places and signs of a servo's gain: of a position servo kp (and kv, its damping),
-    of a velocity servo kv.
+    """Array, place and sign of each number that holds a servo's gain.
+
+    A position servo has kp, and kv for its damping; a velocity servo has kv.
     """
     rows = _rows(parameter, model)
     i = 0 if rows is None else rows[0]
     gain = model.actuator_gainprm[i]
     bias = model.actuator_biasprm[i]
-    position = bias[1] == -gain[0] != 0
-    velocity = bias[1] == 0 and bias[2] == -gain[0] != 0
-    if parameter.index is not None or not (
-        position or (velocity and parameter.field == "actuator_kv")
-    ):
+    is_position = bias[1] == -gain[0] != 0
+    is_velocity = bias[1] == 0 and bias[2] == -gain[0] != 0
+    has_gain = is_position or (is_velocity and parameter.field == "actuator_kv")
+    if parameter.index is not None or not has_gain:
         raise BadArgument(
             f"The field {parameter.field!r} of parameter {parameter.name!r} is a gain of a "
-            "position servo, or kv of a velocity servo,"
-            f" and has no index: {parameter.element!r} is none."
+            "position servo, or kv of a velocity servo, and has no index: "
+            f"{parameter.element!r} is none."
         )
     if parameter.field == "actuator_kp":
         return [("actuator_gainprm", (i, 0), 1.0), ("actuator_biasprm", (i, 1), -1.0)]
-    return [
-        ("actuator_biasprm", (i, 2), -1.0),
-        *([("actuator_gainprm", (i, 0), 1.0)] if velocity else []),
-    ]
+    places = [("actuator_biasprm", (i, 2), -1.0)]
+    if is_velocity:
+        places.append(("actuator_gainprm", (i, 0), 1.0))
+    return places
 
 
-def _float_like(value: Any) -> bool:
+def _is_float(value: Any) -> bool:
+    """Whether the value is a float or an array of them."""
     return isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype == np.float64)
 
 
 def model_fields(model: mujoco.MjModel) -> list[str]:
-    """The names of the model's float64 arrays, and of the gains of servos."""
-    return [
-        *SERVO,
-        *(
-            name
-            for name in dir(model)
-            if not name.startswith("_")
-            and isinstance(getattr(model, name), np.ndarray)
-            and _float_like(getattr(model, name))
-        ),
-    ]
+    """List the names of the gains of servos and of the model's float64 arrays."""
+    names = list(SERVO)
+    for name in dir(model):
+        if not name.startswith("_"):
+            value = getattr(model, name)
+            if isinstance(value, np.ndarray) and _is_float(value):
+                names.append(name)
+    return names
 
 
 def option_fields(model: mujoco.MjModel) -> list[str]:
-    """The names of mjOption's float entries."""
-    return [
-        name
-        for name in dir(model.opt)
-        if not name.startswith("_") and _float_like(getattr(model.opt, name))
-    ]
+    """List the names of the float entries of mjOption."""
+    names = [name for name in dir(model.opt) if not name.startswith("_")]
+    return [name for name in names if _is_float(getattr(model.opt, name))]
 
 
-def _entries(parameter: FieldParameter, model: mujoco.MjModel, array: Any) -> Any:
+def _places(parameter: FieldParameter, model: mujoco.MjModel, array: Any) -> Any:
     """The index of the parameter's numbers in the field's array."""
     owner = f"parameter {parameter.name!r}"
     rows = _rows(parameter, model)
+    if rows is None and parameter.element is not None:
+        raise BadArgument(
+            f"The field {parameter.field!r} of {owner} has no named elements, and the "
+            f"name {parameter.element!r} was given."
+        )
+    # the numbers among which the index chooses
     if rows is None:
         shape = np.shape(array)
-        if parameter.element is not None:
-            raise BadArgument(
-                f"The field {parameter.field!r} of {owner} has no named elements, and the "
-                f"name {parameter.element!r} was given."
-            )
+    elif len(rows) == 1:
+        shape = np.shape(array[rows])[1:]
     else:
-        shape = (
-            np.shape(array[rows])[1:]
-            if isinstance(rows, int) is False and len(rows) == 1
-            else np.shape(array[rows])
-        )
+        shape = np.shape(array[rows])
     size = int(np.prod(shape))
     if parameter.index is None:
         if size > 1 and not parameter.relative:
@@ -186,7 +207,9 @@ def _entries(parameter: FieldParameter, model: mujoco.MjModel, array: Any) -> An
                 f"The field {parameter.field!r} of {owner} has {size} numbers: give the "
                 f"index, 0 to {size - 1}."
             )
-        return (slice(None) if shape else ()) if rows is None else np.array(rows)
+        if rows is None:
+            return slice(None) if shape else ()
+        return np.array(rows)
     if not 0 <= parameter.index < max(size, 1):
         raise BadArgument(
             f"The index of {owner} must be 0 to {size - 1}, the field {parameter.field!r} "
@@ -194,11 +217,8 @@ def _entries(parameter: FieldParameter, model: mujoco.MjModel, array: Any) -> An
         )
     if rows is None:
         return np.unravel_index(parameter.index, shape) if shape else ()
-    grid = np.argwhere(
-        np.isin(np.arange(len(array)), rows)[(...,) + (None,) * (array.ndim - 1)]
-        & np.ones(array.shape, dtype=bool)
-    )
-    return tuple(int(i) for i in grid[parameter.index])
+    within = np.unravel_index(parameter.index, np.shape(array[rows]))
+    return (rows[int(within[0])], *(int(i) for i in within[1:]))
 
 
 def _rows(parameter: FieldParameter, model: mujoco.MjModel) -> list[int] | None:
@@ -217,7 +237,8 @@ def _rows(parameter: FieldParameter, model: mujoco.MjModel) -> list[int] | None:
     if prefix != "dof":
         return [i]
     start = int(model.jnt_dofadr[i])
-    return list(range(start, start + (6, 3, 1, 1)[int(model.jnt_type[i])]))
+    count = (6, 3, 1, 1)[int(model.jnt_type[i])]  # by kind: free, ball, slide, hinge
+    return list(range(start, start + count))
 
 
 ITEM = re.compile(r"^(?P<field>\w+)(?:\[(?P<slice>-?\d*(?::-?\d*)?)\]|\.(?P<name>[^\[\]]+))?$")
@@ -226,11 +247,30 @@ ITEM = re.compile(r"^(?P<field>\w+)(?:\[(?P<slice>-?\d*(?::-?\d*)?)\]|\.(?P<name
 def item_columns(
     text: str, sizes: dict[str, int], addresses: dict[str, dict[str, tuple[int, int]]]
 ) -> tuple[str, list[int]]:
-    """An observation or action item, such as "qpos[1:]" or "qpos.thigh_joint", as (field, places in
-    it).
+    """Read an observation or action item, such as "qpos[1:]" or "qpos.thigh_joint".
 
-    sizes: the length of each field; addresses: for each field, the start and number of places of
-    its named elements.
+    Parameters
+    ----------
+    text : str
+        The item.
+    sizes : dict
+        The length of each field.
+    addresses : dict
+        For each field, the start and the number of places of its named elements.
+
+    Returns
+    -------
+    field : str
+        The field's name.
+    places : list of int
+        The places in the field, in order.
+
+    Raises
+    ------
+    BadArgument
+        If the item cannot be read, or is outside of its field.
+    UnknownName
+        If there is no such field or element; with the nearest valid name.
     """
     match = ITEM.match(text.replace(" ", ""))
     if match is None:
@@ -240,23 +280,26 @@ def item_columns(
         )
     field = known("field", match["field"], sizes)
     if match["name"]:
-        start, count = addresses[field][
-            known(f"element of {field}", match["name"], addresses[field])
-        ]
+        name = known(f"element of {field}", match["name"], addresses[field])
+        start, count = addresses[field][name]
         return field, list(range(start, start + count))
     places = list(range(sizes[field]))
     if match["slice"] is None:
         return field, places
-    if ":" not in match["slice"]:
-        if not -len(places) <= int(match["slice"]) < len(places):
-            raise BadArgument(
-                f"The item {text!r} is outside of {field}, which has {len(places)} numbers."
-            )
-        return field, [places[int(match["slice"])]]
-    begin, end = (int(part) if part else None for part in match["slice"].split(":"))
+    return field, _slice(text, field, match["slice"], places)
+
+
+def _slice(text: str, field: str, inside: str, places: list[int]) -> list[int]:
+    """The places that a slice such as "1:" or "-1" chooses; outside of the field it is refused."""
+    outside = BadArgument(
+        f"The item {text!r} is outside of {field}, which has {len(places)} numbers."
+    )
+    if ":" not in inside:
+        if not -len(places) <= int(inside) < len(places):
+            raise outside
+        return [places[int(inside)]]
+    begin, end = (int(part) if part else None for part in inside.split(":"))
     chosen = places[slice(begin, end)]
     if not chosen or (end is not None and end > len(places)):
-        raise BadArgument(
-            f"The item {text!r} is outside of {field}, which has {len(places)} numbers."
-        )
-    return field, chosen
+        raise outside
+    return chosen

@@ -13,11 +13,21 @@ FIXED = int(mujoco.mjtGain.mjGAIN_FIXED)
 AFFINE = int(mujoco.mjtGain.mjGAIN_AFFINE)
 NO_BIAS = int(mujoco.mjtBias.mjBIAS_NONE)
 AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_AFFINE)
+UNLIMITED = (-np.inf, np.inf)
 
 
 def motors(model: mujoco.MjModel) -> list[tuple[Joint, list[int]]]:
-    """The slides and hinges that are driven by actuators whose force is known from the state
-    (`motor_force`), and these.
+    """List the slides and hinges driven by actuators whose force is known from the state.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of (Joint, list of int)
+        Each joint with the ids of its actuators for which `motor_force` holds.
     """
     gain = np.isin(model.actuator_gaintype, (FIXED, AFFINE))
     bias = np.isin(model.actuator_biastype, (NO_BIAS, AFFINE_BIAS))
@@ -31,12 +41,12 @@ def motors(model: mujoco.MjModel) -> list[tuple[Joint, list[int]]]:
     return list(found.values())
 
 
-def motor_force(moment: StepState, joint: Joint, ids: Sequence[int]) -> Array:
-    """The generalised force of a joint's actuators: gear (gain u + bias), as MuJoCo computes it.
+def motor_force(state: StepState, joint: Joint, ids: Sequence[int]) -> Array:
+    """Compute the generalised force of a joint's actuators as MuJoCo does: gear (gain u + bias).
 
     Parameters
     ----------
-    moment : Moment
+    state : StepState
         n simulations at one physics step.
     joint : Joint
         A slide or hinge.
@@ -48,54 +58,71 @@ def motor_force(moment: StepState, joint: Joint, ids: Sequence[int]) -> Array:
     (n,) array
         [N or N m]
     """
-    model = moment.model
-    total = np.zeros(len(moment.ctrl))
+    model = state.model
+    total = np.zeros(len(state.ctrl))
     for i in ids:
         gear = float(model.actuator_gear[i, 0])
-        state = int(model.actuator_actadr[i])
-        if state < 0:
-            limit = (
-                model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
-            )
-            u = np.clip(moment.ctrl[:, i], *limit)
-        else:
-            u = moment.act[:, state + int(model.actuator_actnum[i]) - 1]
-        position = gear * moment.qpos[:, joint.qpos]
-        velocity = gear * moment.qvel[:, joint.qvel]
+        u = _input_of(state, i)
+        position = gear * state.qpos[:, joint.qpos]
+        velocity = gear * state.qvel[:, joint.qvel]
         terms = np.stack([np.ones(len(u)), position, velocity])
         gain = model.actuator_gainprm[i, :3]
         if model.actuator_gaintype[i] != AFFINE:
             gain = gain * (1, 0, 0)
         bias = model.actuator_biasprm[i, :3] * (model.actuator_biastype[i] == AFFINE_BIAS)
-        most = model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
-        total += gear * np.clip((gain @ terms) * u + bias @ terms, *most)
+        limits = model.actuator_forcerange[i] if model.actuator_forcelimited[i] else UNLIMITED
+        total += gear * np.clip((gain @ terms) * u + bias @ terms, *limits)
     return total
 
 
+def _input_of(state: StepState, i: int) -> Array:
+    """(n,) what actuator i multiplies by its gain: its last activation, or its clamped command."""
+    model = state.model
+    activation = int(model.actuator_actadr[i])
+    if activation >= 0:
+        return state.act[:, activation + int(model.actuator_actnum[i]) - 1]
+    limits = model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else UNLIMITED
+    return np.clip(state.ctrl[:, i], *limits)
+
+
 def torque_scale(model: mujoco.MjModel, joint: Joint) -> float:
-    """The size of forces at a slide or hinge: the largest that its actuators give, at least what
-    moves it by 10 m/s^2 (rad/s^2).
+    """Estimate the size of the forces at a slide or hinge.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    joint : Joint
+        A slide or hinge.
+
+    Returns
+    -------
+    float
+        The largest force of its actuators, at least the force that moves it by 10 m/s^2 or rad/s^2
+        [N or N m].
     """
-    found = [10.0 * float(model.dof_M0[joint.qvel])]
+    sizes = [10.0 * float(model.dof_M0[joint.qvel])]
     for actuator in actuators(model):
         if actuator.joint is not None and actuator.joint.id == joint.id:
             gear = float(model.actuator_gear[actuator.id, 0])
             gain = abs(float(model.actuator_gainprm[actuator.id, 0]) * gear)
-            found.append(gain * actuator.largest_command)
-    return max(found)
+            sizes.append(gain * actuator.largest_command)
+    return max(sizes)
 
 
 def inverse_forces(
     model: mujoco.MjModel, positions: Array, velocities: Array, accelerations: Array
 ) -> Array:
-    """The generalised forces that a motion needs (mj_inverse).
+    """Compute the generalised forces that a motion needs (mj_inverse).
 
     Parameters
     ----------
     model : MjModel
         The compiled model.
     positions : (n, nq) array
+        Positions [m, rad].
     velocities, accelerations : (n, nv) arrays
+        Velocities [m/s, rad/s] and accelerations [m/s^2, rad/s^2].
 
     Returns
     -------

@@ -10,13 +10,13 @@ from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array
 from dropo.mjmodel.names import KINDS, actuator_names, driven_joints, joint_names
 
-_POSITIONS = {
+_POSITION_UNITS = {
     "free": ("m",) * 3 + ("",) * 4,
     "ball": ("",) * 4,
     "slide": ("m",),
     "hinge": ("rad",),
 }
-_VELOCITIES = {
+_VELOCITY_UNITS = {
     "free": ("m/s",) * 3 + ("rad/s",) * 3,
     "ball": ("rad/s",) * 3,
     "slide": ("m/s",),
@@ -26,7 +26,7 @@ _VELOCITIES = {
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint.
+    """A joint of a model.
 
     Attributes
     ----------
@@ -54,11 +54,12 @@ class Joint:
     range: tuple[float, float] | None = None
 
     def units(self, field: str) -> tuple[str, ...]:
-        """The SI units of its numbers in "qpos" or "qvel"; a quaternion's have none."""
-        return (_POSITIONS if field == "qpos" else _VELOCITIES)[self.kind]
+        """The SI units of its numbers in the field "qpos" or "qvel"; a quaternion's have none."""
+        units = _POSITION_UNITS if field == "qpos" else _VELOCITY_UNITS
+        return units[self.kind]
 
     def quaternion(self) -> slice | None:
-        """Where the quaternion stands among its positions."""
+        """The places of its quaternion among its positions; None without one."""
         return {"free": slice(3, 7), "ball": slice(0, 4)}.get(self.kind)
 
     @property
@@ -89,7 +90,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Actuator:
-    """An actuator.
+    """An actuator of a model.
 
     Attributes
     ----------
@@ -118,11 +119,16 @@ class Actuator:
 class ModelJoints:
     """A compiled model's joints and actuators by name, in the model's order.
 
-    A joint without a name goes by its body's; where a body has several such joints, they are called
-    "torso/slide_x", "torso/slide_z", "torso/hinge_y" by the axis of the body's frame that they are
-    along, or "torso/hinge_2" by their number in the body where that does not tell them apart. An
-    actuator without a name goes by the joint that it alone drives. What has no name in this way
-    either is "joint5" or "actuator2" by its id.
+    What has no name in the MJCF is named by `dropo.mjmodel.names`.
+
+    Attributes
+    ----------
+    model : MjModel
+        The compiled model.
+    joints : dict of str to Joint
+        All joints.
+    actuators : dict of str to Actuator
+        All actuators.
     """
 
     model: mujoco.MjModel
@@ -131,33 +137,48 @@ class ModelJoints:
 
     @property
     def timestep(self) -> float:
-        """Seconds of one physics step."""
+        """The physics step [s]."""
         return float(self.model.opt.timestep)
 
     @property
     def velocity_lag(self) -> float:
-        """Seconds by which the model's own velocities are behind its positions.
+        """The time by which the model's own velocities are behind its positions [s].
 
-        Its semi-implicit integrators move a position by the velocity of the step's end, so that a
-        state's velocity is that of the middle of the step before; RK4's is not late.
+        Semi-implicit integrators move a position by the velocity of the end of the step, so that
+        the velocity of a state is that of the middle of the step before; that of RK4 is not late.
         """
-        late = self.model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
-        return self.timestep / 2 if late else 0.0
+        semi_implicit = self.model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
+        return self.timestep / 2 if semi_implicit else 0.0
 
     @property
     def heaviest_body(self) -> tuple[str, float]:
-        """Its name and mass [kg]; the first of several."""
+        """The name and mass [kg] of the heaviest body; the first of several."""
         body = max(range(1, self.model.nbody), key=lambda i: self.model.body_mass[i], default=0)
         return str(self.model.body(body).name), float(self.model.body_mass[body])
 
     @property
     def gravity(self) -> Array:
-        """(3,) [m/s^2]"""
+        """(3,) gravity in the world's axes [m/s^2]."""
         return np.array(self.model.opt.gravity)
 
 
 def load_model_joints(path: str | Path) -> ModelJoints:
-    """The joints and actuators of an MJCF file; BadFile where it is none."""
+    """Read the joints and actuators of an MJCF file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    ModelJoints
+
+    Raises
+    ------
+    BadFile
+        If there is no such file, or MuJoCo refuses it.
+    """
     if not Path(path).is_file():
         raise BadFile(path, "", "an MJCF file", "no such file")
     try:
@@ -168,13 +189,13 @@ def load_model_joints(path: str | Path) -> ModelJoints:
 
 
 def model_joints(model: mujoco.MjModel) -> ModelJoints:
-    """The joints and actuators of a compiled model."""
+    """Collect the joints and actuators of a compiled model."""
     joints = {joint.name: joint for joint in all_joints(model)}
     return ModelJoints(model, joints, {actuator.name: actuator for actuator in actuators(model)})
 
 
 def all_joints(model: mujoco.MjModel) -> list[Joint]:
-    """Every joint, in the model's order."""
+    """List every joint, in the model's order."""
     found = []
     for i, name in enumerate(joint_names(model)):
         low, high = model.jnt_range[i].tolist()
@@ -193,26 +214,48 @@ def all_joints(model: mujoco.MjModel) -> list[Joint]:
 
 
 def joints(model: mujoco.MjModel) -> list[Joint]:
-    """Hinges and slides, but for those of a floating base.
+    """List the hinges and slides, without those of a floating base.
 
     A floating base is a body that hangs from the world by several joints, none of which is driven.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of Joint
+        In the model's order.
     """
     every = all_joints(model)
     driven = set(driven_joints(model).tolist())
-    of_body: dict[int, list[Joint]] = {}
+    joints_of: dict[int, list[Joint]] = {}
     for joint in every:
-        of_body.setdefault(joint.body, []).append(joint)
-    floating = {
-        body
-        for body, own in of_body.items()
-        if model.body_parentid[body] == 0 and len(own) > 1 and not driven & {one.id for one in own}
-    }
-    return [one for one in every if one.kind in ("slide", "hinge") and one.body not in floating]
+        joints_of.setdefault(joint.body, []).append(joint)
+    floating = set()
+    for body, own in joints_of.items():
+        is_driven = any(joint.id in driven for joint in own)
+        if model.body_parentid[body] == 0 and len(own) > 1 and not is_driven:
+            floating.add(body)
+    return [
+        joint for joint in every if joint.kind in ("slide", "hinge") and joint.body not in floating
+    ]
 
 
 def degrees_of_freedom(model: mujoco.MjModel) -> list[tuple[str, str]]:
-    """(nv,) the name of each degree of freedom, "hip" or "box[0]" of a joint of several, and the
-    unit of forces on it.
+    """Name the degrees of freedom of a model.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of (str, str)
+        The name of each of the nv degrees of freedom, "hip" or "box[0]" where a joint has several,
+        and the unit of the generalised force on it.
     """
     found = []
     for joint in all_joints(model):
@@ -224,7 +267,7 @@ def degrees_of_freedom(model: mujoco.MjModel) -> list[tuple[str, str]]:
 
 
 def actuators(model: mujoco.MjModel) -> list[Actuator]:
-    """Every actuator, in the model's order."""
+    """List every actuator, in the model's order."""
     every = all_joints(model)
     driven = driven_joints(model).tolist()
     found = []

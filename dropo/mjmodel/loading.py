@@ -14,18 +14,37 @@ from dropo.mjmodel.fields import MOVES_FRAMES
 def load_model(
     model: str | Path | mujoco.MjSpec | mujoco.MjModel, fields: Sequence[str] = ()
 ) -> mujoco.MjModel:
-    """A model ready for fitting: warm start and automatic reset off, bodies compiled so that the
-    fields may be edited.
+    """Load a model for fitting: without warm start and automatic reset, its fields editable.
 
-    A single kinematic tree is one island of constraints or none: not to look for islands saves 8 %
-    of a hopper's step and changes no bit.
+    Parameters
+    ----------
+    model : str, Path, MjSpec or MjModel
+        An MJCF file, a specification or a compiled model, which is copied.
+    fields : sequence of str
+        The fields that are going to be edited: some need bodies compiled with simple="false".
+
+    Returns
+    -------
+    MjModel
+
+    Raises
+    ------
+    BadArgument
+        If a compiled model is given, and one of the fields needs bodies to be compiled anew.
+    BadFile
+        If there is no such file, or the model does not compile.
+
+    Notes
+    -----
+    A single kinematic tree is one island of constraints or none. Not to search for islands saves
+    8 % of a step of the hopper, and changes no bit.
     """
     if isinstance(model, mujoco.MjModel):
-        moved = sorted(set(fields) & set(MOVES_FRAMES))
+        frames = sorted(set(fields) & set(MOVES_FRAMES))
         require(
-            not moved,
+            not frames,
             "model",
-            f"an MJCF file or an MjSpec where {moved} is fitted",
+            f"an MJCF file or an MjSpec where {frames} is fitted",
             "an MjModel",
             "MujocoSimulator",
         )
@@ -41,7 +60,25 @@ def load_model(
 
 
 def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.MjSpec:
-    """An MjSpec of its own from where a model came; the paths of its files are absolute."""
+    """Make an editable specification from where a model came.
+
+    Parameters
+    ----------
+    model : str, Path, MjSpec or MjModel
+        An MJCF file or a specification.
+
+    Returns
+    -------
+    MjSpec
+        A new one. The folders of a file's meshes and textures are absolute paths.
+
+    Raises
+    ------
+    BadArgument
+        If a compiled model is given, which has no MJCF.
+    BadFile
+        If there is no such file, or MuJoCo refuses it.
+    """
     if isinstance(model, mujoco.MjSpec):
         return model.copy()
     if isinstance(model, mujoco.MjModel):
@@ -55,16 +92,14 @@ def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.
     except ValueError as error:
         raise _broken(model, error) from None
     for name in ("meshdir", "texturedir"):
-        if getattr(spec.compiler, name):
-            setattr(
-                spec.compiler,
-                name,
-                str((Path(model).parent / getattr(spec.compiler, name)).resolve()),
-            )
+        folder = getattr(spec.compiler, name)
+        if folder:
+            setattr(spec.compiler, name, str((Path(model).parent / folder).resolve()))
     return spec
 
 
 def _compile(model: str | Path | mujoco.MjSpec, fields: Sequence[str]) -> mujoco.MjModel:
+    """Compiles a file or specification so that the fields may be edited."""
     spec = model if isinstance(model, mujoco.MjSpec) else specification(model)
     try:
         if set(fields) & set(MOVES_FRAMES):
@@ -76,5 +111,6 @@ def _compile(model: str | Path | mujoco.MjSpec, fields: Sequence[str]) -> mujoco
 
 
 def _broken(model: str | Path | mujoco.MjSpec, error: Exception) -> BadFile:
+    """The refusal of a model that MuJoCo does not compile."""
     source = "the model" if isinstance(model, mujoco.MjSpec) else model
     return BadFile(source, "", "a model that compiles", str(error).strip().replace("\n", "; "))

@@ -1,6 +1,4 @@
-"""Motors as engineers know them: a data sheet's numbers as those of an MJCF joint and its actuator,
-and as parameters to fit.
-"""
+"""Motors by their data sheets: as numbers of an MJCF joint and its actuator, and as parameters."""
 
 import json
 import math
@@ -15,22 +13,53 @@ from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.validation import known, require
 from dropo.mjmodel.fields import FieldParameter
 
-# a parameter's interval reaches from the data sheet's number divided by it to that many times as
-# much
-WIDE = 3.0
-# of the peak torque: the largest dry friction, and the largest viscous one at the speed without
-# load
-FRICTION = 0.2
+
+@dataclass(frozen=True)
+class MotorIntervalSettings:
+    """How wide the intervals are in which a motor's numbers are fitted.
+
+    Attributes
+    ----------
+    factor : float
+        An interval reaches from the data sheet's number divided by it to that number times it.
+    friction : float
+        Where the data sheet has no friction: the largest dry friction as a fraction of the peak
+        torque, and the largest viscous friction as that fraction at the speed without load.
+    """
+
+    factor: float = 3.0
+    friction: float = 0.2
 
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor with its gear; what a data sheet does not say is None and is left as the model has
-    it.
+    """A motor with its gear; what its data sheet does not say is None and stays as in the model.
 
-    gear_ratio: motor turns a turn of the joint; rotor_inertia [kg m^2], torque_constant [N m / A]:
-    before the gear; rated_torque, peak_torque [N m], no_load_speed [rad/s], coulomb [N m], viscous
-    [N m s/rad]: behind it; source: of the numbers.
+    Attributes
+    ----------
+    label : str
+        What it is called.
+    gear_ratio : float
+        Turns of the motor for one turn of the joint.
+    rotor_inertia : float or None
+        Inertia of the rotor, before the gear [kg m^2].
+    torque_constant : float or None
+        Before the gear [N m/A].
+    rated_torque, peak_torque : float or None
+        Behind the gear [N m].
+    no_load_speed : float or None
+        Behind the gear [rad/s].
+    coulomb : float or None
+        Dry friction, behind the gear [N m].
+    viscous : float or None
+        Viscous friction, behind the gear [N m s/rad].
+    source : str
+        Where the numbers are from.
+
+    Raises
+    ------
+    BadArgument
+        If a number is not finite and above 0; friction and inertia of the rotor may be 0.
     """
 
     label: str = ""
@@ -49,39 +78,78 @@ class Motor:
             value = getattr(self, field.name)
             if field.name in ("label", "source") or value is None:
                 continue
-            number = (
-                isinstance(value, int | float)
-                and not isinstance(value, bool)
-                and math.isfinite(value)
-            )
-            least_ok = number and (
-                value > 0 or (value == 0 and field.name in ("coulomb", "viscous", "rotor_inertia"))
-            )
-            require(least_ok, field.name, "a number above 0", value, f"motor {self.label!r}")
+            may_be_zero = field.name in ("coulomb", "viscous", "rotor_inertia")
+            valid = _is_finite(value) and (value > 0 or (value == 0 and may_be_zero))
+            require(valid, field.name, "a number above 0", value, f"motor {self.label!r}")
 
     @property
     def armature(self) -> float | None:
-        """The rotor's inertia as the joint feels it [kg m^2]: times the square of the gear ratio."""
+        """The rotor's inertia at the joint [kg m^2]: times the square of the gear ratio."""
         return None if self.rotor_inertia is None else self.rotor_inertia * self.gear_ratio**2
 
 
+def _is_finite(value: Any) -> bool:
+    """Whether the value is a finite number."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and math.isfinite(value)
+
+
 def read_motors(path: Path | None = None) -> dict[str, Motor]:
-    """The motors of a JSON file, by name, each a mapping with the fields of `Motor`; of the
-    package's own library by default.
+    """Read motors from a JSON file.
+
+    Parameters
+    ----------
+    path : Path, optional
+        A file with a mapping from names to the fields of `Motor`; by default the package's own
+        library.
+
+    Returns
+    -------
+    dict of str to Motor
+
+    Raises
+    ------
+    BadFile
+        If the file cannot be read, or is no such mapping.
+    UnknownName
+        If a motor has a number that `Motor` has not.
+    BadArgument
+        If a number is out of its range.
     """
-    own = files("dropo.mjmodel") / "motors.json"
-    where: Any = own if path is None else path
+    library = files("dropo.mjmodel") / "motors.json"
+    source: Any = library if path is None else path
     try:
-        content = json.loads(where.read_text())
+        content = json.loads(source.read_text())
     except (OSError, ValueError) as error:
-        raise BadFile(where, "", "a JSON file of motors", str(error)) from None
+        raise BadFile(source, "", "a JSON file of motors", str(error)) from None
     if not isinstance(content, dict):
-        raise BadFile(where, "", "a mapping from names to motors", type(content).__name__)
-    return {name: motor_of(entry, f"{where}: {name}") for name, entry in content.items()}
+        raise BadFile(source, "", "a mapping from names to motors", type(content).__name__)
+    return {name: motor_of(entry, f"{source}: {name}") for name, entry in content.items()}
 
 
 def motor_of(entry: Any, where: str) -> Motor:
-    """A motor from the name of one in the library, or from a mapping with the fields of `Motor`."""
+    """Make a motor from an entry of a file.
+
+    Parameters
+    ----------
+    entry : str or dict
+        The name of a motor in the library, or a mapping with the fields of `Motor`.
+    where : str
+        The place of the entry, for refusals.
+
+    Returns
+    -------
+    Motor
+
+    Raises
+    ------
+    BadFile
+        If the entry is neither.
+    UnknownName
+        If there is no such motor or number; with the nearest valid name.
+    BadArgument
+        If a number is out of its range.
+    """
     if isinstance(entry, str):
         library = read_motors()
         return library[known("motor", entry, library)]
@@ -94,8 +162,25 @@ def motor_of(entry: Any, where: str) -> Motor:
 
 
 def mount(spec: mujoco.MjSpec, joint: str, motor: Motor) -> None:
-    """Writes the motor's numbers into the joint of a specification, and its peak torque into the
-    range of its actuators' forces.
+    """Write a motor's numbers into a joint of a specification.
+
+    Its peak torque limits the force of the joint's actuators.
+
+    Parameters
+    ----------
+    spec : MjSpec
+        The specification, which is changed in place.
+    joint : str
+        The name of a hinge or slide.
+    motor : Motor
+        What turns or moves it.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such joint; with the nearest valid name.
+    Incompatible
+        If the joint is neither a hinge nor a slide.
     """
     names = [one.name for one in spec.joints if one.name]
     place = spec.joint(known("joint", joint, names))
@@ -103,18 +188,19 @@ def mount(spec: mujoco.MjSpec, joint: str, motor: Motor) -> None:
         raise Incompatible(
             f"A motor turns a hinge or moves a slide, and the joint {joint!r} is neither."
         )
-    for attribute, number in (
-        ("armature", motor.armature),
-        ("frictionloss", motor.coulomb),
-        ("damping", motor.viscous),
-    ):
-        if number is not None:
-            old = getattr(place, attribute)
-            setattr(
-                place,
-                attribute,
-                number if isinstance(old, float | int) else [number, *list(old)[1:]],
-            )
+    numbers = {
+        "armature": motor.armature,
+        "frictionloss": motor.coulomb,
+        "damping": motor.viscous,
+    }
+    for attribute, number in numbers.items():
+        if number is None:
+            continue
+        old = getattr(place, attribute)
+        if isinstance(old, float | int):
+            setattr(place, attribute, number)
+        else:  # coefficients of a polynomial, the linear one first
+            setattr(place, attribute, [number, *list(old)[1:]])
     for actuator in spec.actuators:
         if actuator.target == joint and motor.peak_torque is not None:
             limit = motor.peak_torque / abs(float(actuator.gear[0]))
@@ -122,42 +208,66 @@ def mount(spec: mujoco.MjSpec, joint: str, motor: Motor) -> None:
             actuator.forcerange = [-limit, limit]
 
 
-def motor_parameters(joint: str, motor: Motor) -> list[FieldParameter]:
-    """What is worth fitting of a motor at a joint: rotor inertia, dry and viscous friction, in
-    intervals around the data sheet's.
+def motor_parameters(
+    joint: str, motor: Motor, settings: MotorIntervalSettings | None = None
+) -> list[FieldParameter]:
+    """List the parameters of a motor at a joint that are worth fitting.
+
+    Parameters
+    ----------
+    joint : str
+        The name of the joint.
+    motor : Motor
+        The motor that drives it.
+    settings : MotorIntervalSettings, optional
+        How wide the intervals around the data sheet's numbers are.
+
+    Returns
+    -------
+    list of FieldParameter
+        Rotor inertia, dry and viscous friction: those for which the data sheet has numbers.
     """
-    out = []
+    chosen = settings or MotorIntervalSettings()
+    parameters = []
     if motor.armature:
-        low = motor.armature / WIDE
-        high = motor.armature * WIDE
-        out.append(
+        parameters.append(
             FieldParameter(
-                f"{joint}_armature", low, high, "kg m^2", field="dof_armature", element=joint
+                f"{joint}_armature",
+                motor.armature / chosen.factor,
+                motor.armature * chosen.factor,
+                "kg m^2",
+                field="dof_armature",
+                element=joint,
             )
         )
-    dry = (
-        WIDE * motor.coulomb
-        if motor.coulomb
-        else FRICTION * motor.peak_torque
-        if motor.peak_torque
-        else None
-    )
+    dry, viscous = _largest_frictions(motor, chosen)
     if dry is not None:
-        out.append(
+        parameters.append(
             FieldParameter(
                 f"{joint}_friction", 0.0, dry, "N m", field="dof_frictionloss", element=joint
             )
         )
-    wet = (
-        None
-        if motor.peak_torque is None or motor.no_load_speed is None
-        else FRICTION * motor.peak_torque / motor.no_load_speed
-    )
-    wet = WIDE * motor.viscous if motor.viscous else wet
-    if wet is not None:
-        out.append(
+    if viscous is not None:
+        parameters.append(
             FieldParameter(
-                f"{joint}_damping", 0.0, wet, "N m s/rad", field="dof_damping", element=joint
+                f"{joint}_damping", 0.0, viscous, "N m s/rad", field="dof_damping", element=joint
             )
         )
-    return out
+    return parameters
+
+
+def _largest_frictions(
+    motor: Motor, settings: MotorIntervalSettings
+) -> tuple[float | None, float | None]:
+    """The largest dry [N m] and viscous [N m s/rad] friction that are fitted, where known."""
+    dry: float | None = None
+    viscous: float | None = None
+    if motor.coulomb:
+        dry = settings.factor * motor.coulomb
+    elif motor.peak_torque:
+        dry = settings.friction * motor.peak_torque
+    if motor.viscous:
+        viscous = settings.factor * motor.viscous
+    elif motor.peak_torque is not None and motor.no_load_speed is not None:
+        viscous = settings.friction * motor.peak_torque / motor.no_load_speed
+    return dry, viscous

@@ -9,7 +9,7 @@ KINDS = ("free", "ball", "slide", "hinge")
 
 
 def element_names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
-    """The names of a model's elements of one kind, and their ids.
+    """List the names of a model's elements of one kind, with their ids.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ def element_names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
 
     Returns
     -------
-    dict
+    dict of str to int
         In the model's order. Every joint and actuator is there (see `joint_names` and
         `actuator_names`); elements of other kinds are left out where they have no name.
     """
@@ -32,13 +32,28 @@ def element_names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
 
 
 def element_name(model: mujoco.MjModel, kind: str, index: int) -> str:
-    """The name of a body, geom or other element that MuJoCo may leave without one: then "body3"."""
+    """Name an element that MuJoCo may leave without a name.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    kind : str
+        "body", "geom" or another of MuJoCo's.
+    index : int
+        Its id.
+
+    Returns
+    -------
+    str
+        Its own name, else kind and id, as in "body3".
+    """
     found = mujoco.mj_id2name(model, _object(kind), index)
     return str(found) if found else f"{kind}{index}"
 
 
 def joint_names(model: mujoco.MjModel) -> list[str]:
-    """The names of all joints, each different, in the model's order.
+    """Name all joints, each differently, in the model's order.
 
     A joint without a name goes by its body's. Where a body has several of them, each is called by
     body, kind and the axis of the body's frame that it is along: "torso/slide_x", "torso/slide_z",
@@ -46,6 +61,15 @@ def joint_names(model: mujoco.MjModel) -> list[str]:
     frame's, the joint's number among those of its body stands in place of the axis:
     "torso/hinge_2". Where the body has no name either, and where a name is taken already, it is
     "joint5" by its id.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of str
     """
     given = _given(model, "joint")
     taken = {name for name in given if name}
@@ -68,10 +92,19 @@ def joint_names(model: mujoco.MjModel) -> list[str]:
 
 
 def actuator_names(model: mujoco.MjModel) -> list[str]:
-    """The names of all actuators, each different, in the model's order.
+    """Name all actuators, each differently, in the model's order.
 
     An actuator without a name goes by the joint that it alone drives, else it is "actuator2" by its
     id.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of str
     """
     given = _given(model, "actuator")
     taken = {name for name in given if name}
@@ -90,13 +123,13 @@ def actuator_names(model: mujoco.MjModel) -> list[str]:
 
 
 def driven_joints(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """(nu,) the id of the joint that each actuator drives; -1 where it drives none."""
+    """Find the joint of each actuator: (nu,) its id, or -1 where it drives none."""
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return np.where(on_joint, model.actuator_trnid[:, 0], -1).astype(np.int64)
 
 
 def _given(model: mujoco.MjModel, kind: str) -> list[str]:
-    """The names in the MJCF, "" where there is none."""
+    """The names of all elements of one kind in the MJCF, "" where there is none."""
     counts = {
         "camera": "ncam",
         "equality": "neq",
@@ -114,7 +147,7 @@ def _object(kind: str) -> mujoco.mjtObj:
 
 
 def _axes(model: mujoco.MjModel, joints: list[int]) -> list[str]:
-    """What tells a body's joints apart: kind and axis, else kind and number."""
+    """What distinguishes the joints of a body: kind and axis, else kind and number."""
     found = []
     for joint in joints:
         kind = KINDS[int(model.jnt_type[joint])]

@@ -1,6 +1,4 @@
-"""The columns of an observation row, and the coordinates in which predictions are compared with
-measurements.
-"""
+"""The columns of observation rows, and the coordinates in which predictions meet measurements."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,48 +18,70 @@ STATE = ("qpos", "qvel", "act")
 
 
 @dataclass(frozen=True)
-class _Column:
+class ObservedColumn:
+    """A column of observation rows: a place in a field of the state.
+
+    Attributes
+    ----------
+    field : str
+        "qpos", "qvel", "act" or "sensordata".
+    place : int
+        The place in the field.
+    """
+
     field: str
     place: int
 
 
 class Layout:
-    """Observation rows (P,) of a model; compared as p signals, where a quaternion's four columns
-    count for three.
+    """The P columns of observation rows of a model, compared as p signals.
 
-    items: slices of "qpos", "qvel", "act" and "sensordata", or elements by name. A quaternion is
-    compared in the tangent space at the measured one: a rotation vector in the body's frame, 0 for
-    the measurement (mj_differentiatePos).
+    A quaternion's four columns are three signals: it is compared in the tangent space at the
+    measured one, by a rotation vector in the body's frame that is 0 for the measurement
+    (mj_differentiatePos).
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    items : sequence of str
+        Slices of "qpos", "qvel", "act" and "sensordata", or elements by name, in the order of the
+        columns.
+
+    Attributes
+    ----------
+    columns : list of ObservedColumn
+        What each of the P columns holds.
+    names : list of str
+        The names of the P columns.
+    quaternions : list of list of int
+        The four columns of each observed quaternion.
+    signals : list of Signal
+        Names and units of the p signals.
+    model_units : dict
+        The unit of each number of qpos and qvel, by field and place.
+
+    Raises
+    ------
+    BadArgument
+        If there is no column, an item is outside of its field, or a part of a quaternion is
+        observed.
+    UnknownName
+        If there is no such field or element; with the nearest valid name.
     """
 
     def __init__(self, model: mujoco.MjModel, items: Sequence[str]):
-        sizes = {
-            "qpos": model.nq,
-            "qvel": model.nv,
-            "act": model.na,
-            "sensordata": model.nsensordata,
-        }
         addresses = _addresses(model)
-        self.columns = [
-            _Column(field, i)
-            for item in items
-            for field, places in [item_columns(item, sizes, addresses)]
-            for i in places
-        ]
+        self.columns = _columns(model, items, addresses)
         if not self.columns:
             raise BadArgument("The observation must have at least one column. Got none.")
         self.quaternions = self._quaternion_columns(model)
         self.model_units = _units(model)
         self.names = [_name(addresses, column) for column in self.columns]
         self.signals = self._signals()
-        self._plain = np.array(
-            [
-                i
-                for i in range(len(self.columns))
-                if not any(i in quat for quat in self.quaternions)
-            ],
-            dtype=int,
-        )
+        in_quaternion = {i for quaternion in self.quaternions for i in quaternion}
+        plain = [i for i in range(len(self.columns)) if i not in in_quaternion]
+        self._plain = np.array(plain, dtype=int)
         self._start = {field: self._places(field) for field in STATE}
 
     def __len__(self) -> int:
@@ -69,54 +89,86 @@ class Layout:
 
     @property
     def needs_sensors(self) -> bool:
+        """Whether a column is of sensor data, which MuJoCo computes with each step."""
         return any(column.field == "sensordata" for column in self.columns)
 
     def _places(self, field: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        found = [
-            (i, column.place) for i, column in enumerate(self.columns) if column.field == field
-        ]
-        return np.array([i for i, _ in found], dtype=np.int64), np.array(
-            [place for _, place in found], dtype=np.int64
-        )
+        """The columns of a field, and their places in it."""
+        columns = [i for i, column in enumerate(self.columns) if column.field == field]
+        places = [self.columns[i].place for i in columns]
+        return np.array(columns, dtype=np.int64), np.array(places, dtype=np.int64)
 
     def _quaternion_columns(self, model: mujoco.MjModel) -> list[list[int]]:
         """The four columns of each quaternion that is observed; a part of one is refused."""
-        where = {column.place: i for i, column in enumerate(self.columns) if column.field == "qpos"}
-        found = []
+        column_of = {
+            column.place: i for i, column in enumerate(self.columns) if column.field == "qpos"
+        }
+        quaternions = []
         for start in quaternion_addresses(model):
-            have = [where[i] for i in range(start, start + 4) if i in where]
-            if have and (len(have) < 4 or have != list(range(have[0], have[0] + 4))):
+            own = [column_of[i] for i in range(start, start + 4) if i in column_of]
+            if not own:
+                continue
+            if own != list(range(own[0], own[0] + 4)):
                 raise BadArgument(
                     "The observation must hold all four numbers of the quaternion at "
                     f"qpos[{start}:{start + 4}], in order, or none."
                 )
-            if have:
-                found.append(have)
-        return found
+            quaternions.append(own)
+        return quaternions
 
     def _signals(self) -> list[Signal]:
-        """One signal a plain column; three rotations in place of a quaternion's four columns."""
-        out = []
-        firsts = {quat[0]: quat for quat in self.quaternions}
-        inside = {i for quat in self.quaternions for i in quat[1:]}
+        """One signal for a plain column, three rotations for a quaternion's four columns."""
+        signals = []
+        firsts = {quaternion[0] for quaternion in self.quaternions}
+        others = {i for quaternion in self.quaternions for i in quaternion[1:]}
         for i, (column, name) in enumerate(zip(self.columns, self.names, strict=True)):
             if i in firsts:
                 owner = name.rsplit("[", 1)[0] if "." in name else name
-                out += [Signal(f"{owner}.r{axis}", "rad") for axis in "xyz"]
-            elif i not in inside:
-                out.append(Signal(name, self.model_units.get((column.field, column.place), "")))
-        return out
+                signals += [Signal(f"{owner}.r{axis}", "rad") for axis in "xyz"]
+            elif i not in others:
+                unit = self.model_units.get((column.field, column.place), "")
+                signals.append(Signal(name, unit))
+        return signals
 
     def places_of(self, items: Sequence[str], model: mujoco.MjModel) -> NDArray[np.bool_]:
-        """(P,) which columns the items name, for `partial` resets."""
+        """Find the columns that the items name, for `partial` resets.
+
+        Parameters
+        ----------
+        items : sequence of str
+            As of the layout.
+        model : MjModel
+            The compiled model.
+
+        Returns
+        -------
+        (P,) array of bool
+
+        Raises
+        ------
+        BadArgument, UnknownName
+            As of the layout.
+        """
         named = {(column.field, column.place) for column in Layout(model, items).columns}
         return np.array([(column.field, column.place) in named for column in self.columns])
 
     def observe(self, states: Array, sensors: Array | None, model: mujoco.MjModel) -> Array:
-        """Observation rows (..., P) from full physics states (..., 1 + nq + nv + na + ...) and
-        sensor data; NaN without.
+        """Read observation rows from full physics states.
+
+        Parameters
+        ----------
+        states : (..., 1 + nq + nv + na + ...) array
+            Full physics states.
+        sensors : (..., nsensordata) array or None
+            Sensor data; columns of it are NaN without.
+        model : MjModel
+            The compiled model.
+
+        Returns
+        -------
+        (..., P) array
         """
-        first = {"qpos": 1, "qvel": 1 + model.nq, "act": 1 + model.nq + model.nv}
+        first = _first_places(model)
         out = np.empty((*states.shape[:-1], len(self)))
         for i, column in enumerate(self.columns):
             if column.field == "sensordata":
@@ -128,17 +180,38 @@ class Layout:
     def write_start(
         self, states: Array, rows: Array, chosen: NDArray[np.bool_], model: mujoco.MjModel
     ) -> None:
-        """Writes the chosen columns of observation rows (N, P) into full physics states (N, n), in
-        place.
+        """Write columns of observation rows into full physics states.
+
+        Parameters
+        ----------
+        states : (N, 1 + nq + nv + na + ...) array
+            Full physics states, which are changed in place.
+        rows : (N, P) array
+            Observation rows.
+        chosen : (P,) array of bool
+            The columns that are written.
+        model : MjModel
+            The compiled model.
         """
-        first = {"qpos": 1, "qvel": 1 + model.nq, "act": 1 + model.nq + model.nv}
+        first = _first_places(model)
         for field, (columns, places) in self._start.items():
             take = chosen[columns]
             states[:, first[field] + places[take]] = rows[:, columns[take]]
 
     def full_states(self, rows: Array, model: mujoco.MjModel) -> Array:
-        """Physics states (N, 1 + nq + nv + na) of observation rows (N, P); what is not observed is
-        at qpos0 or rests.
+        """Make physics states of observation rows.
+
+        Parameters
+        ----------
+        rows : (N, P) array
+            Observation rows.
+        model : MjModel
+            The compiled model.
+
+        Returns
+        -------
+        (N, 1 + nq + nv + na) array
+            What is not observed is at qpos0 or rests.
         """
         states = np.zeros((len(rows), 1 + model.nq + model.nv + model.na))
         states[:, 1 : 1 + model.nq] = model.qpos0
@@ -152,28 +225,50 @@ class Layout:
         return [Signal(name, unit) for name, unit in zip(self.names, units, strict=True)]
 
     def move(self, rows: Array, offsets: Array) -> Array:
-        """Observation rows (N, P) moved by offsets (N, p) in the signals' coordinates."""
+        """Move observation rows by offsets in the coordinates of the signals.
+
+        Parameters
+        ----------
+        rows : (N, P) array
+            Observation rows.
+        offsets : (N, p) array
+            In the signals' units.
+
+        Returns
+        -------
+        (N, P) array
+        """
         out = rows.copy()
         plain, rotations = self._signal_places()
         out[:, self._plain] += offsets[:, plain]
-        for quat, places in zip(self.quaternions, rotations, strict=True):
-            out[:, quat] = multiply(rows[:, quat], exponential(offsets[:, places]))
+        for columns, places in zip(self.quaternions, rotations, strict=True):
+            out[:, columns] = multiply(rows[:, columns], exponential(offsets[:, places]))
         return out
 
     def coordinates(self, rows: Array, measured: Array) -> Array:
-        """Observation rows (..., P) as signals (..., p), in the chart at the measured rows
-        (broadcast against `rows`).
+        """Express observation rows as signals, rotations relative to measured rows.
+
+        Parameters
+        ----------
+        rows : (..., P) array
+            Observation rows.
+        measured : (..., P) array
+            The measured rows, broadcast against `rows`.
+
+        Returns
+        -------
+        (..., p) array
         """
         plain, rotations = self._signal_places()
         out = np.empty((*rows.shape[:-1], len(self.signals)))
         out[..., plain] = rows[..., self._plain]
-        for quat, places in zip(self.quaternions, rotations, strict=True):
-            conjugate = measured[..., quat] * np.array([1.0, -1.0, -1.0, -1.0])
-            out[..., places] = logarithm(multiply(conjugate, rows[..., quat]))
+        for columns, places in zip(self.quaternions, rotations, strict=True):
+            conjugate = measured[..., columns] * np.array([1.0, -1.0, -1.0, -1.0])
+            out[..., places] = logarithm(multiply(conjugate, rows[..., columns]))
         return out
 
     def by_column(self, per_signal: Array) -> Array:
-        """Numbers of the signals (p,) for the observation columns (P,); 0 for a quaternion's."""
+        """Give each observation column (P,) its signal's number (p,); 0 for a quaternion's."""
         out = np.zeros(len(self))
         out[self._plain] = per_signal[self._signal_places()[0]]
         return out
@@ -182,55 +277,76 @@ class Layout:
         """Where the plain columns and each quaternion's rotations stand among the signals."""
         plain = []
         rotations = []
-        at = 0
-        firsts = {quat[0] for quat in self.quaternions}
-        inside = {i for quat in self.quaternions for i in quat[1:]}
+        place = 0
+        firsts = {quaternion[0] for quaternion in self.quaternions}
+        others = {i for quaternion in self.quaternions for i in quaternion[1:]}
         for i in range(len(self)):
             if i in firsts:
-                rotations.append([at, at + 1, at + 2])
-                at += 3
-            elif i not in inside:
-                plain.append(at)
-                at += 1
+                rotations.append([place, place + 1, place + 2])
+                place += 3
+            elif i not in others:
+                plain.append(place)
+                place += 1
         return plain, rotations
 
 
 def quaternion_addresses(model: mujoco.MjModel) -> list[int]:
-    """Where in qpos the quaternions of free and ball joints begin."""
-    places = [(joint.qpos, joint.quaternion()) for joint in all_joints(model)]
-    return [first + inside.start for first, inside in places if inside is not None]
+    """Find the places in qpos at which the quaternions of free and ball joints begin."""
+    addresses = []
+    for joint in all_joints(model):
+        within = joint.quaternion()
+        if within is not None:
+            addresses.append(joint.qpos + within.start)
+    return addresses
 
 
 Addresses = dict[str, dict[str, tuple[int, int]]]
 """Start and length of each named element, by field."""
 
 
+def _columns(
+    model: mujoco.MjModel, items: Sequence[str], addresses: Addresses
+) -> list[ObservedColumn]:
+    """The columns that the items name."""
+    sizes = {
+        "qpos": model.nq,
+        "qvel": model.nv,
+        "act": model.na,
+        "sensordata": model.nsensordata,
+    }
+    columns = []
+    for item in items:
+        field, places = item_columns(item, sizes, addresses)
+        columns += [ObservedColumn(field, place) for place in places]
+    return columns
+
+
+def _first_places(model: mujoco.MjModel) -> dict[str, int]:
+    """Where each field of the state begins in a full physics state, behind the time."""
+    return {"qpos": 1, "qvel": 1 + model.nq, "act": 1 + model.nq + model.nv}
+
+
 def _addresses(model: mujoco.MjModel) -> Addresses:
-    """Those in qpos, qvel, act and sensordata; all joints and actuators have names."""
-    joints = all_joints(model)
-    actuators = {
-        name: i
-        for name, i in element_names(model, "actuator").items()
-        if model.actuator_actnum[i] > 0
-    }
-    sensors = element_names(model, "sensor")
-    return {
-        "qpos": {joint.name: (joint.qpos, len(joint.units("qpos"))) for joint in joints},
-        "qvel": {joint.name: (joint.qvel, len(joint.units("qvel"))) for joint in joints},
-        "act": {
-            name: (int(model.actuator_actadr[i]), int(model.actuator_actnum[i]))
-            for name, i in actuators.items()
-        },
-        "sensordata": {
-            name: (int(model.sensor_adr[i]), int(model.sensor_dim[i]))
-            for name, i in sensors.items()
-        },
-    }
+    """The elements in qpos, qvel, act and sensordata; all joints and actuators have names."""
+    positions = {}
+    velocities = {}
+    for joint in all_joints(model):
+        positions[joint.name] = (joint.qpos, len(joint.units("qpos")))
+        velocities[joint.name] = (joint.qvel, len(joint.units("qvel")))
+    activations = {}
+    for name, i in element_names(model, "actuator").items():
+        if model.actuator_actnum[i] > 0:
+            activations[name] = (int(model.actuator_actadr[i]), int(model.actuator_actnum[i]))
+    sensors = {}
+    for name, i in element_names(model, "sensor").items():
+        sensors[name] = (int(model.sensor_adr[i]), int(model.sensor_dim[i]))
+    return {"qpos": positions, "qvel": velocities, "act": activations, "sensordata": sensors}
 
 
-def _name(addresses: Addresses, column: _Column) -> str:
-    """ "qpos.thigh_joint", "qpos.box[0]" where the element has several numbers, "sensordata[3]"
-    where it has no name.
+def _name(addresses: Addresses, column: ObservedColumn) -> str:
+    """The name of a column, such as "qpos.thigh_joint".
+
+    It is "qpos.box[0]" where the element has several numbers, "sensordata[3]" where it has no name.
     """
     for name, (start, count) in addresses[column.field].items():
         if start <= column.place < start + count:
@@ -251,7 +367,18 @@ def _units(model: mujoco.MjModel) -> dict[tuple[str, int], str]:
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """The product of quaternions (..., 4), w x y z."""
+    """Multiply quaternions.
+
+    Parameters
+    ----------
+    a, b : (..., 4) arrays
+        Quaternions w, x, y, z.
+
+    Returns
+    -------
+    (..., 4) array
+        Their product a b.
+    """
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack(
@@ -266,21 +393,40 @@ def multiply(a: Array, b: Array) -> Array:
 
 
 def exponential(rotation: Array) -> Array:
-    """Unit quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
+    """Turn rotation vectors into unit quaternions.
+
+    Parameters
+    ----------
+    rotation : (..., 3) array
+        Rotation vectors [rad].
+
+    Returns
+    -------
+    (..., 4) array
+        Quaternions w, x, y, z.
+    """
     half = np.linalg.norm(rotation, axis=-1, keepdims=True) / 2
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * rotation], axis=-1)
 
 
 def logarithm(quaternion: Array) -> Array:
-    """Rotation vectors (..., 3) [rad], of length at most pi, of quaternions (..., 4) of any length
-    but 0.
+    """Turn quaternions into rotation vectors.
+
+    Parameters
+    ----------
+    quaternion : (..., 4) array
+        Quaternions w, x, y, z of any length but 0.
+
+    Returns
+    -------
+    (..., 3) array
+        Rotation vectors of length at most pi [rad].
     """
     imaginary = quaternion[..., 1:] * np.where(quaternion[..., :1] < 0, -1.0, 1.0)
     real = np.abs(quaternion[..., 0])
     length = np.linalg.norm(imaginary, axis=-1)
     angle = 2 * np.arctan2(length, real)
     small = length < 1e-150
-    factor = np.where(
-        small, 2.0 / np.where(real > 0, real, 1.0), angle / np.where(small, 1.0, length)
-    )
+    limit = 2.0 / np.where(real > 0, real, 1.0)  # of angle / length as the length goes to 0
+    factor = np.where(small, limit, angle / np.where(small, 1.0, length))
     return factor[..., None] * imaginary

@@ -1,5 +1,6 @@
-"""The contract of simulators of a robot's model: what effects, diagnosis, data checks, reports and
-training ask for.
+"""The contract of simulators that have a MuJoCo model.
+
+Effects, diagnosis, data checks, reports and training ask for it.
 """
 
 from abc import abstractmethod
@@ -20,14 +21,13 @@ from dropo.mjmodel.observation import Layout
 class RobotSimulator(Simulator):
     """A simulator with a MuJoCo model, to which effects can be added.
 
-    A room that works on any simulator asks `isinstance(simulator, RobotSimulator)` before it uses
-    what follows. Beside these, every attribute of `Simulator` holds; `nominal` and `control_step`
-    are always known.
+    Code for any simulator asks `isinstance(simulator, RobotSimulator)` before it uses what follows.
+    Every attribute of `Simulator` holds too; `nominal` and `control_step` are always known.
 
     Attributes
     ----------
     model : MjModel
-        As it is simulated, without parameters and effects written into it.
+        The compiled model, without parameters and effects written into it.
     frame_skip : int
         The physics steps for which an action is held.
     control_step : float
@@ -38,10 +38,10 @@ class RobotSimulator(Simulator):
         The place in ctrl of each action column.
     bindings : sequence of Binding
         The declared parameters, which come first in `space`, as numbers of the model.
-    effects : sequence of Atom
-        The effects whose sizes are parameters, behind the declared ones.
-    fixed : sequence of (Atom, (q,) array)
-        The effects that the simulation has, with their sizes.
+    effects : sequence of EffectInstance
+        The effects whose magnitudes are parameters, behind the declared ones.
+    fixed : sequence of (EffectInstance, (q,) array)
+        The effects that the simulation has, with their magnitudes.
     """
 
     model: mujoco.MjModel
@@ -56,30 +56,30 @@ class RobotSimulator(Simulator):
 
     @property
     def action_names(self) -> list[str]:
-        """The q names of the action columns: those of their actuators."""
+        """The names of the q action columns: those of their actuators."""
         names = actuator_names(self.model)
         return [names[place] for place in self.controls.tolist()]
 
     @property
     @abstractmethod
     def effect_context(self) -> EffectContext:
-        """What effects are offered for."""
+        """The robot for which effects are offered."""
 
     @abstractmethod
     def with_effects(
         self, effects: Sequence[EffectInstance] = (), fixed: ActiveEffects = ()
     ) -> "RobotSimulator":
-        """The same simulator with more effects beside those it has.
+        """Make the same simulator with more effects beside those it has.
 
         Parameters
         ----------
-        effects : sequence of Atom
-            Free ones, whose sizes are parameters behind those there are.
-        fixed : sequence of (Atom, (q,) array)
-            Others, with their sizes.
+        effects : sequence of EffectInstance
+            Free effects, whose magnitudes are parameters behind those there are.
+        fixed : sequence of (EffectInstance, (q,) array)
+            Fixed effects, with their magnitudes.
 
         Returns
         -------
         RobotSimulator
-            One whose counts of steps and failures begin anew.
+            A new one, whose counts of steps and failures begin at 0.
         """

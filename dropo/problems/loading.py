@@ -22,13 +22,13 @@ def load(
 
     Parameters
     ----------
-    problem
+    problem : str or Path
         The name, or the path of the file; paths in the file are relative to it.
-    threads
+    threads : int
         Of the simulator, 0 for all cores.
-    checked
+    checked : bool
         Refuse data, held-out ones too, in which `dropo.check` finds an error.
-    input
+    input : str or None
         Which of several logged commands drives the model, one of `inputs_of`; by default as the
         problem says.
 
@@ -64,9 +64,9 @@ def load_states(problem: str | Path, *, threads: int = 0) -> Problem:
 
     Parameters
     ----------
-    problem
+    problem : str or Path
         A problem file, whose data need not hold actions, or a built-in name.
-    threads
+    threads : int
         Of the simulator, 0 for all cores.
 
     Returns
@@ -95,7 +95,7 @@ def is_file(problem: str | Path) -> bool:
 
     Parameters
     ----------
-    problem
+    problem : str or Path
         As `load` takes it.
 
     Returns
@@ -113,7 +113,7 @@ def inputs_of(problem: str | Path) -> tuple[str, ...]:
 
     Parameters
     ----------
-    problem
+    problem : str or Path
         As `load` takes it.
 
     Returns

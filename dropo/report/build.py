@@ -1,4 +1,4 @@
-"""A folder in, one HTML file out."""
+"""Writes the page of what a run left in its folder."""
 
 from pathlib import Path
 
@@ -12,11 +12,28 @@ PAGES = {"fit": fit_page, "diagnosis": diagnosis_page, "unfinished": unfinished_
 
 
 def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
-    """Makes the page of what `dropo fit` or `dropo diagnose` left in a folder, report.html there
-    unless `out` says otherwise.
+    """Write the page of what `dropo fit` or `dropo diagnose` left in a folder.
 
-    The page holds everything that it shows and loads nothing. Raises BadFile where the folder holds
-    no result.
+    The page holds everything that it shows and loads nothing.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder.
+    out : str or Path, optional
+        The file to write; report.html in the folder by default.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    BadFile
+        If the folder holds no result.
+    MissingPackage
+        If matplotlib is not installed (extra `plots`).
     """
     result = read_result(folder)
     path = Path(folder) / "report.html" if out is None else Path(out)
@@ -24,7 +41,20 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
 
 
 def write_page(result: Result, path: Path) -> Path:
-    """The page of a result, whole or not at all."""
+    """Write the page of a result, whole or not at all.
+
+    Parameters
+    ----------
+    result : Result
+        What a run left.
+    path : Path
+        The file to write.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
     text = PAGES[result.kind](result)
     write_text(path, text)
     return path

@@ -35,40 +35,44 @@ GOOD = {"consistent": "good", "explained": "good", "partly": "bad", "unexplained
 
 
 def diagnosis_page(result: Result) -> str:
-    """The file's text."""
+    """Write the page of a diagnosis.
+
+    Parameters
+    ----------
+    result : Result
+        The diagnosis, its figures and its predictions.
+
+    Returns
+    -------
+    str
+        The HTML file's text.
+    """
     content = result.content
     found = result.figures
-    units = (
-        {}
-        if result.predictions is None
-        else dict(zip(result.predictions.names, result.predictions.units, strict=True))
-    )
-    sections = [
-        *(
-            [_searched(found), _causes(content), _evidence(found, units)]
-            if found is not None
-            else [_causes(content)]
-        ),
+    predictions = result.predictions
+    units = {}
+    if predictions is not None:
+        units = dict(zip(predictions.names, predictions.units, strict=True))
+    sections: list[Section | None] = [_causes(content)]
+    if found is not None:
+        sections = [_searched(found), *sections, _evidence(found, units)]
+    sections += [
         _fitted(content, result.record),
-        parts.motion(result.predictions),
-        parts.errors(result.predictions, _errors(content)),
+        parts.motion(predictions),
+        parts.errors(predictions, _errors(content)),
         _remaining(content, found),
         parts.made(result),
     ]
     kicker = f"dropo diagnose · {result.problem}"
-    return page(
-        kicker,
-        content["headline"].replace("+-", "±"),
-        _cards(content),
-        [s for s in sections if s is not None],
-    )
+    headline = content["headline"].replace("+-", "±")
+    shown = [section for section in sections if section is not None]
+    return page(kicker, headline, _cards(content), shown)
 
 
 def _cards(content: dict[str, Any]) -> list[tuple[str, str, str]]:
-    gain = (
-        content["extended"]["held_out_log_likelihood"]
-        - content["baseline"]["held_out_log_likelihood"]
-    )
+    """The cards beneath the headline: name, value, and whether it is good or bad."""
+    before = content["baseline"]["held_out_log_likelihood"]
+    gain = content["extended"]["held_out_log_likelihood"] - before
     causes = ", ".join(words(_label(cause)) for cause in _causes_of(content)) or "none"
     return [
         ("verdict", content["verdict"], GOOD.get(content["verdict"], "")),
@@ -85,16 +89,14 @@ def _causes_of(content: dict[str, Any]) -> list[Cause]:
 
 
 def _label(cause: Cause) -> str:
-    """ "joint_damping:elbow", "contact_stiffness.margin"."""
+    """An effect's label, such as "joint_damping:elbow" or "contact_stiffness.margin"."""
     target = f":{cause.target}" if cause.target else ""
     variant = f".{cause.variant}" if cause.variant else ""
     return f"{cause.effect}{target}{variant}"
 
 
 def _searched(found: FigureData) -> Section:
-    """The candidates of every round, which say the cause in one look, and what they cannot be told
-    from.
-    """
+    """The candidates of every round with their gains, and which the data cannot distinguish."""
     shown = []
     ended = ""
     for i, bars in enumerate(found.rounds):
@@ -103,50 +105,39 @@ def _searched(found: FigureData) -> Section:
             continue
         rows = in_order(bars)
         accepted = [bar for bar in bars if bar.accepted]
-        listed = "; ".join(
-            f"{words(bar.label)} {plain(bar.gain, 4) if bar.gain is not None else 'same response'}"
-            for bar in rows
-        )
-        title = (
-            f"Round {i + 1}: {words(accepted[0].label)}"
-            if accepted
-            else f"Round {i + 1}: nothing is confirmed"
-        )
-        caption = (
-            "A bracket joins what these data cannot tell apart. "
-            if any(not bar.told for bar in bars)
-            else ""
-        )
+        gains = []
+        for bar in rows:
+            gain = plain(bar.gain, 4) if bar.gain is not None else "same response"
+            gains.append(f"{words(bar.label)} {gain}")
+        listed = "; ".join(gains)
+        named = words(accepted[0].label) if accepted else "nothing is confirmed"
+        title = f"Round {i + 1}: {named}"
+        caption = ""
+        if any(not bar.told for bar in bars):
+            caption = "A bracket joins what these data cannot tell apart. "
         caption += (
             f"An effect is confirmed beyond {found.needed:.1f} nats (dashed) and well beyond "
             "its error (dark line)."
         )
         text = f"Bars: nats that each effect gains on data held out. {listed}."
         svg = picture(
-            lambda ax, i=i: plots.candidates(found, ax, found=i),
+            partial(plots.candidates, found, found=i),
             text,
             size=svg_rows(max(len(rows), 2), ROW, HEAD),
-        )  # type: ignore[misc]
+        )
         shown.append(figure(svg, title, caption))
     names = found.similarity.labels
     if len(names) > 1:
         cosines = np.array(found.similarity.cosines) - 2 * np.eye(len(names))
         one, two = np.unravel_index(int(cosines.argmax()), cosines.shape)
-        told = (
+        most_alike = (
             f"Most alike are {words(names[int(one)])} and {words(names[int(two)])}, with "
             f"{cosines[one, two]:.2f}."
         )
-        svg = picture(
-            lambda ax: plots.similarity(found, ax),
-            f"Matrix of similarities between effects. {told}",
-        )
-        shown.append(
-            figure(
-                svg,
-                "How alike the effects are in these data",
-                f"{told} At 1 no data of this kind tell them apart.",
-            )
-        )
+        text = f"Matrix of similarities between effects. {most_alike}"
+        svg = picture(partial(plots.similarity, found), text)
+        caption = f"{most_alike} At 1 no data of this kind tell them apart."
+        shown.append(figure(svg, "How alike the effects are in these data", caption))
     lead = (
         "The effects that looked most likely, each fitted with everything else, judged on data "
         "that nothing was fitted to."
@@ -155,23 +146,9 @@ def _searched(found: FigureData) -> Section:
 
 
 def _causes(content: dict[str, Any]) -> Section:
+    """The table of causes, and what they may be confused with."""
     causes = _causes_of(content)
-    rows = []
-    for cause in causes:
-        for name, found in cause.estimate.items():
-            rows.append(
-                [
-                    Cell(words(_label(cause))),
-                    Cell(name),
-                    Cell(f"{found.value:+.4g}", found.value),
-                    Cell(plain(found.se, 2), found.se),
-                    Cell(found.unit),
-                    Cell("–" if found.model is None else plain(found.model)),
-                    Cell(plain(cause.held_out_gain, 3), cause.held_out_gain),
-                    Cell(plain(cause.held_out_gain_se, 2)),
-                    Cell(_p_value(cause.p_value), cause.p_value),
-                ]
-            )
+    rows = [_estimate(cause, name) for cause in causes for name in cause.estimate]
     header = [
         "effect",
         "quantity",
@@ -183,20 +160,33 @@ def _causes(content: dict[str, Any]) -> Section:
         "standard error",
         "p-value",
     ]
-    said = [_confused(cause, other) for cause in causes for other in cause.confused_with]
-    said += [
-        f"{words(_label(cause))} only acts like the cause: its size differs with {cause.acts_like}."
-        for cause in causes
-        if cause.acts_like
-    ]
+    remarks = [_confused(cause, other) for cause in causes for other in cause.confused_with]
+    for cause in causes:
+        if cause.acts_like:
+            differs = f"its size differs with {cause.acts_like}"
+            remarks.append(f"{words(_label(cause))} only acts like the cause: {differs}.")
+    lead = ""
     body = paragraph("No effect was confirmed on the data held out.")
     if rows:
+        lead = "What was added to the model, and what it gains on data held out."
         body = table(header, rows)
-    return Section(
-        "Causes",
-        "What was added to the model, and what it gains on data held out." if rows else "",
-        body + (notes(said) if said else ""),
-    )
+    return Section("Causes", lead, body + (notes(remarks) if remarks else ""))
+
+
+def _estimate(cause: Cause, name: str) -> list[Cell]:
+    """The row of one quantity of a cause."""
+    found = cause.estimate[name]
+    return [
+        Cell(words(_label(cause))),
+        Cell(name),
+        Cell(f"{found.value:+.4g}", found.value),
+        Cell(plain(found.se, 2), found.se),
+        Cell(found.unit),
+        Cell("–" if found.model is None else plain(found.model)),
+        Cell(plain(cause.held_out_gain, 3), cause.held_out_gain),
+        Cell(plain(cause.held_out_gain_se, 2)),
+        Cell(_p_value(cause.p_value), cause.p_value),
+    ]
 
 
 def _fitted(content: dict[str, Any], record: dict[str, Any]) -> Section | None:
@@ -212,63 +202,54 @@ def _fitted(content: dict[str, Any], record: dict[str, Any]) -> Section | None:
         for name, value in content.get("parameters", {}).items()
         if name in declared
     ]
+    if not rows:
+        return None
     lead = (
         "Declared by the problem, and fitted together with the causes; a fit of the extended "
         "problem says how well they are known."
     )
-    return (
-        Section(
-            "Parameters", lead, table(["parameter", "unit", "value", "searched from", "to"], rows)
-        )
-        if rows
-        else None
-    )
+    header = ["parameter", "unit", "value", "searched from", "to"]
+    return Section("Parameters", lead, table(header, rows))
 
 
 def _errors(content: dict[str, Any]) -> str:
-    """The table of errors on held-out data by horizon, in shares of the motion and in each unit."""
+    """The table of errors on held-out data by horizon, as fractions of the motion and by unit."""
     nominal = content.get("nominal", {}).get("horizons")
-    named = (
-        [("as it came", nominal), ("fitted", content["baseline"]["horizons"])]
-        if nominal
-        else [("as it is", content["baseline"]["horizons"])]
-    )
-    named += [("with what was found", content["extended"]["horizons"])] if content["causes"] else []
+    baseline = content["baseline"]["horizons"]
+    models = [("as it is", baseline)]
+    if nominal:
+        models = [("as it came", nominal), ("fitted", baseline)]
+    if content["causes"]:
+        models.append(("with what was found", content["extended"]["horizons"]))
     rows = []
-    for at in zip(*(horizons for _, horizons in named), strict=True):
+    for at in zip(*(horizons for _, horizons in models), strict=True):
         steps = at[0]["steps"]
         seconds = at[0]["seconds"]
         last = at[-1]
-        after = Cell(
-            f"{steps} step{'s' * (steps > 1)}" + (f", {plain(seconds, 3)} s" if seconds else ""),
-            steps,
-        )
-        rows.append(
-            [
-                after,
-                Cell("of the motion"),
-                *(Cell(percent(h["rmse"]), h["rmse"]) for h in at),
-                Cell(percent(last["noise"]), last["noise"]),
-            ]
-        )
+        in_seconds = f", {plain(seconds, 3)} s" if seconds else ""
+        after = Cell(f"{steps} step{'s' * (steps > 1)}{in_seconds}", steps)
+        fractions = [*(entry["rmse"] for entry in at), last["noise"]]
+        cells = [Cell(percent(value), value) for value in fractions]
+        rows.append([after, Cell("of the motion"), *cells])
         for unit in last["units"]:
-            off = [*(h["units"][unit]["rmse"] for h in at), last["units"][unit]["noise"]]
-            rows.append([after, Cell(unit), *(Cell(plain(value, 3), value) for value in off)])
-    return (
-        table(["after", "unit", *(name for name, _ in named), "by sensor noise"], rows)
-        if rows
-        else ""
-    )
+            by_unit = [
+                *(entry["units"][unit]["rmse"] for entry in at),
+                last["units"][unit]["noise"],
+            ]
+            rows.append([after, Cell(unit), *(Cell(plain(value, 3), value) for value in by_unit)])
+    if not rows:
+        return ""
+    return table(["after", "unit", *(name for name, _ in models), "by sensor noise"], rows)
 
 
-def _pushed(span: ExcludedSpan) -> str:
+def _excluded_span(span: ExcludedSpan) -> str:
     """A span that was left out."""
     where = f"{'held-out ' * span.held_out}run {span.run}, {span.start:.2f} to {span.end:.2f} s"
     error = f"{plain(span.error, 3)} {span.unit}"
     return f"Left out: {where}, where {span.signal} is {error} off after {plain(span.after, 3)} s."
 
 
-def _odd(run: dict[str, Any]) -> str:
+def _outlier_run(run: dict[str, Any]) -> str:
     """A run that disagrees with the others."""
     which = f"{'Held-out run' if run['held_out'] else 'Run'} {run['run']}"
     own = f"{plain(run['value'])} ± {plain(run['se'], 2)} {run['unit']}".rstrip()
@@ -279,6 +260,7 @@ def _odd(run: dict[str, Any]) -> str:
 
 
 def _p_value(value: float) -> str:
+    """A p-value of one digit."""
     return "< 1e-300" if value < 1e-300 else f"{value:.1g}"
 
 
@@ -293,21 +275,19 @@ def _evidence(found: FigureData, units: dict[str, str]) -> Section | None:
     """For every cause: its residuals, its size by regime, its size over time."""
     shown = []
     for i, one in enumerate(found.axes):
-        before, after = (
-            float(np.sqrt(np.mean(np.square(values)))) for values in (one.before, one.after)
-        )
+        before = float(np.sqrt(np.mean(np.square(one.before))))
+        after = float(np.sqrt(np.mean(np.square(one.after))))
         text = (
             f"Root mean square {before:.3g} {one.unit} without it, {after:.3g} {one.unit} with it."
         )
-        text += (
-            " Over what the effect changes in the prediction: a slope says that it is there."
-            if one.axis == RESPONSE
-            else ""
-        )
+        if one.axis == RESPONSE:
+            text += (
+                " Over what the effect changes in the prediction: a slope says that it is there."
+            )
         svg = picture(
-            lambda ax, i=i: plots.residuals(found, ax, found=i),
+            partial(plots.residuals, found, found=i),
             f"Dots: error of {one.signal} over {one.axis}. {text}",
-        )  # type: ignore[misc]
+        )
         shown.append(figure(svg, f"{words(one.label)}: errors over {one.axis}", text))
     for i, part in enumerate(found.sizes):
         listed = ", ".join(
@@ -325,30 +305,26 @@ def _evidence(found: FigureData, units: dict[str, str]) -> Section | None:
         peak = float(np.abs(sums.score).max(initial=0.0))
         text = f"The largest departure is {peak:.2f}; beyond {BRIDGE} the size changes with time."
         svg = picture(
-            lambda ax, i=i: plots.changes(found, ax, found=i),
+            partial(plots.changes, found, found=i),
             f"Summed scores over the data. {text}",
-        )  # type: ignore[misc]
-        shown.append(figure(svg, f"{words(sums.label)}: does its size change?", text))
-    return (
-        Section(
-            "Is it the cause?",
-            "A true cause has one size everywhere, and leaves no pattern behind.",
-            grid(*shown),
         )
-        if shown
-        else None
-    )
+        shown.append(figure(svg, f"{words(sums.label)}: does its size change?", text))
+    if not shown:
+        return None
+    lead = "A true cause has one size everywhere, and leaves no pattern behind."
+    return Section("Is it the cause?", lead, grid(*shown))
 
 
 def _remaining(content: dict[str, Any], found: FigureData | None) -> Section:
+    """What is not explained, what was left out, and what was not confirmed."""
     suspects = [Suspect.from_json(saved) for saved in content["suspects"]]
-    told = [f"It shows in {where}." for where in content["remaining"]["where"]]
-    told += [f"{words(one.label)} looked likely and was not confirmed." for one in suspects]
-    told += [_odd(run) for run in content.get("odd_runs", [])]
+    remarks = [f"It shows in {where}." for where in content["remaining"]["where"]]
+    remarks += [f"{words(one.label)} looked likely and was not confirmed." for one in suspects]
+    remarks += [_outlier_run(run) for run in content.get("odd_runs", [])]
     excluded = (content.get("disturbances") or {}).get("spans", [])
-    told += [_pushed(ExcludedSpan.from_json(span)) for span in excluded]
-    told += [*content.get("undetermined", []), *content.get("warnings", [])]
-    body = notes(told) if told else paragraph("Nothing that these data could show.")
+    remarks += [_excluded_span(ExcludedSpan.from_json(span)) for span in excluded]
+    remarks += [*content.get("undetermined", []), *content.get("warnings", [])]
+    body = notes(remarks) if remarks else paragraph("Nothing that these data could show.")
     if found is not None:
         forces = found.forces
         worst = int(np.argmax(forces.before))
@@ -357,7 +333,7 @@ def _remaining(content: dict[str, Any], found: FigureData | None) -> Section:
             f"before, {forces.after[worst]:.3g} after."
         )
         svg = picture(
-            lambda ax: plots.forces(found, ax),
+            partial(plots.forces, found),
             f"Bars: unexplained force at each joint. {text}",
             size=svg_rows(len(forces.names), ROW, HEAD),
         )

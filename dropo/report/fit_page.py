@@ -1,5 +1,7 @@
 """The page of a fit."""
 
+from functools import partial
+
 import numpy as np
 
 from dropo import plots
@@ -51,7 +53,18 @@ CHECKED = {
 
 
 def fit_page(result: Result) -> str:
-    """The file's text."""
+    """Write the page of a fit.
+
+    Parameters
+    ----------
+    result : Result
+        With its fit.
+
+    Returns
+    -------
+    str
+        The HTML file's text.
+    """
     fit = result.fit
     assert fit is not None
     sections = [
@@ -62,16 +75,24 @@ def fit_page(result: Result) -> str:
         _search(fit, result),
         parts.made(result),
     ]
-    return page(
-        f"dropo fit · {fit.problem}",
-        headline(fit, result),
-        _cards(fit, result),
-        [s for s in sections if s is not None],
-    )
+    shown = [section for section in sections if section is not None]
+    return page(f"dropo fit · {fit.problem}", headline(fit, result), _cards(fit), shown)
 
 
 def headline(fit: Fit, result: Result) -> str:
-    """The finding in a few sentences."""
+    """Say what was found, in a few sentences.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    result : Result
+        Its predictions.
+
+    Returns
+    -------
+    str
+    """
     count = len(fit.space)
     begun = (
         f"{count} parameter{'s' * (count > 1)} of {fit.problem}, found from "
@@ -79,27 +100,29 @@ def headline(fit: Fit, result: Result) -> str:
     )
     found = result.predictions
     if found is not None and np.isfinite(found.before.by_horizon[-1]):
-        reach = int(found.horizons[-1])
-        ahead = f"{reach} step{'s' * (reach > 1)} ahead"
+        steps = int(found.horizons[-1])
+        ahead = f"{steps} step{'s' * (steps > 1)} ahead"
         before = percent(found.before.by_horizon[-1])
         after = percent(found.after.by_horizon[-1])
         begun += f": the error {ahead} goes from {before} to {after} of the motion's spread"
-    told = CHECKED[None if fit.model_check is None else fit.trusted]
+    checked = CHECKED[None if fit.model_check is None else fit.trusted]
     ended = {
         Status.INTERRUPTED: " The search was interrupted: this is the best so far.",
         Status.OUT_OF_BUDGET: " The search ran out of budget.",
     }
-    return f"{begun}. {told}{ended.get(fit.status, '')}"
+    return f"{begun}. {checked}{ended.get(fit.status, '')}"
 
 
-def _cards(fit: Fit, result: Result) -> list[tuple[str, str, str]]:
+def _cards(fit: Fit) -> list[tuple[str, str, str]]:
+    """The cards beneath the headline: name, value, and whether it is good or bad."""
     good = "good" if fit.status in (Status.CONVERGED, Status.DONE) else "bad"
-    checked = [
-        ("model check", "passed", "good") if fit.trusted else ("model check", "failed", "bad")
-    ]
+    checked = []
+    if fit.model_check is not None:
+        passed = ("model check", "passed", "good")
+        checked = [passed if fit.trusted else ("model check", "failed", "bad")]
     return [
         ("status", fit.status.value.replace("_", " "), good),
-        *(checked if fit.model_check is not None else []),
+        *checked,
         ("method", fit.method, ""),
         ("transitions", f"{fit.transitions:,}", ""),
         ("nats per transition", plain(fit.log_likelihood / fit.transitions), ""),
@@ -109,6 +132,7 @@ def _cards(fit: Fit, result: Result) -> list[tuple[str, str, str]]:
 
 
 def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
+    """The table of parameters, and their distribution in the search intervals."""
     truth = fit.truth
     intervals = fit.interval()
     header = [
@@ -120,9 +144,11 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
         "sd",
         "searched from",
         "to",
-        *(["prior"] if priors else []),
     ]
-    header += ["truth"] if truth else []
+    if priors:
+        header.append("prior")
+    if truth:
+        header.append("truth")
     rows = []
     for i, p in enumerate(fit.space):
         row = [
@@ -131,34 +157,32 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
             Cell(estimate(fit.mean[i], fit.mean_se[i]), fit.mean[i]),
             _number(fit.mean_se[i], 2),
             Cell(span(*intervals[i]), fit.mean[i]),
-        ]
-        row += [
             _number(fit.sd[i], 4),
             _number(p.low, 4),
             _number(p.high, 4),
-            *([Cell(str(priors.get(p.name, "uniform")))] if priors else []),
         ]
-        rows.append(row + ([_number(truth[p.name], 7)] if truth else []))
-    said = "; ".join(
+        if priors:
+            row.append(Cell(str(priors.get(p.name, "uniform"))))
+        if truth:
+            row.append(_number(truth[p.name], 7))
+        rows.append(row)
+    values = "; ".join(
         f"{p.name} {plain(fit.mean[i])} {p.unit}, sd {plain(fit.sd[i], 2)}"
         for i, p in enumerate(fit.space)
     )
     svg = picture(
-        lambda ax: plots.parameters(fit, ax, priors=priors),
-        f"Bars: each parameter in its search interval. {said}.",
+        partial(plots.parameters, fit, priors=priors),
+        f"Bars: each parameter in its search interval. {values}.",
         size=svg_rows(len(fit.space), ROW, HEAD),
     )
     lead = KNOWN if fit.parameters_are_constant or fit.method in POSTERIORS else SPREAD
     caption = "Grey is what was searched, pale blue the distribution, the line the mean."
-    return Section(
-        "Parameters",
-        lead,
-        table(header, rows)
-        + grid(figure(svg, "Where in the search interval", caption), *_joint(fit)),
-    )
+    pictures = grid(figure(svg, "Where in the search interval", caption), *_joint(fit))
+    return Section("Parameters", lead, table(header, rows) + pictures)
 
 
 def _number(value: float, digits: int) -> Cell:
+    """A cell with a number."""
     return Cell(plain(value, digits), float(value))
 
 
@@ -168,31 +192,19 @@ def _joint(fit: Fit) -> list[str]:
         return []
     count = min(len(fit.space), MOST)
     strongest = _strongest(fit)
-    shown = [
-        figure(
-            picture(
-                lambda axes: plots.corner(fit, axes),
-                f"Corner plot of {count} parameters. {strongest}",
-                size=(4.4, 4.4),
-                grid=count,
-            ),
-            "Joint distribution",
-            f"Contours hold half and 90 % of the draws. {strongest}"
-            + (" Orange: the truth." if fit.truth else ""),
-        )
-    ]
+    text = f"Corner plot of {count} parameters. {strongest}"
+    svg = picture(partial(plots.corner, fit), text, size=(4.4, 4.4), grid=count)
+    truth = " Orange: the truth." if fit.truth else ""
+    caption = f"Contours hold half and 90 % of the draws. {strongest}{truth}"
+    shown = [figure(svg, "Joint distribution", caption)]
     if len(fit.space) > 2 and np.any(np.abs(fit.correlation - np.eye(len(fit.space))) > 0):
-        shown.append(
-            figure(
-                picture(lambda ax: plots.correlation(fit, ax), f"Correlation matrix. {strongest}"),
-                "Correlation",
-                strongest,
-            )
-        )
+        svg = picture(partial(plots.correlation, fit), f"Correlation matrix. {strongest}")
+        shown.append(figure(svg, "Correlation", strongest))
     return shown
 
 
 def _strongest(fit: Fit) -> str:
+    """The strongest correlation, in a sentence."""
     off = np.abs(fit.correlation - np.diag(np.diagonal(fit.correlation)))
     i, j = np.unravel_index(int(off.argmax()), off.shape)
     if off[i, j] == 0:
@@ -208,34 +220,22 @@ def _noise(fit: Fit, result: Result) -> list[str]:
     shown = []
     if fit.noise_tuning is not None:
         text = f"The smallest epsilon whose error is acceptable is {fit.epsilon[0]:.3g}."
-        shown.append(
-            figure(
-                picture(
-                    lambda ax: plots.tuning(fit, ax), f"Error and variance over epsilon. {text}"
-                ),
-                "Tuning of epsilon",
-                text,
-            )
-        )
+        svg = picture(partial(plots.tuning, fit), f"Error and variance over epsilon. {text}")
+        shown.append(figure(svg, "Tuning of epsilon", text))
     found = result.predictions
     if found is not None and len(fit.epsilon) == len(found.names) and np.any(fit.epsilon > 0):
-        known = (
-            result.record.get("epsilon") is not None
-            and result.record.get("settings", {}).get("epsilon") is None
-        )
+        overridden = result.record.get("settings", {}).get("epsilon") is not None
+        known = result.record.get("epsilon") is not None and not overridden
         how = "stated by the problem" if known else "of the fit"
-        worst = int(
-            np.nanargmax(
-                found.after.by_signal / np.sqrt(np.where(fit.epsilon > 0, fit.epsilon, np.nan))
-            )
-        )
+        noise = np.sqrt(np.where(fit.epsilon > 0, fit.epsilon, np.nan))
+        worst = int(np.nanargmax(found.after.by_signal / noise))
         ratio = found.after.by_signal[worst] / np.sqrt(fit.epsilon[worst])
         text = (
             f"The error that is left is at most {ratio:.2g} times the noise {how}, in "
             f"{found.names[worst]}."
         )
         svg = picture(
-            lambda ax: plots.noise(fit, found, ax),
+            partial(plots.noise, fit, found),
             f"Noise and errors of each signal. {text}",
             size=svg_rows(len(found.names)),
         )
@@ -244,51 +244,41 @@ def _noise(fit: Fit, result: Result) -> list[str]:
 
 
 def _search(fit: Fit, result: Result) -> Section:
+    """The noise, and how the search went."""
     history = result.history
     shown = _noise(fit, result)
     diagnostics = ""
-    # Of several fits the journal holds all.
+    # The log of several fits holds the evaluations of all.
     several = fit.noise_tuning is not None or fit.horizon_choice is not None
     if fit.posterior is not None:
-        shown.append(
-            figure(
-                picture(lambda ax: plots.trace(fit, ax), "Log density of the walkers by step."),
-                "The walkers",
-                LEVEL,
-            )
-        )
+        svg = picture(partial(plots.trace, fit), "Log density of the walkers by step.")
+        shown.append(figure(svg, "The walkers", LEVEL))
         diagnostics = _posterior(fit.posterior)
     elif several:
-        diagnostics = _lengths(fit)
+        diagnostics = _horizons(fit)
     elif history is not None and history.means is not None and len(history.means) > 1:
         rounds = len(history.means)
-        means = history.means
         text = (
             "How far each mean was from where it ended, in shares of its search interval, "
             f"after each of {rounds} rounds."
         )
-        shown.append(
-            figure(
-                picture(lambda ax: plots.moves(means, fit, ax), text),
-                "The estimate, round by round",
-                text,
-            )
-        )
+        svg = picture(partial(plots.moves, history.means, fit), text)
+        shown.append(figure(svg, "The estimate, round by round", text))
     elif history is not None and np.isfinite(history.values).any():
         text = (
             f"{len(history.values)} evaluations, the highest log-likelihood "
             f"{np.nanmax(history.values):.6g}."
         )
         svg = picture(
-            lambda ax: plots.convergence(history.steps, history.values, ax),
+            partial(plots.convergence, history.steps, history.values),
             f"Log-likelihood over simulator steps: {text}",
         )
         shown.append(figure(svg, "The search", text))
     return Section("Noise and search", fit.message, (grid(*shown) if shown else "") + diagnostics)
 
 
-def _lengths(fit: Fit) -> str:
-    """The table of the lengths of segments that were tried, where one was chosen."""
+def _horizons(fit: Fit) -> str:
+    """The table of the horizons that were tried, where one was chosen."""
     if fit.horizon_choice is None:
         return ""
     rows = [
@@ -320,16 +310,14 @@ def _posterior(draws: PosteriorDraws) -> str:
 
 
 def _remaining(fit: Fit, result: Result) -> Section:
-    told = [*(fit.identifiability or ()), *fit.warnings]
+    """What speaks against the fit."""
+    remarks = [*(fit.identifiability or ()), *fit.warnings]
     if fit.failed_simulations:
-        told.append(f"{fit.failed_simulations:,} simulations did not reach their end.")
+        remarks.append(f"{fit.failed_simulations:,} simulations did not reach their end.")
     if result.predictions is not None and parts.too_sure(result.predictions):
-        told.append(parts.calibrated(result.predictions))
+        remarks.append(parts.calibrated(result.predictions))
     if fit.model_check is None:
-        told.append(CHECKED[None])
-    body = (
-        notes(told)
-        if told
-        else paragraph("Nothing: the residuals look like noise, and the data tell every parameter.")
-    )
+        remarks.append(CHECKED[None])
+    nothing = "Nothing: the residuals look like noise, and the data tell every parameter."
+    body = notes(remarks) if remarks else paragraph(nothing)
     return Section("What remains unexplained", "", body)

@@ -18,11 +18,26 @@ EVALUATION_LOG = "evaluations.jsonl"
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A fit, a diagnosis, or neither, where a run was interrupted before its end; what is not there
-    is None.
+    """A fit, a diagnosis, or neither, where a run was interrupted before its end.
 
-    content: of fit.json or diagnosis.json; record: of run.json, or the evaluation log's header;
-    made: the command, and versions.
+    Attributes
+    ----------
+    folder : Path
+        Where it is.
+    content : dict
+        Of fit.json or diagnosis.json; empty without.
+    record : dict
+        Of run.json, or the header of the evaluation log.
+    made : dict
+        Of made.json: the command, and versions.
+    fit : Fit or None
+        The fit.
+    figures : FigureData or None
+        The numbers behind a diagnosis' figures.
+    predictions : Predictions or None
+        Measured and simulated motion.
+    history : History or None
+        How the search went.
     """
 
     folder: Path
@@ -36,25 +51,35 @@ class Result:
 
     @property
     def kind(self) -> str:
-        """ "fit", "diagnosis" or "unfinished"."""
-        return (
-            "fit"
-            if self.fit is not None
-            else "diagnosis"
-            if "verdict" in self.content
-            else "unfinished"
-        )
+        """What it is: "fit", "diagnosis" or "unfinished"."""
+        if self.fit is not None:
+            return "fit"
+        return "diagnosis" if "verdict" in self.content else "unfinished"
 
     @property
     def problem(self) -> str:
         """The problem's name."""
-        return str(
-            self.content.get("problem") or self.record.get("problem") or self.folder.resolve().name
-        )
+        named = self.content.get("problem") or self.record.get("problem")
+        return str(named or self.folder.resolve().name)
 
 
 def read_result(folder: str | Path) -> Result:
-    """Raises BadFile for a folder that holds no result, or one that a newer version wrote."""
+    """Read what a run left in its folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    BadFile
+        If it holds no result, one that cannot be read, or one that a newer version wrote.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise BadFile(folder, "", RESULT, "a file" if folder.exists() else "no such folder")
@@ -65,22 +90,16 @@ def read_result(folder: str | Path) -> Result:
         content = _json(folder / "diagnosis.json")
         _check(folder / "diagnosis.json", content, ("verdict", "headline", "causes", "remaining"))
         kept = content.get("pictures")
-        return Result(
-            folder,
-            content,
-            record,
-            made,
-            figures=_figures(folder, kept) if kept else None,
-            predictions=predictions,
-        )
+        figures = _figures(folder, kept) if kept else None
+        return Result(folder, content, record, made, figures=figures, predictions=predictions)
     evaluation_log = folder / EVALUATION_LOG
     if (folder / "fit.json").is_file():
         content = _json(folder / "fit.json")
         _check(folder / "fit.json", content, ("method", "parameters", "status"))
         fit = Fit.load(folder)
-        history = (
-            read_history(evaluation_log, len(fit.space))[1] if evaluation_log.is_file() else None
-        )
+        history = None
+        if evaluation_log.is_file():
+            history = read_history(evaluation_log, len(fit.space))[1]
         return Result(folder, content, record, made, fit, None, predictions, history)
     if not evaluation_log.is_file():
         raise BadFile(folder, "", RESULT, _listing(folder))
@@ -103,36 +122,33 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _check(path: Path, content: dict[str, Any], keys: tuple[str, ...]) -> None:
+    """Refuse a file of a newer version, or one without some of its keys."""
     version = str(content.get("version", ""))
     if _numbers(version) > _numbers(__version__):
-        raise BadFile(
-            path,
-            "version",
-            f"{__version__} or older (a newer dropo reads it: pip install -U dropo)",
-            version,
-        )
+        expected = f"{__version__} or older (a newer dropo reads it: pip install -U dropo)"
+        raise BadFile(path, "version", expected, version)
     missing = [key for key in keys if key not in content]
     if missing:
         raise BadFile(path, missing[0], "what a run writes", "nothing")
 
 
 def _numbers(version: str) -> tuple[int, ...]:
+    """The numbers of a version, to compare it."""
     parts = version.split("+")[0].split(".")
     return tuple(int(part) for part in parts if part.isdigit())
 
 
 def _figures(folder: Path, kept: dict[str, Any]) -> FigureData:
+    """The figure data that a diagnosis kept."""
     try:
         return FigureData.from_json(kept)
     except (KeyError, TypeError) as error:
-        raise BadFile(
-            folder / "diagnosis.json",
-            "pictures",
-            "what a diagnosis writes",
-            f"{type(error).__name__}: {error}",
-        ) from None
+        got = f"{type(error).__name__}: {error}"
+        path = folder / "diagnosis.json"
+        raise BadFile(path, "pictures", "what a diagnosis writes", got) from None
 
 
 def _listing(folder: Path) -> str:
+    """What is in a folder instead, for a message."""
     names = sorted(path.name for path in folder.iterdir())[:5]
     return f"one with {', '.join(names)}" if names else "an empty one"

@@ -13,9 +13,17 @@ from dropo.core.services.validation import Array
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """steps: (n,) simulator steps spent up to each evaluation; values: (n,) the log-likelihood
-    there, NaN where it is not comparable, as in rounds on parts of the data; means: (r, d) the
-    distribution's mean after each round of a local likelihood, None otherwise.
+    """How a search went.
+
+    Attributes
+    ----------
+    steps : (n,) array
+        Simulator steps up to each evaluation.
+    values : (n,) array
+        The log-likelihood there [nats]; NaN where it is not comparable, as in rounds on parts of
+        the data.
+    means : (r, d) array or None
+        The distribution's mean after each outer iteration of a local likelihood; None without one.
     """
 
     steps: Array
@@ -24,28 +32,43 @@ class History:
 
 
 def read_history(path: Path, parameters: int | None) -> tuple[dict[str, Any], History]:
-    """The evaluation log's header, and the search. parameters: how many are fitted; None, as the
-    header says.
+    """Read an evaluation log; a half-written last line is left out.
+
+    Parameters
+    ----------
+    path : Path
+        The log.
+    parameters : int or None
+        d, how many parameters are fitted; None: as the header says.
+
+    Returns
+    -------
+    header : dict
+        What the run is.
+    history : History
+        How its search went.
+
+    Raises
+    ------
+    BadFile
+        If it is no evaluation log.
     """
-    lines = path.read_text().splitlines()
+    text = path.read_text()
+    lines = text.splitlines()
+    if not text.endswith("\n"):
+        lines = lines[:-1]
     try:
-        entries = [
-            json.loads(line)
-            for line in lines[: len(lines) if path.read_bytes().endswith(b"\n") else -1]
-        ]
+        entries = [json.loads(line) for line in lines]
         header = dict(entries[0]["header"]) if entries else {}
         d = len(header.get("parameters", ())) if parameters is None else parameters
         return header, _history(entries[1:], d)
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise BadFile(
-            path,
-            "",
-            "the evaluations of a run, one JSON line each",
-            f"{type(error).__name__}: {error}",
-        ) from None
+        expected = "the evaluations of a run, one JSON line each"
+        raise BadFile(path, "", expected, f"{type(error).__name__}: {error}") from None
 
 
 def _history(entries: list[dict[str, Any]], d: int) -> History:
+    """The history of the batches behind the header."""
     steps: list[float] = []
     values: list[float] = []
     means: list[Array] = []

@@ -1,6 +1,4 @@
-"""A page from its parts: sections of text, pictures and tables in one HTML file that loads nothing
-else.
-"""
+"""A page from its parts: text, figures and tables in one HTML file that loads nothing else."""
 
 import re
 from collections.abc import Sequence
@@ -15,8 +13,16 @@ from dropo._version import __version__
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell: what it shows, and the value by which it sorts where that is another; words:
-    whether it is a sentence.
+    """A table's cell.
+
+    Attributes
+    ----------
+    text : str
+        What it shows.
+    value : float or None
+        The number by which it sorts; None: its text.
+    words : bool
+        Whether it is a sentence.
     """
 
     text: str
@@ -26,29 +32,58 @@ class Cell:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a sentence on how to read what follows, and that, as HTML."""
+    """A section of a page.
+
+    Attributes
+    ----------
+    title : str
+        The heading.
+    lead : str
+        A sentence on how to read what follows; empty for none.
+    body : str
+        The content, as HTML.
+    """
 
     title: str
     lead: str
     body: str
 
 
-SHORT = 250  # letters of a headline; the sentences behind them stand beneath it
+SHORT = 250
+"""Letters of a headline; the sentences behind them stand beneath it."""
 
 
 def page(
     kicker: str, headline: str, cards: Sequence[tuple[str, str, str]], sections: Sequence[Section]
 ) -> str:
-    """The whole file. cards: the figures beneath the headline, (name, value, "good", "bad" or "")."""
+    """Write the whole file.
+
+    Parameters
+    ----------
+    kicker : str
+        The line above the headline, also the file's title.
+    headline : str
+        The finding, in sentences.
+    cards : sequence of (str, str, str)
+        The figures beneath the headline: name, value, and "good", "bad" or "".
+    sections : sequence of Section
+        The content.
+
+    Returns
+    -------
+    str
+        The HTML file's text.
+    """
     first, rest = shortened(headline)
     beneath = f"<p>{escape(rest)}</p>" if rest else ""
     shown = "".join(
         f'<div><dt>{escape(name)}</dt><dd class="{kind}">{escape(value)}</dd></div>'
         for name, value, kind in cards
     )
-    parts = "\n".join(
-        f"<section><h2>{escape(s.title)}</h2>{f'<p class=lead>{escape(s.lead)}</p>' if s.lead else ''}\n{s.body}</section>"
-        for s in sections
+    parts = "\n".join(_section(section) for section in sections)
+    top = (
+        f'<p class="kicker">{escape(kicker)}</p><h1>{escape(first)}</h1>{beneath}'
+        f'<dl class="cards">{shown}</dl>'
     )
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -61,7 +96,7 @@ def page(
 {_part("page.css")}</style>
 </head>
 <body>
-<header><p class="kicker">{escape(kicker)}</p><h1>{escape(first)}</h1>{beneath}<dl class="cards">{shown}</dl></header>
+<header>{top}</header>
 <main>
 {parts}
 </main>
@@ -73,23 +108,51 @@ def page(
 """
 
 
-def shortened(text: str, most: int = SHORT) -> tuple[str, str]:
-    """The sentences with which a text begins, at least one, of so many letters at most; and the
-    others.
+def _section(section: Section) -> str:
+    """A section as HTML."""
+    lead = f"<p class=lead>{escape(section.lead)}</p>" if section.lead else ""
+    return f"<section><h2>{escape(section.title)}</h2>{lead}\n{section.body}</section>"
+
+
+def shortened(text: str, maximum: int = SHORT) -> tuple[str, str]:
+    """Split a text into its first sentences and the others.
+
+    Parameters
+    ----------
+    text : str
+        Sentences.
+    maximum : int
+        Letters of the first part at most, but for its first sentence.
+
+    Returns
+    -------
+    first, others : str
     """
     sentences = re.split(r"(?<=\.) (?=[A-Z])", text)
     lengths = np.cumsum([len(sentence) + 1 for sentence in sentences])
-    count = max(1, int(np.sum(lengths - 1 <= most)))
+    count = max(1, int(np.sum(lengths - 1 <= maximum)))
     return " ".join(sentences[:count]), " ".join(sentences[count:])
 
 
 def _part(name: str) -> str:
+    """The text of a file beside this one."""
     return files("dropo.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def figure(svg: str, title: str, caption: str = "") -> str:
-    """A picture with its title above and what it says beneath; without a title, where the picture
-    has its own.
+    """Put a title above a picture and a caption beneath.
+
+    Parameters
+    ----------
+    svg : str
+        The picture.
+    title, caption : str
+        Empty for none.
+
+    Returns
+    -------
+    str
+        HTML.
     """
     above = f"<h3>{escape(title)}</h3>" if title else ""
     below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
@@ -97,13 +160,26 @@ def figure(svg: str, title: str, caption: str = "") -> str:
 
 
 def grid(*figures: str) -> str:
-    """Pictures side by side, one below the other on a phone."""
+    """Put `figures` side by side, one below the other on a phone."""
     return f'<div class="grid">{"".join(figures)}</div>'
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Cell]], *, told: bool = False) -> str:
-    """A table that sorts by the column whose head is clicked. told: whether its last column holds
-    words.
+    """Make a table that sorts by the column whose head is clicked.
+
+    Parameters
+    ----------
+    header : sequence of str
+        The columns' titles.
+    rows : sequence of sequence of Cell
+        The cells.
+    told : bool
+        Whether the last column holds words.
+
+    Returns
+    -------
+    str
+        HTML.
     """
     head = "".join(
         f'<th scope="col"><button type="button">{escape(name)}</button></th>' for name in header
@@ -117,16 +193,27 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]], *, told: bool =
 
 
 def _cell(cell: Cell) -> str:
-    value = (
-        ""
-        if cell.value is None or not np.isfinite(cell.value)
-        else f' data-value="{float(cell.value)!r}"'
-    )
-    return f"<td{' class=text' if cell.words else ''}{value}>{escape(cell.text)}</td>"
+    """A cell as HTML."""
+    value = ""
+    if cell.value is not None and np.isfinite(cell.value):
+        value = f' data-value="{float(cell.value)!r}"'
+    kind = " class=text" if cell.words else ""
+    return f"<td{kind}{value}>{escape(cell.text)}</td>"
 
 
 def legend(*entries: tuple[str, str, bool]) -> str:
-    """(name, CSS variable, whether dots)."""
+    """Make a legend.
+
+    Parameters
+    ----------
+    *entries : (str, str, bool)
+        Name, CSS variable of the colour, and whether these are dots.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     items = "".join(
         f'<li{" class=dots" if dots else ""} style="--swatch: var(--{color})">{escape(name)}</li>'
         for name, color, dots in entries
@@ -135,26 +222,28 @@ def legend(*entries: tuple[str, str, bool]) -> str:
 
 
 def notes(sentences: Sequence[str]) -> str:
-    """A list of sentences."""
-    return f'<ul class="notes">{"".join(f"<li>{_prose(sentence)}</li>" for sentence in sentences)}</ul>'
+    """Make a list of `sentences`."""
+    items = "".join(f"<li>{_prose(sentence)}</li>" for sentence in sentences)
+    return f'<ul class="notes">{items}</ul>'
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of plain text; what stands in backticks is code."""
+    """Make a paragraph of plain `text`; what stands in backticks is code."""
     return f"<p>{_prose(text)}</p>"
 
 
 def _prose(text: str) -> str:
+    """A text as HTML; what stands in backticks is code."""
     return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def plain(value: float, digits: int = 4) -> str:
-    """A number; a dash where there is none."""
+    """Print a `value` with so many `digits`; a dash where it is not finite."""
     return f"{value:.{digits}g}" if np.isfinite(value) else "–"
 
 
-def percent(share: float) -> str:
-    """A share in per cent, with three digits."""
-    if not np.isfinite(share):
+def percent(fraction: float) -> str:
+    """Print a `fraction` in per cent, with three digits; a dash where it is not finite."""
+    if not np.isfinite(fraction):
         return "–"
-    return "less than 0.001 %" if 0 < share < 1e-5 else f"{100 * share:.3g} %"
+    return "less than 0.001 %" if 0 < fraction < 1e-5 else f"{100 * fraction:.3g} %"

@@ -1,5 +1,6 @@
 """Sections that a fit's and a diagnosis' page share."""
 
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -11,58 +12,60 @@ from dropo.report.folder import Result
 from dropo.report.page import Cell, Section, figure, grid, legend, paragraph, percent, table
 from dropo.report.svg import picture, rows
 
-SMALL = (4.2, 2.3)  # [in] a picture of one signal
-# by how much a share must be off beside its error for predictions to be too sure, or too cautious
+SMALL = (4.2, 2.3)
+"""Size of the figure of one signal [in]."""
 FAR = 0.04
+"""By how much more measurements than a tenth must lie in the outer tenth of predictions, beside
+chance, for these to be too sure."""
 CLOSE = 0.09
+"""By how much more measurements than a half must lie in the inner half of predictions, beside
+chance, for these to be too cautious."""
 WITHOUT = (
-    "predictions.npz is not in the folder: `dropo fit --out` and `dropo diagnose --out` "
-    "keep it, and in Python"
-    " dropo.predict(problem, fit).save(folder) writes it."
+    "predictions.npz is not in the folder: `dropo fit --out` and `dropo diagnose --out` keep it, "
+    "and in Python dropo.predict(problem, fit).save(folder) writes it."
 )
 
 
 def motion(found: Predictions | None, more: str = "") -> Section:
-    """Measured against simulated trajectories, before and after. more: a sentence on the bands."""
+    """Show measured and simulated trajectories.
+
+    Parameters
+    ----------
+    found : Predictions or None
+        None where the folder has none.
+    more : str
+        A sentence on the bands.
+
+    Returns
+    -------
+    Section
+    """
     title = "Measured and simulated motion"
     if found is None:
         return Section(title, "", paragraph(f"No motion is shown: {WITHOUT}"))
-    reach = found.measured.shape[1]
+    steps = found.measured.shape[1]
+    data = "No fit has seen these data." if found.held_out else "These data were fitted to."
     lead = (
-        f"Each line starts again from a measurement after {reach} control "
-        f"step{'s' * (reach > 1)}; bands should hold {percent(LEVEL)}"
-        f" of the dots. {more}{' ' * bool(more)}{'No fit has seen these data.' if found.held_out else 'These data were fitted to.'}"
+        f"Each line starts again from a measurement after {steps} control step{'s' * (steps > 1)}; "
+        f"bands should hold {percent(LEVEL)} of the dots. {more}{' ' * bool(more)}{data}"
     )
     before = [(found.before.name, "before", False)] if changed(found) else []
     key = legend(("measured", "ink", True), *before, (found.after.name, "after", False))
-    pictures = [
-        figure(
-            picture(
-                lambda ax, s=signal: plots.trajectory(found, s, ax),
-                _motion_text(found, signal),
-                size=SMALL,
-            ),
-            "",
-        )  # type: ignore[misc]
-        for signal in telling(found)
-    ]
+    pictures = []
+    for signal in telling(found):
+        draw = partial(plots.trajectory, found, signal)
+        svg = picture(draw, _motion_text(found, signal), size=SMALL)
+        pictures.append(figure(svg, ""))
+    body = key + grid(*pictures)
     rest = len(found.names) - len(pictures)
-    body = (
-        key
-        + grid(*pictures)
-        + (
-            paragraph(
-                f"Shown are the signals that {'change' if changed(found) else 'err'} most; "
-                f"{rest} more were measured."
-            )
-            if rest
-            else ""
-        )
-    )
+    if rest:
+        most = "change" if changed(found) else "err"
+        body += paragraph(f"Shown are the signals that {most} most; {rest} more were measured.")
     return Section(title, lead, body)
 
 
 def _motion_text(found: Predictions, signal: str) -> str:
+    """What the figure of a signal shows, in words."""
     i = found.names.index(signal)
     held = [
         f"The band of {side.name} holds {percent(inside(found, side, i))} of the measurements."
@@ -72,55 +75,49 @@ def _motion_text(found: Predictions, signal: str) -> str:
 
 
 def inside(found: Predictions, side: Side, i: int) -> float:
-    """The share of the measurements of signal i inside the band."""
+    """Count how many measurements of signal `i` are inside the band of a `side`, as a fraction."""
     low, high = side.band[..., i]
     return float(np.mean((found.measured[..., i] >= low) & (found.measured[..., i] <= high)))
 
 
 def errors(found: Predictions | None, more: str = "") -> Section | None:
-    """Error by horizon and by signal, and calibration. more: HTML beneath."""
+    """Show errors by horizon and by signal, and the calibration.
+
+    Parameters
+    ----------
+    found : Predictions or None
+        None where the folder has none.
+    more : str
+        HTML beneath.
+
+    Returns
+    -------
+    Section or None
+        None without predictions.
+    """
     if found is None:
         return None
     last = int(found.horizons[-1])
-    before, after = (percent(side.by_horizon[-1]) for side in (found.before, found.after))
-    ahead = (
-        f"{f'from {before} to {after}' if changed(found) else after} of the motion's spread "
-        f"after {last} steps"
-    )
-    shown = (
-        [
-            figure(
-                picture(
-                    lambda ax: plots.horizon(found, ax),
-                    f"Lines: prediction errors by horizon, {ahead}.",
-                ),
-                "Error by how far ahead",
-                f"Root mean square over all signals: {ahead}.",
-            )
-        ]
-        if last > 1
-        else []
-    )
-    told = _worst(found)
-    svg = picture(
-        lambda ax: plots.errors(found, ax),
-        f"Dots: error of each signal. {told}",
-        size=rows(len(found.names)),
-    )
-    shown.append(figure(svg, "Error by signal", told))
-    shown.append(
-        figure(
-            picture(
-                lambda ax: plots.calibration(found, ax),
-                f"Histogram of predicted probabilities. {calibrated(found)}",
-            ),
-            "Calibration",
-            calibrated(found),
-        )
-    )
-    lead = (
-        "Orange before, blue after. " if changed(found) else ""
-    ) + "Percentages are of each signal's own spread in the data."
+    before = percent(found.before.by_horizon[-1])
+    after = percent(found.after.by_horizon[-1])
+    change = f"from {before} to {after}" if changed(found) else after
+    ahead = f"{change} of the motion's spread after {last} steps"
+    shown = []
+    if last > 1:
+        text = f"Lines: prediction errors by horizon, {ahead}."
+        svg = picture(partial(plots.horizon, found), text)
+        caption = f"Root mean square over all signals: {ahead}."
+        shown.append(figure(svg, "Error by how far ahead", caption))
+    worst = _worst(found)
+    text = f"Dots: error of each signal. {worst}"
+    svg = picture(partial(plots.errors, found), text, size=rows(len(found.names)))
+    shown.append(figure(svg, "Error by signal", worst))
+    text = f"Histogram of predicted probabilities. {calibrated(found)}"
+    svg = picture(partial(plots.calibration, found), text)
+    shown.append(figure(svg, "Calibration", calibrated(found)))
+    lead = "Percentages are of each signal's own spread in the data."
+    if changed(found):
+        lead = f"Orange before, blue after. {lead}"
     return Section("How good predictions are", lead, grid(*shown) + more)
 
 
@@ -128,18 +125,25 @@ def _worst(found: Predictions) -> str:
     """The signal that changes most, or errs most where there is one model alone."""
     worst = telling(found, 1)
     i = found.names.index(worst[0]) if worst else 0
-    before, after = (
-        f"{side.by_signal[i]:.3g} {found.units[i]}".strip() for side in (found.before, found.after)
-    )
-    return (
-        f"{found.names[i]} changes most, from {before} to {after}."
-        if changed(found)
-        else f"{found.names[i]} is off most, by {after}."
-    )
+    before = f"{found.before.by_signal[i]:.3g} {found.units[i]}".strip()
+    after = f"{found.after.by_signal[i]:.3g} {found.units[i]}".strip()
+    if changed(found):
+        return f"{found.names[i]} changes most, from {before} to {after}."
+    return f"{found.names[i]} is off most, by {after}."
 
 
 def calibrated(found: Predictions) -> str:
-    """What the probabilities say, in a sentence."""
+    """Say in a sentence whether predictions are too sure or too cautious.
+
+    Parameters
+    ----------
+    found : Predictions
+        Of which those of the second model are meant.
+
+    Returns
+    -------
+    str
+    """
     pit = found.after.pit
     if not len(pit):
         return "No simulation came to its end."
@@ -149,39 +153,67 @@ def calibrated(found: Predictions) -> str:
         f"{percent(middle)} in its inner half"
     )
     cautious = middle - 0.5 > CLOSE + 3 * np.sqrt(0.25 / len(pit))
-    verdict = (
-        "too sure"
-        if too_sure(found)
-        else "more cautious than needed"
-        if cautious
-        else "about as sure as they should be"
-    )
+    verdict = "about as sure as they should be"
+    if too_sure(found):
+        verdict = "too sure"
+    elif cautious:
+        verdict = "more cautious than needed"
     return f"{said}: {'after, ' * changed(found)}predictions are {verdict}."
 
 
 def too_sure(found: Predictions) -> bool:
-    """Whether clearly more than a tenth of the measurements lie in the outer tenth of the
-    prediction after.
+    """Test whether clearly more than a tenth of the measurements lie in the outer tenth.
+
+    Parameters
+    ----------
+    found : Predictions
+        Of which those of the second model are meant.
+
+    Returns
+    -------
+    bool
     """
-    return bool(shares(found)[0] - 0.1 > FAR + 3 * np.sqrt(0.09 / max(len(found.after.pit), 1)))
+    error = np.sqrt(0.09 / max(len(found.after.pit), 1))
+    return bool(shares(found)[0] - 0.1 > FAR + 3 * error)
 
 
 def shares(found: Predictions) -> tuple[float, float]:
-    """Of the measurements in the outer tenth, and in the inner half of the prediction after; 0 of
-    none.
+    """Count the measurements in the outer tenth and in the inner half of their predictions.
+
+    Parameters
+    ----------
+    found : Predictions
+        Of which those of the second model are meant.
+
+    Returns
+    -------
+    outer, inner : float
+        Fractions of the measurements; 0 if there are none.
     """
     pit = found.after.pit
-    counted = (pit < 0.05) | (pit > 0.95), (pit > 0.25) & (pit < 0.75)
-    return float(counted[0].sum() / max(len(pit), 1)), float(counted[1].sum() / max(len(pit), 1))
+    outer = (pit < 0.05) | (pit > 0.95)
+    inner = (pit > 0.25) & (pit < 0.75)
+    count = max(len(pit), 1)
+    return float(outer.sum() / count), float(inner.sum() / count)
 
 
 def made(result: Result) -> Section:
-    """The command that repeats the run, and everything that it depends on."""
+    """Show the command that repeats the run, and everything that it depends on.
+
+    Parameters
+    ----------
+    result : Result
+        The run.
+
+    Returns
+    -------
+    Section
+    """
     record = result.record
     content = result.content
     how = result.made
     command = how.get("command")
-    told = {
+    facts = {
         "method": record.get("method"),
         "seed": content.get("seed", record.get("seed")),
         "dropo": content.get("version", record.get("version")),
@@ -192,40 +224,39 @@ def made(result: Result) -> Section:
         "simulator steps": _count(content.get("simulator_steps")),
         "evaluations": _count(content.get("objective_evaluations")),
         "wall time": _seconds(content.get("wall_time_s")),
-    } | {
-        f"setting: {name}": value
-        for name, value in record.get("settings", {}).items()
-        if value is not None
     }
-    kept = [
+    for name, value in record.get("settings", {}).items():
+        if value is not None:
+            facts[f"setting: {name}"] = value
+    cells = [
         [Cell(name), Cell(_listed(value), words=True)]
-        for name, value in told.items()
+        for name, value in facts.items()
         if value not in (None, [])
     ]
-    without = (
-        "A command is kept when its run ends."
-        if result.kind == "unfinished"
-        else "No command was kept: this was run from Python."
-    )
-    repeat = f"<pre><code>{escape(command)}</code></pre>" if command else paragraph(without)
-    lead = (
-        "The same command on the same data and model gives the same numbers, whatever the "
-        "number of threads."
-    )
-    return Section(
-        "How this was made",
-        lead if command else "",
-        repeat + table(["what", "value"], kept, told=True),
-    )
+    lead = ""
+    if command:
+        repeat = f"<pre><code>{escape(command)}</code></pre>"
+        lead = (
+            "The same command on the same data and model gives the same numbers, whatever the "
+            "number of threads."
+        )
+    elif result.kind == "unfinished":
+        repeat = paragraph("A command is kept when its run ends.")
+    else:
+        repeat = paragraph("No command was kept: this was run from Python.")
+    return Section("How this was made", lead, repeat + table(["what", "value"], cells, told=True))
 
 
 def _listed(value: object) -> str:
+    """A value, or the values of a list with commas."""
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _count(value: int | None) -> str | None:
+    """A count with commas, or None."""
     return None if value is None else f"{value:,}"
 
 
 def _seconds(value: float | None) -> str | None:
+    """A time with its unit, or None."""
     return None if value is None else f"{value:.1f} s"

@@ -1,6 +1,4 @@
-"""Figures as pictures inside a page: their colours follow the page's, and they say in words what
-they show.
-"""
+"""Figures as SVG inside a page, with the page's colours and a text of what they show."""
 
 import io
 import re
@@ -52,8 +50,27 @@ LONG = re.compile(r"-?\d+\.\d{3,}")
 def picture(
     draw: Callable[[Any], Any], text: str, *, size: tuple[float, float] = SIZE, grid: int = 0
 ) -> str:
-    """An <svg> of what draw(axes) draws; text: what it shows, for those who cannot see it. grid: so
-    many axes a side instead of one.
+    """Draw a figure as an <svg> element.
+
+    Parameters
+    ----------
+    draw : callable
+        draw(axes) draws it.
+    text : str
+        What it shows, for those who cannot see it.
+    size : (float, float)
+        Width and height [in].
+    grid : int
+        So many axes a side in place of one.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    MissingPackage
+        If matplotlib is not installed (extra `plots`).
     """
     need("matplotlib", extra="plots", caller="A report")
     import matplotlib as mpl
@@ -73,13 +90,26 @@ def picture(
 
 
 def rows(count: int, each: float = ROW, more: float = HEAD) -> tuple[float, float]:
-    """The size [in] of a picture with so many rows."""
+    """Give the size [in] of a figure with `count` rows of height `each`, and `more` beside."""
     return SIZE[0], more + each * count
 
 
 def themed(svg: str, text: str) -> str:
-    """The <svg> element alone: as wide as it may be, with the page's colours and font, and
-    identities that are its own in the page.
+    """Take the <svg> element of a file, with the page's colours and font.
+
+    Its identities are its own in the page, and its numbers have two decimals.
+
+    Parameters
+    ----------
+    svg : str
+        The file that matplotlib wrote.
+    text : str
+        What it shows, in words.
+
+    Returns
+    -------
+    str
+        The element, as wide as the page allows.
     """
     start = svg.index("<svg")
     box = re.search(r'viewBox="([^"]+)"', svg)

@@ -1,5 +1,7 @@
 """The page of a run that was interrupted before it wrote a result."""
 
+from functools import partial
+
 import numpy as np
 
 from dropo import plots
@@ -10,7 +12,18 @@ from dropo.report.svg import picture
 
 
 def unfinished_page(result: Result) -> str:
-    """The file's text: how far the run came."""
+    """Write the page of a run that was interrupted: how far it came.
+
+    Parameters
+    ----------
+    result : Result
+        With the history of its search.
+
+    Returns
+    -------
+    str
+        The HTML file's text.
+    """
     history = result.history
     record = result.record
     assert history is not None
@@ -35,7 +48,7 @@ def unfinished_page(result: Result) -> str:
     if best is not None:
         text = f"{count} evaluations, the highest log-likelihood {best:.6g}."
         svg = picture(
-            lambda ax: plots.convergence(history.steps, history.values, ax),
+            partial(plots.convergence, history.steps, history.values),
             f"Log-likelihood over simulator steps: {text}",
         )
         body += grid(figure(svg, "The search so far", text))

@@ -1,5 +1,6 @@
-"""A video of the measured motion with what was simulated as a ghost over it: before on the left,
-after on the right.
+"""A video of the measured motion with the simulated one over it, translucent.
+
+The model before is on the left, the model after on the right.
 """
 
 from pathlib import Path
@@ -16,24 +17,44 @@ from dropo.core.services.validation import Array
 if TYPE_CHECKING:
     from dropo.mjmodel.robot_simulator import RobotSimulator
 
-# [pixels] of each half
+# Size of each half [pixels].
 WIDTH = 480
 HEIGHT = 480
-# a second; and for each control step
+# Frames in a second, and frames for each control step.
 FRAMES = 30
 EACH = 3
-GHOSTS = ((0.95, 0.42, 0.0, 0.6), (0.1, 0.55, 0.95, 0.6))  # before, after; as in the page's figures
+# Colours of the models before and after, as in the page's figures.
+GHOSTS = ((0.95, 0.42, 0.0, 0.6), (0.1, 0.55, 0.95, 0.6))
 MEASURED = (0.75, 0.75, 0.72, 1.0)
 
 
 def write_video(found: Predictions, simulator: "RobotSimulator", path: Path) -> Path:
-    """Every window, slowed down, as H.264; simulator: one of the run's model.
+    """Write all windows, slowed down, as a video in H.264.
 
-    Needs the extra `video`, and without a display the environment variable MUJOCO_GL=egl before
-    MuJoCo is imported.
+    Without a display it needs the environment variable MUJOCO_GL=egl before MuJoCo is imported.
+    Components of the state that the data do not hold, such as a hopper's position along the floor,
+    stay where the model begins.
 
-    What the data do not hold of the state, such as a hopper's place along the floor, stays where
-    the model begins.
+    Parameters
+    ----------
+    found : Predictions
+        Measured and simulated motion.
+    simulator : RobotSimulator
+        One of the run's model.
+    path : Path
+        The file to write.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    MissingPackage
+        If imageio-ffmpeg is not installed (extra `video`).
+    DropoError
+        If MuJoCo cannot draw on this machine.
     """
     need("imageio_ffmpeg", extra="video", caller="A video")
     import imageio_ffmpeg
@@ -48,13 +69,10 @@ def write_video(found: Predictions, simulator: "RobotSimulator", path: Path) -> 
         writer.send(None)
         try:
             for k, qpos in enumerate(measured):
-                frame = np.concatenate(
-                    [
-                        stage.frame(qpos, half[k], ghost)
-                        for half, ghost in zip(halves, GHOSTS, strict=True)
-                    ],
-                    axis=1,
-                )
+                images = []
+                for half, ghost in zip(halves, GHOSTS, strict=True):
+                    images.append(stage.frame(qpos, half[k], ghost))
+                frame = np.concatenate(images, axis=1)
                 for _ in range(EACH):
                     writer.send(np.ascontiguousarray(frame))
         finally:
@@ -64,8 +82,30 @@ def write_video(found: Predictions, simulator: "RobotSimulator", path: Path) -> 
 
 
 def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
-    """Joint positions (T, nq) of a model, `step` seconds apart, as H.264 in their own time; needs
-    what `write_video` needs.
+    """Write a motion as a video in H.264, in its own time.
+
+    It needs what `write_video` needs.
+
+    Parameters
+    ----------
+    qpos : (T, nq) array
+        Joint positions.
+    model : mujoco.MjModel
+        The model.
+    step : float
+        Time between two positions [s].
+    path : Path
+        The file to write.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    MissingPackage, DropoError
+        As of `write_video`.
     """
     need("imageio_ffmpeg", extra="video", caller="A video")
     import imageio_ffmpeg
@@ -78,9 +118,8 @@ def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
         writer.send(None)
         try:
             for time in np.arange(0, len(qpos) * step, 1 / FRAMES):
-                writer.send(
-                    np.ascontiguousarray(stage.frame(qpos[min(round(time / step), len(qpos) - 1)]))
-                )
+                nearest = min(round(time / step), len(qpos) - 1)
+                writer.send(np.ascontiguousarray(stage.frame(qpos[nearest])))
         finally:
             writer.close()
             stage.close()
@@ -88,7 +127,7 @@ def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
 
 
 def _states(found: Predictions, simulator: "RobotSimulator", side: Side | None) -> Array:
-    """(W L, nq) joint positions as measured, or as a side predicted them."""
+    """Joint positions (W L, nq) as measured, or as a side predicted them."""
     rows = found.rows.reshape(-1, found.rows.shape[2])
     layout = simulator.layout
     if side is not None:
@@ -108,13 +147,14 @@ class _Stage:
         try:
             self.renderer = mujoco.Renderer(self.model, HEIGHT, WIDTH)
         except Exception as error:  # whatever the graphics library says
-            told = (
+            advice = (
                 "Set MUJOCO_GL to egl, osmesa or glfw before Python starts, or leave out --video."
             )
-            raise DropoError(f"MuJoCo cannot draw here: {error}. {told}") from None
+            raise DropoError(f"MuJoCo cannot draw here: {error}. {advice}") from None
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self.renderer.scene.flags[flag] = 0
-        self.solid, self.ghost = mujoco.MjData(self.model), mujoco.MjData(self.model)
+        self.solid = mujoco.MjData(self.model)
+        self.ghost = mujoco.MjData(self.model)
         self.camera = mujoco.MjvCamera()
         self.option = mujoco.MjvOption()
         mujoco.mjv_defaultFreeCamera(self.model, self.camera)
@@ -125,9 +165,7 @@ class _Stage:
     def frame(
         self, qpos: Array, ghost: Array | None = None, color: tuple[float, ...] = MEASURED
     ) -> Any:
-        """(HEIGHT, WIDTH, 3) the measured robot, and the simulated one translucent in a colour,
-        where there is one.
-        """
+        """The image (HEIGHT, WIDTH, 3) of the measured robot, and of the simulated one over it."""
         scene = self.renderer.scene
         for data, place in ((self.solid, qpos), (self.ghost, qpos if ghost is None else ghost)):
             data.qpos[:] = place
@@ -146,7 +184,7 @@ class _Stage:
         return self.renderer.render()
 
     def close(self) -> None:
-        """Frees the renderer."""
+        """Free the renderer."""
         self.renderer.close()
 
 
@@ -156,8 +194,6 @@ def _plain(model: Any) -> Any:
 
     out = copy.copy(model)
     out.vis.quality.offsamples = 0
-    out.vis.global_.offwidth, out.vis.global_.offheight = (
-        max(WIDTH, out.vis.global_.offwidth),
-        max(HEIGHT, out.vis.global_.offheight),
-    )
+    out.vis.global_.offwidth = max(WIDTH, out.vis.global_.offwidth)
+    out.vis.global_.offheight = max(HEIGHT, out.vis.global_.offheight)
     return out

@@ -1,4 +1,4 @@
-"""Robots of few equations, differentiable: pendulum, cart-pole, sliding puck."""
+"""Differentiable simulators of a few equations: pendulum, cart-pole, sliding puck."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -12,16 +12,35 @@ from dropo.simulators.torch import TorchSimulator
 if TYPE_CHECKING:
     from torch import Tensor
 
-GRAVITY = 9.81  # [m/s^2]
+GRAVITY = 9.81
+"""The acceleration of gravity [m/s^2]."""
 
 
-class Robot(TorchSimulator):
-    """x = (q, v), dq/dt = v: a plug-in writes `_acceleration`.
+class SecondOrderSimulator(TorchSimulator):
+    """A simulator with the state (q, v), dq/dt = v; a plug-in writes `_acceleration`.
 
-    The action is held over a control step of dt [s].
+    The action is held over a control step, which the classical Runge-Kutta method of fourth order
+    integrates in equal steps.
 
-    Integrated by the classical Runge-Kutta method of fourth order in `substeps` equal steps
-    (Hairer, Norsett, Wanner 1993, Solving Ordinary Differential Equations I, section II.1).
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        The d parameters.
+    signals : sequence of Signal
+        The positions q, then the velocities v.
+    dt : float
+        The control step [s].
+    substeps : int
+        Integration steps in a control step.
+
+    Raises
+    ------
+    BadArgument
+        If `dt` is not positive, or `substeps` is below 1.
+
+    References
+    ----------
+    Hairer, Norsett, Wanner 1993, Solving Ordinary Differential Equations I, section II.1.
     """
 
     def __init__(
@@ -37,34 +56,47 @@ class Robot(TorchSimulator):
     def _acceleration(
         self, values: "Tensor", q: "Tensor", v: "Tensor", actions: "Tensor"
     ) -> "Tensor":
-        """dv/dt (K, N, n) from values (K, 1, d), positions and velocities (K, N, n) each, and
-        actions (N, q).
-        """
+        """dv/dt (K, N, n) from values (K, 1, d), q and v (K, N, n) each, and actions (N, q)."""
 
     def _advance(self, values: "Tensor", states: "Tensor", actions: "Tensor") -> "Tensor":
+        """The states after a control step."""
         h = self.dt / self.substeps
         for _ in range(self.substeps):
-            one = self._slope(values, states, actions)
-            two = self._slope(values, states + h / 2 * one, actions)
-            three = self._slope(values, states + h / 2 * two, actions)
-            four = self._slope(values, states + h * three, actions)
-            states = states + h / 6 * (one + 2 * two + 2 * three + four)
+            k1 = self._derivative(values, states, actions)
+            k2 = self._derivative(values, states + h / 2 * k1, actions)
+            k3 = self._derivative(values, states + h / 2 * k2, actions)
+            k4 = self._derivative(values, states + h * k3, actions)
+            states = states + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return states
 
-    def _slope(self, values: "Tensor", states: "Tensor", actions: "Tensor") -> "Tensor":
+    def _derivative(self, values: "Tensor", states: "Tensor", actions: "Tensor") -> "Tensor":
+        """(K, N, 2 n) the derivative of the states by time."""
         import torch
 
         q, v = states.chunk(2, dim=-1)
         return torch.cat([v, self._acceleration(values, q, v, actions)], dim=-1)
 
 
-class Pendulum(Robot):
-    """A point mass m on a massless rod of length l, driven at its pivot: m l^2 q'' = u - c q' - m g
-    l sin q.
+class Pendulum(SecondOrderSimulator):
+    """A point mass on a massless rod, driven at its pivot.
 
     Observation (angle q [rad], 0 where it hangs, not wrapped; angular velocity [rad/s]), action
-    (torque u [N m]), parameters length [m], mass [kg], damping c [N m s/rad]. Source: Strogatz
-    2015, Nonlinear Dynamics and Chaos, section 4.4.
+    (torque u [N m]), parameters length l [m], mass m [kg], damping c [N m s/rad].
+
+    Parameters
+    ----------
+    dt : float
+        The control step [s].
+    substeps : int
+        Integration steps in a control step.
+
+    Notes
+    -----
+    m l^2 q'' = u - c q' - m g l sin(q)
+
+    References
+    ----------
+    Strogatz 2015, Nonlinear Dynamics and Chaos, section 4.4.
     """
 
     def __init__(self, *, dt: float = 0.05, substeps: int = 5):
@@ -73,9 +105,8 @@ class Pendulum(Robot):
             Parameter("mass", 0.1, 3.0, "kg"),
             Parameter("damping", 0.0, 1.0, "N m s/rad"),
         ]
-        super().__init__(
-            parameters, [Signal("angle", "rad"), Signal("angular_velocity", "rad/s")], dt, substeps
-        )
+        signals = [Signal("angle", "rad"), Signal("angular_velocity", "rad/s")]
+        super().__init__(parameters, signals, dt, substeps)
 
     def _acceleration(
         self, values: "Tensor", q: "Tensor", v: "Tensor", actions: "Tensor"
@@ -84,17 +115,29 @@ class Pendulum(Robot):
         return (actions - damping * v) / (mass * length**2) - GRAVITY / length * q.sin()
 
 
-class CartPole(Robot):
-    """A cart on a rail, pushed by u, that carries a uniform pole of mass m and half length l on a
-    hinge without friction.
-
-        (M + m) x'' + m l cos(q) q'' - m l sin(q) q'^2 = u - c x'
-        cos(q) x'' + 4/3 l q'' = g sin(q)
+class CartPole(SecondOrderSimulator):
+    """A cart that is pushed on a rail and carries a uniform pole on a hinge without friction.
 
     Observation (position x [m], angle q [rad], 0 upright and positive towards +x, not wrapped;
     their velocities), action (force u [N]), parameters cart_mass M, pole_mass m [kg], half_length l
-    [m], friction c [N s/m] of the rail.
-    Source: Barto, Sutton, Anderson 1983, IEEE Trans. Systems, Man, Cybernetics 13; here friction is
+    of the pole [m], friction c of the rail [N s/m].
+
+    Parameters
+    ----------
+    dt : float
+        The control step [s].
+    substeps : int
+        Integration steps in a control step.
+
+    Notes
+    -----
+    (M + m) x'' + m l cos(q) q'' - m l sin(q) q'^2 = u - c x'
+
+    cos(q) x'' + 4/3 l q'' = g sin(q)
+
+    References
+    ----------
+    Barto, Sutton, Anderson 1983, IEEE Trans. Systems, Man, Cybernetics 13; here friction is
     viscous.
     """
 
@@ -125,23 +168,40 @@ class CartPole(Robot):
         sin = angle.sin()
         cos = angle.cos()
         force = actions - friction * speed + pole * half * sin * turning**2
-        turn = (GRAVITY * sin - cos * force / (cart + pole)) / (
-            half * (4 / 3 - pole * cos**2 / (cart + pole))
-        )
-        return torch.cat([(force - pole * half * cos * turn) / (cart + pole), turn], dim=-1)
+        total = cart + pole
+        turn = (GRAVITY * sin - cos * force / total) / (half * (4 / 3 - pole * cos**2 / total))
+        return torch.cat([(force - pole * half * cos * turn) / total, turn], dim=-1)
 
 
-class SlidingPuck(Robot):
-    """A puck pushed over a level table, with viscous and dry friction: m v' = u - c v - mu m g v /
-    sqrt(|v|^2 + s^2).
+class SlidingPuck(SecondOrderSimulator):
+    """A puck pushed over a level table, with viscous and dry friction.
 
-    Coulomb's friction is made smooth below about s = 1 cm/s, so that a puck at rest creeps under a
-    small push instead of sticking. Observation (x, y [m], their velocities [m/s]), action (force in
-    x and y [N]), parameters mass m [kg], damping c [N s/m], friction coefficient mu. Source:
+    Observation (x, y [m], their velocities [m/s]), action (force u in x and y [N]), parameters mass
+    m [kg], damping c [N s/m], friction coefficient mu.
+
+    Parameters
+    ----------
+    dt : float
+        The control step [s].
+    substeps : int
+        Integration steps in a control step.
+
+    Attributes
+    ----------
+    creep : float
+        The speed s below which dry friction fades out [m/s].
+
+    Notes
+    -----
+    m v' = u - c v - mu m g v / sqrt(|v|^2 + s^2): Coulomb's friction is made smooth below about
+    s = 1 cm/s, so that a puck at rest creeps under a small force instead of sticking.
+
+    References
+    ----------
     Armstrong-Helouvry, Dupont, Canudas de Wit 1994, Automatica 30.
     """
 
-    creep = 0.01  # s [m/s]
+    creep = 0.01
 
     def __init__(self, *, dt: float = 0.05, substeps: int = 20):
         parameters = [
@@ -149,12 +209,8 @@ class SlidingPuck(Robot):
             Parameter("damping", 0.0, 2.0, "N s/m"),
             Parameter("friction", 0.02, 0.5),
         ]
-        super().__init__(
-            parameters,
-            [Signal("x", "m"), Signal("y", "m"), Signal("vx", "m/s"), Signal("vy", "m/s")],
-            dt,
-            substeps,
-        )
+        signals = [Signal("x", "m"), Signal("y", "m"), Signal("vx", "m/s"), Signal("vy", "m/s")]
+        super().__init__(parameters, signals, dt, substeps)
 
     def _acceleration(
         self, values: "Tensor", q: "Tensor", v: "Tensor", actions: "Tensor"

@@ -1,5 +1,6 @@
-"""Simulators that replay one segment at a time: any Python function, any gymnasium.Env whose state
-can be set. Slow, general.
+"""Simulators that replay one draw at a time: any Python function, any gymnasium.Env.
+
+They are slow, and general.
 """
 
 from abc import abstractmethod
@@ -15,7 +16,15 @@ from dropo.core.services.validation import Array, check_shape
 
 
 class ReplaySimulator(Simulator):
-    """Replays segments whose whole state is the observation. A plug-in writes `_replay`."""
+    """Replays segments whose whole state is the observation; a plug-in writes `_replay`.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        The d parameters.
+    signals : sequence of Signal or str
+        The p observed numbers; a name alone has no unit.
+    """
 
     def __init__(self, parameters: Sequence[Parameter], signals: Sequence[Signal | str]):
         self.space = ParameterSpace(tuple(parameters))
@@ -25,19 +34,20 @@ class ReplaySimulator(Simulator):
 
     @abstractmethod
     def _replay(self, value: Array, starts: Array, actions: Array) -> Array:
-        """(d,), start observations (n, p), actions (n, L, q) -> the observations after every action
-        (n, L, p).
+        """(n, L, p) observations after every action.
+
+        From parameters (d,), start observations (n, p) and actions (n, L, q).
         """
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
-        return np.stack(
-            [
-                self._one(v, segments, 0.0 if offsets is None else offsets[k])
-                for k, v in enumerate(values)
-            ]
-        )
+        predictions = []
+        for k, value in enumerate(values):
+            offset = 0.0 if offsets is None else offsets[k]
+            predictions.append(self._replay_segments(value, segments, offset))
+        return np.stack(predictions)
 
-    def _one(self, value: Array, segments: Segments, offset: Array | float) -> Array:
+    def _replay_segments(self, value: Array, segments: Segments, offset: Array | float) -> Array:
+        """(R, p) for one parameter vector, level after level of the segments that go on."""
         starts = segments.starts + offset
         actions = segments.actions
         steps = np.full((*actions.shape[:2], len(self.signals)), np.nan)
@@ -45,24 +55,28 @@ class ReplaySimulator(Simulator):
             begin = starts[level]
             before = segments.previous[level]
             if before[0] >= 0:
-                begin = np.where(
-                    segments.set_columns, begin, steps[before, segments.lengths[before] - 1]
-                )
+                ends = steps[before, segments.lengths[before] - 1]
+                begin = np.where(segments.set_columns, begin, ends)
             replayed = self._replay(value, begin, actions[level])
-            check_shape(
-                "replayed observations",
-                replayed,
-                (len(level), actions.shape[1], len(self.signals)),
-                type(self).__name__,
-            )
+            shape = (len(level), actions.shape[1], len(self.signals))
+            check_shape("replayed observations", replayed, shape, type(self).__name__)
             steps[level] = replayed
         segment, step = segments.rows
         return steps[segment, step]
 
 
 class FunctionSimulator(ReplaySimulator):
-    """Any Python function: function(values (d,), starts (n, p), actions (n, L, q)) -> observations
-    (n, L, p).
+    """Replays segments by any Python function.
+
+    Parameters
+    ----------
+    function : callable
+        function(values (d,), starts (n, p), actions (n, L, q)) -> observations (n, L, p) after
+        every action.
+    parameters : sequence of Parameter
+        The d parameters.
+    signals : sequence of Signal or str
+        The p observed numbers; a name alone has no unit.
     """
 
     def __init__(
@@ -79,11 +93,22 @@ class FunctionSimulator(ReplaySimulator):
 
 
 class EnvSimulator(ReplaySimulator):
-    """Any gymnasium.Env whose state can be set.
+    """Replays segments in any gymnasium.Env whose state can be set.
 
-    set_state(env, observation (p,)) puts the environment where the observation was measured;
-    set_parameters(env, {name: value}) sets the parameters. The observations compared are those that
-    `env.step` returns.
+    The observations compared are those that `env.step` returns.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        The environment.
+    parameters : sequence of Parameter
+        The d parameters.
+    set_state : callable
+        set_state(env, observation (p,)) puts the environment where the observation was measured.
+    set_parameters : callable
+        set_parameters(env, {name: value}) sets the parameters.
+    signals : sequence of Signal or str, optional
+        The p observed numbers; by default "observation[0]" and so on.
     """
 
     def __init__(
@@ -95,10 +120,10 @@ class EnvSimulator(ReplaySimulator):
         set_parameters: Callable[[Any, Mapping[str, float]], None],
         signals: Sequence[Signal | str] | None = None,
     ):
-        size = int(np.prod(env.observation_space.shape))
-        super().__init__(
-            parameters, [f"observation[{i}]" for i in range(size)] if signals is None else signals
-        )
+        if signals is None:
+            size = int(np.prod(env.observation_space.shape))
+            signals = [f"observation[{i}]" for i in range(size)]
+        super().__init__(parameters, signals)
         self.env = env
         self.set_state = set_state
         self.set_parameters = set_parameters
@@ -108,9 +133,8 @@ class EnvSimulator(ReplaySimulator):
         self.set_parameters(self.env, dict(zip(self.space.names, value.tolist(), strict=True)))
         out = np.empty((len(starts), actions.shape[1], len(self.signals)))
         space = self.env.action_space
-        commands = (
-            actions.astype(space.dtype) if np.issubdtype(space.dtype, np.integer) else actions
-        )  # choices come as numbers
+        is_choice = np.issubdtype(space.dtype, np.integer)
+        commands = actions.astype(space.dtype) if is_choice else actions
         for i, start in enumerate(starts):
             self.set_state(self.env, start)
             for j, action in enumerate(commands[i]):

@@ -9,18 +9,35 @@ from dropo.core.services.errors import Incompatible, UnknownName
 from dropo.core.services.validation import nearest
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.warnings import quiet
+from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 
 
 class GymnasiumSimulator(MujocoSimulator):
-    """The model and frame skip of a Gymnasium MuJoCo environment, replayed in batches.
+    """Replays segments with the model and frame skip of a Gymnasium MuJoCo environment, in batches.
 
-    env_id: "Hopper-v5" or another; parameters: FieldParameters; threads: 0 for all cores; options:
-    of `gymnasium.make`.
-    observation: the columns of the data's rows. By default those of the environment's own
-    observation that are positions and velocities (`qpos[k:]`, `qvel`; velocities not clipped,
-    contact forces and inertias left out). Environments that observe something else (Reacher's
-    cosines) need it given, as ["qpos", "qvel"], and data with these columns.
+    Parameters
+    ----------
+    env_id : str
+        "Hopper-v5" or another.
+    parameters : sequence of FieldParameter
+        The d parameters.
+    observation : sequence of str, optional
+        The columns of the data's rows. By default those of the environment's own observation that
+        are positions and velocities (`qpos[k:]`, `qvel`; velocities not clipped, contact forces and
+        inertias left out).
+    threads : int
+        The number of threads; 0 for all cores.
+    options
+        Of `gymnasium.make`.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such environment; with the nearest name.
+    Incompatible
+        If the environment cannot be made, is not a MuJoCo one, or observes something else than
+        positions and velocities (such as Reacher's cosines) and no `observation` is given: then
+        data with the columns ["qpos", "qvel"] are needed.
     """
 
     def __init__(
@@ -43,11 +60,28 @@ class GymnasiumSimulator(MujocoSimulator):
 
 
 def make_environment(env_id: str, options: dict[str, Any]) -> Any:
-    """A Gymnasium MuJoCo environment without its wrappers; UnknownName or Incompatible where there
-    is none.
+    """Make a Gymnasium MuJoCo environment without its wrappers.
+
+    Parameters
+    ----------
+    env_id : str
+        "Hopper-v5" or another.
+    options : dict
+        Of `gymnasium.make`.
+
+    Returns
+    -------
+    gymnasium.Env
+
+    Raises
+    ------
+    UnknownName
+        If there is no such environment; with the nearest name.
+    Incompatible
+        If the environment cannot be made here, or is not a MuJoCo one.
     """
     try:
-        with quiet():  # some of its models use deprecated MJCF
+        with suppress_mujoco_warnings():  # some of its models use deprecated MJCF
             env = gymnasium.make(env_id, **options).unwrapped
     except (gymnasium.error.Error, ImportError) as error:
         if env_id in gymnasium.registry:
@@ -64,8 +98,24 @@ def make_environment(env_id: str, options: dict[str, Any]) -> Any:
 
 
 def observed_columns(env_id: str, env: Any) -> list[str]:
-    """The environment's positions and velocities, where its observation begins with them as they
-    are.
+    """List the columns of an environment's observation that are positions and velocities.
+
+    Parameters
+    ----------
+    env_id : str
+        The name of the environment, for refusals.
+    env : gymnasium.Env
+        The environment.
+
+    Returns
+    -------
+    list of str
+        `qpos` or `qpos[k:]`, and `qvel`.
+
+    Raises
+    ------
+    Incompatible
+        If the observation does not begin with positions and velocities as they are.
     """
     structure = getattr(env, "observation_structure", None)
     skipped = int(env.model.nq - structure["qpos"]) if structure else 0

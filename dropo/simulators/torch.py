@@ -19,12 +19,17 @@ if TYPE_CHECKING:
 
 
 class TorchSimulator(Simulator):
-    """Replays all draws and segments at once, in float64.
+    """Replays all draws and segments at once, in float64; a plug-in writes `_advance`.
 
-    A plug-in writes `_advance`, of torch operations alone.
+    `_advance` must consist of torch operations alone. `predict` takes tensors and gives tensors
+    with their history; Jacobians are exact, by forward-mode differentiation.
 
-    `predict` takes tensors and gives tensors with their history; Jacobians are exact, by
-    forward-mode differentiation.
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        The d parameters.
+    signals : sequence of Signal or str
+        The p observed numbers, which are the whole state; a name alone has no unit.
     """
 
     has_gradients = True
@@ -37,8 +42,9 @@ class TorchSimulator(Simulator):
 
     @abstractmethod
     def _advance(self, values: "Tensor", states: "Tensor", actions: "Tensor") -> "Tensor":
-        """One control step: values (K, 1, d), states (K, N, p), actions (N, q) -> the states after
-        it (K, N, p).
+        """(K, N, p) the states after a control step.
+
+        From values (K, 1, d), states (K, N, p) and actions (N, q).
         """
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Any:
@@ -50,9 +56,7 @@ class TorchSimulator(Simulator):
             return self._replay(torch.tensor(values), segments, offsets).numpy()
 
     def _replay(self, values: "Tensor", segments: Segments, offsets: Any) -> "Tensor":
-        """(K, R, p), level after level: a segment of a chain goes on from where the one before it
-        ended.
-        """
+        """(K, R, p) level after level: a chained segment goes on where the one before it ended."""
         import torch
 
         starts = constant(segments.starts, values).expand(len(values), -1, -1)
@@ -65,18 +69,16 @@ class TorchSimulator(Simulator):
             before = segments.previous[level]
             if before[0] >= 0:
                 begin = torch.where(columns, begin, blocks[-1][:, place[before], -1])
-            blocks.append(self._level(values[:, None], begin, segments, level))
+            blocks.append(self._replay_level(values[:, None], begin, segments, level))
             place[level] = np.arange(len(level))
         order = np.argsort(np.concatenate(segments.levels))
         segment, step = segments.rows
         return torch.cat(blocks, dim=1)[:, order[segment], step]
 
-    def _level(
+    def _replay_level(
         self, values: "Tensor", states: "Tensor", segments: Segments, level: Any
     ) -> "Tensor":
-        """The states after every step (K, n, L, p) of segments without a predecessor among them;
-        each rests where it has ended.
-        """
+        """(K, n, L, p) the states after every step of one level; each rests where it has ended."""
         import torch
 
         actions = constant(segments.actions[level], values)
@@ -95,10 +97,30 @@ class TorchSimulator(Simulator):
         *,
         step: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
-        """The prediction (R, p) and its exact Jacobian (R, p, d): d equal draws, each with the
-        tangent of one parameter.
+        """Predict, and differentiate the prediction exactly by the parameters.
 
-        With a `step` given, central differences. Parameters, returns and errors as in the contract.
+        Parameters
+        ----------
+        values : (d,) array_like
+            Parameter vector at which to differentiate.
+        segments : Segments
+            What is replayed.
+        step : (d,) array_like, optional
+            Half widths of central differences, which are taken only where they are given.
+
+        Returns
+        -------
+        prediction : (R, p) array
+        jacobian : (R, p, d) array
+
+        Raises
+        ------
+        SimulationFailed
+            If the simulation diverges.
+
+        Notes
+        -----
+        d equal draws are replayed at once, each with the tangent of one parameter.
         """
         if step is not None:
             return super().linearize(values, segments, step=step)
@@ -110,10 +132,11 @@ class TorchSimulator(Simulator):
         draws = torch.tensor(np.tile(centre, (d, 1)))
         with torch.no_grad():
             replay = lambda given: self._replay(given, segments, None)
-            pushed: Any = torch.func.jvp(replay, (draws,), (torch.eye(d, dtype=torch.float64),))
-        prediction, slopes = pushed
+            tangents = torch.eye(d, dtype=torch.float64)
+            result: Any = torch.func.jvp(replay, (draws,), (tangents,))
+        prediction, jacobian = result
         self.steps += int(segments.lengths.sum()) * d * self.steps_per_action
         if not prediction.isfinite().all():
             failed = describe_failures(prediction.numpy(), draws.numpy(), self.space)
             raise SimulationFailed(failed)
-        return prediction[0].numpy(), np.moveaxis(slopes.numpy(), 0, -1)
+        return prediction[0].numpy(), np.moveaxis(jacobian.numpy(), 0, -1)

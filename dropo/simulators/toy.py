@@ -9,41 +9,57 @@ from dropo.simulators.function import ReplaySimulator
 
 
 class LinearSimulator(ReplaySimulator):
-    """o_{t+1} = o_t + M(a_t) xi: linear in the parameters, so every moment and every estimate has a
-    closed form.
+    """A simulator that is linear in its parameters: moments and estimates have closed forms.
 
-    matrices: (q, p, d); M(a) = sum_i a_i matrices[i]. Parameters are called "x0", "x1", ... with
-    bounds [low, high].
+    o_{t+1} = o_t + M(a_t) xi with M(a) = sum_i a_i matrices[i]. The parameters are called "x0",
+    "x1", ..., the signals "y0", "y1", ....
+
+    Parameters
+    ----------
+    matrices : (q, p, d) array
+        What each action adds to the observation, for a unit of each parameter.
+    low, high : float
+        The bounds of all parameters.
+
+    Raises
+    ------
+    BadArgument
+        If the matrices have another number of dimensions, or are not finite.
     """
 
     def __init__(self, matrices: Array, *, low: float = -10.0, high: float = 10.0):
         self.matrices = float_array("matrices", matrices, (None, None, None), "LinearSimulator")
         _, p, d = self.matrices.shape
-        super().__init__(
-            [Parameter(f"x{i}", low, high) for i in range(d)], [f"y{j}" for j in range(p)]
-        )
+        parameters = [Parameter(f"x{i}", low, high) for i in range(d)]
+        super().__init__(parameters, [f"y{j}" for j in range(p)])
 
     def _replay(self, value: Array, starts: Array, actions: Array) -> Array:
-        return starts[:, None] + np.cumsum(
-            np.einsum("nlq,qpd,d->nlp", actions, self.matrices, value), axis=1
-        )
+        steps = np.einsum("nlq,qpd,d->nlp", actions, self.matrices, value)
+        return starts[:, None] + np.cumsum(steps, axis=1)
 
 
 class SlidingBlock(ReplaySimulator):
-    """A block pushed along a line with viscous friction: m dv/dt = u - c v, solved exactly over a
-    control step.
+    """A block pushed along a line with viscous friction, solved exactly over a control step.
 
-    Observation (position [m], velocity [m/s]), action (force u [N]), parameters mass m [kg] and
-    damping c [N s/m].
+    m dv/dt = u - c v. Observation (position [m], velocity [m/s]), action (force u [N]), parameters
+    mass m [kg] and damping c [N s/m].
+
+    Parameters
+    ----------
+    dt : float
+        The control step [s].
+
+    Raises
+    ------
+    BadArgument
+        If `dt` is not positive.
     """
 
     def __init__(self, *, dt: float = 0.05):
         require(dt > 0, "dt", "positive [s]", dt, "SlidingBlock")
         self.dt = dt
-        super().__init__(
-            [Parameter("mass", 0.5, 4.0, "kg"), Parameter("damping", 0.1, 3.0, "N s/m")],
-            [Signal("position", "m"), Signal("velocity", "m/s")],
-        )
+        parameters = [Parameter("mass", 0.5, 4.0, "kg"), Parameter("damping", 0.1, 3.0, "N s/m")]
+        super().__init__(parameters, [Signal("position", "m"), Signal("velocity", "m/s")])
 
     def _replay(self, value: Array, starts: Array, actions: Array) -> Array:
         mass, damping = value
@@ -67,29 +83,42 @@ def simulate(
     noise_variance: Array | float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> Trajectories:
-    """Trajectories of a toy simulator, one a row of `values` (E, d), from start (p,) under actions
-    (E, T, q).
+    """Simulate trajectories of a toy simulator.
 
-    noise_variance: of Gaussian noise on the next observations alone, as in the thesis' noisy data;
-    group: the trajectory.
+    Parameters
+    ----------
+    simulator : ReplaySimulator
+        The simulator.
+    values : (E, d) array
+        The parameters of each trajectory.
+    actions : (E, T, q) array
+        The actions of each trajectory.
+    start : (p,) array
+        The first observation of all trajectories.
+    noise_variance : (p,) array or float
+        Variance of the Gaussian noise on the next observations alone, as in the thesis' noisy data.
+    rng : Generator, optional
+        Without one there is no noise.
+
+    Returns
+    -------
+    Trajectories
+        E T transitions, whose group is the trajectory.
     """
-    after = np.stack(
-        [
-            simulator._replay(v, start[None], a[None])[0]
-            for v, a in zip(values, actions, strict=True)
-        ]
-    )  # (E, T, p)
-    before = np.concatenate(
-        [np.broadcast_to(start, (len(after), 1, len(start))), after[:, :-1]], axis=1
-    )
+    replayed = []
+    for value, own in zip(values, actions, strict=True):
+        replayed.append(simulator._replay(value, start[None], own[None])[0])
+    after = np.stack(replayed)  # (E, T, p)
+    first = np.broadcast_to(start, (len(after), 1, len(start)))
+    before = np.concatenate([first, after[:, :-1]], axis=1)
     if rng is not None:
         after = after + np.sqrt(noise_variance) * rng.standard_normal(after.shape)
-    episodes, length, p = after.shape
-    ends = np.tile(np.arange(length) == length - 1, episodes)
+    episodes, steps, p = after.shape
+    ends = np.tile(np.arange(steps) == steps - 1, episodes)
     return Trajectories(
         before.reshape(-1, p),
-        actions.reshape(episodes * length, -1),
+        actions.reshape(episodes * steps, -1),
         after.reshape(-1, p),
         ends,
-        group=np.repeat(np.arange(episodes), length),
+        group=np.repeat(np.arange(episodes), steps),
     )

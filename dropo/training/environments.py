@@ -18,7 +18,7 @@ from dropo.core.services.registry import names
 from dropo.core.services.validation import Array, nearest, require
 from dropo.simulators.gymnasium import make_environment, observed_columns
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.warnings import quiet
+from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.binding import bind, declare
 from dropo.training.distributions import ParameterDistribution, Point
@@ -187,7 +187,7 @@ def _gymnasium_env(target: Target, steps: int | None, options: dict[str, Any]) -
             )
         return target
     make_environment(target, options).close()  # refuses with the nearest id
-    with quiet():
+    with suppress_mujoco_warnings():
         return gymnasium.make(target, max_episode_steps=steps, **options)
 
 

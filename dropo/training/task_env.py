@@ -66,7 +66,7 @@ class BatchedTaskEnv(BatchedEnv):
         self._rows = np.tile(problem.trajectories.observations[:1], (count, 1))
         self._age = np.zeros(count, dtype=np.int64)
         self.limits = self._limits()
-        self.observations = self.task.seen(self._rows, self.goals).shape[1]
+        self.observations = self.task.observations(self._rows, self.goals).shape[1]
 
     def _limits(self) -> Array:
         """Returns the limits (2, q) of the actions, infinite where an actuator has none."""
@@ -88,7 +88,7 @@ class BatchedTaskEnv(BatchedEnv):
     def _observe(self, ids: Ints) -> Array:
         """Measures the environments `ids` (m,) and returns what the policy observes (m, o)."""
         self._rows[ids] = self._measure_rows(ids, self.episodes.rows(ids))
-        return self.task.seen(self._rows[ids], self.goals[ids])
+        return self.task.observations(self._rows[ids], self.goals[ids])
 
     def _step(self, ids: Ints, actions: Array) -> Outcome:
         before = self.episodes.states(ids)
@@ -97,13 +97,13 @@ class BatchedTaskEnv(BatchedEnv):
         after = np.where(finite[:, None], self.episodes.states(ids), before)
         self._age[ids] += 1
         # rewards, without those of steps that diverged
-        alive = self.task.lives(after)
+        alive = self.task.are_alive(after)
         bonus = np.where(finite & alive, self.task.bonus, 0.0)
-        rewards = self.task.worth(before, actions, after, self.goals[ids])
+        rewards = self.task.rewards(before, actions, after, self.goals[ids])
         rewards = np.where(finite, rewards, 0.0) + bonus
         self._observe(ids[finite])
         return Outcome(
-            self.task.seen(self._rows[ids], self.goals[ids]),
+            self.task.observations(self._rows[ids], self.goals[ids]),
             rewards,
             bonus,
             terminated=finite & ~alive,

@@ -6,8 +6,7 @@ import pytest
 
 from dropo.cli.main import main
 from dropo.problems.file.writer import write_problem
-from dropo.problems.loading import load
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 SOME = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 

@@ -121,9 +121,9 @@ def test_a_task_travels_with_its_problem(trained, tmp_path):
     assert back.task.bonus == 0.5
     states = np.array([[0.3, 0.0], [9.0, 0.0]])
     np.testing.assert_allclose(
-        back.task.worth(states, np.zeros((2, 1)), states, np.zeros((2, 0))), [-0.25, -8.95]
+        back.task.rewards(states, np.zeros((2, 1)), states, np.zeros((2, 0))), [-0.25, -8.95]
     )
-    assert back.task.lives(states).tolist() == [True, False]
+    assert back.task.are_alive(states).tolist() == [True, False]
     starts = back.task.starts(np.random.default_rng(0), 50)
     data = load(trained).trajectories
     assert {tuple(row) for row in starts} == {

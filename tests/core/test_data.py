@@ -88,7 +88,7 @@ def test_every_step():
 
 
 def test_start_mode():
-    """One segment a trajectory, every step compared; behind a shorter one -1, and its last action."""
+    """One segment a trajectory, every step compared; a shorter one ends with -1 and its action."""
     segments = trajectories(3, 1).segments(reset="start")
     np.testing.assert_array_equal(segments.steps, [[0, 1, 2], [3, -1, -1]])
     np.testing.assert_array_equal(segments.lengths, [3, 1])
@@ -142,9 +142,7 @@ def test_some_of_the_rows():
     np.testing.assert_array_equal(kept.group, [0, 0, 1, 2, 2, 2])
     with pytest.raises(BadArgument, match="'rows' of Trajectories must be at least one"):
         data.select([3])
-    with pytest.raises(
-        BadArgument, match=r"'transitions' of Trajectories.first must be at least 1"
-    ):
+    with pytest.raises(BadArgument, match=r"'transitions' of Trajectories.head must be at least 1"):
         data.head(0)
 
 
@@ -215,7 +213,8 @@ def test_segments_that_cannot_be_cut_are_refused():
         data.segments(0)
     with pytest.raises(
         BadArgument,
-        match=r"lambda = 6 is longer than trajectory 0, which has 5 transitions. Choose a smaller lambda",
+        match=r"lambda = 6 is longer than trajectory 0, which has 5 transitions. "
+        r"Choose a smaller lambda",
     ):
         data.segments(6)
     with pytest.raises(

@@ -4,7 +4,10 @@ those that do.
 
 import numpy as np
 
-from dropo.core.numerics.diverged_simulations import BEYOND, HOPELESS, flat, ranges, settled
+from dropo.core.numerics.diverged_simulations import ExplosionSettings, flat, ranges, settled
+
+SETTINGS = ExplosionSettings()
+LARGEST = SETTINGS.largest_error
 
 TARGETS = np.stack(
     [np.linspace(-1.0, 1.0, 21), np.full(21, 0.3), 1e-17 * np.arange(21), 1e-9 * np.arange(21)],
@@ -33,7 +36,7 @@ def test_an_explosion_is_left_out():
     explosion.
     """
     found = settled(
-        predictions(0.0, 0.9 * BEYOND, 1.1 * BEYOND, 1e20, np.nan), TARGETS, ranges(TARGETS)
+        predictions(0.0, 0.9 * LARGEST, 1.1 * LARGEST, 1e20, np.nan), TARGETS, ranges(TARGETS)
     )
     np.testing.assert_array_equal(found, [True, True, False, False, False])
 
@@ -46,9 +49,9 @@ def test_a_model_that_is_wrong_everywhere_has_not_exploded():
     reach = ranges(TARGETS)
     given[:, :, 0] += 1e3
     assert settled(given, TARGETS, reach).all()
-    given[0, 3, 0] += 2 * BEYOND * 1e3
+    given[0, 3, 0] += 2 * LARGEST * 1e3
     np.testing.assert_array_equal(settled(given, TARGETS, reach), [False, True, True, True, True])
-    given[:, :, 0] += 2 * HOPELESS
+    given[:, :, 0] += 2 * SETTINGS.largest_typical_error
     assert not settled(given, TARGETS, reach).any()
 
 

@@ -39,7 +39,7 @@ from dropo.core.records.search_records import (
     ParticlePosterior,
     ReturnSearch,
 )
-from tests.training.cart import fit_of
+from tests.models.cart_task import fit_of
 
 SPACE = ParameterSpace((Parameter("a", 0.0, 1.0, "kg"), Parameter("b", 0.0, 2.0)))
 RNG = np.random.default_rng(0)

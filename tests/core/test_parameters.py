@@ -63,7 +63,7 @@ def test_what_is_physically_possible_by_default(low, lower):
 
 
 def test_vectors_from_names():
-    """Values by name come in the space's order; a typo gets the nearest name, an omission is named."""
+    """Values by name come in the space's order; a typo gets the nearest name, a gap is named."""
     space = ParameterSpace((Parameter("mass", 1.0, 4.0), Parameter("damping", 0.1, 1.0)))
     np.testing.assert_array_equal(space.vector({"damping": 0.5, "mass": 2.0}), [2.0, 0.5])
     assert space["damping"] == space[1]

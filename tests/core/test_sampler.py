@@ -86,7 +86,7 @@ def test_r_hat_by_hand():
 def test_walkers_that_do_not_mix_have_a_long_time():
     rng = np.random.default_rng(4)
     x = rng.standard_normal((500, 10)) + 10 * np.arange(10)
-    assert draws(x).autocorrelation_time(least=0)[0] > 100
+    assert draws(x).autocorrelation_time(minimum=0)[0] > 100
 
 
 def test_constant_draws_are_no_independent_draws():
@@ -102,7 +102,7 @@ def test_too_short_a_chain_raises_with_its_estimate():
         ChainTooShort, match=r"200 steps are fewer than 50 autocorrelation times of 'x0'"
     ) as caught:
         short.autocorrelation_time()
-    assert caught.value.estimate == pytest.approx(short.autocorrelation_time(least=0))
+    assert caught.value.estimate == pytest.approx(short.autocorrelation_time(minimum=0))
     assert 8 < caught.value.estimate[0] < 30  # 19 in truth
 
 

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from dropo.core.numerics.dependence import (
-    MANY,
     Units,
     independent,
     long_run,
-    units_of,
     variance_of_sum,
 )
 from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.records.independent_units import MANY, units_of
 from dropo.core.records.trajectories import Trajectories
 
 

@@ -13,7 +13,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
 from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.diagnosis.arms import UPPER, problem
+from tests.models.hidden_in_arm import UPPER, problem
 
 SOME = (
     "joint_damping",
@@ -135,7 +135,7 @@ def test_same_answer_on_any_number_of_threads():
     one = problem([("joint_damping:elbow", [0.02])])
     two = problem([("joint_damping:elbow", [0.02])])
     two.simulator.threads = 2
-    two.simulator._hire()
+    two.simulator._start_threads()
     found = [
         Diagnose(("joint_damping", "joint_friction"), windows=40).run(p).to_json()
         for p in (one, two)
@@ -164,7 +164,7 @@ def test_data_without_noise():
 
 
 def test_masses_fitted_at_the_same_time():
-    """A declared mass that is off by a fifth is fitted, and the damping hidden beside it is named."""
+    """A declared mass off by a fifth is fitted, and the damping hidden beside it is named."""
     found = FAST.run(problem([("joint_damping:elbow", [0.05])], parameters=[UPPER], truth=[1.2]))
     assert [(c.effect, c.target) for c in found.causes] == [("joint_damping", "elbow")]
     assert found.causes[0].estimate["damping"].value == pytest.approx(0.05, rel=0.05)
@@ -206,7 +206,7 @@ def test_white_torque_noise_is_said_to_be_forces():
 
 
 def test_true_cause_left_out_of_the_search():
-    """What is named instead is not all: the verdict says so, or that it only acts like the cause."""
+    """What is named instead is not all: the verdict says so, or that it acts like the cause."""
     found = Diagnose([e for e in SOME if e != "joint_friction"], windows=48).run(
         problem([("joint_friction:elbow", [0.15])])
     )
@@ -214,7 +214,7 @@ def test_true_cause_left_out_of_the_search():
 
 
 def test_delay_stands_for_sensors_too():
-    """A delay of all commands and one of all sensors are the same in recorded data, and it is said."""
+    """Delays of all commands and of all sensors are the same in recorded data; it says so."""
     found = FAST.run(problem([("actuator_delay", [0.01])]))
     assert (found.causes[0].effect, found.causes[0].target) == ("actuator_delay", None)
     assert found.causes[0].estimate["delay"].value == pytest.approx(0.01, rel=0.02)
@@ -267,7 +267,8 @@ def test_unfit_data_are_refused():
 def test_diverging_model_is_refused():
     """A spring far too stiff for its time step."""
     xml = """<mujoco><option timestep="0.05" integrator="Euler"/><worldbody><body>
-      <joint name="j" type="slide" axis="1 0 0" stiffness="1e9"/><geom size="0.1" mass="1"/></body></worldbody>
+      <joint name="j" type="slide" axis="1 0 0" stiffness="1e9"/>
+      <geom size="0.1" mass="1"/></body></worldbody>
       <actuator><motor joint="j"/></actuator></mujoco>"""
     simulator = MujocoSimulator(mujoco.MjSpec.from_string(xml), [], frame_skip=20, threads=1)
     rng = np.random.default_rng(0)

@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dropo.diagnosis.findings.experiment import LENGTH, _candidates, _commands, experiment
+from dropo.diagnosis.findings.experiment import SETTINGS, _candidates, _commands, experiment
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.windows import split
 from dropo.evaluation.open_loop import open_loop
-from tests.diagnosis.arms import instance, problem
+from tests.models.hidden_in_arm import instance, problem
 
 SIGMA = 3e-3
 PAIR = ("actuator_lag:shoulder_motor", "actuator_delay:shoulder_motor")
@@ -36,7 +36,7 @@ def test_it_tells_more_than_the_data_do(lagging):
     found = experiment(library, state, *library.instances, np.array([0.002]))
     assert found.nats > 5 * found.now
     assert found.seconds == pytest.approx(
-        np.ceil(10 / found.nats * LENGTH) * library.simulator.control_step
+        np.ceil(10 / found.nats * SETTINGS.length) * library.simulator.control_step
     )
     assert "shoulder" in str(found) or "all actuators" in str(found)
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from dropo import Diagnose
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 SOME = (
     "joint_damping",
@@ -70,6 +70,24 @@ def test_a_true_cause_has_one_size_and_a_proxy_has_not(damped, proxy):
         np.testing.assert_array_less(np.abs(np.array(one.size) - 1), 4.5 * np.array(one.error))
     assert proxy.causes[0].effect == "joint_friction"
     assert next(one.p_value for one in proxy.figures.sizes if one.variable == "|qvel.elbow|") < 0.01
+
+
+@pytest.mark.parametrize(
+    ("label", "axis"),
+    [
+        ("actuator_gain:elbow_motor", "the command of elbow_motor"),
+        ("actuator_lag:elbow_motor", "the change of the command of elbow_motor"),
+        ("joint_damping:elbow", "qvel.elbow"),
+    ],
+)
+def test_own_axis_is_one_of_the_regimes(label, axis):
+    """The variable that an effect acts on goes by the same name wherever it is looked up."""
+    arm = problem([])
+    effect = instance(arm.simulator, label)
+    library = Library(arm.simulator.with_effects([effect]), [effect], 0)
+    windows = split(arm, 5, 24)[0]
+    assert own_axis(library, effect) == axis
+    assert axis in regimes(windows, library)
 
 
 def test_forces_fall_where_the_cause_is(damped):

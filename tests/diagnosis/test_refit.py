@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dropo.diagnosis.findings.causes import standard_errors
-from dropo.diagnosis.search.linearization import Library, linearize, noise_of
+from dropo.diagnosis.search.linearization import Library, estimate_noise, linearize
 from dropo.diagnosis.search.refit import DEFAULTS, RefitSettings, refit
 from dropo.diagnosis.search.windows import split
-from tests.diagnosis import arms
+from tests.models import hidden_in_arm as arms
 
 TRUE = {"contact_stiffness.margin": -0.001, "body_mass:foot": -0.2, "body_inertia:foot": -0.1}
 
@@ -29,7 +29,7 @@ def fitted(off, settings=DEFAULTS):
     train = split(problem, 5, 96)[0]
     floor = np.full(len(problem.simulator.signals), 1e-6)
     begun = linearize(library, train, np.concatenate([declared, (1 + off) * truth]), 1e3 * floor)
-    begun = linearize(library, train, begun.theta, noise_of(begun, begun.whiten.sigma, floor))
+    begun = linearize(library, train, begun.theta, estimate_noise(begun, begun.whiten.sigma, floor))
     found = refit(library, begun, free, floor, settings=settings)
     return library, found, free, found.theta[free] - truth
 

@@ -12,7 +12,7 @@ from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.review import ambiguity, review
 from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
 from dropo.diagnosis.search.selection import Round, commonest_first, confirmed, gain_of
-from tests.diagnosis.toy import instances, measured, selection
+from tests.models.linear_mass import instances, measured, selection
 
 SIZES = {
     "damping": 0.05,
@@ -70,15 +70,15 @@ def test_trials_that_a_wrong_noise_holds_up_are_fitted_to_the_end(monkeypatch, s
     """
     search, first = selection(measured({"damping": size}))
     assert search.step(first, instances(), first).accepted[0].effect == "damping"
-    tried = search.tried
+    tried = search.try_candidates
     trials = []
     monkeypatch.setattr(
-        search, "tried", lambda *asked: trials.extend(more := tried(*asked)) or more
+        search, "try_candidates", lambda *asked: trials.extend(more := tried(*asked)) or more
     )
     as_they_are = lambda after: any(trial.state.test is after for trial in trials)
     monkeypatch.setattr(
-        "dropo.diagnosis.search.selection.confirmed",
-        lambda *asked: not as_they_are(asked[1]) and confirmed(*asked),
+        "dropo.diagnosis.search.selection.is_confirmed",
+        lambda *asked: not as_they_are(asked[1]) and is_confirmed(*asked),
     )
     last = search.step(first, instances(), first)
     assert (last is not None) == found
@@ -97,14 +97,14 @@ def test_noise_is_learned():
 
 
 def added(search, state, effect):
-    """The state with one more effect, whether it is the best or not, and the round that it is of."""
+    """The state with one more effect, whether it is the best or not."""
     screened = search.screening(state.train, state.free, instances())
     chosen = [
         c
         for c in screened
         if c.instance.effect in (effect, "damping") and c.instance not in state.accepted
     ]
-    search.rounds.append(origin := Round(state, screened, search.tried(state, chosen)))
+    search.rounds.append(origin := Round(state, screened, search.try_candidates(state, chosen)))
     trial = next(t for t in origin.trials if t.candidate.instance.effect == effect)
     search.origins[trial.candidate.instance.label] = origin
     return search.polish(trial.state)
@@ -162,9 +162,9 @@ def test_what_acts_seldom_is_confirmed_where_no_window_loses():
             log_likelihood=np.concatenate([gains, np.zeros(96 - len(gains))]), windows=windows
         )
 
-    assert confirmed(after(), after(*[80.0] * 6), 10.0)
-    assert not confirmed(after(), after(*[80.0] * 6, -80.0), 10.0)
-    assert not confirmed(after(), after(*[80.0] * 4), 10.0)
+    assert is_confirmed(after(), after(*[80.0] * 6), 10.0)
+    assert not is_confirmed(after(), after(*[80.0] * 6, -80.0), 10.0)
+    assert not is_confirmed(after(), after(*[80.0] * 4), 10.0)
 
 
 @pytest.mark.parametrize(("hidden", "constant"), [("damping", True), ("friction", False)])
@@ -226,7 +226,7 @@ def test_fewer_numbers_where_windows_held_out_do_not_tell(better, first):
     trial = lambda numbers, gain: SimpleNamespace(
         candidate=SimpleNamespace(signature=np.eye(2)[numbers - 1], instance=instances()[numbers]),
         sizes=np.ones(numbers),
-        worth=gain,
+        penalized_gain=gain,
         state=SimpleNamespace(test=linearize(gain)),
     )
     trials = commonest_first([trial(2, 100 + better), trial(1, 100.0)])

@@ -6,7 +6,7 @@ import pytest
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadArgument
 from dropo.diagnosis.search.windows import split
-from tests.diagnosis.toy import Mass, measured
+from tests.models.linear_mass import Mass, measured
 
 
 def rows(windows):

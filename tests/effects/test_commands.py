@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.effects.robots import ARM, CART, ROBOTS
 from tests.effects.test_physics import instance, predicted, same
+from tests.models.robots import ARM, CART, ROBOTS
 from tests.reference import effects as slow
 
 STEP = 0.004
@@ -85,7 +85,7 @@ def test_all_together():
 
 
 def test_coupling():
-    """A share of the clamped motor command reaches the servo."""
+    """A fraction of the clamped motor command also acts on the servo."""
     robot = arm()
     model = mujoco.MjModel.from_xml_string(ARM)
     model.actuator_ctrllimited[:] = 0

@@ -1,4 +1,4 @@
-"""Every effect at every place of several robots keeps to the contract, and is seen where it can be."""
+"""Every effect at every place of several robots keeps to the contract, and is seen if possible."""
 
 import pickle
 import re
@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.services.registry import find, names
 from dropo.testing import check_effect
-from tests.effects.robots import ROBOTS
+from tests.models.robots import ROBOTS
 
 # what cannot be seen: a plane's third direction, contacts that do not come about, forces that a
 # joint holds
@@ -35,7 +35,7 @@ def robot(name):
 
 @pytest.fixture(scope="module")
 def instances(robot):
-    """All its atoms."""
+    """All instances of the effect."""
     return [
         instance
         for effect in names("effects")
@@ -52,7 +52,7 @@ def test_contract(robot, effect):
 
 
 def largest(simulator, instances):
-    """(K, d) for each atom its first and last trial, all else 0."""
+    """(K, d) for each instance its first and last trial, all else 0."""
     rows = []
     place = len(simulator.space) - sum(len(instance.quantities) for instance in instances)
     for instance in instances:
@@ -64,7 +64,7 @@ def largest(simulator, instances):
 
 
 def test_seen_where_they_can_be(name, robot, instances):
-    """Of each atom a trial changes the predictions, but for those that nothing can show on this
+    """Of each instance a trial changes the predictions, but for those that nothing can show on this
     robot.
     """
     labels = [instance.label for instance in instances]

@@ -8,9 +8,8 @@ from dropo.core.contracts.time_profile import place_in_data
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.problems.file.writer import write_problem
-from dropo.problems.loading import load
-from tests.effects.robots import ROBOTS
 from tests.effects.test_physics import instance
+from tests.models.robots import ROBOTS
 
 PAYLOAD = "parameter_drift:body_mass:upper"
 
@@ -55,7 +54,7 @@ def base(robot):
 
 
 def test_ramp():
-    """In each tenth of the data its own share of the size, from nothing to everything."""
+    """In each tenth of the data its own fraction of the magnitude, from nothing to everything."""
     robot = arm()
     found = under(robot, f"{PAYLOAD}.ramp", 0.4)
     for row in range(18):
@@ -73,15 +72,15 @@ def test_declared_parameter():
     values = np.stack([robot.simulator.nominal, robot.simulator.nominal + 0.3])
     before, after = robot.simulator.predict(values, robot.data.segments())
     np.testing.assert_array_equal(found, np.vstack([before[:9], after[9:]]))
-    least = robot.simulator.space[0].lower
-    lightest = robot.simulator.predict(np.array([[least]]), robot.data.segments())[0]
+    lower = robot.simulator.space[0].lower
+    lightest = robot.simulator.predict(np.array([[lower]]), robot.data.segments())[0]
     assert np.array_equal(
         under(robot, "parameter_drift:lower_mass.from", -0.8, -0.45)[9:], lightest[9:]
     )
 
 
 def test_moment_is_a_parameter():
-    """Size and moment are found as numbers of the simulator, a draw each."""
+    """Magnitude and moment are found as numbers of the simulator, a draw each."""
     robot = arm()
     free = robot.simulator.with_effects([instance(robot, f"{PAYLOAD}.from")])
     values = np.column_stack(

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from dropo.core.services.registry import find, names
-from tests.effects.robots import ROBOTS
+from tests.models.robots import ROBOTS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text()
 
@@ -26,7 +26,7 @@ def test_every_effect_has_a_row():
 
 
 def test_quantities_and_layers_are_named():
-    """Every quantity and every hook of every atom on all robots stands in its effect's row."""
+    """Every quantity and every hook of every instance on all robots stands in its effect's row."""
     hooks = (
         "start",
         "command",

@@ -9,14 +9,14 @@ import pytest
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.effects.robots import ARM, CART, CUBE, ROBOTS, STRANGE
+from tests.models.robots import ARM, CART, CUBE, ROBOTS, STRANGE
 from tests.reference.effects import replay
 
 XML = {"arm": ARM, "cube": CUBE, "cart": CART, "strange": STRANGE}
 
 
 def instance(robot, label):
-    """The atom of that label."""
+    """The instance of that label."""
     found = {
         a.label: a
         for a in find("effects", label.split(":")[0].split(".")[0])(robot.simulator.effect_context)
@@ -39,7 +39,7 @@ def predicted(robot, label, *magnitudes):
     return found
 
 
-def seen(robot, states):
+def observed(robot, states):
     """States (R, nq + nv) as the signals of the simulator."""
     extra = np.zeros((len(states), len(robot.simulator.layout) - states.shape[1]))
     return robot.simulator.layout.coordinates(np.hstack([states, extra]), robot.segments.targets)[
@@ -50,7 +50,7 @@ def seen(robot, states):
 def same(robot, found, states):
     """Whether predictions are those of a twin, to rounding."""
     np.testing.assert_allclose(
-        found[:, : robot.simulator.model.nv * 2], seen(robot, states), rtol=1e-7, atol=1e-9
+        found[:, : robot.simulator.model.nv * 2], observed(robot, states), rtol=1e-7, atol=1e-9
     )
 
 

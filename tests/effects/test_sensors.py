@@ -8,8 +8,8 @@ import pytest
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.mjmodel.observation import exponential, multiply
-from tests.effects.robots import ARM, ROBOTS
 from tests.effects.test_physics import instance, predicted, same
+from tests.models.robots import ARM, ROBOTS
 from tests.reference.effects import replay
 
 
@@ -37,13 +37,15 @@ def test_gain():
 def recorded(robot, simulated, turn):
     """Data as a sensor gives them that is turned by a rotation vector."""
 
-    def seen(rows):
+    def measured(rows):
         out = rows.copy()
         out[:, 3:7] = multiply(rows[:, 3:7], exponential(np.broadcast_to(turn, (len(rows), 3))))
         return out
 
     true = robot.data.observations
-    return Trajectories(seen(true), robot.data.actions, seen(simulated), robot.data.terminals)
+    return Trajectories(
+        measured(true), robot.data.actions, measured(simulated), robot.data.terminals
+    )
 
 
 def stepped(robot):
@@ -74,7 +76,7 @@ def test_bias_of_an_orientation():
 
 
 def delayed(robot, column, steps):
-    """States after every control step, with one column seen so many physics steps late; starts
+    """States after every control step, with one column measured so many physics steps late; starts
     moved on by what they then lag.
     """
     skip = robot.simulator.frame_skip
@@ -151,7 +153,7 @@ def test_doubt_of_late_starts(delay, longer):
         (), [(instance(robot, "sensor_delay:qvel.elbow"), np.array([delay]))]
     )
     found = late.extra_start_sd(np.zeros(0), robot.segments)
-    for first, doubt in zip(robot.segments.steps[:, 0], found, strict=True):
+    for first, sd in zip(robot.segments.steps[:, 0], found, strict=True):
         begin, end = next(span for span in robot.data.spans if span[0] <= first < span[1])
         signal = np.append(
             robot.data.observations[begin:end, 3], robot.data.next_observations[end - 1, 3]
@@ -163,6 +165,6 @@ def test_doubt_of_late_starts(delay, longer):
         wanted = (
             longer * 0.5 * delay / robot.simulator.control_step * np.sqrt(np.mean(np.square(bends)))
         )
-        np.testing.assert_allclose(doubt, [0, 0, 0, wanted], rtol=1e-9)
+        np.testing.assert_allclose(sd, [0, 0, 0, wanted], rtol=1e-9)
     assert found[:, 3].min() > 0
     assert not robot.simulator.extra_start_sd(np.zeros(0), robot.segments).any()

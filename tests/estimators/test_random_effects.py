@@ -167,7 +167,7 @@ def p_values(rng, sd):
     tests = variance_component_tests(
         objective, TWO.space.names, phi, rng.spawn(1)[0], VarianceTestSettings(draws=300)
     )
-    return [tests["p_value"], *(test["p_value"] for test in tests["parameters"].values())]
+    return [tests.overall.p_value, *(test.p_value for test in tests.parameters.values())]
 
 
 def test_groups_that_do_not_differ_are_found_to_do_so_in_one_of_twenty():

@@ -69,7 +69,7 @@ def test_few_units_give_wide_intervals():
     there is no interval.
     """
     fit = LeastSquares().fit(pushes(0, count=20))
-    assert fit.degrees.tolist() == [19.0, 19.0]
+    assert fit.degrees_of_freedom.tolist() == [19.0, 19.0]
     np.testing.assert_allclose(
         fit.interval(),
         np.stack([fit.mean - 2.0930 * fit.mean_se, fit.mean + 2.0930 * fit.mean_se], 1),
@@ -87,7 +87,10 @@ def test_few_units_give_wide_intervals():
 def test_an_interval_ends_where_the_search_does():
     """A standard error of 1 around 0.6 kg, searched from 0.5 to 4 kg: from 0.5 kg."""
     fit = replace(
-        fitted("point"), mean=np.array([0.6, 0.8]), mean_se=np.array([1.0, 0.01]), degrees=None
+        fitted("point"),
+        mean=np.array([0.6, 0.8]),
+        mean_se=np.array([1.0, 0.01]),
+        degrees_of_freedom=None,
     )
     np.testing.assert_allclose(fit.interval()[0], [0.5, 0.6 + 1.959964], rtol=1e-6)
 
@@ -96,7 +99,7 @@ def test_one_trajectory_is_looked_along():
     """One push of 400 steps has standard errors and an interval for each parameter."""
     fit = LeastSquares().fit(long_push())
     assert np.isfinite(fit.interval()).all()
-    assert (fit.degrees < 400).all()
+    assert (fit.degrees_of_freedom < 400).all()
 
 
 def long_push():

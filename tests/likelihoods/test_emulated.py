@@ -11,8 +11,8 @@ import pytest
 import scipy.optimize
 from scipy import integrate, stats
 
-from dropo.core.contracts.fisher_scoring import maximize_locally
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.fisher_scoring import FisherScoringSettings, maximize_locally
+from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.standard_distributions import NORMAL, TRUNCATED_NORMAL, UNIFORM
@@ -819,4 +819,6 @@ def test_eight_schools_have_a_certified_spread_of_zero():
 
 def test_scoring_without_rounds_says_so():
     problem, _ = PROBLEMS["logistic, inside"]()
-    assert not maximize_locally(problem, np.full(3, 4.0), rounds=2).converged
+    assert not maximize_locally(
+        problem, np.full(3, 4.0), FisherScoringSettings(evaluations=2)
+    ).converged

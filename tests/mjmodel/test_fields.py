@@ -1,4 +1,4 @@
-"""Any number of a model as a parameter: where it is written, what follows it, and what is refused."""
+"""Any number of a model as a parameter: where it is written, what follows, what is refused."""
 
 import mujoco
 import numpy as np
@@ -7,8 +7,8 @@ import pytest
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.mjmodel.fields import Binding, FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
+from tests.models.cases import BALL, BOX, CART, CASES, PENDULUM, VALVE, mass, places
 from tests.reference.stepping import load, replay_one_by_one
-from tests.simulators.models import BALL, BOX, CART, CASES, PENDULUM, VALVE, mass, places
 
 
 def model_of(xml):
@@ -165,7 +165,7 @@ def test_derived_and_kept_parameters_together():
     ],
 )
 def test_a_field_is_the_same_as_another_file(chosen, value, old, new):
-    """A number set by its field moves the pendulum as an MJCF does that says so; the time step too."""
+    """A number set by its field moves the pendulum as one in the MJCF does; the time step too."""
     simulator = simulator_of(PENDULUM, [chosen])
     segments = CASES["pendulum"].segments("every step")
     other = PENDULUM.replace(old, new)
@@ -245,7 +245,8 @@ def test_a_parameter_of_every_kind_at_once():
         (
             parameter("body_mass"),
             BadArgument,
-            r"The field 'body_mass' of parameter 'x' needs the name of a body. There is box, flap, world.",
+            r"The field 'body_mass' of parameter 'x' needs the name of a "
+            r"body. There is box, flap, world.",
         ),
         (
             parameter("geom_friction", "shell"),
@@ -260,31 +261,36 @@ def test_a_parameter_of_every_kind_at_once():
         (
             parameter("geom_friction", "shell", index=3),
             BadArgument,
-            r"The index of parameter 'x' must be 0 to 2, the field 'geom_friction' has 3 numbers there. Got 3.",
+            r"The index of parameter 'x' must be 0 to 2, the field "
+            r"'geom_friction' has 3 numbers there. Got 3.",
         ),
         (
             parameter("geom_friction", "shell", index=-1),
             BadArgument,
-            r"The index of parameter 'x' must be 0 to 2, the field 'geom_friction' has 3 numbers there. Got -1.",
+            r"The index of parameter 'x' must be 0 to 2, the field "
+            r"'geom_friction' has 3 numbers there. Got -1.",
         ),
         (
             parameter("body_mass", "box", index=1),
             BadArgument,
-            r"The index of parameter 'x' must be 0 to 0, the field 'body_mass' has 1 numbers there. Got 1.",
+            r"The index of parameter 'x' must be 0 to 0, the field "
+            r"'body_mass' has 1 numbers there. Got 1.",
         ),
         (
             parameter("gravity", "box", index=2),
             BadArgument,
-            r"The field 'gravity' of parameter 'x' has no named elements, and the name 'box' was given.",
+            r"The field 'gravity' of parameter 'x' has no named "
+            r"elements, and the name 'box' was given.",
         ),
         (
             parameter("timestep", index=1),
             BadArgument,
-            r"The index of parameter 'x' must be 0 to 0, the field 'timestep' has 1 numbers there. Got 1.",
+            r"The index of parameter 'x' must be 0 to 0, the field "
+            r"'timestep' has 1 numbers there. Got 1.",
         ),
     ],
 )
 def test_refusals(chosen, error, words):
-    """The message names the parameter, its field and the nearest valid name or the allowed range."""
+    """The message names the parameter, its field, and the nearest valid name or allowed range."""
     with pytest.raises(error, match=f"^{words}$"):
         Binding(chosen, model_of(BOX))

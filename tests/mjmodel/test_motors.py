@@ -1,4 +1,4 @@
-"""Motors from the library end up as the numbers of their joint; servo gains are one parameter each."""
+"""Motors from the library become numbers of their joint; servo gains are one parameter each."""
 
 import json
 
@@ -15,7 +15,8 @@ from dropo.problems.loading import load
 XML = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
 <body pos="0 0 -1"><joint name="ball" type="ball"/><geom size="0.1"/></body></body></worldbody>
-<actuator><motor name="drive" joint="hinge" gear="2"/><position name="servo" joint="hinge" kp="20" kv="3"/>
+<actuator><motor name="drive" joint="hinge" gear="2"/>
+  <position name="servo" joint="hinge" kp="20" kv="3"/>
 <velocity name="speed" joint="hinge" kv="4"/></actuator></mujoco>"""
 
 
@@ -96,7 +97,10 @@ def test_a_problem_file_names_motors(tmp_path):
         next_observations=data.next_observations,
         terminals=data.terminals,
     )
-    text = "model: robot.xml\ndata: data.npz\nmotors: {hinge: MOTOR}\nparameters: {kp: {field: actuator_kp, name: servo, low: 5, high: 60}}\n"
+    text = (
+        "model: robot.xml\ndata: data.npz\nmotors: {hinge: MOTOR}\nparameters: {kp: {field: "
+        "actuator_kp, name: servo, low: 5, high: 60}}\n"
+    )
     path = tmp_path / "problem.yaml"
     path.write_text(text.replace("MOTOR", "ak80-6"))
     simulator = load(path, threads=1).simulator
@@ -119,7 +123,7 @@ def test_a_problem_file_names_motors(tmp_path):
 
 
 def test_a_library_of_ones_own(tmp_path):
-    """A JSON file of the same form; numbers that cannot be and joints that do not turn are refused."""
+    """A JSON file of the same form; impossible numbers and joints that do not turn are refused."""
     path = tmp_path / "mine.json"
     path.write_text(json.dumps({"big": {"gear_ratio": 50, "rotor_inertia": 1e-4}}))
     assert read_motors(path)["big"].armature == pytest.approx(0.25)

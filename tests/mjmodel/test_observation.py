@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.mjmodel.observation import Layout, exponential, logarithm, multiply
-from tests.simulators.models import BALL, BOX, CART, SENSED, VALVE
+from tests.models.cases import BALL, BOX, CART, SENSED, VALVE
 
 
 def layout(xml, items):
@@ -17,11 +17,11 @@ def layout(xml, items):
     return model, Layout(model, items)
 
 
-def rotations(n, rng, most=3.1):
-    """(n, 3) rotation vectors of lengths up to `most`, some tiny and some zero."""
+def rotations(n, rng, longest=3.1):
+    """(n, 3) rotation vectors of lengths up to `longest`, some tiny and some zero."""
     directions = rng.normal(size=(n, 3))
     lengths = (
-        rng.uniform(0, most, n)
+        rng.uniform(0, longest, n)
         * np.where(np.arange(n) % 5 == 0, 1e-12, 1.0)
         * (np.arange(n) % 7 > 0)
     )
@@ -161,7 +161,10 @@ def test_partial_columns_by_item():
     )
 
 
-WHOLE = r"The observation must hold all four numbers of the quaternion at qpos\[0:4\], in order, or none."
+WHOLE = (
+    r"The observation must hold all four numbers of the quaternion "
+    r"at qpos\[0:4\], in order, or none."
+)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +198,8 @@ WHOLE = r"The observation must hold all four numbers of the quaternion at qpos\[
             CART,
             ["qpos(1)"],
             BadArgument,
-            r"The item 'qpos\(1\)' must be a field, with a slice or an element's name, such as 'qpos\[1:\]' or 'qpos.thigh_joint'.",
+            r"The item 'qpos\(1\)' must be a field, with a slice or an element's name, "
+            r"such as 'qpos\[1:\]' or 'qpos.thigh_joint'.",
         ),
         (VALVE, ["act.direct"], UnknownName, r"No element of act called 'direct'. There is lag."),
     ],

@@ -12,12 +12,12 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from dropo.logs.model_joints import load_machine
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dropo.core.services.errors import InvalidInput
 from dropo.logs.mapping import read_mapping
+from dropo.mjmodel.joints import load_model_joints
 from dropo.problems.file.reader import read_inputs
 from dropo.problems.loading import load
 
@@ -277,7 +277,10 @@ def test_the_files_without_a_change_are_read(folder: Path) -> None:
             "".join(f"{emit(key)}: {emit(value)}\n" for key, value in content.items())
         )
     assert len(load(folder / "problem.yaml", threads=1).trajectories) == 15
-    assert len(read_mapping(folder / "map.yaml", load_machine(folder / "robot.xml")).channels) == 5
+    assert (
+        len(read_mapping(folder / "map.yaml", load_model_joints(folder / "robot.xml")).channels)
+        == 5
+    )
 
 
 def refusal(read: Callable[[], object]) -> str | None:
@@ -307,7 +310,7 @@ def test_mapping_files(folder: Path, data: bytes) -> None:
     """Likewise."""
     path = folder / "map.yaml"
     path.write_bytes(data)
-    machine = load_machine(folder / "robot.xml")
+    machine = load_model_joints(folder / "robot.xml")
     message = refusal(lambda: read_mapping(path, machine))
     assert message is None or str(path) in message
     assert len(message or "") < 10_000

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dropo.problems.simulated.recording import record
-from dropo.problems.simulated.robots import simulated_robot
-from tests.diagnosis.arms import instance
+from dropo.problems.simulated.robots import machine
+from tests.models.hidden_in_arm import instance
 
 ARM = simulated_robot("torque-arm")
 STEPS = 20

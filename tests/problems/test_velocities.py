@@ -6,8 +6,8 @@ import pytest
 from dropo import load
 from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.estimators.least_squares import LeastSquares
-from tests.diagnosis.arms import UPPER
-from tests.diagnosis.arms import problem as arm_problem
+from tests.models.hidden_in_arm import UPPER
+from tests.models.hidden_in_arm import problem as arm_problem
 
 MODEL = """<mujoco><option timestep="0.005" integrator="RK4"/>
 <worldbody><body name="arm"><joint name="pivot" axis="0 1 0" damping="0.002"/>

@@ -14,7 +14,7 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
 from dropo.problems.simulated.slide import slide
-from tests.diagnosis.arms import UPPER, instance, problem
+from tests.models.hidden_in_arm import UPPER, instance, problem
 
 DIGITS = 2e-5  # relative: MJCF is written with six digits, and five steps add up
 

@@ -68,7 +68,7 @@ def late(signal, steps):
 
 
 def lagging(signal, step, time):
-    """The mean over each step of x, T dx/dt = u - x, from scipy's simulation of (x, integral of x)."""
+    """The mean over each step of x, T dx/dt = u - x, by scipy's simulation of x and integral."""
     system = ([[-1 / time, 0], [1, 0]], [[1 / time], [0]], [[0, 1]], [[0]])
     times = step * np.arange(len(signal) + 1)
     _, integral, _ = lsim(system, np.append(signal, 0), times, X0=[signal[0], 0], interp=False)
@@ -89,7 +89,7 @@ def with_play(signal, width):
 
 
 def through_lash(signal, step, impulse):
-    """What passes a gear with play: a rotor that crosses it against its drag, in many small steps."""
+    """What passes a gear with play: a rotor crosses it against its drag, in many small steps."""
     out = []
     taken = 0.0 if signal[0] < 0 else impulse
     for value in signal:

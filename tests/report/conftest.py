@@ -7,7 +7,7 @@ import pytest
 from dropo.cli.main import main
 from dropo.problems.file.writer import write_problem
 from dropo.report.build import write_report
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 EFFECTS = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 

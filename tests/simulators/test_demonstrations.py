@@ -22,7 +22,8 @@ XML = """
       <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
       <body name="arm" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0" damping="0.05"/>
         <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.4"/>
-        <body pos="0.1 0 -0.2"><joint name="wrist" type="ball" damping="0.02"/><geom size="0.05" mass="0.1" pos="0.1 0 0"/></body>
+        <body pos="0.1 0 -0.2"><joint name="wrist" type="ball" damping="0.02"/>
+          <geom size="0.05" mass="0.1" pos="0.1 0 0"/></body>
       </body>
     </body>
   </worldbody>
@@ -32,8 +33,10 @@ XML = """
 </mujoco>
 """
 TORQUES = """<motor name="one" joint="shoulder" gear="5" ctrllimited="true" ctrlrange="-1 1"/>
-             <general name="two" joint="elbow" gainprm="2" biastype="affine" biasprm="0.1 -0.5 -0.05"/>
-             <motor name="three" joint="wrist" gear="1 0 0"/><motor name="four" joint="wrist" gear="0 1 0"/>
+             <general name="two" joint="elbow" gainprm="2" biastype="affine"
+               biasprm="0.1 -0.5 -0.05"/>
+             <motor name="three" joint="wrist" gear="1 0 0"/>
+               <motor name="four" joint="wrist" gear="0 1 0"/>
              <motor name="five" joint="wrist" gear="0 0 1"/>"""
 POSITIONS = (
     '<position name="one" joint="shoulder" kp="20" kv="1"/><velocity name="two" joint="elbow" '

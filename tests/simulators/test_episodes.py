@@ -159,7 +159,7 @@ def test_recorded_forces_are_refused(hopper):
         "push",
         None,
         (Quantity("size", "N", 0.0, 1.0, (0.5,)),),
-        push=lambda steps, magnitudes: np.zeros((steps, 6)),
+        applied_force=lambda steps, magnitudes: np.zeros((steps, 6)),
     )
     with pytest.raises(Incompatible, match="recorded motion alone"):
         Episodes(hopper.with_effects([pushed]), 1)

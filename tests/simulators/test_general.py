@@ -12,7 +12,7 @@ from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.simulators.function import EnvSimulator, FunctionSimulator
 from dropo.testing import check_simulator
-from tests.simulators.models import CUTS
+from tests.models.cases import CUTS
 
 RATE = [Parameter("rate", 0.5, 2.0, "1/s"), Parameter("gain", 0.5, 2.0)]
 
@@ -85,7 +85,10 @@ def test_a_function_that_fails_marks_its_rows():
 def test_a_function_of_the_wrong_shape_is_refused():
     """The message names the simulator, what was wanted and what was got."""
     simulator = FunctionSimulator(lambda v, s, a: decay(v, s, a)[:, -1], RATE, ["a", "b"])
-    words = r"^The 'replayed observations' of FunctionSimulator must be of shape \(9, 2, 2\). Got \(9, 2\) instead.$"
+    words = (
+        r"^The 'replayed observations' of FunctionSimulator must be of shape "
+        r"\(9, 2, 2\). Got \(9, 2\) instead.$"
+    )
     with pytest.raises(BadArgument, match=words):
         simulator.predict([[1.0, 1.0]], data().segments(2))
 

@@ -9,13 +9,13 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible, UnknownName
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.gymnasium import GymnasiumSimulator
-from dropo.simulators.mujoco.warnings import quiet
+from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.testing import check_simulator
 
 
 def environment(env_id):
     """The environment itself."""
-    with quiet():
+    with suppress_mujoco_warnings():
         return gymnasium.make(env_id).unwrapped
 
 

@@ -8,17 +8,18 @@ from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
 from dropo.simulators.mujoco.layers import (
-    by_time_profile,
     clamp,
-    commands_of,
+    commands_per_physics_step,
     declared_values,
-    lateness,
-    seen_late,
-    sensed,
+    delay_columns,
+    measured_signals,
+    split_by_time_profile,
+    total_delays,
 )
 
 SIZE = Quantity("size", "1", -1.0, 1.0, (0.5,))
-MODEL = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody><actuator>
+MODEL = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><joint name="a"/>
+  <geom size="0.1"/></body></worldbody><actuator>
   <motor joint="a" ctrllimited="true" ctrlrange="-1 2"/><motor joint="a"/></actuator></mujoco>""")
 
 
@@ -49,7 +50,9 @@ def test_commands_in_order():
     """
     rows = data()
     segments = rows.segments(length=2)
-    found = commands_of(segments, np.arange(2), rows.actions, MODEL, 2, [(SUM, ONE), (DOUBLE, ONE)])
+    found = commands_per_physics_step(
+        segments, np.arange(2), rows.actions, MODEL, 2, [(SUM, ONE), (DOUBLE, ONE)]
+    )
     first = np.cumsum(np.repeat(np.clip([0.0, 2, 4], -1, 2), 2))
     second = np.cumsum(np.repeat(np.clip([6.0, 8], -1, 2), 2))
     np.testing.assert_array_equal(found[:, :, 0], [first[:4], second])
@@ -59,7 +62,9 @@ def test_commands_in_order():
 def test_commands_without_actuation_are_left_to_mujoco():
     """Where no effect acts behind the clamp, MuJoCo clamps."""
     rows = data()
-    found = commands_of(rows.segments(), np.arange(5), rows.actions, MODEL, 1, [(DOUBLE, ONE)])
+    found = commands_per_physics_step(
+        rows.segments(), np.arange(5), rows.actions, MODEL, 1, [(DOUBLE, ONE)]
+    )
     np.testing.assert_array_equal(found[:, 0], 2 * rows.actions)
 
 
@@ -78,18 +83,18 @@ def later(segments, magnitudes):
     return (np.arange(len(segments)) > 2).astype(float)
 
 
-def test_by_gate():
-    """Segments are put together by what holds in them, sizes with their share; what is absent is
-    left out.
+def test_by_time_profile():
+    """Segments are put together by what holds in them, magnitudes with their factor; what is absent
+    is left out.
     """
     segments = data().segments()
     always = DOUBLE
     half = EffectInstance("half", None, (SIZE,), command=doubled, time_profile=half_of_it)
     late = EffectInstance("late", None, (SIZE,), time_profile=later)
-    assert by_time_profile([(always, ONE)], segments, np.arange(5)) == [
+    assert split_by_time_profile([(always, ONE)], segments, np.arange(5)) == [
         (pytest.approx(np.arange(5)), [(always, ONE)])
     ]
-    found = by_time_profile(
+    found = split_by_time_profile(
         [(always, ONE), (half, ONE), (late, ONE)], segments, np.array([1, 2, 3, 4])
     )
     named = {
@@ -103,7 +108,7 @@ def test_by_gate():
         (4,): [("double", 1.0), ("half", 1.0), ("late", 1.0)],
     }
     with pytest.raises(Incompatible, match="half changes from segment to segment"):
-        by_time_profile(
+        split_by_time_profile(
             [(half, ONE)],
             data((4, 2)).segments(length=2, reset="partial", set_columns=[False]),
             np.arange(3),
@@ -120,27 +125,27 @@ def test_declared_values():
     )
 
 
-def test_senses_and_lateness_add_up():
+def test_measurements_and_delays_add_up():
     """Sensor effects follow each other; delays of one signal add up."""
     louder = EffectInstance(
         "louder",
         None,
         (SIZE,),
         measurement=lambda signals, magnitudes: signals * (1 + magnitudes[0]),
-        late=lambda magnitudes: np.array([0.0, magnitudes[0]]),
+        sensor_delay=lambda magnitudes: np.array([0.0, magnitudes[0]]),
     )
     np.testing.assert_array_equal(
-        sensed(np.ones((2, 2)), [(louder, ONE), (louder, ONE)]), np.full((2, 2), 4.0)
+        measured_signals(np.ones((2, 2)), [(louder, ONE), (louder, ONE)]), np.full((2, 2), 4.0)
     )
-    np.testing.assert_array_equal(lateness([(louder, ONE), (louder, 2 * ONE)], 2), [0, 3])
+    np.testing.assert_array_equal(total_delays([(louder, ONE), (louder, 2 * ONE)], 2), [0, 3])
 
 
-def test_seen_late():
-    """A straight line seen late is the line before, also before its start; a bend is interpolated."""
+def test_delayed_columns():
+    """A delayed straight line is the line before, also before its start; a bend is interpolated."""
     line = np.arange(6.0)[None, :, None] * np.array([1.0, 2.0])
     np.testing.assert_allclose(
-        seen_late(line, np.array([1.5, 9.0]))[0],
+        delay_columns(line, np.array([1.5, 9.0]))[0],
         np.column_stack([np.arange(1, 6) - 1.5, 2 * (np.arange(1, 6) - 9.0)]),
     )
     bend = np.array([0.0, 1.0, 1.0, 1.0])[None, :, None]
-    np.testing.assert_allclose(seen_late(bend, np.array([1.25]))[0, :, 0], [-0.25, 0.75, 1.0])
+    np.testing.assert_allclose(delay_columns(bend, np.array([1.25]))[0, :, 0], [-0.25, 0.75, 1.0])

@@ -14,10 +14,10 @@ from dropo.core.services.errors import BadArgument, BadFile
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.simulated.robots import masses, simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.warnings import quiet
+from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.testing import check_simulator
+from tests.models.cases import BOX, CART, CASES, CUTS, PENDULUM, SENSED, Case, mass, places
 from tests.reference.stepping import load, replay_one_by_one
-from tests.simulators.models import BOX, CART, CASES, CUTS, PENDULUM, SENSED, Case, mass, places
 
 every_case = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 every_cut = pytest.mark.parametrize("cut", CUTS)
@@ -94,7 +94,7 @@ def test_bits_do_not_depend_on_threads(case, cut):
 
 @every_case
 def test_bits_do_not_depend_on_order_or_company(case):
-    """Any order of the draws, and any subset of the segments in any order, gives the same numbers."""
+    """Any order of the draws, and any subset of the segments in any order, gives equal numbers."""
     simulator = case.simulator(3)
     segments = case.segments("transitions")
     rng = np.random.default_rng(2)
@@ -130,8 +130,8 @@ def test_overlapping_silences_end_with_the_users_handler():
     own = lambda message: None
     mujoco.set_mju_user_warning(own)
     try:
-        first = quiet()
-        second = quiet()
+        first = suppress_mujoco_warnings()
+        second = suppress_mujoco_warnings()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)
@@ -368,7 +368,7 @@ def test_steps_are_counted_exactly(cut, transitions):
 
 
 def test_values_by_group():
-    """Row g of the values meets the segments of group g alone; fewer rows than groups are refused."""
+    """Row g of the values meets the segments of group g; fewer rows than groups are refused."""
     case = CASES["ball"]
     simulator = case.simulator()
     segments = case.segments("every step")
@@ -379,7 +379,10 @@ def test_values_by_group():
         np.testing.assert_array_equal(
             found[:, mine], simulator.predict(values[:, g], segments)[:, mine]
         )
-    words = r"^The 'values' of MujocoSimulator.predict must be given for 3 groups. Got \(2, 2, 2\) instead.$"
+    words = (
+        r"^The 'values' of MujocoSimulator.predict must be given for 3 "
+        r"groups. Got \(2, 2, 2\) instead.$"
+    )
     with pytest.raises(BadArgument, match=words):
         simulator.predict(values[:, :2], segments)
 
@@ -416,7 +419,8 @@ def test_file_spec_and_model_are_the_same(tmp_path):
         ),
         (
             {"threads": -1},
-            r"The 'threads' of MujocoSimulator must be 0 \(all cores\) or a number of threads. Got -1 instead.",
+            r"The 'threads' of MujocoSimulator must be 0 \(all cores\) or a "
+            r"number of threads. Got -1 instead.",
         ),
         (
             {"action": ["ctrl", "ctrl[0]"]},
@@ -439,7 +443,10 @@ def test_refuses_data_of_another_width():
     simulator = CASES["pendulum"].simulator()
     with pytest.raises(
         BadArgument,
-        match=r"^The 'segments' of MujocoSimulator.predict must be of 2 observed columns. Got 4 instead.$",
+        match=(
+            r"^The 'segments' of MujocoSimulator.predict must be of 2 "
+            r"observed columns. Got 4 instead.$"
+        ),
     ):
         simulator.predict(draws(simulator), CASES["cart"].segments("transitions"))
     data = CASES["pendulum"].data()
@@ -469,7 +476,10 @@ def test_refuses_files_that_are_no_models(tmp_path):
 def test_moving_frames_needs_the_source_of_the_model():
     """mj_setConst cannot follow body_ipos in a model that was compiled without knowing of it."""
     offset = FieldParameter("height", -0.1, 0.1, "m", field="body_ipos", element="box", index=2)
-    words = r"^The 'model' of MujocoSimulator must be an MJCF file or an MjSpec where \['body_ipos'\] is fitted. Got 'an MjModel' instead.$"
+    words = (
+        r"^The 'model' of MujocoSimulator must be an MJCF file or an MjSpec where "
+        r"\['body_ipos'\] is fitted. Got 'an MjModel' instead.$"
+    )
     with pytest.raises(BadArgument, match=words):
         MujocoSimulator(mujoco.MjModel.from_xml_string(BOX), [offset, mass("flap")])
 

@@ -15,7 +15,7 @@ from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.testing import check_simulator
-from tests.simulators.models import CUTS
+from tests.models.cases import CUTS
 
 pytest.importorskip("torch")
 
@@ -93,7 +93,8 @@ def test_keeps_to_the_contract(name, cut):
 def pendulum_model(length, mass, damping):
     """A point mass on a hinge."""
     return f"""<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body>
-      <joint name="j" axis="0 1 0" damping="{damping}"/><inertial pos="0 0 {-length}" mass="{mass}" diaginertia="1e-12 1e-12 1e-12"/>
+      <joint name="j" axis="0 1 0" damping="{damping}"/>
+      <inertial pos="0 0 {-length}" mass="{mass}" diaginertia="1e-12 1e-12 1e-12"/>
     </body></worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
 
 
@@ -101,8 +102,10 @@ def cart_pole_model(cart, pole, half, friction):
     """A cart on a rail along x, and a uniform thin rod, upright at 0."""
     inertia = pole * half**2 / 3
     return f"""<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body>
-      <joint name="j" type="slide" axis="1 0 0" damping="{friction}"/><inertial pos="0 0 0" mass="{cart}" diaginertia="1 1 1"/>
-      <body><joint axis="0 1 0"/><inertial pos="0 0 {half}" mass="{pole}" diaginertia="{inertia} {inertia} 1e-12"/></body>
+      <joint name="j" type="slide" axis="1 0 0" damping="{friction}"/>
+      <inertial pos="0 0 0" mass="{cart}" diaginertia="1 1 1"/>
+      <body><joint axis="0 1 0"/>
+        <inertial pos="0 0 {half}" mass="{pole}" diaginertia="{inertia} {inertia} 1e-12"/></body>
     </body></worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
 
 

@@ -10,7 +10,7 @@ from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.simulators.toy import SlidingBlock
 from dropo.testing import check_simulator
-from tests.simulators.models import CUTS
+from tests.models.cases import CUTS
 
 torch = pytest.importorskip("torch")
 from dropo.simulators.torch import TorchSimulator  # noqa: E402
@@ -185,7 +185,10 @@ def test_a_simulator_without_gradients_refuses_tensors():
     part = data().segments()
     with pytest.raises(
         Incompatible,
-        match=r"SlidingBlock gives no gradients, so it takes no tensors. Use likelihood 'emulated'.*'cma-es'",
+        match=(
+            r"SlidingBlock gives no gradients, so it takes no tensors. Use "
+            r"likelihood 'emulated'.*'cma-es'"
+        ),
     ):
         SlidingBlock().predict(torch.tensor(draws()), part)
 

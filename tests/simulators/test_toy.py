@@ -1,13 +1,12 @@
 """The toy simulators against what their closed forms claim."""
 
-
 import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadArgument
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 from dropo.testing import check_simulator
-from tests.simulators.models import CUTS
+from tests.models.cases import CUTS
 
 
 def sliding():
@@ -150,7 +149,10 @@ def test_refusals():
     """Matrices of another shape, and a time step that is none."""
     with pytest.raises(
         BadArgument,
-        match=r"^The 'matrices' of LinearSimulator must be of shape \(any, any, any\). Got \(3, 2\) instead.$",
+        match=(
+            r"^The 'matrices' of LinearSimulator must be of shape \(any, "
+            r"any, any\). Got \(3, 2\) instead.$"
+        ),
     ):
         LinearSimulator(np.ones((3, 2)))
     with pytest.raises(

@@ -7,7 +7,7 @@ import pytest
 
 from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.testing import check_effect
-from tests.effects.robots import ROBOTS
+from tests.models.robots import ROBOTS
 
 SIZE = Quantity("size", "N", -1.0, 1.0, (-0.5, 0.05, 0.5))
 

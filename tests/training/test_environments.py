@@ -20,7 +20,7 @@ from dropo.problems.hopper.problem import hopper_simulator
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.training.distributions import Curriculum, Point, Uniform, draw
 from dropo.training.environments import randomize
-from tests.training.cart import aside, cart, fit_of, near, to_goal
+from tests.models.cart_task import aside, cart, fit_of, near, to_goal
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:.*A Box observation space m.*infinity",

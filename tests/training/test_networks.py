@@ -9,7 +9,7 @@ from dropo.training.evaluate import evaluate
 from dropo.training.networks import PPO, SAC
 from dropo.training.policy import load_policy
 from dropo.training.train import train
-from tests.training.cart import STEPS, aside, cart, fit_of, near
+from tests.models.cart_task import STEPS, aside, cart, fit_of, near
 
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
 ALGORITHMS = {"sac": SAC(steps=180, every=90), "ppo": PPO(steps=4096, count=1, every=2048)}

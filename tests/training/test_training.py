@@ -21,7 +21,7 @@ from dropo.training.distributions import Curriculum, Point, Uniform
 from dropo.training.evaluate import Compared, evaluate, motion
 from dropo.training.policy import LinearPolicy, load_policy
 from dropo.training.train import train
-from tests.training.cart import STEPS, aside, cart, fit_of, near, on_rail
+from tests.models.cart_task import STEPS, aside, cart, fit_of, near, on_rail
 
 QUICK = ARS(updates=12, directions=8, best=4, step=0.1, size=0.1, trials=8, every=3)
 

@@ -1,0 +1,5 @@
+"""What plug-ins derive from: simulators, families, likelihoods, optimizers, samplers, estimators.
+
+They import the three floors below. Add a contract as an abstract class: its public methods check
+what goes in and comes out, a plug-in writes the private ones; name it in `dropo/core/__init__.pyi`.
+"""

@@ -1,5 +1,7 @@
-"""The contract of effects: what a simulation may lack, each a change in one layer around the
-physics, of size 0 where it is absent.
+"""The contract of effects: what a simulation may lack.
+
+Each is a change in one layer around the physics. An effect whose magnitudes are all 0 is absent:
+the simulation is then the model's own, bit for bit.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -18,13 +20,24 @@ Model = Any  # a mujoco.MjModel
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of an effect; 0 where the effect is absent.
+    """One number of an effect; its magnitude is 0 where the effect is absent.
 
-    low, high: its bounds, around or at 0. probes: the sizes at which a screening tries it, of both
-    signs where it has both.
-    smooth: whether predictions are a smooth function of it, so that slopes can be followed. base:
-    the model's own number that it adds to, where there is one; relative: it adds that share of
-    `base` instead.
+    Attributes
+    ----------
+    name : str
+        What it is called in results, such as "damping".
+    unit : str
+        Its unit; "1" of a pure number.
+    low, high : float
+        Bounds of its magnitude, with 0 between them or at one of them.
+    probes : tuple of float
+        The magnitudes at which a screening tries it, of both signs where it can have both.
+    smooth : bool
+        Whether predictions are a smooth function of it, so that they can be differentiated by it.
+    base : float or None
+        The model's own number to which the magnitude is added, where there is one.
+    relative : bool
+        Whether the magnitude is a fraction of `base`.
     """
 
     name: str
@@ -39,11 +52,22 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False)
 class StepState:
-    """Many simulations at one physics step, for effects that depend on the state: qpos (n, nq),
-    qvel (n, nv), ctrl (n, nu).
+    """n simulations at one physics step, for effects that depend on the state.
 
-    step: physics steps since the segments' start; act (n, na): states of actuators that have one;
-    model: as it is simulated, with all parameters and effects written into it.
+    Attributes
+    ----------
+    qpos : (n, nq) array
+        Positions.
+    qvel : (n, nv) array
+        Velocities.
+    ctrl : (n, nu) array
+        Commands.
+    step : int
+        Physics steps since the start of the segments.
+    act : (n, na) array
+        States of the actuators that have one.
+    model : MjModel
+        The model as it is simulated, with all parameters and effects written into it.
     """
 
     qpos: Array
@@ -56,36 +80,83 @@ class StepState:
 
 @dataclass(frozen=True, eq=False)
 class EffectInstance:
-    """One effect at one place: what is added to a simulation, with the numbers to be found.
+    """One effect at one place of a robot, with magnitudes to be found.
 
-    A hook takes the sizes (q,) of the quantities last; it is not called where all of them are 0. It
-    leaves what it is given as it is, the model but one. Hooks made of functions of a module
-    (functools.partial) can be sent to another process. In the order in which they act:
-    declared(values (d,), sizes): the declared parameters' values;
-    start(rows (n, p), slopes (n, p) [1/s], sizes) -> offsets (n, p): from measured start signals to
-    true ones;
-    command(commands (T, nu), sizes): a trajectory's commands, one a control step, before they are
-    clamped;
-    actuation(commands (T, nu), step [s], sizes): the same, one a physics step, after they were
-    clamped;
-    drive(moment, sizes) -> (n, nu): commands that depend on the state, each physics step;
-    force(moment, sizes) -> (n, nv): generalised forces that depend on the state, each physics step;
-    push(steps, sizes) -> (steps, nv): generalised forces that are known beforehand, a row for each
-    physics step of a segment;
-    wrench(sizes) -> (body, (6,)): a constant force and torque at a body's centre of mass, in the
-    world's axes;
-    model(model, sizes): changes the fields of a copy of the model; mj_setConst follows;
-    sense(signals (n, L, p), sizes): measured signals from true ones; `late` [s] (sizes) -> (p,):
-    how much later they are seen. gate(segments, sizes) -> (N,): the share of the sizes that holds
-    in each of N segments; left out, it is 1. In a segment it is constant.
-    general: whether `model` needs bodies compiled with simple="false", without which MuJoCo ties a
-    body's frame to its centre of mass.
-    variant: which of an effect's several forms; alike: labels of atoms that no recorded data can
-    tell from this one;
-    order: of a harmonic; several at one place are one periodic effect where all are multiples of
-    the lowest, else a shape of its own;
-    trials: sizes (q,) that a screening tries, in sets that are tried together: by default each
-    probe alone, of several quantities the largest probes together.
+    It acts through hooks: functions that take the magnitudes (q,) of its q quantities as their last
+    argument. A simulator calls them in the order of this table, each only where some magnitude is
+    not 0.
+
+    ==================== ============================================= ===================
+    hook                 arguments before the magnitudes               result
+    ==================== ============================================= ===================
+    ``time_profile``     segments                                      (N,) factors
+    ``declared``         values (d,)                                   (d,) values
+    ``model``            model                                         None
+    ``start``            signals (n, p), their speeds (n, p) [1/s]     (n, p) offsets
+    ``command``          commands (T, nu), one a control step          (T, nu) commands
+    (the clamp)          commands are clamped to their control ranges
+    ``actuation``        commands (T, nu), one a physics step; step    (T, nu) commands
+                         [s]
+    ``command_feedback`` StepState of n simulations                    (n, nu) commands
+    ``force``            StepState of n simulations                    (n, nv) forces
+    ``applied_force``    number of physics steps                       (steps, nv) forces
+    ``wrench``           none                                          body, (6,) wrench
+    ``sensor_delay``     none                                          (p,) delays [s]
+    ``measurement``      true signals (n, L, p)                        (n, L, p) signals
+    ==================== ============================================= ===================
+
+    Attributes
+    ----------
+    effect : str
+        The name of the effect, such as "joint_damping".
+    target : str or None
+        The body, joint, actuator, geom or signal; None where the effect is global.
+    quantities : tuple of Quantity
+        The q numbers whose magnitudes are to be found.
+    variant : str
+        Which of the effect's several forms at that place; "" where there is one.
+    model : callable or None
+        Changes the fields of a copy of the model in place; mj_setConst follows.
+    command : callable or None
+        Changes the commands of a trajectory, one a control step, before they are clamped.
+    actuation : callable or None
+        Changes the commands of a trajectory, one a physics step, after they were clamped.
+    command_feedback : callable or None
+        Changes the commands of each physics step in dependence on the state.
+    force : callable or None
+        Generalised forces [N, N m] that depend on the state, in each physics step.
+    applied_force : callable or None
+        Generalised forces [N, N m] known beforehand, a row for each physics step of a segment. They
+        belong to recorded motion and cannot act in new episodes.
+    wrench : callable or None
+        A body's id, and a constant force and torque at its centre of mass in the world's axes
+        [N, N m].
+    start : callable or None
+        Offsets from measured start signals to true ones.
+    measurement : callable or None
+        Measured signals from true ones.
+    sensor_delay : callable or None
+        The time by which each signal is measured late.
+    declared : callable or None
+        Changes the values of the declared parameters.
+    time_profile : callable or None
+        The factor of the magnitudes in each segment, constant within it; 1 where it is left out.
+    general : bool
+        Whether `model` needs bodies compiled with simple="false": else MuJoCo ties the frame of a
+        body to its centre of mass.
+    alike : tuple of str
+        Labels of effects that no recorded data can distinguish from this one.
+    order : int
+        The order of a harmonic, else 0. Several harmonics at one place are one periodic effect
+        where all orders are multiples of the lowest, else each has a shape of its own.
+    trials : tuple
+        The magnitudes (q,) that a screening tries, in sets that are tried together. By default each
+        probe is a set; of several quantities, the last probes of each make one set.
+
+    Notes
+    -----
+    A hook leaves its arguments as they are; `model` alone changes its own. Hooks made of module
+    functions (with `functools.partial`) can be sent to another process.
     """
 
     effect: str
@@ -115,13 +186,14 @@ class EffectInstance:
 
     @property
     def label(self) -> str:
-        """ "joint_damping:leg_joint", "body_com:torso.x", "actuator_delay"."""
+        """The name of the instance: "joint_damping:leg_joint", "body_com:torso.x"."""
         place = "" if self.target is None else f":{self.target}"
-        return f"{self.effect}{place}{'.' + self.variant if self.variant else ''}"
+        variant = f".{self.variant}" if self.variant else ""
+        return f"{self.effect}{place}{variant}"
 
     @property
     def parameters(self) -> list[Parameter]:
-        """The quantities as parameters of a simulator, called "<label>/<quantity>"."""
+        """The q quantities as parameters of a simulator, called "<label>/<quantity>"."""
         return [
             Parameter(f"{self.label}/{q.name}", q.low, q.high, q.unit, lower=q.low, upper=q.high)
             for q in self.quantities
@@ -129,23 +201,29 @@ class EffectInstance:
 
 
 def _trials(quantities: tuple[Quantity, ...]) -> tuple[tuple[tuple[float, ...], ...], ...]:
+    """Each probe of one quantity as a set, or the last probes of several as one set."""
     if len(quantities) == 1:
         return tuple(((probe,),) for probe in quantities[0].probes)
-    unit = np.eye(len(quantities))
-    return (
-        tuple(
-            tuple((q.probes[-1] * row).tolist()) for q, row in zip(quantities, unit, strict=True)
-        ),
-    )
+    largest = np.diag([quantity.probes[-1] for quantity in quantities])
+    return (tuple(tuple(row) for row in largest.tolist()),)
 
 
 @dataclass(frozen=True)
 class EffectContext:
-    """What effects are offered for: the model, the compared signals by name and unit, and how long
-    a command is held [s].
+    """The robot for which effects are offered.
 
-    parameters: those that the simulator declares; source: whether the model can be compiled anew
-    (see `Atom.general`).
+    Attributes
+    ----------
+    model : MjModel
+        The compiled model, without parameters and effects written into it.
+    signals : tuple of (str, str)
+        Name and unit of each of the p compared signals.
+    control_step : float
+        The time for which a command is held [s].
+    parameters : tuple of Parameter
+        The parameters that the simulator declares.
+    source : bool
+        Whether the model can be compiled anew (see `EffectInstance.general`).
     """
 
     model: Model
@@ -156,27 +234,55 @@ class EffectContext:
 
 
 ActiveEffects = Sequence[tuple[EffectInstance, Array]]
-"""The effects that are there, with their sizes."""
+"""The effects that a simulation has, each with its magnitudes (q,)."""
 
 Effect = Callable[[EffectContext], Iterable[EffectInstance]]
-"""A plug-in of kind "effects": the atoms of one effect at every place of a robot where it can be.
-"""
+"""A plug-in of kind "effects": the instances of one effect at every place where it can be."""
 
 
 def magnitudes_of(
     instances: Sequence[EffectInstance], values: Array
 ) -> list[tuple[EffectInstance, Array]]:
-    """The atoms that are present, with their sizes, from all sizes in a row (sum of q,)."""
-    owner = np.repeat(
-        np.arange(len(instances)), [len(instance.quantities) for instance in instances]
-    )
-    return [(instances[i], values[owner == i]) for i in np.unique(owner[values != 0]).tolist()]
+    """Select the effects that are present, with their magnitudes.
+
+    Parameters
+    ----------
+    instances : sequence of EffectInstance
+        Effects with q_1, q_2, ... quantities.
+    values : (q_1 + q_2 + ...,) array
+        The magnitudes of all of them in a row.
+
+    Returns
+    -------
+    list of (EffectInstance, (q,) array)
+        The effects with a magnitude other than 0, in the given order.
+    """
+    counts = [len(instance.quantities) for instance in instances]
+    owner = np.repeat(np.arange(len(instances)), counts)
+    present = np.unique(owner[values != 0]).tolist()
+    return [(instances[i], values[owner == i]) for i in present]
 
 
 def instances_of(context: EffectContext, effect: str, place: str = "") -> list[EffectInstance]:
-    """An effect's atoms on a robot, at every place or at one.
+    """List the instances of one effect on a robot, at every place or at one.
 
-    Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
+    Parameters
+    ----------
+    context : EffectContext
+        The robot.
+    effect : str
+        The name of an effect.
+    place : str
+        The label of an instance without the effect's name, such as "torso.x"; "" for all places.
+
+    Returns
+    -------
+    list of EffectInstance
+
+    Raises
+    ------
+    UnknownName
+        If there is no such effect, or none at that place; with the nearest valid name.
     """
     found = list(find("effects", effect)(context))
     if not place:

@@ -1,4 +1,4 @@
-"""The contract of estimators: a problem in, a Fit out."""
+"""The contract of estimators: a problem in, a fit out."""
 
 import time
 from abc import ABC, abstractmethod
@@ -16,24 +16,56 @@ from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, require
 
 Progress = Callable[[float, str], None]
+"""Is called with the fraction of the work that is done, 0 to 1, and a text."""
 
 
-def silent(share: float, text: str) -> None:
-    """No progress."""
+def silent(fraction: float, text: str) -> None:
+    """Show no progress, whatever the `fraction` done and the `text`."""
 
 
 def with_cost(progress: Progress, simulator: Simulator) -> Progress:
-    """The same progress, whose text also says how many simulator steps were made from now on."""
+    """Add to a progress text how many simulator steps have been made from now on.
+
+    Parameters
+    ----------
+    progress : callable
+        Shows the text.
+    simulator : Simulator
+        Counts its steps.
+
+    Returns
+    -------
+    callable
+        To be called in place of `progress`.
+    """
     before = simulator.steps
-    return lambda share, text: progress(
-        share, f"{text}, {simulator.steps - before:,} simulator steps"
-    )
+
+    def show(fraction: float, text: str) -> None:
+        progress(fraction, f"{text}, {simulator.steps - before:,} simulator steps")
+
+    return show
 
 
 @dataclass
 class Run:
-    """One run of an estimator: its randomness, what was evaluated, where progress goes, and what it
-    cost so far.
+    """One run of an estimator: its randomness, evaluation log, progress, and cost so far.
+
+    Attributes
+    ----------
+    problem : Problem
+        What is fitted.
+    rng : numpy.random.Generator
+        All randomness of the run.
+    evaluation_log : EvaluationLog
+        Where evaluations are recorded.
+    progress : callable
+        Where progress goes.
+    steps : int
+        Simulator steps so far.
+    failures : int
+        Simulations so far that diverged.
+    evaluations : int
+        Evaluations of the objective so far.
     """
 
     problem: Problem
@@ -45,17 +77,29 @@ class Run:
     evaluations: int = 0
 
     def evaluate(self, points: Array, function: Callable[[Array], Array]) -> Array:
-        """function(points), or its recorded answer; simulator steps and failures are counted either
-        way.
+        """Evaluate a function, or read its recorded values, and count what it costs.
+
+        Parameters
+        ----------
+        points : (P, m) array
+            Where to evaluate it.
+        function : callable
+            Points (P, m) to values with P rows.
+
+        Returns
+        -------
+        array
+            The values. A recorded evaluation adds its recorded cost.
         """
 
         def counted(points: Array) -> tuple[Array, dict[str, int]]:
             simulator = self.problem.simulator
-            before = simulator.steps, simulator.failures
+            steps_before = simulator.steps
+            failures_before = simulator.failures
             answers = function(points)
             return answers, {
-                "steps": simulator.steps - before[0],
-                "failures": simulator.failures - before[1],
+                "steps": simulator.steps - steps_before,
+                "failures": simulator.failures - failures_before,
             }
 
         answers, counts = self.evaluation_log.evaluate(points, counted)
@@ -66,19 +110,32 @@ class Run:
 
     @contextmanager
     def counting(self, evaluations: int = 0) -> Iterator[None]:
-        """Counts the simulations of a block that is too short to be recorded: a resumed run makes
-        them again.
+        """Count the simulations of a block that is too short to be recorded.
+
+        A resumed run makes them again.
+
+        Parameters
+        ----------
+        evaluations : int
+            Evaluations of the objective that the block makes.
         """
         simulator = self.problem.simulator
-        before = simulator.steps, simulator.failures
+        steps_before = simulator.steps
+        failures_before = simulator.failures
         yield
-        self.steps += simulator.steps - before[0]
-        self.failures += simulator.failures - before[1]
+        self.steps += simulator.steps - steps_before
+        self.failures += simulator.failures - failures_before
         self.evaluations += evaluations
 
 
 class Estimator(ABC):
-    """A recipe with frozen settings. A plug-in writes `_fit`; name is what `--method` takes."""
+    """A method with its settings; a plug-in is a frozen dataclass that writes `_fit`.
+
+    Attributes
+    ----------
+    name : str
+        What `--method` takes.
+    """
 
     name: str
 
@@ -90,15 +147,31 @@ class Estimator(ABC):
         evaluation_log: EvaluationLog | None = None,
         progress: Progress = silent,
     ) -> Fit:
-        """Fits the distribution of the problem's parameters.
+        """Fit the distribution of the problem's parameters.
 
-        rng: anything that numpy.random.default_rng takes; evaluation_log: where evaluations are
-        recorded, for a run that can be resumed;
-        progress: called with the share that is done (0 to 1) and a text.
+        Parameters
+        ----------
+        problem : Problem
+            What was measured, and the simulator.
+        rng : numpy.random.Generator, int or None
+            Whatever `numpy.random.default_rng` takes; the same seed gives the same fit.
+        evaluation_log : EvaluationLog, optional
+            Where evaluations are recorded, for a run that can be resumed.
+        progress : callable
+            Is called with the fraction that is done (0 to 1) and a text.
+
+        Returns
+        -------
+        Fit
+            The distribution, and what it cost to find.
+
+        Raises
+        ------
+        BadArgument
+            If the problem has no parameters.
         """
-        require(
-            len(problem.space) >= 1, "parameters", "at least one", 0, f"Problem {problem.name!r}"
-        )
+        owner = f"Problem {problem.name!r}"
+        require(len(problem.space) >= 1, "parameters", "at least one", 0, owner)
         begun = time.perf_counter()
         run = Run(
             problem,
@@ -106,9 +179,8 @@ class Estimator(ABC):
             evaluation_log or EvaluationLog(),
             with_cost(progress, problem.simulator),
         )
-        with threadpool_limits(
-            1, user_api="blas"
-        ):  # the simulator's threads use the cores; small products gain nothing
+        # The simulator's threads use the cores; small matrix products gain nothing from more.
+        with threadpool_limits(1, user_api="blas"):
             fit = self._fit(problem, run)
         seed = int(rng) if isinstance(rng, int | np.integer) else None
         return replace(
@@ -122,6 +194,8 @@ class Estimator(ABC):
 
     @abstractmethod
     def _fit(self, problem: Problem, run: Run) -> Fit:
-        """Simulations go through `run.evaluate`, so that they are counted and recorded, or through
+        """Fit the problem; the caller fills in what it cost.
+
+        Simulations go through `run.evaluate`, so that they are counted and recorded, or through
         `run.counting`.
         """

@@ -1,5 +1,6 @@
-"""The contract of distributions over parameters: drawn by mapping fixed base points, so that
-objectives are deterministic.
+"""The contract of families: sets of distributions over a simulator's parameters.
+
+A member is drawn by mapping fixed base points, so that objectives are deterministic.
 """
 
 from abc import ABC, abstractmethod
@@ -16,43 +17,95 @@ from dropo.core.services.validation import Array, require
 
 
 class Family(ABC):
-    """A family of distributions over the parameters of `space`; phi (m,) names a member.
+    """A family of distributions over d parameters; a vector phi (m,) names one member.
 
-    phi as a NumPy array gives arrays; as a torch tensor in float64, tensors with their history
-    (`dropo.core.numerics.array_api`). A plug-in sets `unknowns` (the box of phi) and writes
-    `_draw`, `mean` and `sd`. The unknowns called "mean.<parameter>" and "scale.<parameter>" are
-    what a fit prints as the family's own mean and scale.
+    A plug-in sets `unknowns` and writes `_draw`, `mean` and `sd`. With phi as a NumPy array its
+    methods return arrays; with phi as a float64 torch tensor, tensors with their autograd history
+    (see `dropo.core.numerics.array_api`).
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        The d parameters.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        The d parameters.
+    unknowns : ParameterSpace
+        The box of phi (m,). A fit prints the unknowns called "mean.<parameter>" and
+        "scale.<parameter>" as the family's own mean and scale.
+    standard : StandardDistribution or None
+        The distribution of each component, where a draw is an affine map of independent
+        components of one distribution.
+    logarithmic : bool
+        Whether it is the logarithm of a draw that is such an affine map.
+    redraws : int
+        An infeasible draw is repeated this many times, then put on the bound.
+
+    References
+    ----------
+    Tiboni (2021), section 5.3, for the repeated draws.
     """
 
     unknowns: ParameterSpace
-    standard: StandardDistribution | None = (
-        None  # where a draw is an affine map of independent components of one law: that law
-    )
-    logarithmic = False  # whether it is the draw's logarithm that is such a map
-    # thesis, section 5.3: an infeasible draw is made again so many times, then put on the bound
+    standard: StandardDistribution | None = None
+    logarithmic = False
     redraws = 20
 
     def __init__(self, space: ParameterSpace):
         self.space = space
 
     def base(self, draws: int, rng: np.random.Generator, *, independent: bool = False) -> Array:
-        """Base points (1 + redraws, K, d) in (0, 1): a scrambled Sobol set, or independent ones,
-        and the further attempts behind.
+        """Make the base points that `draw` maps.
+
+        Parameters
+        ----------
+        draws : int
+            K, the number of parameter vectors to draw.
+        rng : numpy.random.Generator
+            For the scrambling and the independent points.
+        independent : bool
+            Whether all points are independent; by default the first attempt is a scrambled Sobol
+            set.
+
+        Returns
+        -------
+        (1 + redraws, K, d) array
+            Points inside (0, 1): the first attempt, then those for repeated draws.
+
+        Raises
+        ------
+        BadArgument
+            If there are fewer than 2 draws.
         """
         require(draws >= 2, "K", "at least 2 draws", draws, type(self).__name__)
-        sobol, again = rng.spawn(2)
-        points = again.random((1 + self.redraws, draws, len(self.space)))
+        sobol_rng, redraw_rng = rng.spawn(2)
+        points = redraw_rng.random((1 + self.redraws, draws, len(self.space)))
         if not independent:
-            points[0] = qmc.Sobol(len(self.space), rng=sobol).random_base2(
-                int(np.ceil(np.log2(draws)))
-            )[:draws]
-        return _inside(points)
+            sobol = qmc.Sobol(len(self.space), rng=sobol_rng)
+            points[0] = sobol.random_base2(int(np.ceil(np.log2(draws))))[:draws]
+        return _clip_to_open_interval(points)
 
     def draw(self, phi: ArrayLike, base: Array) -> Array:
-        """K parameter vectors (K, d) of member phi (m,), from base points (1 + redraws, K, d); all
-        physically possible.
+        """Draw parameter vectors of one member, all of them physically possible.
 
-        An entry that is put on a bound has no slope in phi.
+        Parameters
+        ----------
+        phi : (m,) array_like
+            The member.
+        base : (1 + redraws, K, d) array
+            Base points, as `base` makes them.
+
+        Returns
+        -------
+        (K, d) array
+            In the parameters' units. An entry that is put on a bound has gradient 0 in phi.
+
+        Raises
+        ------
+        BadArgument
+            If phi has another shape or is not finite.
         """
         member = checked("phi", phi, (len(self.unknowns),), type(self).__name__)
         values = self._draw(member, base[0])
@@ -64,52 +117,94 @@ class Family(ABC):
         return self.space.feasible(values)
 
     def map(self, phi: Array, base: Array) -> Array:
-        """Draws (K, d) of member phi at base points (K, d), infeasible ones as they come."""
+        """Draw parameter vectors of one member without a repetition of infeasible ones.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            The member.
+        base : (K, d) array
+            Base points in (0, 1).
+
+        Returns
+        -------
+        (K, d) array
+            In the parameters' units.
+        """
         return self._draw(phi, base)
 
     def sample(self, phi: ArrayLike, draws: int, rng: np.random.Generator) -> Array:
-        """Independent draws (K, d), for training under the member."""
-        return self.draw(phi, _inside(rng.random((1 + self.redraws, draws, len(self.space)))))
+        """Draw independent parameter vectors, such as for training.
+
+        Parameters
+        ----------
+        phi : (m,) array_like
+            The member.
+        draws : int
+            K, how many.
+        rng : numpy.random.Generator
+            For the draws.
+
+        Returns
+        -------
+        (K, d) array
+            All physically possible, in the parameters' units.
+
+        Raises
+        ------
+        BadArgument
+            If phi has another shape or is not finite.
+        """
+        points = rng.random((1 + self.redraws, draws, len(self.space)))
+        return self.draw(phi, _clip_to_open_interval(points))
 
     def _infeasible(self, values: Array) -> NDArray[np.bool_]:
-        """(K, d) bool, which entries are made again; families with correlations make whole rows
-        again.
-        """
-        return (values < constant(self.space.lower, values)) | (
-            values > constant(self.space.upper, values)
-        )
+        """Which entries (K, d) are drawn again; with correlations, whole rows are."""
+        too_low = values < constant(self.space.lower, values)
+        too_high = values > constant(self.space.upper, values)
+        return too_low | too_high
 
     @abstractmethod
     def _draw(self, phi: Array, base: Array) -> Array:
-        """Maps base points (K, d) in (0, 1), uniform under the law, to draws (K, d) of member phi."""
+        """Map base points (K, d), uniform in (0, 1), to draws (K, d) of the member phi (m,)."""
 
     @abstractmethod
     def mean(self, phi: Array) -> Array:
-        """(d,) the member's mean, before infeasible draws are made again."""
+        """Mean (d,) of the member phi (m,), before infeasible draws are repeated."""
 
     @abstractmethod
     def sd(self, phi: Array) -> Array:
-        """(d,) the member's standard deviation, likewise; under truncation it is below the scale."""
+        """Standard deviation (d,) of the member phi (m,); under truncation less than the scale."""
 
     def scale(self, phi: Array) -> Array:
-        """(d,) the family's own scale parameter (the sigma of a truncated Gaussian)."""
-        return phi[self._scales]
+        """Scale (d,) of the member phi (m,), such as the sigma of a truncated Gaussian."""
+        return phi[self._scale_columns]
 
     @cached_property
-    def _scales(self) -> list[int]:
-        """Where the scales are in phi; found once, as searching d names d times costs more than a
-        fit's algebra at d = 100.
-        """
-        place = {name: i for i, name in enumerate(self.unknowns.names)}
-        return [place[f"scale.{name}"] for name in self.space.names]
+    def _scale_columns(self) -> list[int]:
+        """Where the scales are in phi; kept, since the search costs much at d = 100."""
+        column = {name: i for i, name in enumerate(self.unknowns.names)}
+        return [column[f"scale.{name}"] for name in self.space.names]
 
     def correlation(self, phi: Array) -> Array:
-        """(d, d) the member's correlation matrix."""
+        """Correlation matrix (d, d) of the member phi (m,)."""
         return constant(np.eye(len(self.space)), phi)
 
     def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
-        """The member of that mean and scale (d,) each, moved into the bounds of phi; what is not
-        given is in its middle.
+        """Find the member with a given mean and scale.
+
+        Parameters
+        ----------
+        mean : (d,) array_like
+            Its mean, in the parameters' units.
+        scale : (d,) array_like, optional
+            Its scale, in the parameters' units.
+
+        Returns
+        -------
+        (m,) array
+            The member, clipped to the bounds of phi; unknowns that are not given are in the
+            middle of theirs.
         """
         phi = self.unknowns.from_unit(np.full(len(self.unknowns), 0.5))
         given = {"mean": mean} if scale is None else {"mean": mean, "scale": scale}
@@ -119,31 +214,43 @@ class Family(ABC):
         return np.clip(phi, self.unknowns.low, self.unknowns.high)
 
 
-def _inside(points: Array) -> Array:
-    """Points of [0, 1] moved off its ends, where quantiles are infinite."""
-    tiny = np.finfo(float).eps
-    return np.clip(points, tiny, 1 - tiny)
+def _clip_to_open_interval(points: Array) -> Array:
+    """Points of [0, 1] without its ends, where quantiles are infinite."""
+    eps = np.finfo(float).eps
+    return np.clip(points, eps, 1 - eps)
 
 
 def means_and_scales(
     space: ParameterSpace, scale_low: float = 1e-5, scale_high: float = 0.5
 ) -> ParameterSpace:
-    """The thesis' box of phi: means in the search interval (each parameter's own way), scales in
-    logarithms (section 6.2.1).
+    """Make the box of phi for a mean and a scale of each parameter.
 
-    scale_low: the least scale, in the parameter's unit, or that share of an interval narrower than
-    1;
-    scale_high: the largest, as a share of the interval.
+    Means are in the parameter's search interval, on the parameter's own search scale; scales are
+    searched in logarithms.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        The d parameters.
+    scale_low : float
+        Smallest scale in the parameter's unit; for an interval narrower than 1, this fraction of
+        it.
+    scale_high : float
+        Largest scale, as a fraction of the parameter's interval.
+
+    Returns
+    -------
+    ParameterSpace
+        "mean.<parameter>" of each parameter, then "scale.<parameter>" of each.
+
+    References
+    ----------
+    Tiboni (2021), section 6.2.1.
     """
     means = [Parameter(f"mean.{p.name}", p.low, p.high, p.unit, scale=p.scale) for p in space]
-    scales = [
-        Parameter(
-            f"scale.{p.name}",
-            scale_low * min(1.0, p.width),
-            scale_high * p.width,
-            p.unit,
-            scale="log",
-        )
-        for p in space
-    ]
+    scales = []
+    for p in space:
+        low = scale_low * min(1.0, p.width)
+        high = scale_high * p.width
+        scales.append(Parameter(f"scale.{p.name}", low, high, p.unit, scale="log"))
     return ParameterSpace((*means, *scales))

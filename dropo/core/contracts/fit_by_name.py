@@ -1,6 +1,4 @@
-"""A method by its name, with the settings that its caller, then the problem, then the method itself
-suggest.
-"""
+"""A method by its name, with the settings of the caller, then the problem's, then its own."""
 
 from dataclasses import fields
 from typing import Any
@@ -25,29 +23,64 @@ def fit(
     rng: np.random.Generator | int | None = 0,
     **settings: Any,
 ) -> Fit:
-    """Fits the problem as `dropo fit` does: `fit(problem, "droid", budget=500)` is `dropo fit
-    PROBLEM --method droid --budget 500`.
+    """Fit a problem as the command `dropo fit` does.
 
-    method: a name of `dropo list methods`; settings: those of the method's class, by name; what is
-    left out is as the problem says, else the method's own default. UnknownName for a name that does
-    not exist, Incompatible for a setting that the method does not take.
+    `fit(problem, "droid", budget=500)` is `dropo fit PROBLEM --method droid --budget 500`.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was measured, and the simulator.
+    method : str
+        A name that `dropo list methods` prints.
+    rng : numpy.random.Generator, int or None
+        Whatever `numpy.random.default_rng` takes.
+    **settings
+        Settings of the method's class by name. What is left out is as the problem says, else the
+        method's own default.
+
+    Returns
+    -------
+    Fit
+        The distribution of the parameters, and what it cost to find.
+
+    Raises
+    ------
+    UnknownName
+        If a name does not exist; the message gives the nearest valid one.
+    Incompatible
+        If the method has no such setting.
+    BadArgument
+        If the problem is no `Problem`, or a setting breaks a rule.
     """
     return estimator_for(problem, method, settings).fit(problem, rng=rng)
 
 
 def estimator_for(problem: Problem, method: str, given: dict[str, Any]) -> Estimator:
-    """The method with the given settings, and the problem's own where it has such; names are
-    checked.
+    """Make a method with the settings that its caller, then the problem, suggest.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its `settings` hold where the caller gives none.
+    method : str
+        The method's name.
+    given : dict
+        The caller's settings by name.
+
+    Returns
+    -------
+    Estimator
+
+    Raises
+    ------
+    UnknownName, Incompatible, BadArgument
+        As `fit`.
     """
-    require(
-        isinstance(problem, Problem),
-        "problem",
-        "a Problem, which dropo.load makes of a name or a file",
-        problem,
-        "fit",
-    )
-    made = find("methods", method)
-    takes = [field.name for field in fields(made)]
+    rule = "a Problem, which dropo.load makes of a name or a file"
+    require(isinstance(problem, Problem), "problem", rule, problem, "fit")
+    kind = find("methods", method)
+    takes = [field.name for field in fields(kind)]
     for name, value in given.items():
         if name not in takes:
             raise Incompatible(
@@ -56,20 +89,17 @@ def estimator_for(problem: Problem, method: str, given: dict[str, Any]) -> Estim
         if name in NAMED and isinstance(value, str):
             find(NAMED[name], value)
     settings = {name: value for name, value in problem.settings.items() if name in takes} | given
-    if (
-        "draws" in settings
-        and "draws" not in given
-        and not _draws(settings.get("likelihood", getattr(made, "likelihood", None)))
-    ):
-        del settings["draws"]
-    estimator: Estimator = made(**settings)
+    # The problem's number of draws is for likelihoods that take one.
+    if "draws" in settings and "draws" not in given:
+        likelihood = settings.get("likelihood", getattr(kind, "likelihood", None))
+        if not _takes_draws(likelihood):
+            del settings["draws"]
+    estimator: Estimator = kind(**settings)
     return estimator
 
 
-def _draws(likelihood: Any) -> bool:
-    """Whether a likelihood, by its name, takes a number of draws; a method without one decides
-    itself.
-    """
-    return not isinstance(likelihood, str) or "draws" in [
-        field.name for field in fields(find("likelihoods", likelihood))
-    ]
+def _takes_draws(likelihood: Any) -> bool:
+    """Whether a likelihood, by its name, takes a number of draws; True for a method without one."""
+    if not isinstance(likelihood, str):
+        return True
+    return "draws" in [field.name for field in fields(find("likelihoods", likelihood))]

@@ -1,5 +1,6 @@
-"""The contract of online methods: they call back, to collect data on the target or to have a policy
-tried, and count what that costs.
+"""The contract of interactive estimators, which call back while they run.
+
+They ask to collect data on the target or to try a policy there, and count what that costs.
 """
 
 from collections.abc import Callable
@@ -22,13 +23,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Answer(Generic[T]):
-    """What a callback brings, where it says what that cost; without costs to tell, the value alone
-    will do.
+    """What a callback returns where it says what that cost; else its value alone will do.
 
-    value: trajectories or a number; transitions: control steps made on the target, beside those of
-    the trajectories;
-    steps: simulator steps, for training a policy say, beside those of the problem's own simulator,
-    which are counted anyway.
+    Attributes
+    ----------
+    value : Trajectories or float
+        Data, or a number.
+    transitions : int
+        Control steps made on the target, beside those of the trajectories.
+    steps : int
+        Simulator steps, such as for training a policy, beside those of the problem's own
+        simulator, which are counted anyway.
     """
 
     value: T
@@ -37,66 +42,76 @@ class Answer(Generic[T]):
 
 
 Collect = Callable[[Fit, Generator], Trajectories | Answer[Trajectories]]
-"""Data of the target, collected with a policy for the present fit: collect(fit, rng)."""
+"""collect(fit, rng): data of the target, collected with a policy for the present fit."""
 Evaluate = Callable[[Fit, Generator], float | Answer[float]]
-"""The return on the target of a policy trained under the present fit, higher is better:
-evaluate(fit, rng).
-"""
+"""evaluate(fit, rng): the return on the target of a policy trained under the present fit, higher is
+better."""
 Performance = Callable[[Array, Generator], float | Answer[float]]
-"""How well the policy does in simulation under parameter values (d,), higher is better:
-performance(values, rng).
-"""
+"""performance(values, rng): the return of the policy in simulation under parameters (d,), higher is
+better."""
 
 
 class InteractiveEstimator(Estimator):
-    """An estimator with a callback among its settings; its own `__post_init__` calls
-    `_check_callback`.
+    """An estimator with a callback among its settings.
+
+    Its own `__post_init__` calls `_check_callback`.
     """
 
     def _check_callback(self, name: str, signature: str) -> None:
-        """Refuses to be made without the callback of that name, as the command line must."""
-        made = type(self).__name__
-        if getattr(self, name) is None:
+        """Refuse to be made without the callback of that name, as the command line must."""
+        kind = type(self).__name__
+        callback = getattr(self, name)
+        if callback is None:
             raise Incompatible(
-                f"Method {self.name!r} calls back to {name}{signature}, which a command "
-                "line cannot give."
-                f" In Python: dropo.{made}({name}={name}).fit(dropo.load('hopper'), "
+                f"Method {self.name!r} calls back to {name}{signature}, which a command line "
+                f"cannot give. In Python: dropo.{kind}({name}={name}).fit(dropo.load('hopper'), "
                 f"rng=0), with {name} a function of yours."
             )
-        require(
-            callable(getattr(self, name)),
-            name,
-            f"a function {name}{signature}",
-            getattr(self, name),
-            made,
-        )
+        require(callable(callback), name, f"a function {name}{signature}", callback, kind)
 
 
 @dataclass
 class Callbacks:
-    """The callbacks of one run.
+    """Calls the callbacks of one run.
 
-    Each has a generator of its own, is recorded in the run's evaluation log, and its cost is
+    Each call has a generator of its own, is recorded in the run's evaluation log, and its cost is
     counted.
 
-    transitions: control steps made on the target so far.
+    Attributes
+    ----------
+    run : Run
+        The run.
+    transitions : int
+        Control steps made on the target so far.
     """
 
     run: Run
     transitions: int = 0
 
     def number(self, point: Array, call: Callable[[Generator], float | Answer[float]]) -> float:
-        """What the callback says about a point (m,), a finite number."""
+        """Ask a callback for a number.
+
+        Parameters
+        ----------
+        point : (m,) array
+            What it is asked about, for the evaluation log.
+        call : callable
+            call(rng) gives the number or an `Answer`.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        BadArgument
+            If the number is not finite.
+        """
 
         def ask(rng: Generator) -> tuple[Array, Answer[Any]]:
-            answer = _answer(call(rng))
-            require(
-                bool(np.isfinite(answer.value)),
-                "answer",
-                "a finite number",
-                answer.value,
-                "the callback",
-            )
+            answer = _as_answer(call(rng))
+            finite = bool(np.isfinite(answer.value))
+            require(finite, "answer", "a finite number", answer.value, "the callback")
             return np.array([answer.value], dtype=float), answer
 
         return float(self._ask(point, ask)[0])
@@ -104,34 +119,51 @@ class Callbacks:
     def data(
         self, point: Array, call: Callable[[Generator], Trajectories | Answer[Trajectories]]
     ) -> Trajectories:
-        """What the callback collects at a point (m,), in the columns of the problem's own data;
-        groups and times are not kept.
+        """Ask a callback for data.
+
+        Parameters
+        ----------
+        point : (m,) array
+            What it is asked about, for the evaluation log.
+        call : callable
+            call(rng) gives trajectories or an `Answer`.
+
+        Returns
+        -------
+        Trajectories
+            In the columns of the problem's own data, without groups and times.
+
+        Raises
+        ------
+        BadArgument
+            If the data have other columns than the problem's.
         """
         own = self.run.problem.trajectories
         p = own.observations.shape[1]
         q = own.actions.shape[1]
 
         def ask(rng: Generator) -> tuple[Array, Answer[Any]]:
-            answer = _answer(call(rng))
-            check_shape("observations", answer.value.observations, (None, p), "the callback")
-            check_shape("actions", answer.value.actions, (None, q), "the callback")
-            return _as_array(answer.value), Answer(
-                None, answer.transitions + len(answer.value), answer.steps
-            )
+            answer = _as_answer(call(rng))
+            data = answer.value
+            check_shape("observations", data.observations, (None, p), "the callback")
+            check_shape("actions", data.actions, (None, q), "the callback")
+            transitions = answer.transitions + len(data)
+            return _as_array(data), Answer(None, transitions, answer.steps)
 
         return _as_trajectories(self._ask(point, ask), p, q)
 
     def _ask(self, point: Array, ask: Callable[[Generator], tuple[Array, Answer[Any]]]) -> Array:
+        """The array of an answer, new or recorded, with its costs added to the run's."""
         rng = self.run.rng.spawn(1)[0]
         simulator = self.run.problem.simulator
 
         def counted(_: Array) -> tuple[Array, dict[str, int]]:
-            before = simulator.steps, simulator.failures
+            steps_before = simulator.steps
+            failures_before = simulator.failures
             found, answer = ask(rng)
-            steps = simulator.steps - before[0] + answer.steps
             return found, {
-                "steps": steps,
-                "failures": simulator.failures - before[1],
+                "steps": simulator.steps - steps_before + answer.steps,
+                "failures": simulator.failures - failures_before,
                 "transitions": answer.transitions,
             }
 
@@ -144,25 +176,45 @@ class Callbacks:
 
 
 def distribution(problem: Problem, method: str, family_name: str, phi: Array, **found: Any) -> Fit:
-    """The Fit of the family's member phi (m,), of which nothing is known but itself, as a callback
-    gets it; found: what is known beside.
+    """Make a fit of one member of a family, as a callback gets it.
 
-    Its epsilon is the problem's own, else 0, so that policies may be trained under it as it is.
+    Nothing but the distribution is known of it, unless `found` says more. Its epsilon is the
+    problem's own, else 0, so that policies can be trained under it as it is.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose parameters these are.
+    method : str
+        The method's name.
+    family_name : str
+        The family's name.
+    phi : (m,) array
+        The member.
+    **found
+        Further fields of the `Fit`.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    UnknownName
+        If there is no such family.
     """
     family = find("families", family_name)(problem.space)
     unknown = np.full(len(problem.space), np.nan)
-    noise = np.broadcast_to(
-        0.0 if problem.epsilon is None else problem.epsilon, len(problem.simulator.signals)
-    ).astype(float)
+    epsilon = 0.0 if problem.epsilon is None else problem.epsilon
     fields: dict[str, Any] = {
         "mean_se": unknown,
         "scale_se": unknown,
-        "epsilon": noise,
+        "epsilon": np.broadcast_to(epsilon, len(problem.simulator.signals)).astype(float),
         "log_likelihood": np.nan,
         "mse": np.nan,
         "transitions": int(problem.segments.lengths.sum()),
         "status": Status.DONE,
-        "message": "A law as it stands.",
+        "message": "A distribution as it stands.",
         **found,
     }
     return Fit(
@@ -182,25 +234,36 @@ def distribution(problem: Problem, method: str, family_name: str, phi: Array, **
     )
 
 
-def joined(parts: list[Trajectories]) -> Trajectories:
-    """All of them, one behind the other."""
-    return Trajectories(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS)
-    )
-
-
 _COLUMNS = ("observations", "actions", "next_observations", "terminals")
 
 
-def _answer(given: Any) -> Answer[Any]:
+def joined(parts: list[Trajectories]) -> Trajectories:
+    """Join the data of several calls.
+
+    Parameters
+    ----------
+    parts : list of Trajectories
+        In order; their groups and times are left out.
+
+    Returns
+    -------
+    Trajectories
+    """
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS]
+    return Trajectories(*columns)
+
+
+def _as_answer(given: Any) -> Answer[Any]:
+    """What a callback returned as an `Answer`."""
     return given if isinstance(given, Answer) else Answer(given)
 
 
 def _as_array(data: Trajectories) -> Array:
-    """(N, p + q + p + 1), as an evaluation log keeps it."""
+    """Trajectories as the array (N, p + q + p + 1) that an evaluation log keeps."""
     return np.column_stack([getattr(data, name) for name in _COLUMNS]).astype(float)
 
 
 def _as_trajectories(array: Array, p: int, q: int) -> Trajectories:
+    """Trajectories from the array that `_as_array` gave."""
     observations, actions, after, terminals = np.split(array, [p, p + q, 2 * p + q], axis=1)
     return Trajectories(observations, actions, after, terminals[:, 0] > 0)

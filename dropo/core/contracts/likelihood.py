@@ -1,6 +1,13 @@
-"""The contract of likelihoods: the log density of measured segments under a member of a family."""
+"""The contract of likelihoods: how probable the measured segments are under a member of a family.
+
+`Likelihood` holds settings, and `bind` makes it a `LogLikelihood`: a function of phi for given
+data. Two narrower contracts refine this one. A `LocalLikelihood` uses a local model of the
+simulator, and its log-likelihood knows its scores and Fisher information. A `GroupedLogLikelihood`
+also integrates over one draw of the parameters for each group of rows.
+"""
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,22 +17,48 @@ from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, is_tensor
 from dropo.core.records.parameters import ParameterSpace
-from dropo.core.records.trajectories import Segments
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array, check_shape, float_array
 
 
 class LogLikelihood(ABC):
-    """The log-likelihood of phi (m,) = the family's unknowns, then the likelihood's own: sums the R
-    compared rows.
+    """The log-likelihood of phi: the sum of the log densities of the R compared rows.
+
+    A plug-in writes `_rows`, `epsilon` and `mean`.
+
+    Attributes
+    ----------
+    unknowns : ParameterSpace
+        The box of phi (m,): the family's unknowns, then the likelihood's own.
+    has_gradients : bool
+        Whether `gradient` can be called.
     """
 
     unknowns: ParameterSpace
     has_gradients = False
 
     def __call__(self, phi: ArrayLike) -> float:
-        """Log L(phi) = sum of the rows [nats] (thesis, eq. 5.6); -inf where a simulation failed; a
-        tensor () of a tensor.
+        """Evaluate log L(phi), the sum over all rows.
+
+        Parameters
+        ----------
+        phi : (m,) array_like
+            A member of the family and the likelihood's own unknowns, array or torch tensor.
+
+        Returns
+        -------
+        float
+            In nats; -inf where a simulation failed; a tensor of shape () for a tensor.
+
+        Raises
+        ------
+        BadArgument
+            If phi has another shape or is not finite.
+
+        References
+        ----------
+        Tiboni (2021), eq. 5.6.
         """
         rows = self.rows(phi)
         if is_tensor(rows):
@@ -33,10 +66,24 @@ class LogLikelihood(ABC):
         return float(rows.sum()) if np.isfinite(rows).all() else -np.inf
 
     def rows(self, phi: ArrayLike) -> Array:
-        """(R,) log density of each compared row [nats]; -inf where one of its simulations failed.
+        """Evaluate the log density of each compared row.
 
-        A torch tensor phi gives a tensor, with its autograd history, where likelihood and family
-        are of closed form in phi.
+        Parameters
+        ----------
+        phi : (m,) array_like
+            As of `__call__`.
+
+        Returns
+        -------
+        (R,) array
+            In nats; -inf where one of the row's simulations failed. A torch tensor phi gives a
+            tensor, with its autograd history, where likelihood and family are of closed form in
+            phi.
+
+        Raises
+        ------
+        BadArgument
+            If phi has another shape or is not finite.
         """
         if not is_tensor(phi):
             return self._rows(float_array("phi", phi, (len(self.unknowns),), type(self).__name__))
@@ -45,7 +92,23 @@ class LogLikelihood(ABC):
         return self._rows(tensor)
 
     def gradient(self, phi: ArrayLike) -> Array:
-        """(m,) d log L / d phi, where `has_gradients`."""
+        """Differentiate log L by phi, where `has_gradients`.
+
+        Parameters
+        ----------
+        phi : (m,) array_like
+            As of `__call__`.
+
+        Returns
+        -------
+        (m,) array
+            d log L / d phi.
+
+        Raises
+        ------
+        Incompatible
+            If the likelihood or its simulator gives no gradients.
+        """
         raise Incompatible(
             f"{type(self).__name__} gives no gradients. Use an optimizer without, such as "
             "'cma-es' or 'nlopt-sbplx'."
@@ -53,19 +116,19 @@ class LogLikelihood(ABC):
 
     @abstractmethod
     def _rows(self, phi: Array) -> Array:
-        """(m,) -> (R,), arrays or tensors."""
+        """The log densities (R,) at a checked phi (m,), arrays or tensors."""
 
     @abstractmethod
     def epsilon(self, phi: Array) -> Array:
-        """(p,) the noise variance of each signal."""
+        """Noise variance (p,) of each signal at phi (m,) [signal unit^2]."""
 
     @abstractmethod
     def mean(self, phi: Array) -> Array:
-        """(R, p) the mean prediction under phi, for the mean squared error."""
+        """Mean prediction (R, p) at phi (m,), for the mean squared error."""
 
 
 class Likelihood(ABC):
-    """Settings of a likelihood; `bind` makes it a function of phi for given data."""
+    """The settings of a likelihood; a plug-in is a frozen dataclass that writes `bind`."""
 
     @abstractmethod
     def bind(
@@ -76,6 +139,140 @@ class Likelihood(ABC):
         epsilon: Epsilon,
         rng: np.random.Generator,
     ) -> LogLikelihood:
-        """The log-likelihood of the segments. epsilon: the noise variance, one or (p,) [signal
-        unit^2], or a Noise.
+        """Make the log-likelihood of given segments, a function of phi.
+
+        Parameters
+        ----------
+        simulator : Simulator
+            Predicts the segments.
+        segments : Segments
+            What was measured.
+        family : Family
+            The distributions over the simulator's parameters.
+        epsilon : float, (p,) array or Noise
+            Noise variance, one or each signal's [signal unit^2]; a `Noise` says more about it.
+        rng : numpy.random.Generator
+            For base points that stay fixed.
+
+        Returns
+        -------
+        LogLikelihood
         """
+
+
+class LocalLogLikelihood(LogLikelihood):
+    """A log-likelihood that holds near the point where it was built.
+
+    Its `unknowns` are bounded by that region.
+    """
+
+    @abstractmethod
+    def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
+        """Evaluate the log-likelihood, its scores and its Fisher information.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+
+        Returns
+        -------
+        value : float
+            In nats.
+        scores : (R, m) array
+            Score of each row; (G, m), one for each group, where rows of a group share draws.
+        information : (m, m) array
+            Fisher information.
+        """
+
+    @abstractmethod
+    def predict(self, values: Array) -> Array:
+        """Predictions (K, R, p) of the local model at parameter vectors (K, d)."""
+
+
+class LocalLikelihood(Likelihood):
+    """A likelihood with a local model of the simulator.
+
+    An estimator builds it anew around the maximum that it finds. A plug-in writes `linearize_at`.
+    """
+
+    @abstractmethod
+    def linearize_at(
+        self,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        centre: Array,
+        width: Array,
+        rng: np.random.Generator,
+        *,
+        rough: bool = False,
+    ) -> LocalLogLikelihood:
+        """Make the log-likelihood of members of the family near a point.
+
+        Parameters
+        ----------
+        simulator, segments, family, epsilon, rng
+            As of `bind`.
+        centre : (d,) array
+            Means of the members are near it, in the parameters' units.
+        width : (d,) array
+            Scales of the members are at most about this large, in the parameters' units.
+        rough : bool
+            Whether a cheaper and coarser model will do.
+
+        Returns
+        -------
+        LocalLogLikelihood
+        """
+
+    def bind(
+        self,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        rng: np.random.Generator,
+    ) -> LocalLogLikelihood:
+        """Make the log-likelihood around the middle of the search box, a sixth of it wide."""
+        space = simulator.space
+        centre = (space.low + space.high) / 2
+        width = (space.high - space.low) / 6
+        return self.linearize_at(simulator, segments, family, epsilon, centre, width, rng)
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """What the data say of each of G groups of rows.
+
+    Attributes
+    ----------
+    label : (G,) int array
+        The group's number in the data.
+    rows : (G,) int array
+        How many compared rows it has.
+    mean : (G, d) array
+        The mode of its parameters under the population, in their units.
+    precision : (G, d, d) array
+        The information that its own rows have on its parameters.
+    """
+
+    label: Ints
+    rows: Ints
+    mean: Array
+    precision: Array
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+
+class GroupedLogLikelihood(LocalLogLikelihood):
+    """A log-likelihood whose rows are G independent groups.
+
+    Each group has one draw of the parameters, which is integrated out.
+    """
+
+    @abstractmethod
+    def groups(self, phi: Array) -> Groups:
+        """Parameters of each group, under the population that phi (m,) names."""

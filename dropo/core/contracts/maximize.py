@@ -1,4 +1,4 @@
-"""Drives an optimizer over an objective: budget, failures, evaluation log, progress."""
+"""Maximizes an objective by an optimizer: budget, failed points, evaluation log, progress."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,12 +16,25 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array, require
 
 Objective = Callable[[Array], Any]
+"""A function to maximize, of a point (m,) in the space's own units."""
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """point: (m,) in the space's own units; value: the objective there, -inf where every point
-    failed; reason: why it stopped.
+    """The best point of a search, and how the search ended.
+
+    Attributes
+    ----------
+    point : (m,) array
+        In the space's own units.
+    value : float
+        The objective there; -inf where every point failed.
+    evaluations : int
+        How many were made.
+    reason : str
+        Why it stopped, in a sentence.
+    status : Status
+        How it ended.
     """
 
     point: Array
@@ -31,20 +44,22 @@ class SearchResult:
     status: Status
 
 
-class _Costs:
-    """-objective, made finite: a failed point costs more than the worst so far, by the spread seen
-    so far.
-    """
+class _FiniteCosts:
+    """Makes costs finite: a failed point costs more than the highest so far, by their range."""
 
     def __init__(self) -> None:
-        self.least = np.inf
-        self.most = -np.inf
+        self.lowest = np.inf
+        self.highest = -np.inf
 
-    def finite(self, cost: float) -> float:
+    def __call__(self, cost: float) -> float:
+        """The cost itself, or one for a failed point."""
         if np.isfinite(cost):
-            self.least, self.most = min(self.least, cost), max(self.most, cost)
+            self.lowest = min(self.lowest, cost)
+            self.highest = max(self.highest, cost)
             return cost
-        return 1e12 if self.most < self.least else self.most + 1.0 + (self.most - self.least)
+        if self.highest < self.lowest:  # no point has succeeded yet
+            return 1e12
+        return self.highest + 1.0 + (self.highest - self.lowest)
 
 
 def maximize(
@@ -55,26 +70,36 @@ def maximize(
     *,
     batched: bool = False,
 ) -> SearchResult:
-    """The point of the space's box with the highest objective, by the optimizer, in at most
-    `optimizer.budget` evaluations.
+    """Find the point of a space's box with the highest objective.
 
-    batched: the objective takes points of the unit box, (P, m) -> (P,), at once.
+    Parameters
+    ----------
+    objective : callable
+        A point (m,) in the space's own units to a number, not finite where it fails; a
+        `LogLikelihood` for optimizers that need gradients.
+    space : ParameterSpace
+        The box.
+    optimizer : Optimizer
+        Proposes points, at most `optimizer.budget` of them; it is closed at the end.
+    run : Run
+        Records and counts the evaluations.
+    batched : bool
+        Whether the objective takes points of the unit box instead, (P, m) to (P,), at once.
+
+    Returns
+    -------
+    SearchResult
+        The best point so far if the search is interrupted by Ctrl-C.
+
+    Raises
+    ------
+    Incompatible
+        If the optimizer needs gradients and the objective gives none.
+    BadArgument
+        If the budget is less than the optimizer's first batch.
     """
-    gradients = optimizer.needs_gradients
-    if gradients and not getattr(objective, "has_gradients", False):
-        giver = getattr(objective, "simulator", objective)
-        raise Incompatible(
-            f"{type(optimizer).__name__} needs gradients, and {type(giver).__name__} gives "
-            f"none. {WITHOUT_GRADIENTS}"
-        )
-    evaluate: Any = (
-        objective
-        if batched
-        else _with_gradients(objective, space)
-        if gradients
-        else _values(objective, space)
-    )  # type: ignore[arg-type]
-    costs = _Costs()
+    evaluate = _in_unit_box(objective, space, optimizer, batched=batched)
+    finite_cost = _FiniteCosts()
     done = 0
     best = -np.inf
     reason = None
@@ -83,23 +108,16 @@ def maximize(
         while (reason := optimizer.stop()) is None and done < optimizer.budget:
             points = optimizer.ask()
             if done + len(points) > optimizer.budget:
-                require(
-                    done > 0,
-                    "budget",
-                    f"at least {len(points)}, the first batch",
-                    optimizer.budget,
-                    type(optimizer).__name__,
-                )
+                rule = f"at least {len(points)}, the first batch"
+                require(done > 0, "budget", rule, optimizer.budget, type(optimizer).__name__)
                 break
             answers = run.evaluate(points, evaluate)  # (P,) or (P, 1 + m)
             answers = answers.reshape(len(points), -1)
-            told = np.array([costs.finite(-value) for value in answers[:, 0]])
-            slopes = (
-                np.nan_to_num(-answers[:, 1:], nan=0.0, posinf=0.0, neginf=0.0)
-                if gradients
-                else None
-            )  # failed points have none
-            optimizer.tell(points, told, slopes)
+            costs = np.array([finite_cost(-value) for value in answers[:, 0]])
+            gradients = None
+            if optimizer.needs_gradients:  # failed points have none
+                gradients = np.nan_to_num(-answers[:, 1:], nan=0.0, posinf=0.0, neginf=0.0)
+            optimizer.tell(points, costs, gradients)
             done += len(points)
             best = max([best, *answers[np.isfinite(answers[:, 0]), 0].tolist()])
             run.progress(done / optimizer.budget, f"{done} evaluations, best {best:.6g}")
@@ -117,23 +135,43 @@ def maximize(
     return SearchResult(space.from_unit(optimizer.best[0]), best, done, reason or "", status)
 
 
+def _in_unit_box(
+    objective: Any,
+    space: ParameterSpace,
+    optimizer: Optimizer,
+    *,
+    batched: bool,
+) -> Objective:
+    """The objective of many points of the unit box, with gradients if the optimizer needs them."""
+    if optimizer.needs_gradients and not getattr(objective, "has_gradients", False):
+        giver = getattr(objective, "simulator", objective)
+        raise Incompatible(
+            f"{type(optimizer).__name__} needs gradients, and {type(giver).__name__} gives "
+            f"none. {WITHOUT_GRADIENTS}"
+        )
+    if batched:
+        return objective
+    if optimizer.needs_gradients:
+        return _with_gradients(objective, space)
+    return _values(objective, space)
+
+
 def _values(objective: Objective, space: ParameterSpace) -> Callable[[Array], Array]:
+    """The objective (P,) of points (P, m) of the unit box."""
     return lambda points: np.array([objective(space.from_unit(point)) for point in points])
 
 
-def _with_gradients(objective: LogLikelihood, space: ParameterSpace) -> Callable[[Array], Array]:
-    """(P, 1 + m): the value, and its gradient in the unit box."""
+def _with_gradients(objective: Any, space: ParameterSpace) -> Callable[[Array], Array]:
+    """The objective and its gradient in the unit box, (P, 1 + m), of points (P, m) of it."""
 
     def evaluate(points: Array) -> Array:
-        out = []
+        rows = []
         for point in points:
             phi = space.from_unit(point)
-            slope = np.where(
-                space.is_log,
-                phi * np.log(space.high / np.where(space.is_log, space.low, 1.0)),
-                space.high - space.low,
-            )
-            out.append(np.concatenate([[objective(phi)], objective.gradient(phi) * slope]))
-        return np.array(out)
+            logarithmic = phi * np.log(space.high / np.where(space.is_log, space.low, 1.0))
+            slope = np.where(space.is_log, logarithmic, space.high - space.low)
+            gradient = objective.gradient(phi) * slope
+            rows.append(np.concatenate([[objective(phi)], gradient]))
+        return np.array(rows)
 
     return evaluate

@@ -1,6 +1,4 @@
-"""The error of the measurements: known or learned, Gaussian or with long tails, on the start states
-too or not.
-"""
+"""The contract of measurement noise: known or learned, Gaussian or Student t, on starts or not."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -15,16 +13,37 @@ from dropo.core.services.validation import Array, known, require
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """What a likelihood takes for the measurement's error; where it is known and Gaussian, its
-    variance alone will do.
+    """What a likelihood assumes of the measurements' error.
 
-    variance: one, or (p,) each signal's [signal unit^2]. learned: "factor", one factor on the
-    variances is found with the rest; "each", one for each signal; factors lie in [1e-8, 1e4].
-    start: whether the measured start states carry it too: the same variances, in the same
-    coordinates. degrees: nu > 2, each row is a multivariate Student t in the Gaussian's place
-    (Lange, Little, Taylor 1989, J. Am. Stat. Assoc. 84), whose scale matrix is the Gaussian's
-    covariance: its own covariance is nu / (nu - 2) times as large. None: Gaussian. rows: (R, p, p)
-    a known covariance of each compared row beside all this.
+    Where the noise is Gaussian and known, its variance alone can be passed in place of this.
+
+    Attributes
+    ----------
+    variance : float or (p,) array
+        One variance, or one for each signal [signal unit^2].
+    learned : {"factor", "each"} or None
+        "factor": one factor on all variances is fitted too; "each": one factor for each signal.
+        Factors lie in [1e-8, 1e4].
+    start : bool
+        Whether the measured start states carry the noise too, with the same variances in the same
+        coordinates.
+    degrees : float or None
+        Degrees of freedom nu > 2 of a multivariate Student t for each row; None: Gaussian. The
+        scale matrix of the Student t is the covariance of the Gaussian, so its own covariance is
+        nu / (nu - 2) times as large.
+    rows : (R, p, p) array or None
+        A known covariance of each compared row, added to the variances.
+
+    Raises
+    ------
+    UnknownName
+        If `learned` is another word.
+    BadArgument
+        If `degrees` is 2 or less.
+
+    References
+    ----------
+    Lange, Little and Taylor, J. Am. Stat. Assoc. 84 (1989), 881, for the Student t.
     """
 
     variance: float | Array
@@ -36,64 +55,98 @@ class Noise:
     def __post_init__(self) -> None:
         if self.learned is not None:
             known("learned", self.learned, ("factor", "each"))
-        require(
-            self.degrees is None or self.degrees > 2,
-            "degrees",
-            "above 2, to have a variance",
-            self.degrees,
-            "Noise",
-        )
+        enough = self.degrees is None or self.degrees > 2
+        require(enough, "degrees", "above 2, to have a variance", self.degrees, "Noise")
 
 
 Epsilon = float | Array | Noise
+"""A noise variance, one or (p,) [signal unit^2], or a `Noise`."""
 
 
 class NoiseModel:
-    """epsilon as given, or its factor as an unknown of the likelihood's own."""
+    """The noise variance as a function of a likelihood's own unknowns.
+
+    Parameters
+    ----------
+    epsilon : float, (p,) array or Noise
+        The noise.
+    signals : int
+        p, the number of signals.
+
+    Attributes
+    ----------
+    noise : Noise
+        The noise as it was given.
+    shape : (p,) array
+        Variances as given; learned factors multiply them [signal unit^2].
+    unknowns : tuple of Parameter
+        The learned factors, none if the noise is known.
+
+    Raises
+    ------
+    BadArgument
+        If a variance is negative or not finite, or if there is neither one nor p of them.
+    """
 
     def __init__(self, epsilon: Epsilon, signals: int):
         self.noise = epsilon if isinstance(epsilon, Noise) else Noise(epsilon)
         given = self.noise.variance
         array = np.asarray(given, dtype=float)
-        require(
-            array.shape in ((), (signals,)),
-            "epsilon",
-            f"one number, or one for each of {signals} signals",
-            array.shape,
-            "Likelihood",
-        )
-        require(
-            bool(np.isfinite(array).all() and (array >= 0).all()),
-            "epsilon",
-            "a finite variance, not negative",
-            given,
-            "Likelihood",
-        )
+        rule = f"one number, or one for each of {signals} signals"
+        require(array.shape in ((), (signals,)), "epsilon", rule, array.shape, "Likelihood")
+        valid = bool(np.isfinite(array).all() and (array >= 0).all())
+        require(valid, "epsilon", "a finite variance, not negative", given, "Likelihood")
         self.shape = np.broadcast_to(array, (signals,)).astype(float)
-        own = (
-            [f"epsilon[{i}]" for i in range(signals)]
-            if self.noise.learned == "each"
-            else ["epsilon"]
-        )
-        self.unknowns = (
-            tuple(Parameter(name, 1e-8, 1e4, scale="log") for name in own)
-            if self.noise.learned
-            else ()
-        )
+        names: list[str] = []
+        if self.noise.learned == "each":
+            names = [f"epsilon[{i}]" for i in range(signals)]
+        elif self.noise.learned:
+            names = ["epsilon"]
+        self.unknowns = tuple(Parameter(name, 1e-8, 1e4, scale="log") for name in names)
 
     def positive(self, caller: str) -> "NoiseModel":
-        """Itself, where no epsilon is 0: a local model's own error must not pass for the noise."""
+        """Return this model if no variance is 0, else a local model's error would pass for noise.
+
+        Parameters
+        ----------
+        caller : str
+            Who asks, for the message.
+
+        Returns
+        -------
+        NoiseModel
+            Itself.
+
+        Raises
+        ------
+        BadArgument
+            If a variance is 0.
+        """
         if (self.shape <= 0).any():
             raise BadArgument(
-                f"The epsilon of {caller} must be positive for every signal: without noise "
-                "its covariance is singular."
-                " Give epsilon > 0 (the variance of the measurement noise), or 'learn'."
+                f"The epsilon of {caller} must be positive for every signal: without noise its "
+                "covariance is singular. Give epsilon > 0 (the variance of the measurement "
+                "noise), or 'learn'."
             )
         return self
 
     def plain(self, caller: str) -> "NoiseModel":
-        """Itself, where it is Gaussian and on the compared rows alone, which is all that the caller
-        knows.
+        """Return this model if it is Gaussian and on the compared rows alone.
+
+        Parameters
+        ----------
+        caller : str
+            Who asks, for the message: a likelihood that knows no other noise.
+
+        Returns
+        -------
+        NoiseModel
+            Itself.
+
+        Raises
+        ------
+        Incompatible
+            If the noise is on the start states, a Student t, or has a covariance of each row.
         """
         if self.noise.start or self.noise.degrees is not None or self.noise.rows is not None:
             raise Incompatible(
@@ -103,13 +156,24 @@ class NoiseModel:
         return self
 
     def epsilon(self, own: Array) -> Array:
-        """(p,) from the likelihood's own unknowns (p,), (1,) or (0,), array or tensor."""
+        """Evaluate the noise variances.
+
+        Parameters
+        ----------
+        own : (n,) array
+            The n learned factors, array or tensor; n is 0, 1 or p.
+
+        Returns
+        -------
+        (p,) array
+            Variance of each signal [signal unit^2].
+        """
         shape = constant(self.shape, own)
         return shape * own if self.unknowns else shape
 
     def slopes(self) -> Array:
-        """D epsilon / d own unknown (n, p)."""
+        """Derivatives (n, p) of the variances by the n learned factors."""
         n = len(self.unknowns)
-        return (
-            np.diag(self.shape) if n == len(self.shape) else np.repeat(self.shape[None], n, axis=0)
-        )
+        if n == len(self.shape):
+            return np.diag(self.shape)
+        return np.repeat(self.shape[None], n, axis=0)

@@ -1,6 +1,6 @@
-"""The contract of optimizers: ask and tell, in the unit box.
+"""The contract of optimizers: ask for points of the unit box, and be told their costs.
 
-They never call the objective, so budgets and logs stay outside.
+They never call the objective, so budgets and evaluation logs stay outside (see `maximize`).
 """
 
 import queue
@@ -15,11 +15,35 @@ from dropo.core.services.validation import Array, check_shape, float_array, requ
 
 
 class Optimizer(ABC):
-    """Minimises a cost over [0, 1]^m. A plug-in writes `_ask`, `_tell` and `_stop`.
+    """Minimises a cost over the unit box [0, 1]^m.
 
-    dimension: m; rng: its own generator; start: (m,), the middle by default; step: (m,) the width
-    of the first steps, where the method has one; budget: the evaluations that it may plan with
-    (those that stop by themselves need none).
+    A plug-in writes `_ask`, `_tell` and `_stop`.
+
+    Parameters
+    ----------
+    dimension : int
+        m.
+    rng : numpy.random.Generator
+        The optimizer's own generator.
+    start : (m,) array_like, optional
+        Where to begin; the middle of the box by default.
+    step : float or (m,) array_like
+        Size of the first steps, where the method has one.
+    budget : int
+        Evaluations that it may plan with; methods that stop by themselves need none.
+
+    Attributes
+    ----------
+    needs_gradients : bool
+        Whether `tell` must get gradients.
+    best : tuple of (m,) array and float
+        The point of lowest cost so far, and its cost.
+
+    Raises
+    ------
+    BadArgument
+        If the dimension or budget is less than 1, the start is outside the box, or a step is not
+        positive.
     """
 
     needs_gradients = False
@@ -39,54 +63,82 @@ class Optimizer(ABC):
         self.dimension = dimension
         self.rng = rng
         self.budget = budget
-        self.start = float_array(
-            "start", np.full(dimension, 0.5) if start is None else start, (dimension,), caller
-        )
-        require(
-            bool((self.start >= 0).all() and (self.start <= 1).all()),
-            "start",
-            "inside [0, 1]",
-            self.start,
-            caller,
-        )
+        first = np.full(dimension, 0.5) if start is None else start
+        self.start = float_array("start", first, (dimension,), caller)
+        inside = bool((self.start >= 0).all() and (self.start <= 1).all())
+        require(inside, "start", "inside [0, 1]", self.start, caller)
         self.step = float_array("step", np.broadcast_to(step, (dimension,)), (dimension,), caller)
         require(bool((self.step > 0).all()), "step", "positive", self.step, caller)
         self.best: tuple[Array, float] = (self.start, np.inf)
 
     def ask(self) -> Array:
-        """(P, m) points of the unit box to evaluate next."""
+        """Ask which points to evaluate next.
+
+        Returns
+        -------
+        (P, m) array
+            Points of the unit box.
+
+        Raises
+        ------
+        BadArgument
+            If the optimizer has stopped, or its points have another dimension.
+        """
         points = np.atleast_2d(self._ask())
         check_shape("points", points, (None, self.dimension), type(self).__name__)
         return np.clip(points, 0.0, 1.0)
 
     def tell(self, points: ArrayLike, costs: ArrayLike, gradients: ArrayLike | None = None) -> None:
-        """Their costs (P,), finite, and the gradients (P, m) for optimizers that need them."""
+        """Tell the costs of the points that `ask` gave.
+
+        Parameters
+        ----------
+        points : (P, m) array_like
+            The points.
+        costs : (P,) array_like
+            Their costs, all finite.
+        gradients : (P, m) array_like, optional
+            d cost / d point, for optimizers that need them.
+
+        Raises
+        ------
+        BadArgument
+            If an array has another shape or is not finite, or gradients are needed and missing.
+        """
         caller = f"{type(self).__name__}.tell"
         points = float_array("points", points, (None, self.dimension), caller)
         costs = float_array("costs", costs, (len(points),), caller)
-        require(
-            gradients is not None or not self.needs_gradients, "gradients", "given", None, caller
-        )
+        complete = gradients is not None or not self.needs_gradients
+        require(complete, "gradients", "given", None, caller)
         i = int(costs.argmin())
         if costs[i] < self.best[1]:
             self.best = (points[i], float(costs[i]))
         self._tell(points, costs, None if gradients is None else np.asarray(gradients, dtype=float))
 
     def stop(self) -> str | None:
-        """None while there is more to do, else the reason in a sentence."""
+        """Say why the optimizer has stopped.
+
+        Returns
+        -------
+        str or None
+            The reason in a sentence; None while there is more to do.
+        """
         return self._stop()
 
     def close(self) -> None:  # noqa: B027, most hold nothing
-        """Frees what the optimizer holds; it cannot go on afterwards."""
+        """Free what the optimizer holds; it cannot go on afterwards."""
 
     @abstractmethod
-    def _ask(self) -> Array: ...
+    def _ask(self) -> Array:
+        """Points (P, m), or one point (m,), to evaluate next; `ask` clips them to the box."""
 
     @abstractmethod
-    def _tell(self, points: Array, costs: Array, gradients: Array | None) -> None: ...
+    def _tell(self, points: Array, costs: Array, gradients: Array | None) -> None:
+        """Take the costs (P,) of points (P, m), and gradients (P, m) if they are needed."""
 
     @abstractmethod
-    def _stop(self) -> str | None: ...
+    def _stop(self) -> str | None:
+        """The reason to stop in a sentence; None while there is more to do."""
 
 
 class _Closed(BaseException):
@@ -94,11 +146,15 @@ class _Closed(BaseException):
 
 
 class CallbackOptimizer(Optimizer):
-    """Ask and tell around a library that wants to call the objective itself.
+    """Ask and tell around a library that calls the objective itself.
 
-    A plug-in writes `_minimise` alone.
+    A plug-in writes `_minimise` alone. The minimiser runs in a thread of its own; its objective
+    waits there until the cost of the point is told.
 
-    The minimiser runs in a thread of its own and waits, in its objective, for the cost to be told.
+    Parameters
+    ----------
+    dimension, rng, start, step, budget
+        As of `Optimizer`.
     """
 
     def __init__(
@@ -111,18 +167,22 @@ class CallbackOptimizer(Optimizer):
         budget: int = 5000,
     ):
         super().__init__(dimension, rng, start=start, step=step, budget=budget)
+        # What the thread sends: a point to evaluate, the reason why it stopped, or its error.
         self._questions: queue.Queue[Array | str | BaseException] = queue.Queue()
+        # What it gets: the cost and gradient of its point, or None to make it stop.
         self._answers: queue.Queue[tuple[float, Array | None] | None] = queue.Queue()
         self._pending: Array | str | BaseException | None = None
         self._thread: threading.Thread | None = None
 
     @abstractmethod
     def _minimise(self, cost: Callable[[Array], tuple[float, Array | None]]) -> str:
-        """Minimises cost(x (m,)) -> (value, gradient (m,) or None) from `self.start`; returns why
-        it stopped.
+        """Minimise a cost from `self.start`, and return why it stopped.
+
+        The function cost takes x (m,) and gives its value and gradient (m,), or None for that.
         """
 
     def _run(self) -> None:
+        """Run the minimiser, in the thread."""
         try:
             self._questions.put(self._minimise(self._cost))
         except _Closed:
@@ -131,6 +191,7 @@ class CallbackOptimizer(Optimizer):
             self._questions.put(error)
 
     def _cost(self, point: Array) -> tuple[float, Array | None]:
+        """The cost and gradient of a point (m,), once they are told; called in the thread."""
         self._questions.put(np.clip(np.array(point, dtype=float), 0.0, 1.0))
         answer = self._answers.get()
         if answer is None:
@@ -139,6 +200,7 @@ class CallbackOptimizer(Optimizer):
         return answer
 
     def _next(self) -> Array | str:
+        """The next point (m,), or the reason to stop; the thread starts at the first call."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
             self._thread.start()
@@ -150,13 +212,8 @@ class CallbackOptimizer(Optimizer):
 
     def _ask(self) -> Array:
         point = self._next()
-        require(
-            not isinstance(point, str),
-            "optimizer",
-            "unfinished",
-            point,
-            f"{type(self).__name__}.ask",
-        )
+        caller = f"{type(self).__name__}.ask"
+        require(not isinstance(point, str), "optimizer", "unfinished", point, caller)
         return np.asarray(point, dtype=float)
 
     def _tell(self, points: Array, costs: Array, gradients: Array | None) -> None:
@@ -168,6 +225,7 @@ class CallbackOptimizer(Optimizer):
         return point if isinstance(point, str) else None
 
     def close(self) -> None:
+        """End the minimiser and its thread."""
         self._answers.put(None)
         if self._thread is not None:
             self._thread.join()

@@ -1,4 +1,4 @@
-"""A simulator whose parameter vectors are shared out among the workers of any executor."""
+"""A simulator whose parameter vectors are distributed to the workers of any executor."""
 
 import os
 import pickle
@@ -16,14 +16,26 @@ from dropo.core.services.validation import Array, require
 
 
 class ParallelSimulator(Simulator):
-    """Splits the K parameter vectors of every prediction into `parts`, sends each to a worker, and
-    puts them together in order.
+    """Splits the K parameter vectors of every prediction among workers.
 
-    executor: any concurrent.futures.Executor: processes, or the workers of a cluster. The results
-    are those of the simulator itself, bit for bit. simulator: one that can be pickled; its copies
-    stay with the workers between calls.
-    parts: as many as there are workers, the executor's own number where it names one, else this
-    machine's cores.
+    The results are those of the simulator itself, bit for bit.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        One that can be pickled; its copies stay with the workers between calls.
+    executor : concurrent.futures.Executor
+        Any executor: processes of this machine, or the workers of a cluster.
+    parts : int, optional
+        Into how many parts a prediction is split; by default the executor's number of workers,
+        or, where it does not name one, this machine's cores.
+
+    Raises
+    ------
+    BadArgument
+        If `parts` is less than 1.
+    Incompatible
+        If the simulator gives gradients, which do not cross processes.
     """
 
     def __init__(self, simulator: Simulator, executor: Executor, parts: int | None = None):
@@ -41,41 +53,46 @@ class ParallelSimulator(Simulator):
         self.nominal = simulator.nominal
         self.steps_per_action = simulator.steps_per_action
         self.control_step = simulator.control_step
-        self._pickled = pickle.dumps(simulator)
-        self._segments: tuple[Segments, bytes] | None = None
+        self._pickled_simulator = pickle.dumps(simulator)
+        self._last_segments: tuple[Segments, bytes] | None = None
 
     @property
     def start_size(self) -> int:
+        """The number s of start coordinates of the simulator itself."""
         return self.simulator.start_size
 
     def targets(self, segments: Segments) -> Array:
+        """Measured signals (R, p) at every compared row of the segments."""
         return self.simulator.targets(segments)
 
     def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
+        """Whether bodies overlap in the measured start of each of the segments, (N,)."""
         return self.simulator.in_contact(segments)
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
-        shares = np.array_split(np.arange(len(values)), min(self.parts, len(values)))
-        sent = self._sent(segments)
-        moved = [None if offsets is None else offsets[share] for share in shares]
-        waiting = [
-            self.executor.submit(_part, self._pickled, sent, values[share], offset)
-            for share, offset in zip(shares, moved, strict=True)
-        ]
-        return np.concatenate([future.result() for future in waiting])
+        pickled_segments = self._pickle_segments(segments)
+        futures = []
+        for part in np.array_split(np.arange(len(values)), min(self.parts, len(values))):
+            own_offsets = None if offsets is None else offsets[part]
+            future = self.executor.submit(
+                _predict_part, self._pickled_simulator, pickled_segments, values[part], own_offsets
+            )
+            futures.append(future)
+        return np.concatenate([future.result() for future in futures])
 
-    def _sent(self, segments: Segments) -> bytes:
-        """The segments, pickled once as long as the same ones are asked for."""
-        if self._segments is None or self._segments[0] is not segments:
-            self._segments = segments, pickle.dumps(segments)
-        return self._segments[1]
+    def _pickle_segments(self, segments: Segments) -> bytes:
+        """The segments pickled, once as long as the same ones are predicted."""
+        if self._last_segments is None or self._last_segments[0] is not segments:
+            self._last_segments = segments, pickle.dumps(segments)
+        return self._last_segments[1]
 
 
-def _part(simulator: bytes, segments: bytes, values: Array, offsets: Array | None) -> Array:
-    """One worker's share (k, R, p)."""
-    return _unpickled(simulator)._predict(values, _unpickled(segments), offsets)
+def _predict_part(simulator: bytes, segments: bytes, values: Array, offsets: Array | None) -> Array:
+    """Predict (k, R, p) in a worker, for its own k parameter vectors."""
+    return _unpickle(simulator)._predict(values, _unpickle(segments), offsets)
 
 
 @lru_cache(maxsize=4)
-def _unpickled(content: bytes) -> Any:
+def _unpickle(content: bytes) -> Any:
+    """The object of a pickle; the last ones are kept."""
     return pickle.loads(content)

@@ -1,6 +1,4 @@
-"""A problem: simulator, measured trajectories, how they are cut into segments, and what is known
-beforehand.
-"""
+"""A problem: a simulator, measured trajectories, and what is known before the fit."""
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
@@ -21,20 +19,54 @@ from dropo.core.services.validation import Array, check_shape, known, require
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A simulator, and what was measured: all that a method needs. Checked once, when it is made.
+    """A simulator and what was measured: all that a method needs, checked once when it is made.
 
-    It may have no parameters; an estimator needs at least one. name: for tables and files;
-    simulator: its parameters are those of the problem; trajectories: what is fitted. length: the
-    thesis' lambda, in control steps; reset, set_columns,
-    every_step: as in `Trajectories.segments`; epsilon: the noise variance, one or (p,), where it is
-    known; start_noise: whether the measured start states carry it too; noise_degrees: of freedom of
-    a Student t in the Gaussian noise's place;
-    truth: the parameters' true values, where the data are simulated; held_out: trajectories that no
-    fit sees; everything: the whole data, where `trajectories` are only their first ones; priors: of
-    single parameters, for a posterior, by name;
-    task: what a policy is to do on the simulator, for training;
-    warnings: what looked odd in the data; settings: what a fit of this problem takes where its
-    caller says nothing (for example {"draws": 20}).
+    It may have no parameters; an estimator needs at least one.
+
+    Attributes
+    ----------
+    name : str
+        For tables and files.
+    simulator : Simulator
+        Its d parameters are those of the problem.
+    trajectories : Trajectories
+        The data that are fitted.
+    length : int
+        The horizon of a segment in control steps, the thesis' lambda.
+    reset : {"transition", "start", "partial"}
+        Where segments start, as in `Trajectories.segments`.
+    set_columns : (p,) array of bool, or None
+        The columns that a partial reset sets, as in `Trajectories.segments`.
+    every_step : bool
+        Whether every step of a segment is compared, and not the last alone.
+    epsilon : float, (p,) array or None
+        Noise variance, one or each signal's [signal unit^2], where it is known.
+    start_noise : bool
+        Whether the measured start states carry this noise too.
+    noise_degrees : float or None
+        Degrees of freedom (above 2) of a Student t in place of the Gaussian noise.
+    truth : mapping of str to float, or None
+        The true values of parameters by name, where the data are simulated.
+    held_out : Trajectories or None
+        Data that no fit sees.
+    everything : Trajectories or None
+        All data, where `trajectories` are the first of them.
+    priors : mapping of str to Prior
+        Priors of parameters by name, for a posterior.
+    task : Task or None
+        What a policy is to do on the simulator, for training.
+    warnings : tuple of str
+        What is suspicious in the data, a sentence each.
+    settings : mapping of str to object
+        Settings of a fit where its caller gives none, for example {"draws": 20}.
+
+    Raises
+    ------
+    UnknownName
+        If `truth` or `priors` names a parameter that does not exist.
+    BadArgument
+        If a prior, `noise_degrees` or the shape of the data is not valid, or if `length` exceeds
+        the trajectories.
     """
 
     name: str
@@ -62,20 +94,12 @@ class Problem:
         for name, prior in self.priors.items():
             read_prior(prior, self.space[name])
         degrees = self.noise_degrees
-        require(
-            degrees is None or degrees > 2,
-            "noise_degrees",
-            "above 2, to have a variance",
-            degrees,
-            f"Problem {self.name!r}",
-        )
-        _ = self.segments  # refuses a lambda that does not fit the trajectories
-        check_shape(
-            "targets",
-            self.simulator.targets(self.segments),
-            (len(self.segments.rows[0]), len(self.simulator.signals)),
-            self.name,
-        )
+        enough = degrees is None or degrees > 2
+        owner = f"Problem {self.name!r}"
+        require(enough, "noise_degrees", "above 2, to have a variance", degrees, owner)
+        segments = self.segments  # refuses a horizon that is longer than the trajectories
+        expected = (len(segments.rows[0]), len(self.simulator.signals))
+        check_shape("targets", self.simulator.targets(segments), expected, self.name)
 
     @property
     def space(self) -> ParameterSpace:
@@ -88,8 +112,23 @@ class Problem:
         return self.cut(self.trajectories)
 
     def cut(self, trajectories: Trajectories, *, every_step: bool | None = None) -> Segments:
-        """Other trajectories (held-out ones, say) as segments of the same kind; every_step: compare
-        all steps; None: as here.
+        """Cut other trajectories, such as held-out ones, into segments of the same kind.
+
+        Parameters
+        ----------
+        trajectories : Trajectories
+            In the columns of the problem's own data.
+        every_step : bool, optional
+            Whether to compare every step; by default as the problem does.
+
+        Returns
+        -------
+        Segments
+
+        Raises
+        ------
+        BadArgument
+            If the problem's horizon is longer than the trajectories.
         """
         every = self.every_step if every_step is None else every_step
         return trajectories.segments(
@@ -103,19 +142,34 @@ class Problem:
         length: int | None = None,
         executor: Executor | None = None,
     ) -> "Problem":
-        """The same problem with the first so many transitions, another lambda (`length`), or its
-        simulations on an executor's workers.
+        """Make the same problem with fewer data, another horizon, or parallel simulations.
 
-        executor: any concurrent.futures.Executor; the results stay the same, bit for bit.
+        Parameters
+        ----------
+        transitions : int, optional
+            Fit the first so many transitions.
+        length : int, optional
+            The horizon of a segment [control steps].
+        executor : concurrent.futures.Executor, optional
+            Any executor, on whose workers simulations run; the results are the same, bit for bit.
+
+        Returns
+        -------
+        Problem
+
+        Raises
+        ------
+        BadArgument
+            If there are no transitions, or the horizon is longer than the trajectories.
+        Incompatible
+            If there is an executor and the simulator gives gradients.
         """
-        whole = self.trajectories if self.everything is None else self.everything
-        data = self.trajectories if transitions is None else whole.head(transitions)
-        simulator = (
-            self.simulator if executor is None else ParallelSimulator(self.simulator, executor)
-        )
-        return replace(
-            self,
-            simulator=simulator,
-            trajectories=data,
-            length=self.length if length is None else length,
-        )
+        trajectories = self.trajectories
+        if transitions is not None:
+            everything = self.trajectories if self.everything is None else self.everything
+            trajectories = everything.head(transitions)
+        simulator = self.simulator
+        if executor is not None:
+            simulator = ParallelSimulator(simulator, executor)
+        horizon = self.length if length is None else length
+        return replace(self, simulator=simulator, trajectories=trajectories, length=horizon)

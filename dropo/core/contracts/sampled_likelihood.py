@@ -1,4 +1,4 @@
-"""Likelihoods from draws of the member and their simulations."""
+"""Likelihoods that draw parameters of a member of the family and simulate each draw."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -20,29 +20,33 @@ from dropo.core.services.validation import Array, check_shape, require
 
 @dataclass(frozen=True)
 class SampledLikelihood(Likelihood):
-    """Likelihoods from K draws of the member and their predictions.
+    """A likelihood from K draws of the member and their predictions.
 
-    A plug-in writes `_log_density` alone.
+    A plug-in writes `_log_density` alone. The base points of the draws are fixed when the
+    likelihood is bound, so the log-likelihood is a deterministic function of phi.
 
-    draws: K. The base points are fixed when bound, so the log-likelihood is a deterministic
-    function of phi.
-    independent: whether the density is sound for independent samples alone. Then the base points
-    are independent instead of a Sobol set, and samples can carry noise: a number of its own for
-    each draw and row, else its chance covariance would be the same in every row and would not
-    average out over them.
+    Attributes
+    ----------
+    draws : int
+        K, at least 2.
+    independent : bool
+        Whether the density holds for independent samples alone. The base points are then
+        independent instead of a Sobol set, and samples can carry noise: a number of its own for
+        each draw and row, since a chance covariance that is the same in every row would not
+        average out over the rows.
+
+    Raises
+    ------
+    BadArgument
+        If there are fewer than 2 draws.
     """
 
     draws: int = 100
     independent: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        require(
-            self.draws >= 2,
-            "draws",
-            "at least 2, to have a covariance",
-            self.draws,
-            type(self).__name__,
-        )
+        rule = "at least 2, to have a covariance"
+        require(self.draws >= 2, "draws", rule, self.draws, type(self).__name__)
 
     def log_density(
         self,
@@ -51,52 +55,82 @@ class SampledLikelihood(Likelihood):
         epsilon: ArrayLike,
         noise: Array | None = None,
     ) -> Array:
-        """(R,) log density of the targets (R, p), given K predictions (K, R, p); -inf on rows with
-        a failed one.
+        """Evaluate the log density of measured rows, given predictions under K draws.
 
-        Where one of the arguments is a torch tensor, so is the density, with its history.
-        epsilon: (p,) noise variance; noise: (K, R, p) standard normal numbers, fixed, where the
-        density is `independent`. A row without a density (its K predictions do not span p
-        dimensions) is refused where an epsilon is 0, else -inf.
+        Parameters
+        ----------
+        predictions : (K, R, p) array_like
+            What the simulator gives under each draw.
+        targets : (R, p) array_like
+            What was measured.
+        epsilon : (p,) array_like
+            Noise variances [signal unit^2].
+        noise : (K, R, p) array, optional
+            Standard normal numbers that stay fixed, where the density is `independent`.
+
+        Returns
+        -------
+        (R,) array
+            In nats; -inf on rows with a failed prediction, and where no epsilon is 0 also on rows
+            without a density (whose K predictions do not span p dimensions). A torch tensor with
+            its history if an argument is one.
+
+        Raises
+        ------
+        BadArgument
+            If the predictions have another shape, or if a row has no density and an epsilon is 0.
         """
+        caller = f"{type(self).__name__}.log_density"
         samples, measured, variance = together(predictions, targets, epsilon)
-        check_shape(
-            "predictions", samples, (None, *measured.shape), f"{type(self).__name__}.log_density"
-        )
+        check_shape("predictions", samples, (None, *measured.shape), caller)
         xp = namespace(samples)
         variance = xp.broadcast_to(variance, measured.shape[1:])
         good = xp.all(xp.isfinite(samples), axis=(0, 2))
         out = constant(np.full(len(measured), -np.inf), measured)
         if good.any():
-            pick = slice(None) if good.all() else good  # a slice copies nothing
-            rest = None if noise is None else constant(noise, measured)[:, pick]
-            with np.errstate(
-                divide="ignore", invalid="ignore"
-            ):  # log 0 = -inf and 0 / 0 = NaN are answers here
-                out[pick] = self._log_density(samples[:, pick], measured[pick], variance, rest)
-        lost = xp.isnan(out)
-        if lost.any() and (variance == 0).any():
-            (k, _, p), row = samples.shape, int(np.argmax(plain(lost)))
+            rows = slice(None) if good.all() else good  # a slice copies nothing
+            numbers = None if noise is None else constant(noise, measured)[:, rows]
+            # log 0 = -inf and 0 / 0 = NaN are valid results here.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                out[rows] = self._log_density(samples[:, rows], measured[rows], variance, numbers)
+        singular = xp.isnan(out)
+        if singular.any() and (variance == 0).any():
+            k, _, p = samples.shape
+            row = int(np.argmax(plain(singular)))
             raise BadArgument(
-                f"The covariance of the K = {k} predictions at row {row} is singular in p "
-                f"= {p} signals,"
-                " and an epsilon is 0. Give epsilon > 0 (the variance of the measurement "
+                f"The covariance of the K = {k} predictions at row {row} is singular in p = {p} "
+                "signals, and an epsilon is 0. Give epsilon > 0 (the variance of the measurement "
                 "noise), or more draws."
             )
-        density: Array = xp.where(lost, -np.inf, out)
+        density: Array = xp.where(singular, -np.inf, out)
         return density
 
     @abstractmethod
     def _log_density(
         self, predictions: Array, targets: Array, epsilon: Array, noise: Array | None
     ) -> Array:
-        """(K, R, p), (R, p), (p,), (K, R, p) or None, all finite, arrays or tensors -> (R,) [nats],
-        NaN on rows without a density.
+        """The log densities (R,) [nats], NaN on rows without a density.
+
+        Predictions (K, R, p), targets (R, p), epsilon (p,) and noise (K, R, p) or None are finite,
+        and arrays or tensors.
         """
 
     def with_degrees(self, degrees: float) -> Self:
-        """The same likelihood with a Student t of so many degrees of freedom in the Gaussian's
-        place, where it has one.
+        """Make the same likelihood with a Student t in place of the Gaussian, where it has one.
+
+        Parameters
+        ----------
+        degrees : float
+            Degrees of freedom.
+
+        Returns
+        -------
+        SampledLikelihood
+
+        Raises
+        ------
+        Incompatible
+            If the likelihood has no such form.
         """
         raise Incompatible(
             f"{type(self).__name__} knows no noise with long tails. Leave out degrees = "
@@ -111,14 +145,22 @@ class SampledLikelihood(Likelihood):
         epsilon: Epsilon,
         rng: np.random.Generator,
     ) -> LogLikelihood:
+        """Make the log-likelihood of given segments, with base points from `rng`.
+
+        Raises
+        ------
+        BadArgument
+            If epsilon is not valid.
+        Incompatible
+            If the likelihood or the simulator knows no noise of this kind.
+        """
         degrees = epsilon.degrees if isinstance(epsilon, Noise) else None
-        recipe = self if degrees is None else self.with_degrees(degrees)
-        return _Sampled(recipe, simulator, segments, family, epsilon, rng)
+        settings = self if degrees is None else self.with_degrees(degrees)
+        return _SampledLogLikelihood(settings, simulator, segments, family, epsilon, rng)
 
 
-class _Sampled(LogLikelihood):
-    """Draws, predicts, and asks the plug-in for the density; with gradients where the simulator has
-    them.
+class _SampledLogLikelihood(LogLikelihood):
+    """Draws, predicts, and evaluates the density; with gradients where the simulator has them.
 
     Where the noise is on the start states too, each draw starts every segment from its own
     perturbed state.
@@ -126,48 +168,48 @@ class _Sampled(LogLikelihood):
 
     def __init__(
         self,
-        recipe: SampledLikelihood,
+        settings: SampledLikelihood,
         simulator: Simulator,
         segments: Segments,
         family: Family,
         epsilon: Epsilon,
         rng: np.random.Generator,
     ):
-        self.recipe = recipe
+        self.settings = settings
         self.simulator = simulator
         self.segments = segments
         self.family = family
         self.has_gradients = simulator.has_gradients
-        base, noise, start = rng.spawn(3)
-        self.base = family.base(recipe.draws, base, independent=recipe.independent)
+        base_rng, noise_rng, start_rng = rng.spawn(3)
+        self.base = family.base(settings.draws, base_rng, independent=settings.independent)
         self.targets = simulator.targets(segments)
-        self.noise = (
-            noise.standard_normal((recipe.draws, *self.targets.shape))
-            if recipe.independent
-            else None
-        )
+        self.noise = None
+        if settings.independent:
+            self.noise = noise_rng.standard_normal((settings.draws, *self.targets.shape))
         self.noise_model = NoiseModel(epsilon, len(simulator.signals))
         self.unknowns = ParameterSpace((*family.unknowns, *self.noise_model.unknowns))
-        self.start_noise = self._start_noise(start) if self.noise_model.noise.start else None
+        self.start_noise = None
+        if self.noise_model.noise.start:
+            self.start_noise = self._draw_start_noise(start_rng)
 
-    def _start_noise(self, rng: np.random.Generator) -> Array:
-        """(K, N, p) standard normal numbers, fixed."""
+    def _draw_start_noise(self, rng: np.random.Generator) -> Array:
+        """Standard normal numbers (K, N, p) that stay fixed."""
         p = len(self.simulator.signals)
         s = self.simulator.start_size
         if s != p:
             raise Incompatible(
-                f"{type(self.simulator).__name__} starts from {s} numbers and gives {p} "
-                "signals, so that noise on the start states is"
-                " not known. Use a simulator that observes its whole state, or Noise(start=False)."
+                f"{type(self.simulator).__name__} starts from {s} numbers and gives {p} signals, "
+                "so that noise on the start states is not known. Use a simulator that observes "
+                "its whole state, or Noise(start=False)."
             )
-        return rng.standard_normal((self.recipe.draws, len(self.segments), s))
+        return rng.standard_normal((self.settings.draws, len(self.segments), s))
 
     def _rows(self, phi: Array) -> Array:
-        return self.recipe.log_density(
-            self._predictions(phi), self.targets, self.epsilon(phi), self.noise
-        )
+        predictions = self._predict(phi)
+        return self.settings.log_density(predictions, self.targets, self.epsilon(phi), self.noise)
 
-    def _predictions(self, phi: Array) -> Array:
+    def _predict(self, phi: Array) -> Array:
+        """Predictions (K, R, p) under the draws of the member that phi (m,) names."""
         values = self.family.draw(phi[: len(self.family.unknowns)], self.base)
         if self.start_noise is None:
             return self.simulator.predict(values, self.segments)
@@ -187,7 +229,7 @@ class _Sampled(LogLikelihood):
         return plain(torch.autograd.grad(rows.sum(), leaf)[0])
 
     def mean(self, phi: Array) -> Array:
-        mean: Array = self._predictions(phi).mean(axis=0)
+        mean: Array = self._predict(phi).mean(axis=0)
         return mean
 
     def epsilon(self, phi: Array) -> Array:

@@ -1,5 +1,7 @@
-"""The contract of simulators, and the one quantity that carries everything: many parameter vectors,
-many segments.
+"""The contract of simulators: predict many segments under many parameter vectors in one call.
+
+Monte-Carlo moments, Jacobians, emulators and the responses of effects are all computed from
+`Simulator.predict`.
 """
 
 from abc import ABC, abstractmethod
@@ -20,15 +22,17 @@ WITHOUT_GRADIENTS = (
     "Use likelihood 'emulated', which has gradients whatever the simulator, or an optimizer "
     "without, such as 'cma-es'."
 )
-STEP = float(
-    np.finfo(float).eps ** (1 / 3)
-)  # central differences: truncation ~ h^2 meets rounding ~ eps / h here
+# Relative step of central differences, at which truncation ~ h^2 equals rounding ~ eps / h.
+STEP = float(np.finfo(float).eps ** (1 / 3))
 
 
 class Simulator(ABC):
-    """Replays segments under parameter vectors.
+    """Replays measured segments under parameter vectors.
 
-    A plug-in writes `_predict`, and sets `space` and `signals`.
+    A plug-in sets `space` and `signals` and writes `_predict`. Where its predictions come from
+    torch it sets `has_gradients`; where its start states have other coordinates than its signals
+    it overrides `start_size`, and where it compares other numbers than the data's columns,
+    `targets`.
 
     Attributes
     ----------
@@ -62,12 +66,32 @@ class Simulator(ABC):
     def predict(
         self, values: ArrayLike, segments: Segments, *, offsets: ArrayLike | None = None
     ) -> Array:
-        """What the simulator gives at every compared row of the segments, (K, R, p); NaN where a
-        simulation failed.
+        """Predict every compared row of the segments under many parameter vectors.
 
-        values: (K, d); or (K, G, d), where row g meets the segments of group g (0 ... G-1) alone.
-        offsets: (K, N, s) added to the start states of the N segments, in the simulator's own s
-        start coordinates (`start_size`), or None.
+        Parameters
+        ----------
+        values : (K, d) or (K, G, d) array_like
+            K parameter vectors, in the parameters' units. With three axes, row g of each is for
+            the segments of group g (0 ... G-1) alone.
+        segments : Segments
+            N segments with R compared rows.
+        offsets : (K, N, s) array_like, optional
+            Added to the start states of the segments, in the simulator's own s start coordinates
+            (`start_size`).
+
+        Returns
+        -------
+        (K, R, p) array
+            The signals, in their units; NaN in rows whose simulation failed. A tensor if the
+            values or offsets are one.
+
+        Raises
+        ------
+        BadArgument
+            If an array has another shape or is not finite, or if offsets are given together with
+            values for each group.
+        Incompatible
+            If a tensor is passed to a simulator without gradients.
         """
         caller = f"{type(self).__name__}.predict"
         self._require_gradients(values, offsets)
@@ -75,29 +99,23 @@ class Simulator(ABC):
         if array.ndim == 3:
             return self._predict_by_group(array, segments, offsets)
         array = checked("values", array, (None, len(self.space)), caller)
-        moved = (
-            None
-            if offsets is None
-            else checked("offsets", offsets, (len(array), len(segments), self.start_size), caller)
-        )
-        predictions = self._predict(array, segments, moved)
-        check_shape(
-            "predictions",
-            predictions,
-            (len(array), len(segments.rows[0]), len(self.signals)),
-            caller,
-        )
-        bad = np.asarray(~np.isfinite(plain(predictions)).all(axis=2))  # (K, R)
-        if bad.any():
+        start_offsets = None
+        if offsets is not None:
+            shape = (len(array), len(segments), self.start_size)
+            start_offsets = checked("offsets", offsets, shape, caller)
+        predictions = self._predict(array, segments, start_offsets)
+        expected = (len(array), len(segments.rows[0]), len(self.signals))
+        check_shape("predictions", predictions, expected, caller)
+        failed = np.asarray(~np.isfinite(plain(predictions)).all(axis=2))  # (K, R)
+        if failed.any():
             xp = namespace(predictions)
-            predictions = xp.where(xp.asarray(bad)[..., None], np.nan, predictions)
+            predictions = xp.where(xp.asarray(failed)[..., None], np.nan, predictions)
+            self.failures += _count_failures(failed, segments)
         self.steps += int(segments.lengths.sum()) * len(array) * self.steps_per_action
-        self.failures += (
-            len({(k, s) for k, s in zip(*_where(bad, segments), strict=True)}) if bad.any() else 0
-        )
         return predictions
 
     def _require_gradients(self, *given: object) -> None:
+        """Refuse tensors where the simulator gives no gradients."""
         if not self.has_gradients and any(is_tensor(x) for x in given):
             raise Incompatible(
                 f"{type(self).__name__} gives no gradients, so it takes no tensors. "
@@ -106,29 +124,39 @@ class Simulator(ABC):
 
     @property
     def start_size(self) -> int:
-        """s, the number of start coordinates that `offsets` moves; the p signals, unless the
-        simulator says otherwise.
-        """
+        """The number s of start coordinates that `offsets` moves; p unless overridden."""
         return len(self.signals)
 
     @abstractmethod
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
-        """(K, d), N segments, (K, N, s) or None -> (K, R, p); anything that is not finite marks a
-        failed row.
+        """Predict (K, R, p) under checked values (K, d) and offsets (K, N, s) or None.
+
+        Whatever is not finite marks a failed row.
         """
 
     def targets(self, segments: Segments) -> Array:
-        """What was measured at every compared row, in the coordinates of `predict`: (R, p)."""
+        """Measured signals (R, p) at every compared row, in the coordinates of `predict`."""
         return segments.targets
 
     def extra_start_sd(self, value: Array, segments: Segments) -> Array:
-        """(N, p) standard deviations by which true starts may be off what was measured, noise
-        aside, under one parameter vector (d,).
+        """Give the standard deviations of start states about the measured ones, beside the noise.
+
+        Parameters
+        ----------
+        value : (d,) array
+            Parameter vector.
+        segments : Segments
+            N segments.
+
+        Returns
+        -------
+        (N, p) array
+            In the signals' units; 0 unless overridden.
         """
         return np.zeros((len(segments), len(self.signals)))
 
     def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
-        """(N,) whether something overlaps in each segment's measured start; nowhere, by default."""
+        """Whether bodies overlap in each segment's measured start (N,); False unless overridden."""
         return np.zeros(len(segments), dtype=bool)
 
     def jacobian(
@@ -150,6 +178,13 @@ class Simulator(ABC):
         -------
         (R, p, d) array
             d prediction / d parameter.
+
+        Raises
+        ------
+        BadArgument
+            If an array has another shape or is not finite.
+        SimulationFailed
+            If a simulation of the differences diverges.
         """
         return self.linearize(values, segments, step=step)[1]
 
@@ -174,6 +209,8 @@ class Simulator(ABC):
 
         Raises
         ------
+        BadArgument
+            If an array has another shape or is not finite.
         SimulationFailed
             If a simulation of the differences diverges.
         """
@@ -214,6 +251,8 @@ class Simulator(ABC):
 
         Raises
         ------
+        BadArgument
+            If an array has another shape or is not finite.
         SimulationFailed
             If a simulation of the differences diverges.
         """
@@ -230,7 +269,7 @@ class Simulator(ABC):
         return predictions[0], difference_quotients(predictions, 2 * half)
 
     def _start_spread(self, segments: Segments) -> Array:
-        """(s,) the standard deviation of each start coordinate over the segments, or 1."""
+        """Standard deviation (s,) of each start coordinate over the segments, or 1."""
         if segments.starts.shape[1] != self.start_size:
             return np.ones(self.start_size)
         spread = np.std(segments.starts, axis=0)
@@ -239,21 +278,23 @@ class Simulator(ABC):
     def _predict_by_group(
         self, values: Array, segments: Segments, offsets: ArrayLike | None
     ) -> Array:
+        """Predict (K, R, p) under values (K, G, d) that differ from group to group."""
         caller = f"{type(self).__name__}.predict"
         check_shape("values", values, (None, None, len(self.space)), caller)
-        require(
-            segments.group.max() < values.shape[1],
-            "values",
-            f"given for {segments.group.max() + 1} groups",
-            values.shape,
-            caller,
-        )
+        last = segments.group.max()
+        rule = f"given for {last + 1} groups"
+        require(last < values.shape[1], "values", rule, values.shape, caller)
         require(offsets is None, "offsets", "None where values differ by group", "an array", caller)
         row_group = segments.group[segments.rows[0]]
-        groups = np.unique(segments.group)
-        parts = [self.predict(values[:, g], segments.take(segments.group == g)) for g in groups]
-        place = np.argsort(np.concatenate([np.flatnonzero(row_group == g) for g in groups]))
-        together: Array = namespace(*parts).concat(parts, axis=1)[:, place]
+        parts = []
+        rows = []
+        for group in np.unique(segments.group):
+            own = segments.take(segments.group == group)
+            parts.append(self.predict(values[:, group], own))
+            rows.append(np.flatnonzero(row_group == group))
+        # Put the rows of all groups back into the order of the segments.
+        order = np.argsort(np.concatenate(rows))
+        together: Array = namespace(*parts).concat(parts, axis=1)[:, order]
         return together
 
 
@@ -291,23 +332,39 @@ def predict_from_starts(
     return out
 
 
-def _where(bad: np.ndarray, segments: Segments) -> tuple[list[int], list[int]]:
-    draw, row = np.nonzero(bad)
-    return draw.tolist(), segments.rows[0][row].tolist()
+def _count_failures(failed: NDArray[np.bool_], segments: Segments) -> int:
+    """How many simulations (draw and segment) have one of the failed rows (K, R)."""
+    draw, row = np.nonzero(failed)
+    simulations = np.stack([draw, segments.rows[0][row]])
+    return np.unique(simulations, axis=1).shape[1]
 
 
 def describe_failures(
     predictions: Array, values: Array, space: ParameterSpace, *, first: int = 0
 ) -> str:
-    """Which rows of (K, R, p) predictions failed, and under which (K, d) values: a sentence for an
-    error; rows count from `first`.
+    """Describe which predictions failed, as a sentence for an error.
+
+    Parameters
+    ----------
+    predictions : (K, R, p) array
+        Predictions, some of them not finite.
+    values : (K, d) array
+        Their parameter vectors.
+    space : ParameterSpace
+        The parameters.
+    first : int
+        The number of the first row.
+
+    Returns
+    -------
+    str
+        How many rows diverged, and the first one with its parameters.
     """
-    bad = ~np.isfinite(predictions).all(axis=2)
-    k, row = (int(i[0]) for i in np.nonzero(bad))
-    at = ", ".join(
-        f"{name} = {value:.6g}" for name, value in zip(space.names, values[k], strict=True)
-    )
+    failed = ~np.isfinite(predictions).all(axis=2)
+    k, row = (int(index[0]) for index in np.nonzero(failed))
+    named = zip(space.names, values[k], strict=True)
+    parameters = ", ".join(f"{name} = {value:.6g}" for name, value in named)
     return (
-        f"{int(bad.sum())} of {bad.size} simulated rows diverged, the first at row "
-        f"{first + row} with {at}."
+        f"{int(failed.sum())} of {failed.size} simulated rows diverged, the first at row "
+        f"{first + row} with {parameters}."
     )

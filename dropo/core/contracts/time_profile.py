@@ -10,8 +10,8 @@ from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array
 
-MOMENT = Quantity("moment", "1", -0.45, 0.45, (-0.25, 0.25), smooth=False, base=0.5)
-"""When something sets in: how far into the data, less a half."""
+ONSET = Quantity("moment", "1", -0.45, 0.45, (-0.25, 0.25), smooth=False, base=0.5)
+"""The time at which an effect sets in, as a fraction of the data, less 0.5."""
 HOOKS = (
     "model",
     "command",
@@ -24,72 +24,135 @@ HOOKS = (
     "sensor_delay",
     "declared",
 )
-STAGES = 10  # of a ramp
+"""The hooks that can be limited in time."""
+STAGES = 10
+"""The number of stages of a ramp, as `parameter_drift` defines it."""
 
 
 def place_in_data(segments: Segments) -> Array:
-    """(N,) how far into its data each segment begins, from 0 up to 1; every trajectory is given the
-    same share of the data.
+    """Locate the start of each segment in the data.
+
+    Parameters
+    ----------
+    segments : Segments
+        N segments.
+
+    Returns
+    -------
+    (N,) array
+        From 0 for the first row of the data up to 1; every trajectory counts for the same fraction
+        of the data, whatever its length.
     """
     data = segments.trajectories
     first, last = np.array(data.spans).T
     row = segments.steps[:, 0]
     own = data.trajectory[row]
-    return np.asarray((own + (row - first[own]) / (last - first)[own]) / len(first))
+    within = (row - first[own]) / (last - first)[own]
+    return np.asarray((own + within) / len(first))
 
 
 def set_in(segments: Segments, magnitudes: Array) -> Array:
-    """A gate: nothing before the moment 0.5 + sizes[-1] of the data, everything from there on."""
-    return (place_in_data(segments) >= MOMENT.base + magnitudes[-1]).astype(float)
+    """Switch an effect on at a moment of the data: a time profile.
+
+    Parameters
+    ----------
+    segments : Segments
+        N segments.
+    magnitudes : (q,) array
+        The last one is the moment at which the effect sets in, less 0.5.
+
+    Returns
+    -------
+    (N,) array
+        0 before that moment and 1 from then on.
+    """
+    return (place_in_data(segments) >= ONSET.base + magnitudes[-1]).astype(float)
 
 
 def ramp(segments: Segments, magnitudes: Array) -> Array:
-    """A gate: from nothing in the data's first tenth to everything in its last, by equal stages."""
+    """Let an effect grow through the data in ten equal stages: a time profile.
+
+    Parameters
+    ----------
+    segments : Segments
+        N segments.
+    magnitudes : (q,) array
+        Not used.
+
+    Returns
+    -------
+    (N,) array
+        From 0 in the first tenth of the data to 1 in the last.
+    """
     return np.floor(STAGES * place_in_data(segments)) / (STAGES - 1)
 
 
 @dataclass(frozen=True)
-class _Before:
-    """A hook that knows nothing of the last quantity."""
+class _WithoutOnset:
+    """A hook that is called without the last magnitude, the onset."""
 
     hook: Callable[..., Any]
 
-    def __call__(self, *given: Any) -> Any:
-        return self.hook(*given[:-1], given[-1][:-1])
+    def __call__(self, *arguments: Any) -> Any:
+        magnitudes = arguments[-1]
+        return self.hook(*arguments[:-1], magnitudes[:-1])
 
 
 def growing(instance: EffectInstance) -> EffectInstance:
-    """The same change, but growing through the data (`ramp`); it goes by the name parameter_drift."""
+    """Make an effect that grows through the data (see `ramp`).
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        The effect at its full magnitude.
+
+    Returns
+    -------
+    EffectInstance
+        The same change, as an instance of `parameter_drift` with the variant "ramp".
+    """
     return replace(
         instance,
         effect="parameter_drift",
         target=instance.label,
         variant="ramp",
         time_profile=ramp,
-        trials=tuple(_ends(instance)),
+        trials=tuple(_extreme_trials(instance)),
         alike=(),
     )
 
 
 def setting_in(instance: EffectInstance) -> EffectInstance:
-    """The same change, but from a moment of the data on (`set_in`), which is to be found too; it
-    goes by the name parameter_drift.
+    """Make an effect that holds from a moment of the data on, which is to be found too.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        The effect without a moment.
+
+    Returns
+    -------
+    EffectInstance
+        The same change, as an instance of `parameter_drift` with the variant "from"; its last
+        quantity is the moment (see `set_in`).
     """
-    hooks: dict[str, Any] = {
-        name: _Before(hook) for name in HOOKS if (hook := getattr(instance, name)) is not None
-    }
-    moments = (MOMENT.probes[0], 0.0, MOMENT.probes[1])
+    hooks: dict[str, Any] = {}
+    for name in HOOKS:
+        hook = getattr(instance, name)
+        if hook is not None:
+            hooks[name] = _WithoutOnset(hook)
+    onsets = (ONSET.probes[0], 0.0, ONSET.probes[1])
     trials = tuple(
-        tuple((*trial, moment) for trial in trials)
-        for trials in _ends(instance)
-        for moment in moments
+        tuple((*trial, onset) for trial in trials)
+        for trials in _extreme_trials(instance)
+        for onset in onsets
     )
     return replace(
         instance,
         effect="parameter_drift",
         target=instance.label,
         variant="from",
-        quantities=(*instance.quantities, MOMENT),
+        quantities=(*instance.quantities, ONSET),
         time_profile=set_in,
         trials=trials,
         alike=(),
@@ -97,6 +160,8 @@ def setting_in(instance: EffectInstance) -> EffectInstance:
     )
 
 
-def _ends(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
-    """The first and the last of the trials: the largest probes."""
-    return [instance.trials[0], *instance.trials[1:][-1:]]
+def _extreme_trials(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
+    """The first and the last set of trials: the largest probes."""
+    if len(instance.trials) == 1:
+        return [instance.trials[0]]
+    return [instance.trials[0], instance.trials[-1]]

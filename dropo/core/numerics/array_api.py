@@ -1,9 +1,8 @@
-"""NumPy or torch, by what is handed in: the same code gives the same numbers, with gradients by
-autograd where a tensor came in.
+"""NumPy or torch, by what is passed in: the same code, with gradients where a tensor is passed.
 
 A function of arrays asks `namespace` for its functions (the array API standard, through
 array-api-compat), and wraps its own constants in `constant`. torch is never imported here: where no
-tensor can have come in, it need not be installed.
+tensor is passed, it need not be installed.
 """
 
 import sys
@@ -17,21 +16,43 @@ from dropo.core.services.validation import Array, check_shape, float_array, requ
 
 
 def is_tensor(x: Any) -> bool:
-    """Whether x is a torch tensor."""
+    """Return whether `x` is a torch tensor."""
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(x, torch.Tensor)
 
 
 def namespace(*arrays: Any) -> Any:
-    """The array API namespace of the arrays: torch's where one of them is a tensor, else NumPy's;
-    `einsum` is in both.
+    """Find the array API namespace of arrays.
+
+    Parameters
+    ----------
+    *arrays
+        Arrays and tensors.
+
+    Returns
+    -------
+    module
+        torch's if one of them is a tensor, else NumPy's; `einsum` is in both.
     """
     tensors = [x for x in arrays if is_tensor(x)]
     return array_api_compat.array_namespace(tensors[0] if tensors else np.empty(0))
 
 
 def constant(x: Any, like: Any) -> Any:
-    """The array as float64 in the namespace of `like`, on its device; no copy where none is needed."""
+    """Make an array of the kind of another one, without a copy where none is needed.
+
+    Parameters
+    ----------
+    x : array_like
+        The numbers.
+    like : array
+        Array or tensor.
+
+    Returns
+    -------
+    array
+        float64, in the namespace of `like` and on its device.
+    """
     if not is_tensor(like):
         return np.asarray(x, dtype=float)
     torch = sys.modules["torch"]
@@ -41,8 +62,28 @@ def constant(x: Any, like: Any) -> Any:
 
 
 def checked(name: str, values: Any, shape: tuple[int | None, ...], caller: str) -> Any:
-    """`float_array` of numbers; a tensor in float64, with its history, if it is finite and of that
-    shape.
+    """Check an argument that may be a tensor.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for messages.
+    values : array_like
+        The argument.
+    shape : tuple of int or None
+        The shape that it must have; None stands for any length.
+    caller : str
+        Whose argument it is, for messages.
+
+    Returns
+    -------
+    array
+        As of `float_array`; a tensor stays one, in float64 with its history.
+
+    Raises
+    ------
+    BadArgument
+        If it has another shape or is not finite.
     """
     if not is_tensor(values):
         return float_array(name, values, shape, caller)
@@ -52,23 +93,45 @@ def checked(name: str, values: Any, shape: tuple[int | None, ...], caller: str) 
 
 
 def together(*arrays: Any) -> list[Any]:
-    """The arrays as float64 in one namespace: torch's where one of them is a tensor, else NumPy's."""
+    """Put arrays into one namespace.
+
+    Parameters
+    ----------
+    *arrays
+        Arrays and tensors.
+
+    Returns
+    -------
+    list of array
+        float64 tensors if one of them is a tensor, else NumPy arrays.
+    """
     like = next((x for x in arrays if is_tensor(x)), None)
     return [constant(x, like) for x in arrays]
 
 
 def plain(x: Any) -> Array:
-    """The values as a NumPy array, without their history."""
+    """Return the values of `x` as a NumPy array, without their history."""
     return np.asarray(x.detach().cpu().numpy() if is_tensor(x) else x, dtype=float)
 
 
 def ndtri(x: Any) -> Any:
-    """The standard normal quantile."""
+    """Evaluate the standard normal quantile at `x`, array or tensor."""
     return sys.modules["torch"].special.ndtri(x) if is_tensor(x) else special.ndtri(x)
 
 
 def cholesky(covariance: Any) -> Any:
-    """Lower factors (R, p, p) of R symmetric matrices; NaN where one is not positive definite."""
+    """Factorise symmetric matrices.
+
+    Parameters
+    ----------
+    covariance : (R, p, p) array
+        Array or tensor.
+
+    Returns
+    -------
+    (R, p, p) array
+        Lower Cholesky factors; NaN where a matrix is not positive definite.
+    """
     if is_tensor(covariance):
         torch = sys.modules["torch"]
         factor, bad = torch.linalg.cholesky_ex(covariance)
@@ -80,6 +143,7 @@ def cholesky(covariance: Any) -> Any:
 
 
 def _cholesky_or_nan(covariance: Array) -> Array:
+    """The lower factor (p, p) of one matrix, or NaN."""
     try:
         return np.linalg.cholesky(covariance).astype(float, copy=False)
     except np.linalg.LinAlgError:

@@ -1,4 +1,4 @@
-"""How much a sum over rows varies that depend on each other."""
+"""The variance of a sum over rows that depend on each other."""
 
 from dataclasses import dataclass
 
@@ -7,16 +7,25 @@ from numpy.typing import NDArray
 
 from dropo.core.services.validation import Array
 
-NEAR_ONE = (
-    0.97  # the largest autoregression that is taken out before smoothing (Andrews and Monahan 1992)
-)
+NEAR_ONE = 0.97
+"""The largest autoregression that prewhitening takes out (Andrews and Monahan 1992)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Independent units of R rows. label: (R,) 0, 1, ...; serial: whether there are too few of them
-    to compare with each other, so that the dependence is measured along time within each; order:
-    (R,) the rows by unit, then time; kind: their name.
+    """Independent units of R rows.
+
+    Attributes
+    ----------
+    label : (R,) array of int
+        The unit of each row: 0, 1, ...
+    serial : bool
+        Whether there are too few units to compare with each other, so that the dependence is
+        estimated along time within each.
+    order : (R,) array of int
+        The rows by unit, then time.
+    kind : str
+        What a unit is, for messages.
     """
 
     label: NDArray[np.int64]
@@ -26,28 +35,51 @@ class Units:
 
     @property
     def count(self) -> int:
-        """G, the number of units."""
+        """The number G of units."""
         return int(self.label.max()) + 1
 
 
 def independent(rows: int) -> Units:
-    """Every row a unit of its own."""
+    """Make every one of the `rows` a unit of its own."""
     return Units(np.arange(rows), False, np.arange(rows), "rows")
 
 
 def unit_sums(values: Array, units: Units) -> Array:
-    """(G, m) the sum of the rows (R, m) of each unit."""
+    """Sum the rows of each unit.
+
+    Parameters
+    ----------
+    values : (R, m) array
+        The rows.
+    units : Units
+        G units.
+
+    Returns
+    -------
+    (G, m) array
+    """
     sums = np.zeros((units.count, values.shape[1]))
     np.add.at(sums, units.label, values)
     return sums
 
 
 def variance_of_sum(values: Array, units: Units) -> tuple[Array, Array]:
-    """The covariance (m, m) of the sum over rows (R, m) that have mean 0, and the degrees of
-    freedom (m,) of its diagonal.
+    """Estimate the covariance of the sum over rows of mean 0.
 
-    G/(G-1) sum_g u_g u_g' with G - 1 degrees over units; where they are too few, the long-run
-    covariance along time.
+    Parameters
+    ----------
+    values : (R, m) array
+        The rows.
+    units : Units
+        Which of them depend on each other.
+
+    Returns
+    -------
+    covariance : (m, m) array
+        G / (G - 1) sum_g u_g u_g' over the sums u_g of G units; where these are too few, the
+        long-run covariance along time.
+    degrees : (m,) array
+        Degrees of freedom of its diagonal, G - 1 over units.
     """
     if units.serial:
         return long_run(values[units.order], units.label[units.order])
@@ -57,22 +89,39 @@ def variance_of_sum(values: Array, units: Units) -> tuple[Array, Array]:
 
 
 def long_run(values: Array, series: NDArray[np.int64]) -> tuple[Array, Array]:
-    """The covariance of the sum of serially dependent rows (R, m) in time order, never across
-    series (R,); and its degrees (m,).
+    """Estimate the covariance of the sum of serially dependent rows.
 
-    Each column is prewhitened by its own first-order autoregression, its residuals are smoothed by
-    the quadratic spectral kernel with Andrews' automatic bandwidth S, and both are put together
-    again (Andrews 1991, eq. 6.2 and 6.4; Andrews and Monahan 1992). Degrees: 2 / (2 S/R + 4 (1 + r)
-    / ((1 - r) R)), from the variances of a kernel estimate and of the autoregression r.
+    Each column is prewhitened by its own first-order autoregression r, its residuals are smoothed
+    by the quadratic spectral kernel with Andrews' automatic bandwidth S, and the autoregression is
+    put back.
+
+    Parameters
+    ----------
+    values : (R, m) array
+        The rows, in the order of time.
+    series : (R,) array of int
+        The series of each row; rows of different series are independent.
+
+    Returns
+    -------
+    covariance : (m, m) array
+        The long-run covariance.
+    degrees : (m,) array
+        Degrees of freedom of its diagonal, 2 / (2 S / R + 4 (1 + r) / ((1 - r) R)), from the
+        variances of a kernel estimate and of the autoregression.
+
+    References
+    ----------
+    Andrews, Econometrica 59 (1991), 817, eq. 6.2 and 6.4; Andrews and Monahan, Econometrica 60
+    (1992), 953.
     """
     rows, m = values.shape
     follows = np.flatnonzero(series[1:] == series[:-1]) + 1  # rows with a row before them
     if len(follows) < 2:
         return values.T @ values, np.full(m, max(rows - 1.0, 1.0))
     rho = np.clip(_autoregression(values, follows), -NEAR_ONE, NEAR_ONE)
-    white = (
-        values.copy()
-    )  # the first row of a series has nothing before it: it is scaled to the same variance
+    # The first row of a series has no row before it: it is scaled to the same variance.
+    white = values.copy()
     white[follows] -= rho * values[follows - 1]
     first = np.setdiff1d(np.arange(rows), follows)
     white[first] *= np.sqrt(1 - rho**2)
@@ -88,7 +137,7 @@ def long_run(values: Array, series: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _autoregression(values: Array, follows: NDArray[np.int64]) -> Array:
-    """(m,) first-order coefficients, corrected for their bias -(1 + 3 r) / R (Kendall 1954)."""
+    """First-order coefficients (m,), corrected for their bias -(1 + 3 r) / R (Kendall 1954)."""
     now = values[follows]
     before = values[follows - 1]
     size = np.sum(before**2, axis=0)
@@ -97,9 +146,7 @@ def _autoregression(values: Array, follows: NDArray[np.int64]) -> Array:
 
 
 def _bandwidth(white: Array, follows: NDArray[np.int64], rows: int) -> float:
-    """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5) for the quadratic spectral kernel, alpha
-    from autoregressions.
-    """
+    """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5), with alpha from autoregressions."""
     now = white[follows]
     before = white[follows - 1]
     size = np.sum(before**2, axis=0)
@@ -111,6 +158,6 @@ def _bandwidth(white: Array, follows: NDArray[np.int64], rows: int) -> float:
 
 
 def _quadratic_spectral(x: float) -> float:
-    """Andrews 1991, eq. 2.7."""
+    """The quadratic spectral kernel (Andrews 1991, eq. 2.7)."""
     z = 6 * np.pi * x / 5
     return float(25 / (12 * np.pi**2 * x**2) * (np.sin(z) / z - np.cos(z)))

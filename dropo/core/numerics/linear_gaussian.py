@@ -11,12 +11,29 @@ from dropo.core.services.validation import Array
 def scores_and_information(
     residuals: Array, jacobian: Array, covariance: Array, epsilon: Array
 ) -> tuple[Array, Array]:
-    """Scores (R, 2 d) in (mu, v), v the parameters' variances, and the Fisher information (2 d, 2
-    d), block diagonal.
+    """Differentiate the log-likelihood of rows by the mean and the variances of parameters.
 
-    residuals: (R, p) measured - predicted; jacobian: (R, p, d); covariance: S (d, d); epsilon:
-    (p,). d log L / d mu = J' Sigma^-1 r; d log L / d v_i = ((J_i' Sigma^-1 r)^2 - J_i' Sigma^-1
-    J_i) / 2.
+    Parameters
+    ----------
+    residuals : (R, p) array
+        Measured less predicted.
+    jacobian : (R, p, d) array
+        Derivatives J of the predictions by the parameters.
+    covariance : (d, d) array
+        S, the covariance of the parameters.
+    epsilon : (p,) array
+        Noise variances.
+
+    Returns
+    -------
+    scores : (R, 2 d) array
+        Derivatives by the mean mu, then by the variances v, of each row.
+    information : (2 d, 2 d) array
+        Fisher information, block diagonal.
+
+    Notes
+    -----
+    d log L / d mu = J' Sigma^-1 r; d log L / d v_i = ((J_i' Sigma^-1 r)^2 - J_i' Sigma^-1 J_i) / 2.
     """
     sigma = jacobian @ covariance @ jacobian.swapaxes(1, 2)
     sigma[:, np.arange(len(epsilon)), np.arange(len(epsilon))] += epsilon

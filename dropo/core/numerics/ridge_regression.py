@@ -6,17 +6,51 @@ from dropo.core.services.validation import Array
 
 
 def fourier_features(rows: Array, frequencies: Array, phases: Array) -> Array:
-    """Random features (n, F) of a Gaussian kernel (Rahimi and Recht 2007): rows (n, s), frequencies
-    (s, F), phases (F,).
+    """Compute random features of a Gaussian kernel.
+
+    Parameters
+    ----------
+    rows : (n, s) array
+        The inputs.
+    frequencies : (s, F) array
+        Random frequencies.
+    phases : (F,) array
+        Random phases [rad].
+
+    Returns
+    -------
+    (n, F) array
+
+    References
+    ----------
+    Rahimi and Recht, Random features for large-scale kernel machines, NeurIPS (2007).
     """
     return np.asarray(np.sqrt(2) * np.cos(rows @ frequencies + phases))
 
 
 def ridge(design: Array, targets: Array, penalties: Array) -> Array:
-    """(F, p) coefficients of targets (n, p) on the design (n, F); for each target the one of the
-    penalties (k,) that generalised cross-validation prefers (Golub, Heath and Wahba 1979).
+    """Regress targets on a design, each with the penalty of best generalised cross-validation.
+
+    Parameters
+    ----------
+    design : (n, F) array
+        The features.
+    targets : (n, p) array
+        The targets.
+    penalties : (k,) array
+        The penalties to choose from.
+
+    Returns
+    -------
+    (F, p) array
+        Coefficients.
+
+    References
+    ----------
+    Golub, Heath and Wahba, Technometrics 21 (1979), 215.
     """
     n = len(design)
+    # In the eigenbasis of the features' second moments, every penalty is a division.
     values, vectors = np.linalg.eigh(design.T @ design / n)
     values = np.maximum(values, 0.0)
     moments = vectors.T @ (design.T @ targets) / n  # (F, p)
@@ -29,7 +63,8 @@ def ridge(design: Array, targets: Array, penalties: Array) -> Array:
             - 2 * np.sum(shrunk * moments, axis=0)
             + np.sum(values[:, None] * shrunk**2, axis=0)
         )
-        criterion = error / max(1 - float(np.sum(values / (values + penalty))) / n, 1e-3) ** 2
+        free = 1 - float(np.sum(values / (values + penalty))) / n
+        criterion = error / max(free, 1e-3) ** 2
         better = criterion < best
         best = np.where(better, criterion, best)
         out[:, better] = shrunk[:, better]

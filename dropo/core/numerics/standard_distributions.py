@@ -1,4 +1,4 @@
-"""One-dimensional laws that families map affinely, with their orthonormal polynomials."""
+"""One-dimensional distributions that families map affinely, and their orthonormal polynomials."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,12 +11,19 @@ from dropo.core.numerics.array_api import namespace, ndtri
 from dropo.core.services.validation import Array
 
 NODES = 64
+"""Nodes of each Gauss rule."""
 
 
 @dataclass(frozen=True, eq=False)
 class StandardDistribution:
-    """quantile: (0, 1) -> the law's values; nodes, weights: (Q,) a Gauss rule, weights summing to
-    1.
+    """A one-dimensional distribution without parameters.
+
+    Attributes
+    ----------
+    quantile : callable
+        Maps (0, 1) to the distribution's values, array or tensor.
+    nodes, weights : (Q,) array
+        Its Gauss rule; the weights sum to 1.
     """
 
     quantile: Callable[[Array], Array]
@@ -25,8 +32,9 @@ class StandardDistribution:
 
     @cached_property
     def _recurrence(self) -> tuple[Array, Array]:
-        """The three-term recurrence's coefficients by the Stieltjes procedure on the rule (Gautschi
-        2004, section 2.2).
+        """Coefficients of the three-term recurrence, by the Stieltjes procedure on the rule.
+
+        See Gautschi, Orthogonal Polynomials (2004), section 2.2.
         """
         a = np.zeros(NODES // 2)
         b = np.ones(NODES // 2)
@@ -41,11 +49,22 @@ class StandardDistribution:
         return a, b
 
     def orthonormal(self, x: Array, degree: int) -> Array:
-        """Orthonormal polynomials of degree 0 ... degree at x (...,), array or tensor: (..., degree
-        + 1).
+        """Evaluate the orthonormal polynomials up to a degree.
+
+        Parameters
+        ----------
+        x : (...,) array
+            Where, array or tensor.
+        degree : int
+            The highest degree.
+
+        Returns
+        -------
+        (..., degree + 1) array
+            Those of degree 0, 1, ..., degree.
         """
         xp = namespace(x)
-        (a, b) = self._recurrence
+        a, b = self._recurrence
         out = [xp.ones_like(x), (x - a[0]) / b[1]]
         for k in range(1, degree):
             out.append(((x - a[k]) * out[k] - b[k] * out[k - 1]) / b[k + 1])
@@ -54,11 +73,13 @@ class StandardDistribution:
 
 
 def _normal() -> StandardDistribution:
+    """The standard normal distribution."""
     nodes, weights = roots_hermitenorm(NODES)
     return StandardDistribution(ndtri, nodes, weights / weights.sum())
 
 
 def _uniform() -> StandardDistribution:
+    """The uniform distribution on [-1, 1]."""
     nodes, weights = roots_legendre(NODES)
     return StandardDistribution(lambda base: 2 * base - 1, nodes, weights / 2)
 

@@ -1,4 +1,4 @@
-"""What the pictures of a diagnosis are drawn from, in plain numbers: kept in diagnosis.json."""
+"""The numbers behind the figures of a diagnosis, as diagnosis.json keeps them."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -8,10 +8,19 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Bar:
-    """An effect that was tried in a round of the search: nats gained on data held out, with their
-    standard error, before the accepted one is fitted to the end; None where it was not refitted,
-    since its response is that of the effect named. told: whether the data can tell it from the
-    effect that was accepted.
+    """An effect that was tried in a round of the search.
+
+    Attributes
+    ----------
+    label : str
+        The effect.
+    gain, error : float or None
+        The gain on held-out data and its standard error [nats], before the accepted effect is
+        fitted to the end; None where it was not refitted, since its response is that of another.
+    accepted : bool
+        Whether it was accepted.
+    told : bool
+        Whether the data distinguish it from the effect that was accepted.
     """
 
     label: str
@@ -23,9 +32,20 @@ class Bar:
 
 @dataclass(frozen=True)
 class AgainstAxis:
-    """The errors of the signal in which an effect shows most, over what the effect acts on. x: its
-    value in each window held out; before, after: the error at the window's end without the
-    effect, and with all that was accepted.
+    """Errors of the signal in which an effect shows most, over the quantity that it depends on.
+
+    Attributes
+    ----------
+    label : str
+        The effect.
+    axis, axis_unit : str
+        The quantity and its unit.
+    signal, unit : str
+        The signal and its unit.
+    x : tuple of float
+        The quantity in each held-out window.
+    before, after : tuple of float
+        The error at each window's end without the effect, and with all that were accepted.
     """
 
     label: str
@@ -40,9 +60,20 @@ class AgainstAxis:
 
 @dataclass(frozen=True)
 class Sizes:
-    """An effect's size estimated anew in quarters of the data by a variable, as multiples of the
-    whole's; a true cause has one size. at: the variable's median in each part; error: standard
-    errors; p_value: of one size in all of them, this variable alone.
+    """An effect's magnitude in quarters of the data by a variable; a true cause has one magnitude.
+
+    Attributes
+    ----------
+    label : str
+        The effect.
+    variable : str
+        The variable by which the data are divided.
+    at : tuple of float
+        Its median in each quarter.
+    size, error : tuple of float
+        The magnitude in each quarter and its standard error, in units of that in all data.
+    p_value : float
+        Of one magnitude in all quarters, for this variable alone.
     """
 
     label: str
@@ -55,8 +86,18 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Forces:
-    """Standard deviations of random forces at each degree of freedom, anew in each control step,
-    that would explain what is left.
+    """Random forces at each degree of freedom that would explain the residuals.
+
+    They are drawn anew in each control step.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        Of the degrees of freedom.
+    before, after : tuple of float
+        Standard deviations without the effects, and with all that were accepted.
+    there_before, there_after : bool
+        Whether such forces are significant.
     """
 
     names: tuple[str, ...]
@@ -69,8 +110,14 @@ class Forces:
 
 @dataclass(frozen=True)
 class Similarity:
-    """|cosine| between the whitened responses of the effects that promised most: 1 where the data
-    cannot tell them apart.
+    """How similar the responses of the most promising effects are.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        The effects.
+    cosines : tuple of tuple of float
+        |cosine| between their whitened responses: 1 where the data cannot distinguish them.
     """
 
     labels: tuple[str, ...]
@@ -79,9 +126,19 @@ class Similarity:
 
 @dataclass(frozen=True)
 class Sums:
-    """The scores of an effect's size summed over the windows held out, in order, as a bridge that
-    ends where it begins: a size that changes at a moment makes a peak there. time: the share of
-    the data so far; beyond +-1.36 once in twenty where nothing changes.
+    """Cumulative scores of an effect's magnitude over the held-out windows, in order.
+
+    They are scaled to a Brownian bridge, which ends where it begins. A magnitude that changes at
+    one time makes a peak there; where nothing changes, one in twenty leaves +-1.36.
+
+    Attributes
+    ----------
+    label : str
+        The effect.
+    time : tuple of float
+        Fraction of the data so far.
+    score : tuple of float
+        The cumulative scores.
     """
 
     label: str
@@ -91,8 +148,24 @@ class Sums:
 
 @dataclass(frozen=True)
 class FigureData:
-    """Everything but the motion itself, which `Predictions` keep. needed: the nats that confirm an
-    effect.
+    """All numbers behind the figures of a diagnosis but the motion, which `Predictions` keep.
+
+    Attributes
+    ----------
+    needed : float
+        The gain that confirms an effect [nats].
+    rounds : tuple of tuple of Bar
+        The effects that were tried in each round.
+    axes : tuple of AgainstAxis
+        For each accepted effect.
+    sizes : tuple of Sizes
+        For each accepted effect and variable.
+    forces : Forces
+        What is left.
+    similarity : Similarity
+        Of the most promising effects.
+    sums : tuple of Sums
+        For each accepted effect.
     """
 
     needed: float
@@ -104,14 +177,24 @@ class FigureData:
     sums: tuple[Sums, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers, of seven digits."""
+        """Give plain numbers of seven digits."""
         found = _rounded(asdict(self))
         assert isinstance(found, dict)
         return found
 
     @classmethod
     def from_json(cls, kept: dict[str, Any]) -> "FigureData":
-        """What `to_json` gave."""
+        """Read what `to_json` gave.
+
+        Parameters
+        ----------
+        kept : dict
+            The entry of diagnosis.json.
+
+        Returns
+        -------
+        FigureData
+        """
         kinds: dict[str, Any] = {"axes": AgainstAxis, "sizes": Sizes, "sums": Sums}
         lists = {
             name: tuple(kind(**_tuples(entry)) for entry in kept[name])
@@ -124,6 +207,7 @@ class FigureData:
 
 
 def _rounded(value: Any) -> Any:
+    """Nested lists and dicts with numbers of seven digits."""
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -132,6 +216,7 @@ def _rounded(value: Any) -> Any:
 
 
 def _tuples(value: Any) -> Any:
+    """Nested lists as tuples."""
     if isinstance(value, dict):
         return {key: _tuples(item) for key, item in value.items()}
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

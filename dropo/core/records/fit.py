@@ -74,8 +74,8 @@ class Fit(Report):
         How long it took [s].
     seed : int or None
         Where `rng` was one.
-    degrees : (d,) array or None
-        Degrees of freedom of the Student t behind the means' intervals; None: normal.
+    degrees_of_freedom : (d,) array or None
+        Of the Student t behind the intervals of the means; None: normal.
     places : mapping of str to dict
         Where in a model each parameter is, of a fit that was loaded; see `model_places`.
     likelihood, optimizer : str
@@ -133,7 +133,7 @@ class Fit(Report):
     warnings: tuple[str, ...] = ()
     wall_time_s: float = 0.0
     seed: int | None = None
-    degrees: Array | None = None
+    degrees_of_freedom: Array | None = None
     places: Mapping[str, dict[str, Any]] = field(default_factory=dict)
     likelihood: str = ""
     optimizer: str = ""
@@ -220,8 +220,8 @@ class Fit(Report):
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.interval")
         degrees = np.full(len(self.mean), np.inf)
-        if self.degrees is not None:
-            degrees = np.nan_to_num(self.degrees, nan=np.inf)
+        if self.degrees_of_freedom is not None:
+            degrees = np.nan_to_num(self.degrees_of_freedom, nan=np.inf)
         half = stats.t.ppf((1 + level) / 2, degrees) * self.mean_se
         ends = np.stack([self.mean - half, self.mean + half])
         return np.asarray(np.clip(ends, self.space.low, self.space.high).T)

@@ -23,6 +23,7 @@ from dropo.core.records.fit_parts import (
 )
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.search_records import SEARCH_RECORDS
+from dropo.core.services.atomic_write import write_json, write_npz
 from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array
 
@@ -68,7 +69,7 @@ def content_of(fit: Fit) -> dict[str, Any]:
     dict
         Plain numbers, texts, lists and dicts; numbers that do not exist are None.
     """
-    from dropo import __version__
+    from dropo._version import __version__
 
     content: dict[str, Any] = {
         "method": fit.method,
@@ -104,17 +105,11 @@ def save_fit(fit: Fit, folder: Path) -> None:
     folder : Path
         Made where it is missing.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {name: getattr(fit, name) for name in ARRAYS}
     for part in _parts_of(fit):
         arrays |= part.to_arrays()
-    unfinished = folder / ".fit.npz"
-    with unfinished.open("wb") as file:
-        np.savez(file, **{**arrays, **fit.arrays})
-    unfinished.replace(folder / "fit.npz")
-    text = folder / ".fit.json"
-    text.write_text(json.dumps(content_of(fit), indent=1, allow_nan=False) + "\n")
-    text.replace(folder / "fit.json")
+    write_npz(folder / "fit.npz", {**arrays, **fit.arrays})
+    write_json(folder / "fit.json", content_of(fit))
 
 
 def load_fit(folder: Path) -> Fit:
@@ -147,7 +142,8 @@ def load_fit(folder: Path) -> Fit:
 def _rows_of(fit: Fit) -> dict[str, dict[str, Any]]:
     """The entry of each parameter."""
     columns = {name: getattr(fit, name) for name in COLUMNS}
-    columns["degrees"] = np.full(len(fit.mean), np.inf) if fit.degrees is None else fit.degrees
+    degrees = fit.degrees_of_freedom
+    columns["degrees"] = np.full(len(fit.mean), np.inf) if degrees is None else degrees
     intervals = fit.interval()
     return {
         p.name: {
@@ -207,7 +203,7 @@ def _fit_from(content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
     saved |= _read_parts(content, arrays)
     fit = Fit(
         **saved,
-        degrees=_degrees(rows, columns["mean_se"]),
+        degrees_of_freedom=_degrees(rows, columns["mean_se"]),
         space=space,
         mse=number_or_nan(content["mse"]),
         log_likelihood=number_or_nan(content["log_likelihood"]),

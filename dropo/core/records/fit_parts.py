@@ -119,7 +119,13 @@ class StartFilter(FitPart):
 
 @dataclass(frozen=True)
 class ResidualSize:
-    """The mean square of the whitened residuals, 1 for a right model, and its standard error."""
+    """The size of the whitened residuals.
+
+    Attributes
+    ----------
+    mean_square, standard_error : float
+        Their mean square, 1 for a right model, and its standard error.
+    """
 
     mean_square: float
     standard_error: float
@@ -222,7 +228,15 @@ class HeldOutErrors(FitPart):
 
 @dataclass(frozen=True)
 class VarianceTest:
-    """A likelihood-ratio test that a spread is 0: twice the gain of having it, and its p-value."""
+    """A likelihood-ratio test that a variance component is 0.
+
+    Attributes
+    ----------
+    statistic : float
+        Twice the gain in log-likelihood of having it.
+    p_value : float
+        Of the test.
+    """
 
     statistic: float
     p_value: float
@@ -230,15 +244,14 @@ class VarianceTest:
 
 @dataclass(frozen=True)
 class VarianceComponentTests:
-    """Whether groups differ at all, and in which parameters: likelihood-ratio tests of spreads of
-    0.
+    """Whether groups differ, and in which parameters: tests that variance components are 0.
 
     Attributes
     ----------
     overall : VarianceTest
-        All spreads against none.
+        All components against none.
     parameters : mapping of str to VarianceTest
-        Each parameter's own spread against none.
+        Each parameter's own component against none.
     """
 
     overall: VarianceTest
@@ -267,11 +280,12 @@ class GroupEffects(FitPart):
     fewest_rows, most_rows : int
         Rows of the smallest and of the largest group.
     shrinkage : mapping of str to float
-        By parameter, the share of a group's own deviation that is not believed, on average.
+        By parameter, the fraction by which a group's own deviation shrinks, on average.
     median_sd : mapping of str to float
         By parameter, the median of the groups' own standard deviations; NaN where unknown.
     predictive_sd : mapping of str to float
-        By parameter, the standard deviation of a new group's: spread and ignorance of the mean.
+        By parameter, the standard deviation for a new group: the population's, and the
+        uncertainty of its mean.
     tests : VarianceComponentTests
         Whether the groups differ.
     number : (G,) array
@@ -279,7 +293,7 @@ class GroupEffects(FitPart):
     mean : (G, d) array
         Each group's parameters given all data.
     covariance : (G, d, d) array
-        Their covariance, with the ignorance of the population's mean and not that of its spread.
+        Their covariance, with the uncertainty of the population's mean and not of its spread.
     """
 
     kind: Literal["groups", "trajectories"]
@@ -348,7 +362,7 @@ class PosteriorDiagnostics:
     split_r_hat : mapping of str to float
         1 where the walkers agree (Vehtari et al. 2021).
     effective_sample_size : mapping of str to float
-        How many independent draws would say as much of the mean.
+        Independent draws that would give the mean as well.
     """
 
     autocorrelation_time: Mapping[str, float]
@@ -358,7 +372,7 @@ class PosteriorDiagnostics:
 
 @dataclass(frozen=True, eq=False)
 class PosteriorDraws(FitPart):
-    """The draws of a posterior and what they say about themselves.
+    """The draws of a posterior and their diagnostics.
 
     Attributes
     ----------

@@ -5,30 +5,43 @@ import numpy as np
 from dropo.core.numerics.dependence import Units
 from dropo.core.records.trajectories import Ints, Segments
 
-MANY = 20  # trajectories or groups from which their number is enough for errors clustered by them
+MANY = 20
+"""Trajectories or groups that are enough for standard errors clustered by them."""
 
 
 def units_of(segments: Segments) -> Units:
-    """The units of the compared rows: trajectories that share no group, trajectories, or groups,
-    the first of them that are many; else the trajectories as series in time.
+    """Find the units of the compared rows that are independent of each other.
+
+    They are the first of these that are `MANY`: parts of the data that share neither a trajectory
+    nor a group, trajectories, groups. If none is, they are the trajectories as series in time.
+
+    Parameters
+    ----------
+    segments : Segments
+        With R compared rows.
+
+    Returns
+    -------
+    Units
     """
     segment, step = segments.rows
     trajectory = segments.trajectory[segment]
     group = segments.group[segment]
-    named = segments.trajectories.group is not None
-    choices = [("trajectories", _joined(trajectory, group))] if named else []
-    choices += [("trajectories", trajectory)] + ([("groups", group)] if named else [])
+    choices = [("trajectories", trajectory)]
+    if segments.trajectories.group is not None:
+        connected = ("trajectories", _connected_parts(trajectory, group))
+        choices = [connected, *choices, ("groups", group)]
     time = segments.steps[segment, step]
     for kind, label in choices:
-        dense = np.unique(label, return_inverse=True)[1]
-        if int(dense.max()) + 1 >= MANY:
-            return Units(dense, False, np.lexsort((time, dense)), kind)
-    dense = np.unique(trajectory, return_inverse=True)[1]
-    return Units(dense, True, np.lexsort((time, dense)), "time")
+        number = np.unique(label, return_inverse=True)[1]
+        if int(number.max()) + 1 >= MANY:
+            return Units(number, False, np.lexsort((time, number)), kind)
+    number = np.unique(trajectory, return_inverse=True)[1]
+    return Units(number, True, np.lexsort((time, number)), "time")
 
 
-def _joined(trajectory: Ints, group: Ints) -> Ints:
-    """(R,) the parts of the data that neither a trajectory nor a group crosses."""
+def _connected_parts(trajectory: Ints, group: Ints) -> Ints:
+    """The part (R,) of the data that each row is in, which no trajectory and no group crosses."""
     label = np.unique(trajectory, return_inverse=True)[1]
     while True:
         by_group = np.full(int(group.max()) + 1, len(label))

@@ -1,6 +1,4 @@
-"""Measured motion beside what a model predicts, before and after: what pictures of a fit or a
-diagnosis are drawn from.
-"""
+"""Measured motion and what two models predict for it, for the figures of a fit or a diagnosis."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,30 +14,29 @@ from dropo.core.services.validation import Array
 FILE = "predictions.npz"
 SIDES = ("before", "after")
 LEVEL = 0.9
-"""How much of the measured motion a band should hold."""
+"""The fraction of the measured motion that a band should hold."""
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """What one model predicts, for W windows of L steps and p signals; NaN where a simulation
-    failed.
+    """What one model predicts for W windows of L steps and p signals.
 
     Attributes
     ----------
-    name
-        What stands in legends.
-    line
-        (W, L, p) the mean prediction.
-    band
-        (2, W, L, p) the ends of the bands that hold a share `LEVEL`.
-    by_horizon
-        (H,) root mean square errors after each horizon, all signals together, each in units of its
-        own spread.
-    by_signal
-        (p,) root mean square errors `rows_after` steps after a start, in each signal's unit.
-    pit
-        (n,) the predicted probability of what is below each measurement, uniform where that is
-        calibrated.
+    name : str
+        For legends.
+    line : (W, L, p) array
+        The mean prediction; NaN where a simulation failed.
+    band : (2, W, L, p) array
+        The ends of the bands that should hold the fraction `LEVEL`.
+    by_horizon : (H,) array
+        Root mean square errors after each horizon, over all signals, each in units of its own
+        standard deviation.
+    by_signal : (p,) array
+        Root mean square errors `rows_after` steps after a start, in each signal's unit.
+    pit : (n,) array
+        The predicted probability of values below each measurement (probability integral
+        transform); uniform if the predictions are calibrated.
     """
 
     name: str
@@ -56,27 +53,27 @@ class Predictions:
 
     Attributes
     ----------
-    names, units
+    names, units : tuple of str
         Of the p signals.
-    seconds
-        In a control step; NaN where unknown.
-    begins
-        (W,) the step of the data at which a window begins, counted within its trajectory.
-    measured
-        (W, L, p) the signals of the windows.
-    rows
-        (W, L, P) the same as observation rows.
-    spread
-        (p,) each signal's standard deviation in the data without its noise; 0 where it is constant.
-    horizons
-        (H,) control steps after which errors are given.
-    noise
-        (H,) what the measurements' noise alone gives by horizon; NaN where it is unknown.
-    rows_after
-        How many steps after a start the rows of `by_signal` are.
-    held_out
+    seconds : float
+        Length of a control step [s]; NaN where unknown.
+    begins : (W,) array of int
+        The step of its trajectory at which each window begins.
+    measured : (W, L, p) array
+        The measured signals.
+    rows : (W, L, P) array
+        The same as observation rows.
+    spread : (p,) array
+        Standard deviation of each signal in the data without its noise; 0 where it is constant.
+    horizons : (H,) array of int
+        Control steps after which errors are given.
+    noise : (H,) array
+        The error that the measurements' noise alone gives by horizon; NaN where it is unknown.
+    rows_after : int
+        How many control steps after a start the rows of `by_signal` are.
+    held_out : bool
         Whether no fit has seen these data.
-    before, after
+    before, after : Side
         The two models.
     """
 
@@ -95,52 +92,65 @@ class Predictions:
     after: Side
 
     def save(self, folder: str | Path) -> None:
-        """Writes predictions.npz, whole or not at all."""
+        """Write predictions.npz, whole or not at all.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made where it is missing.
+        """
         write_npz(Path(folder) / FILE, _arrays(self), compressed=True)
 
     @classmethod
     def load(cls, folder: str | Path) -> "Predictions":
-        """What `save` wrote into a folder."""
+        """Read what `save` wrote.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Where it was written.
+
+        Returns
+        -------
+        Predictions
+
+        Raises
+        ------
+        BadFile
+            If there is no such file, or it cannot be read.
+        """
         path = Path(folder) / FILE
         if not path.is_file():
-            raise BadFile(
-                path,
-                "",
-                "what a run of `dropo fit --out` or `dropo diagnose --out` keeps",
-                "no such file",
-            )
+            expected = "what a run of `dropo fit --out` or `dropo diagnose --out` keeps"
+            raise BadFile(path, "", expected, "no such file")
         try:
             with np.load(path, allow_pickle=False) as kept:
                 return _from_arrays(cls, dict(kept))
         except (KeyError, ValueError, OSError) as error:
-            raise BadFile(
-                path,
-                "",
-                "what a run of `dropo fit --out` keeps",
-                f"{type(error).__name__}: {error}",
-            ) from None
+            got = f"{type(error).__name__}: {error}"
+            raise BadFile(path, "", "what a run of `dropo fit --out` keeps", got) from None
 
 
 def _arrays(found: Predictions) -> dict[str, Any]:
     """All fields by name, those of the sides as "before.line"."""
     own = {field.name: getattr(found, field.name) for field in fields(found)}
     sides = {name: own.pop(name) for name in SIDES}
-    own |= {
-        f"{name}.{field.name}": getattr(side, field.name)
-        for name, side in sides.items()
-        for field in fields(side)
-    }
+    for name, side in sides.items():
+        own |= {f"{name}.{field.name}": getattr(side, field.name) for field in fields(side)}
     return {name: np.asarray(value) for name, value in own.items()}
 
 
 def _from_arrays(cls: type[Predictions], kept: dict[str, Any]) -> Predictions:
+    """The predictions from the arrays that `_arrays` gave."""
+
     def side(name: str) -> Side:
         arrays = {field.name: kept[f"{name}.{field.name}"] for field in fields(Side)}
         return Side(**{**arrays, "name": str(arrays["name"])})
 
-    own: dict[str, Any] = {
-        field.name: kept[field.name] for field in fields(cls) if field.name not in SIDES
-    }
-    own |= {name: tuple(own[name].tolist()) for name in ("names", "units")}
-    own |= {name: own[name].item() for name in ("seconds", "rows_after", "held_out")}
+    names = [field.name for field in fields(cls) if field.name not in SIDES]
+    own: dict[str, Any] = {name: kept[name] for name in names}
+    for name in ("names", "units"):
+        own[name] = tuple(own[name].tolist())
+    for name in ("seconds", "rows_after", "held_out"):
+        own[name] = own[name].item()
     return cls(**own, before=side("before"), after=side("after"))

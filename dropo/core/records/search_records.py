@@ -48,7 +48,13 @@ class SearchRecord(FitPart):
 
 @dataclass(frozen=True, eq=False)
 class IntervalHistory(SearchRecord):
-    """Intervals that were in force one after another, or drawn at random; bounds: (n, 2, d)."""
+    """Intervals of the parameters, one after another or drawn at random.
+
+    Attributes
+    ----------
+    bounds : (n, 2, d) array
+        Lower and upper ends of each, in the parameters' units.
+    """
 
     bounds: Array
     arrays: ClassVar[Mapping[str, str]] = {"bounds": "bounds"}
@@ -56,7 +62,15 @@ class IntervalHistory(SearchRecord):
 
 @dataclass(frozen=True, eq=False)
 class GaussianHistory(SearchRecord):
-    """Gaussians one after another: means (n, d) and covariances (n, d, d)."""
+    """Gaussians of the parameters, one after another.
+
+    Attributes
+    ----------
+    means : (n, d) array
+        In the parameters' units.
+    covariances : (n, d, d) array
+        In their squared units.
+    """
 
     means: Array
     covariances: Array
@@ -145,7 +159,13 @@ class NeuralPosterior(SearchRecord):
 
 @dataclass(frozen=True, eq=False)
 class DistanceSearch(SearchRecord):
-    """A search for the least sum of squared distances between simulation and measurement."""
+    """A search for the smallest sum of squared distances between simulation and measurement.
+
+    Attributes
+    ----------
+    squared_distance : float
+        The smallest one.
+    """
 
     squared_distance: float
     entries: ClassVar[Mapping[str, str]] = {"squared_distance": "squared_distance"}

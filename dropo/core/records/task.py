@@ -1,6 +1,4 @@
-"""What a policy is to do on a simulator: where episodes begin, what a step is worth, when an
-episode ends.
-"""
+"""What a policy is to do on a simulator: where episodes begin, their rewards and their ends."""
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
@@ -15,22 +13,42 @@ from dropo.core.services.validation import Array, check_shape, require
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A task on a simulator; its functions take m simulations at once, and use no state beside what
-    they are given.
+    """A task on a simulator, by functions of m simulations at once.
 
-    reward(before, actions, after) -> (m,): what a step was worth, from the states (m, nq + nv)
-    around it, positions before velocities, and the policy's actions (m, q). starts(rng, n) -> (n,
-    nq + nv): states in which episodes begin. steps: the policy's steps in a whole episode.
-    alive(states) -> (m,) bool: an episode ends with the step after which it is False.
-    bonus: what each step is worth on top that leaves the simulation alive; a search may leave it
-    out, as it rewards standing still. observe(rows) -> (m, o): what the policy sees of the
-    observation rows (m, P); left out, the rows.
+    The functions use no state but their arguments. A state (m, nq + nv) has positions before
+    velocities. With `goals`, `reward` and `observe` take the goals (m, g) as their last argument.
 
-    goals(rng, n) -> (n, g): a goal for each episode; `reward` and `observe` then take goals (m, g)
-    last, and without `observe` the policy sees them behind the rows. controls(states, actions) ->
-    (m, H, c): the commands of H control steps for one action; left out, the action is the command
-    of one. limits: (2, q) the lowest and highest actions; left out, the control ranges of the
-    actuators. source: how a problem file names the task.
+    Attributes
+    ----------
+    reward : callable
+        reward(before, actions, after) gives the reward (m,) of a step, from the states around it
+        and the policy's actions (m, q).
+    starts : callable
+        starts(rng, n) gives states (n, nq + nv) in which episodes begin.
+    steps : int
+        The policy's steps in a whole episode.
+    alive : callable or None
+        alive(states) gives (m,) bool; an episode ends with the step after which it is False.
+    bonus : float
+        Added to the reward of each step after which the simulation is alive; a search may leave it
+        out, as it rewards standing still.
+    observe : callable or None
+        observe(rows) gives the policy's observations (m, o) from observation rows (m, P). None:
+        the rows, with the goals behind them.
+    goals : callable or None
+        goals(rng, n) gives a goal (n, g) for each episode.
+    controls : callable or None
+        controls(states, actions) gives the commands (m, H, c) of H control steps for one action.
+        None: the action is the command of one step.
+    limits : (2, q) array or None
+        The lowest and highest actions; None: the control ranges of the actuators.
+    source : Any
+        How a problem file names the task.
+
+    Raises
+    ------
+    BadArgument
+        If `steps` is less than 1 or `limits` has another shape.
     """
 
     reward: Callable[..., Array]
@@ -51,38 +69,69 @@ class Task:
             check_shape("limits", np.asarray(self.limits), (2, None), "Task")
 
     def draw_goals(self, rng: Generator, n: int) -> Array:
-        """(n, g) goals; g = 0 where there are none."""
-        return (
-            np.zeros((n, 0)) if self.goals is None else np.asarray(self.goals(rng, n), dtype=float)
-        )
+        """Draw the goals (n, g) of `n` episodes with `rng`; g is 0 if the task has none."""
+        if self.goals is None:
+            return np.zeros((n, 0))
+        return np.asarray(self.goals(rng, n), dtype=float)
 
-    def worth(self, before: Array, actions: Array, after: Array, goals: Array) -> Array:
-        """(m,) the reward without the bonus."""
+    def rewards(self, before: Array, actions: Array, after: Array, goals: Array) -> Array:
+        """Evaluate the rewards of a step, without the bonus.
+
+        Parameters
+        ----------
+        before, after : (m, nq + nv) array
+            The states around the step.
+        actions : (m, q) array
+            The policy's actions.
+        goals : (m, g) array
+            The episodes' goals.
+
+        Returns
+        -------
+        (m,) array
+
+        Raises
+        ------
+        BadArgument
+            If the task's reward has another shape.
+        """
         given = (before, actions, after) if self.goals is None else (before, actions, after, goals)
         rewards = np.asarray(self.reward(*given), dtype=float)
         check_shape("reward", rewards, (len(after),), "Task")
         return rewards
 
-    def lives(self, states: Array) -> NDArray[np.bool_]:
-        """(m,) bool, which episodes go on."""
+    def are_alive(self, states: Array) -> NDArray[np.bool_]:
+        """Evaluate which episodes go on after their states.
+
+        Parameters
+        ----------
+        states : (m, nq + nv) array
+            The states after a step.
+
+        Returns
+        -------
+        (m,) array of bool
+
+        Raises
+        ------
+        BadArgument
+            If the task's `alive` gives another shape.
+        """
         if self.alive is None:
             return np.ones(len(states), dtype=bool)
-        lives = np.asarray(self.alive(states), dtype=bool)
-        check_shape("alive", lives, (len(states),), "Task")
-        return lives
+        alive = np.asarray(self.alive(states), dtype=bool)
+        check_shape("alive", alive, (len(states),), "Task")
+        return alive
 
-    def seen(self, rows: Array, goals: Array) -> Array:
-        """(m, o) what the policy sees."""
+    def observations(self, rows: Array, goals: Array) -> Array:
+        """Make the policy's observations (m, o) from `rows` (m, P) and `goals` (m, g)."""
         if self.observe is None:
             return np.concatenate([rows, goals], axis=1)
-        return np.asarray(
-            self.observe(rows) if self.goals is None else self.observe(rows, goals), dtype=float
-        )
+        given = (rows,) if self.goals is None else (rows, goals)
+        return np.asarray(self.observe(*given), dtype=float)
 
     def commands(self, states: Array, actions: Array) -> Array:
-        """(m, H, c) one command a control step."""
-        return (
-            actions[:, None]
-            if self.controls is None
-            else np.asarray(self.controls(states, actions), dtype=float)
-        )
+        """Make the commands (m, H, c) of H control steps from `states` and `actions` (m, q)."""
+        if self.controls is None:
+            return actions[:, None]
+        return np.asarray(self.controls(states, actions), dtype=float)

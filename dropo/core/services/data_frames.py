@@ -7,11 +7,26 @@ from dropo.core.services.optional_dependencies import need
 
 
 def frame(rows: Sequence[dict[str, Any]], index: str) -> Any:
-    """A pandas.DataFrame of rows of equal keys, indexed by one of these.
+    """Make a pandas.DataFrame of rows with the same keys.
 
-    Needs the extra `tables`.
+    Parameters
+    ----------
+    rows : sequence of dict
+        The rows.
+    index : str
+        The key that is the index.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Empty if there are no rows.
+
+    Raises
+    ------
+    MissingPackage
+        If pandas is not installed (extra `tables`).
     """
     need("pandas", extra="tables", caller="A table for pandas")
-    import pandas
+    import pandas as pd
 
-    return pandas.DataFrame(list(rows)).set_index(index) if rows else pandas.DataFrame()
+    return pd.DataFrame(list(rows)).set_index(index) if rows else pd.DataFrame()

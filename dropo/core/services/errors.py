@@ -17,8 +17,18 @@ class BadArgument(InvalidInput):
 
 
 class BadFile(InvalidInput):
-    """A file cannot be used: the message names the file, the key, what was expected and what was
-    got.
+    """A file cannot be used.
+
+    The message names the file, the key, what was expected and what was got.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    key : str
+        The entry's keys from the top of the file, joined by dots; empty for the whole file.
+    expected, got : str
+        What had to stand there, and what stands there.
     """
 
     def __init__(self, path: object, key: str, expected: str, got: object):
@@ -29,7 +39,17 @@ class BadFile(InvalidInput):
 
 
 class BadEntry(BadFile):
-    """An entry of a file that another part refused: its sentence, behind the file and the key."""
+    """An entry of a file that another part refused.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    key : str
+        The entry's keys from the top of the file, joined by dots.
+    sentence : str
+        The message of that part.
+    """
 
     def __init__(self, path: object, key: str, sentence: str):
         InvalidInput.__init__(self, f"{path}: {key}: {sentence}")
@@ -38,7 +58,7 @@ class BadEntry(BadFile):
 
 
 class UnknownName(InvalidInput, LookupError):
-    """A name that nothing answers to; the message gives the nearest valid one."""
+    """A name that does not exist; the message gives the nearest valid one."""
 
 
 class Incompatible(InvalidInput):
@@ -46,10 +66,8 @@ class Incompatible(InvalidInput):
 
 
 class MissingPackage(InvalidInput, ImportError):
-    """A package is not installed that only some uses need; the message names it and the extra that
-    brings it.
-    """
+    """A package that only some uses need is missing; the message says how to install it."""
 
 
 class SimulationFailed(DropoError, RuntimeError):
-    """The simulator diverged where it must not; the message says on which segments."""
+    """The simulator diverged where it must not; the message says in which rows."""

@@ -1,9 +1,9 @@
-"""What was evaluated so far, on disk: a run that was killed goes on by asking the same questions
-and reading the answers.
+"""Evaluations kept on disk, so that a run that was killed can be resumed.
 
-Every part of a run is deterministic given its seed, so nothing else needs to be saved: neither an
-optimizer's state nor a random generator's. The file holds one JSON line a batch; numbers are
-written so that they come back bit for bit.
+Every part of a run is deterministic given its seed. A resumed run therefore evaluates the same
+points in the same order, and reads those that the file holds; nothing else needs to be saved,
+neither an optimizer's state nor a random generator's. The file holds one JSON line for each batch;
+numbers are written so that they are read bit for bit.
 """
 
 import json
@@ -19,13 +19,27 @@ from dropo.core.services.errors import BadFile, InvalidInput
 from dropo.core.services.validation import Array
 
 Answer = tuple[Array, dict[str, int]]
+"""The values of a batch, and what it cost by kind, such as {"steps": 1000}."""
 
 
 class EvaluationLog:
-    """Evaluations by the order in which they were asked for; with `path`, kept in a file.
+    """The evaluations of a run in their order; with a path, they are kept in a file.
 
-    header: what the run is (problem, settings, seed, hashes); a file of another run is refused. The
-    file begins with the first batch, so that a run that is refused before it leaves none.
+    The file begins with the first batch, so a run that is refused before leaves none.
+
+    Parameters
+    ----------
+    path : Path, optional
+        The file; without it nothing is kept.
+    header : dict, optional
+        What the run is: problem, settings, seed, hashes.
+
+    Raises
+    ------
+    BadFile
+        If the file is no evaluation log.
+    InvalidInput
+        If the file is of another run; the message names what differs.
     """
 
     def __init__(self, path: Path | None = None, header: dict[str, Any] | None = None):
@@ -40,12 +54,30 @@ class EvaluationLog:
 
     @property
     def replayed(self) -> int:
-        """Batches that the file already held when the run was taken up."""
+        """Number of batches that the file held when the run was resumed."""
         return len(self._known)
 
     def evaluate(self, points: Array, function: Callable[[Array], Answer]) -> Answer:
-        """function(points) -> (answers, counts); from the file where the same batch was asked for
-        before.
+        """Evaluate a batch, or read its values if the file holds them.
+
+        Parameters
+        ----------
+        points : (P, m) array
+            Where.
+        function : callable
+            Points to values and costs.
+
+        Returns
+        -------
+        answers : array
+            The values, float64.
+        counts : dict of str to int
+            What the batch cost, by kind.
+
+        Raises
+        ------
+        InvalidInput
+            If the file holds another batch in this place.
         """
         if self._next < len(self._known):
             entry = self._known[self._next]
@@ -59,16 +91,12 @@ class EvaluationLog:
             return np.array(entry["answers"], dtype=float), entry["counts"]
         answers, counts = function(points)
         if self.path is not None:
-            self._append(
-                {
-                    "points": points.tolist(),
-                    "answers": np.asarray(answers).tolist(),
-                    "counts": counts,
-                }
-            )
+            values = np.asarray(answers).tolist()
+            self._append({"points": points.tolist(), "answers": values, "counts": counts})
         return np.asarray(answers, dtype=float), counts
 
     def _append(self, entry: dict[str, Any]) -> None:
+        """Write one more line, behind the header."""
         assert self.path is not None
         new = not self.path.exists() or self.path.stat().st_size == 0
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,9 +115,8 @@ def _read(path: Path, header: dict[str, Any]) -> list[dict[str, Any]]:
     try:
         lines = [json.loads(line) for line in whole.splitlines()]
     except json.JSONDecodeError:
-        raise BadFile(
-            path, "", "the evaluations of a run, one JSON line each", "something else"
-        ) from None
+        expected = "the evaluations of a run, one JSON line each"
+        raise BadFile(path, "", expected, "something else") from None
     if not lines:
         return []
     if lines[0] != json.loads(json.dumps(header)):

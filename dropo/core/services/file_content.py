@@ -88,7 +88,7 @@ class FileContent(Generic[Content]):
         Raises
         ------
         BadEntry
-            In place of any `Refused`.
+            In place of any `InvalidInput`.
         """
         try:
             yield

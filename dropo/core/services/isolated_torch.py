@@ -1,22 +1,27 @@
-"""torch with randomness and threads of its own, whatever the rest of the process does with it."""
+"""A context in which torch has random numbers and threads of its own."""
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_one = threading.RLock()  # torch has one random stream for all threads of a process
+_lock = threading.RLock()  # torch has one random stream for all threads of a process
 
 
 @contextmanager
 def isolated_torch(seed: int) -> Iterator[None]:
-    """Torch on one thread, since a handful of numbers gains nothing from more, and seeded; as it
-    was before, afterwards.
+    """Seed torch and let it use one thread, inside a block; restore both afterwards.
 
-    Another thread that asks for the same waits, so that each gets its own numbers.
+    A handful of numbers gains nothing from more threads. Another thread that enters such a block
+    waits, so that each gets its own numbers.
+
+    Parameters
+    ----------
+    seed : int
+        Of torch's random numbers.
     """
     import torch
 
-    with _one:
+    with _lock:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:

@@ -6,7 +6,22 @@ from dropo.core.services.errors import MissingPackage
 
 
 def need(*packages: str, extra: str, caller: str) -> None:
-    """Raises MissingPackage unless all packages are installed; `extra` is the one that brings them."""
+    """Refuse to go on unless packages are installed.
+
+    Parameters
+    ----------
+    *packages : str
+        Their import names.
+    extra : str
+        The extra of dropo that installs them.
+    caller : str
+        What needs them, for the message.
+
+    Raises
+    ------
+    MissingPackage
+        If one is missing; the message says how to install it.
+    """
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
         verb = "is" if len(missing) == 1 else "are"

@@ -1,8 +1,7 @@
-"""Names of plug-ins. A plug-in is imported when it is asked for, so that `dropo list` imports none.
+"""The names of plug-ins; each is imported when it is asked for, so `dropo list` imports none.
 
-Packages outside announce theirs as entry points of the group `dropo.<kind>` (for example
-`dropo.optimizers`);
-a script or a notebook calls `register`.
+Other packages announce theirs as entry points of the group `dropo.<kind>`, for example
+`dropo.optimizers`; a script or a notebook calls `register`.
 """
 
 import importlib
@@ -45,6 +44,7 @@ _EFFECTS = (
     "gear_lash",
     "parameter_drift",
 )
+_MEASURED = "dropo.problems.measured"
 BUILT_IN: dict[str, dict[str, str]] = {
     "methods": {
         "dropo": "dropo.estimators.dropo:DROPO",
@@ -132,7 +132,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "double-pendulum-c0": "dropo.problems.measured.double_pendulum:double_pendulum_c0",
         "simple-pendulum": "dropo.problems.measured.simple_pendulum:simple_pendulum",
         "swinging-pendulum": "dropo.problems.measured.swinging_pendulum:swinging_pendulum",
-        "swinging-pendulum-double": "dropo.problems.measured.swinging_pendulum:swinging_pendulum_double",
+        "swinging-pendulum-double": f"{_MEASURED}.swinging_pendulum:swinging_pendulum_double",
         "slide": "dropo.problems.simulated.slide:slide",
         "sliding": "dropo.problems.panda.sliding:sliding",
         "pushing": "dropo.problems.panda.pushing:pushing",
@@ -156,29 +156,75 @@ BUILT_IN: dict[str, dict[str, str]] = {
     },
 }
 SERVICES = {"randomize": "dropo.training.environments:randomize"}
-"""What a room asks of one above it, by name: the registry is the only place for such strings."""
+"""Functions of rooms above that a lower room calls; such strings are here alone."""
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}
 
 
 def register(kind: str, name: str, plugin: Callable[..., Any]) -> None:
-    """Makes a plug-in of this process available by its name; the kind is one of `kinds()`."""
+    """Make a plug-in available by its name, in this process.
+
+    Parameters
+    ----------
+    kind : str
+        One of `kinds()`.
+    name : str
+        Its name.
+    plugin : callable
+        A class or a function.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such kind.
+    """
     _registered[known("kind of plug-in", kind, BUILT_IN)][name] = plugin
 
 
 def kinds() -> list[str]:
-    """What can be named: methods, likelihoods, families, ..."""
+    """List what can be named: methods, likelihoods, families, ..."""
     return sorted(BUILT_IN)
 
 
 def names(kind: str) -> list[str]:
-    """The names of one kind, sorted."""
+    """List the names of one kind, sorted.
+
+    Parameters
+    ----------
+    kind : str
+        One of `kinds()`.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    UnknownName
+        If there is no such kind.
+    """
     known("kind of plug-in", kind, BUILT_IN)
     return sorted({*BUILT_IN[kind], *_outside(kind), *_registered[kind]})
 
 
 def find(kind: str, name: str) -> Any:
-    """The plug-in of that kind and name; UnknownName, with the nearest valid name, where there is
-    none.
+    """Import a plug-in by its name.
+
+    Parameters
+    ----------
+    kind : str
+        One of `kinds()`.
+    name : str
+        Its name.
+
+    Returns
+    -------
+    Any
+        A class or a function.
+
+    Raises
+    ------
+    UnknownName
+        If there is none of that name; the message gives the nearest valid one.
     """
     known(_singular(kind), name, names(kind))
     if name in _registered[kind]:
@@ -189,7 +235,7 @@ def find(kind: str, name: str) -> Any:
 
 
 def service(name: str) -> Any:
-    """The function of a higher room that goes by this name in `SERVICES`."""
+    """Import the function of a higher room that has this `name` in `SERVICES`."""
     return _imported(SERVICES[name])
 
 
@@ -201,8 +247,10 @@ def _imported(place: str) -> Any:
 
 @cache
 def _outside(kind: str) -> dict[str, Any]:
+    """The entry points of other packages, by name."""
     return {point.name: point for point in entry_points(group=f"dropo.{kind}")}
 
 
 def _singular(kind: str) -> str:
+    """A kind in a message, such as "family"."""
     return {"families": "family", "studies": "study"}.get(kind, kind.removesuffix("s"))

@@ -9,7 +9,17 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as they are printed; rows as long as the header."""
+    """A table of cells as they are printed.
+
+    Attributes
+    ----------
+    title : str
+        Printed above; empty for none.
+    header : tuple of str
+        The columns' titles.
+    rows : tuple of tuple of str
+        The cells, each row as long as the header.
+    """
 
     title: str
     header: tuple[str, ...]
@@ -21,12 +31,13 @@ class Table:
 
     def _repr_html_(self) -> str:
         caption = f"<caption>{escape(self.title)}</caption>" if self.title else ""
+        head = f"<thead>{_html_row('th', self.header)}</thead>"
         rows = "".join(_html_row("td", row) for row in self.rows)
-        return f"<table>{caption}<thead>{_html_row('th', self.header)}</thead><tbody>{rows}</tbody></table>"
+        return f"<table>{caption}{head}<tbody>{rows}</tbody></table>"
 
 
 def _html_row(tag: str, cells: tuple[str, ...]) -> str:
-    """The first cell to the left, the others to the right."""
+    """A row of cells, the first aligned to the left, the others to the right."""
     sides = ["left", *["right"] * (len(cells) - 1)]
     shown = (
         f'<{tag} style="text-align: {side}; padding: 0 0.6em">{escape(cell)}</{tag}>'
@@ -36,13 +47,14 @@ def _html_row(tag: str, cells: tuple[str, ...]) -> str:
 
 
 class Report(ABC):
-    """A result that prints itself: as text, in a notebook as HTML, and on a terminal as the command
-    line draws it.
+    """A result that prints itself: as text, in a notebook as HTML, on a terminal with colours.
+
+    A subclass writes `parts`.
     """
 
     @abstractmethod
     def parts(self) -> list[str | Table]:
-        """Sentences and tables, in the order in which they are read."""
+        """Give the sentences and tables in the order in which they are read."""
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.parts()))
@@ -51,47 +63,70 @@ class Report(ABC):
         return str(self)
 
     def _repr_html_(self) -> str:
-        return "\n".join(
-            part._repr_html_() if isinstance(part, Table) else _html_text(part)
-            for part in self.parts()
-            if part
-        )
+        pieces = []
+        for part in self.parts():
+            if isinstance(part, Table):
+                pieces.append(part._repr_html_())
+            elif part:
+                pieces.append(_html_text(part))
+        return "\n".join(pieces)
 
 
 def _html_text(text: str) -> str:
     """A sentence as a paragraph; several lines, which may be a table, as they stand."""
-    return (
-        f"<pre>{escape(text)}</pre>"
-        if "\n" in text
-        else f'<p style="margin: 0.2em 0">{escape(text)}</p>'
-    )
+    if "\n" in text:
+        return f"<pre>{escape(text)}</pre>"
+    return f'<p style="margin: 0.2em 0">{escape(text)}</p>'
 
 
 def text_table(header: list[str], rows: list[list[str]]) -> str:
-    """Columns padded with blanks; the first one to the left, the others to the right."""
+    """Print a table with blanks between its columns, the first one to the left.
+
+    Parameters
+    ----------
+    header : list of str
+        The columns' titles.
+    rows : list of list of str
+        The cells, each row as long as the header.
+
+    Returns
+    -------
+    str
+        Lines without trailing blanks.
+    """
     widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
 
     def line(row: list[str]) -> str:
-        cells = [
-            row[0].ljust(widths[0]),
-            *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
-        ]
-        return "  ".join(cells).rstrip()
+        others = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        return "  ".join([row[0].ljust(widths[0]), *others]).rstrip()
 
-    return "\n".join(
-        [line(header), "  ".join("-" * width for width in widths), *(line(row) for row in rows)]
-    )
+    rule = "  ".join("-" * width for width in widths)
+    return "\n".join([line(header), rule, *(line(row) for row in rows)])
 
 
 def number(value: float, digits: int = 5) -> str:
-    """A number for a table; a dash where there is none."""
+    """Print a `value` with so many significant `digits`; a dash where it is not finite."""
     return f"{value:.{digits}g}" if np.isfinite(value) else "-"
 
 
 def estimate(value: float, error: float) -> str:
-    """A number with the decimals of its standard error's two digits, twelve at most; with seven
-    digits where there is no error.
+    """Print a number with as many decimals as two digits of its standard error have.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    error : float
+        Its standard error.
+
+    Returns
+    -------
+    str
+        With twelve decimals at most; with seven digits where there is no error, or the number is
+        very small or large.
     """
-    if not (np.isfinite(value) and np.isfinite(error) and error > 0 and 1e-6 < abs(value) < 1e7):
+    has_error = np.isfinite(value) and np.isfinite(error) and error > 0
+    if not (has_error and 1e-6 < abs(value) < 1e7):
         return number(value, 7)
-    return f"{value:.{int(np.clip(1 - np.floor(np.log10(error)), 0, 12))}f}"
+    decimals = int(np.clip(1 - np.floor(np.log10(error)), 0, 12))
+    return f"{value:.{decimals}f}"

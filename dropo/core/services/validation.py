@@ -1,4 +1,4 @@
-"""Refusals that name the argument, its owner, the rule and what was got."""
+"""Checks of arguments, whose messages name the argument, its owner, the rule and what was got."""
 
 import difflib
 from collections.abc import Iterable
@@ -10,16 +10,58 @@ from numpy.typing import ArrayLike, NDArray
 from dropo.core.services.errors import BadArgument, UnknownName
 
 Array = NDArray[np.float64]
+"""An array of float64."""
 
 
 def require(ok: bool, name: str, rule: str, got: object, caller: str) -> None:
-    """Raises BadArgument unless `ok`."""
+    """Refuse an argument that breaks a rule.
+
+    Parameters
+    ----------
+    ok : bool
+        Whether the rule holds.
+    name : str
+        The argument's name.
+    rule : str
+        What it must be, the end of "must be ...".
+    got : object
+        What it is.
+    caller : str
+        Whose argument it is.
+
+    Raises
+    ------
+    BadArgument
+        Unless `ok`.
+    """
     if not ok:
         raise BadArgument(f"The {name!r} of {caller} must be {rule}. Got {got!r} instead.")
 
 
 def float_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], caller: str) -> Array:
-    """A read-only float64 copy of `values`, of the given shape (None: any length) and finite."""
+    """Copy an array into a read-only float64 one, checked.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name.
+    values : array_like
+        The argument.
+    shape : tuple of int or None
+        The shape that it must have; None stands for any length.
+    caller : str
+        Whose argument it is.
+
+    Returns
+    -------
+    array
+        Read-only.
+
+    Raises
+    ------
+    BadArgument
+        If these are no numbers, or the array has another shape or is not finite.
+    """
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -28,33 +70,56 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], cal
         ) from None
     check_shape(name, array, shape, caller)
     bad = np.argwhere(~np.isfinite(array))
-    require(
-        len(bad) == 0,
-        name,
-        "finite",
-        f"{array[tuple(bad[0])]} at {tuple(map(int, bad[0]))}" if len(bad) else "",
-        caller,
-    )
+    if len(bad):
+        first = tuple(map(int, bad[0]))
+        require(False, name, "finite", f"{array[first]} at {first}", caller)
     array.setflags(write=False)
     return array
 
 
 def check_shape(name: str, array: Any, shape: tuple[int | None, ...], caller: str) -> None:
-    """Refuses an array of another shape; None in `shape` stands for any length."""
-    fits = array.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
-    )
-    wanted = (
-        "("
-        + ", ".join("any" if n is None else str(n) for n in shape)
-        + ("," if len(shape) == 1 else "")
-        + ")"
-    )
-    require(fits, name, f"of shape {wanted}", tuple(array.shape), caller)
+    """Refuse an array of another shape.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name.
+    array : array
+        The argument, array or tensor.
+    shape : tuple of int or None
+        The shape that it must have; None stands for any length.
+    caller : str
+        Whose argument it is.
+
+    Raises
+    ------
+    BadArgument
+        If it has another shape.
+    """
+    fits = array.ndim == len(shape)
+    if fits:
+        lengths = zip(shape, array.shape, strict=True)
+        fits = all(wanted in (None, length) for wanted, length in lengths)
+    wanted = ", ".join("any" if length is None else str(length) for length in shape)
+    comma = "," if len(shape) == 1 else ""
+    require(fits, name, f"of shape ({wanted}{comma})", tuple(array.shape), caller)
 
 
 def nearest(name: object, valid: Iterable[str]) -> str:
-    """The end of a message about an unknown name: the nearest valid one, else the list."""
+    """Suggest a valid name in place of an unknown one.
+
+    Parameters
+    ----------
+    name : object
+        The unknown name.
+    valid : iterable of str
+        The valid ones.
+
+    Returns
+    -------
+    str
+        A sentence with the nearest valid name, else with the first twelve.
+    """
     options = sorted(filter(None, valid))
     near = difflib.get_close_matches(str(name), options, n=1, cutoff=0.5)
     if near:
@@ -64,7 +129,27 @@ def nearest(name: object, valid: Iterable[str]) -> str:
 
 
 def known(kind: str, name: str, valid: Iterable[str]) -> str:
-    """`name`, where it is one of the valid ones; else UnknownName with the nearest."""
+    """Return a name that must be one of the valid ones.
+
+    Parameters
+    ----------
+    kind : str
+        What it names, for the message.
+    name : str
+        The name.
+    valid : iterable of str
+        The valid names.
+
+    Returns
+    -------
+    str
+        The name itself.
+
+    Raises
+    ------
+    UnknownName
+        If it is none of them; the message gives the nearest.
+    """
     options = list(valid)
     if name not in options:
         raise UnknownName(f"No {kind} called {name!r}. {nearest(name, options)}")

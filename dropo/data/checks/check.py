@@ -1,420 +1,478 @@
-"""What looks odd in data: time, dead, stuck or clipped channels, copies, units and signs, actions
-that no actuator can follow.
+"""What looks odd in data: time, single columns, motion, copies and short trajectories.
+
+In reading order: `check` and `find_error` run the checks, `_CheckedData` is what each of them is
+given, and each yields findings.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.records.trajectories import Ints, Signal, Trajectories
+from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.validation import Array
-from dropo.data.checks.columns import Column, beyond, check_column
+from dropo.data.checks.columns import Column, ColumnSettings, check_column, check_limits
 from dropo.data.checks.findings import Finding, Level, errors_first
 from dropo.data.checks.kinematics import (
-    Motion,
+    Displacements,
+    MotionSettings,
     check_fall,
     check_motions,
-    falling,
-    noise_of_steps,
-    turned,
+    displacement_noise,
+    fall_accelerations,
+    rotation_vectors,
 )
 from dropo.data.describe import columns, controls, simulator_of
 from dropo.mjmodel.joints import Joint, actuators, all_joints, model_joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
-SHORT = 5
-"""A trajectory of fewer transitions says little."""
-UNIT = 1e-3
-NOT_UNIT = 0.05
-"""How far a quaternion's norm may be from 1: within rounding of a log file; beyond, it is none."""
-RATE = 0.02
-UNEVEN = 0.05
-GAP = 1.5
-"""How far rows may be from the control step: all (a share of it), each (rms), and one (as a
-factor).
-"""
 REIMPORT = "`dropo data import` resamples logs on the control step and ends trajectories at gaps."
+MOST_NUMBERS = 8  # trajectories that a message lists
 
 
-def check(trajectories: Trajectories, source: Problem | Simulator | None = None) -> list[Finding]:
-    """What looks odd in the data, errors first. source: the problem or simulator that they are for;
-    None: less can be checked.
+@dataclass(frozen=True)
+class CheckSettings:
+    """What makes data look odd.
+
+    Attributes
+    ----------
+    short : int
+        A trajectory of fewer transitions says little.
+    rounded_norm, wrong_norm : float
+        How far a quaternion's norm may be from 1: within the rounding of a log file, and as an
+        error.
+    rate : float
+        How far the rows' median distance may be from the control step, as a fraction of it.
+    jitter : float
+        How far the rows' distances may be from their median (rms), as a fraction of it.
+    gap : float
+        A distance of rows above this many medians is a gap.
+    columns : ColumnSettings
+        Of single columns.
+    motion : MotionSettings
+        Of velocities and free fall.
     """
-    simulator = simulator_of(source)
-    found = [
-        *blocking(trajectories, simulator),
-        *_uneven(trajectories),
-        *(
-            finding
-            for column in _columns(trajectories, simulator)
-            for finding in check_column(column)
-        ),
-        *_duplicates(trajectories),
-        *_short(trajectories),
-        *(shorter_than_lambda(source) if isinstance(source, Problem) else ()),
-        *_gaps(trajectories, columns(simulator, trajectories.observations.shape[1])),
-    ]
+
+    short: int = 5
+    rounded_norm: float = 1e-3
+    wrong_norm: float = 0.05
+    rate: float = 0.02
+    jitter: float = 0.05
+    gap: float = 1.5
+    columns: ColumnSettings = field(default_factory=ColumnSettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
+
+
+DEFAULTS = CheckSettings()
+
+
+def check(
+    trajectories: Trajectories,
+    source: Problem | Simulator | None = None,
+    settings: CheckSettings = DEFAULTS,
+) -> list[Finding]:
+    """Find what looks odd in data.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The data.
+    source : Problem or Simulator, optional
+        What they are for; without it less can be checked.
+    settings : CheckSettings, optional
+        What counts as odd.
+
+    Returns
+    -------
+    list of Finding
+        Errors first.
+    """
+    data = _CheckedData(trajectories, simulator_of(source), settings)
+    found = [*_possible_errors(data), *_check_jitter(data)]
+    for column in _columns(data):
+        found += check_column(column, settings.columns)
+    found += _check_copies(data)
+    found += _check_lengths(data)
+    if isinstance(source, Problem):
+        found += shorter_than_lambda(source)
+    found += _check_continuity(data)
     return errors_first(found)
 
 
-def blocking(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Finding]:
-    """The findings among which are all errors: a fit of data with one cannot work."""
-    yield from quaternion_norms(trajectories, simulator)
-    yield from times(trajectories)
-    yield from rates(trajectories, simulator)
-    yield from motions(trajectories, simulator)
-    yield from falls(trajectories, simulator)
+def find_error(
+    trajectories: Trajectories, simulator: Simulator | None, settings: CheckSettings = DEFAULTS
+) -> Finding | None:
+    """Find the first error, which keeps a fit from working.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The data.
+    simulator : Simulator or None
+        What they are for.
+    settings : CheckSettings, optional
+        What counts as odd.
+
+    Returns
+    -------
+    Finding or None
+        None where there is no error.
+    """
+    for finding in _possible_errors(_CheckedData(trajectories, simulator, settings)):
+        if finding.level == "error":
+            return finding
+    return None
 
 
-def verdict(trajectories: Trajectories, simulator: Simulator | None) -> Finding | None:
-    """The first error, which keeps a fit from working; None where nothing does."""
-    return next(
-        (finding for finding in blocking(trajectories, simulator) if finding.level == "error"), None
-    )
+def outside_control_range(
+    trajectories: Trajectories, simulator: Simulator | None, settings: CheckSettings = DEFAULTS
+) -> Iterator[Finding]:
+    """Find actions that the model's actuators clip, so that the simulation does not apply them.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The data.
+    simulator : Simulator or None
+        What they are for.
+    settings : CheckSettings, optional
+        What counts as odd.
+
+    Yields
+    ------
+    Finding
+        One for each column of actions.
+    """
+    for column in _command_columns(_CheckedData(trajectories, simulator, settings)):
+        if column.limits is None:
+            continue
+        low, high = column.limits
+        if ((column.values < low) | (column.values > high)).any():
+            yield from check_limits(column, settings.columns)
+
+
+def shorter_than_lambda(problem: Problem) -> Iterator[Finding]:
+    """Find trajectories that hold no segment, so that a fit does not use them.
+
+    Parameters
+    ----------
+    problem : Problem
+        The data, and the horizon that is compared.
+
+    Yields
+    ------
+    Finding
+        At most one.
+    """
+    lengths = [stop - start for start, stop in problem.trajectories.spans]
+    short = sum(length < problem.length for length in lengths)
+    if short and problem.reset == "transition":
+        text = (
+            f"{short} of {len(lengths)} trajectories are shorter than lambda = "
+            f"{problem.length} and are left out."
+        )
+        yield Finding("warning", "", text)
+
+
+@dataclass(frozen=True, eq=False)
+class _CheckedData:
+    """N transitions, the simulator that they are for, and what counts as odd."""
+
+    trajectories: Trajectories
+    simulator: Simulator | None
+    settings: CheckSettings
+
+    @property
+    def control_step(self) -> float | None:
+        """Seconds of a control step, where it is known."""
+        return None if self.simulator is None else self.simulator.control_step
+
+    @property
+    def robot(self) -> RobotSimulator | None:
+        """The simulator, where it has a model and its columns are as many as the data's."""
+        if not isinstance(self.simulator, RobotSimulator):
+            return None
+        width = self.trajectories.observations.shape[1]
+        return self.simulator if len(self.simulator.layout) == width else None
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """(N - 1,) whether the step from a row to the next stays in a trajectory."""
+        return ~self.trajectories.terminals[:-1]
+
+    @property
+    def time(self) -> Array:
+        """(N,) seconds of each row: the data's, else by the control step from the start on."""
+        trajectories = self.trajectories
+        if trajectories.time is not None:
+            return trajectories.time
+        starts = np.array([start for start, _ in trajectories.spans])
+        count = np.arange(len(trajectories)) - starts[trajectories.trajectory]
+        return count * float(self.control_step or 1.0)
+
+    def joints(self) -> Iterator[tuple[Joint, list[int], list[int]]]:
+        """Each observed joint, with the data's columns of its position and, if any, velocity."""
+        robot = self.robot
+        if robot is None:
+            return
+        where = {(column.field, column.place): i for i, column in enumerate(robot.layout.columns)}
+        for joint in all_joints(robot.model):
+            width = len(joint.units("qpos"))
+            dofs = len(joint.units("qvel"))
+            positions = [where.get(("qpos", joint.qpos + i), -1) for i in range(width)]
+            velocities = [where.get(("qvel", joint.qvel + i), -1) for i in range(dofs)]
+            if min(positions) >= 0:
+                yield joint, positions, velocities if min(velocities) >= 0 else []
+
+
+def _possible_errors(data: _CheckedData) -> Iterator[Finding]:
+    """The findings of all checks that may find an error."""
+    yield from _check_quaternions(data)
+    yield from _check_time(data)
+    yield from _check_rate(data)
+    yield from _check_velocities(data)
+    yield from _check_falls(data)
 
 
 # Time
 
 
-def _inside(trajectories: Trajectories) -> NDArray[np.bool_]:
-    """(N - 1,) steps that stay in a trajectory."""
-    return ~trajectories.terminals[:-1]
-
-
-def times(trajectories: Trajectories) -> Iterator[Finding]:
+def _check_time(data: _CheckedData) -> Iterator[Finding]:
     """Rows that are not later than the row before them in their trajectory."""
-    if trajectories.time is None:
+    time = data.trajectories.time
+    if time is None:
         return
-    back = np.flatnonzero(_inside(trajectories) & (np.diff(trajectories.time) <= 0))
+    back = np.flatnonzero(data.inside & (np.diff(time) <= 0))
     if len(back):
         row = int(back[0]) + 1
-        sentence = (
-            f"{len(back)} rows are not later than the row before them, the first is row {row}."
-        )
+        text = f"{len(back)} rows are not later than the row before them, the first is row {row}."
         advice = "Take them out, or set `terminals` where the clock starts anew."
-        yield Finding(
-            "error", "time", sentence, advice, row=row, time=float(trajectories.time[row])
-        )
+        yield Finding("error", "time", text, advice, row=row, time=float(time[row]))
 
 
-def _control_step(simulator: Simulator | None) -> float | None:
-    return None if simulator is None else simulator.control_step
-
-
-def rates(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Finding]:
+def _check_rate(data: _CheckedData) -> Iterator[Finding]:
     """Rows that are not a control step apart."""
-    step = _control_step(simulator)
-    if trajectories.time is None or step is None or not _inside(trajectories).any():
+    time = data.trajectories.time
+    step = data.control_step
+    if time is None or step is None or not data.inside.any():
         return
-    typical = float(np.median(np.diff(trajectories.time)[_inside(trajectories)]))
-    if typical > 0 and abs(typical / step - 1) > RATE:
+    typical = float(np.median(np.diff(time)[data.inside]))
+    if typical > 0 and abs(typical / step - 1) > data.settings.rate:
+        simulator = data.simulator
         frame_skip = simulator.frame_skip if isinstance(simulator, RobotSimulator) else 1
         count = max(1, round(typical / step * frame_skip))
-        sentence = (
+        text = (
             f"rows are {1e3 * typical:.6g} ms apart, and one control step of the model takes "
             f"{1e3 * step:.6g} ms."
         )
         advice = f"Set frame_skip to {count}, or resample the data; see also the unit of time."
-        yield Finding("error", "time", sentence, advice, row=1, time=float(trajectories.time[1]))
+        yield Finding("error", "time", text, advice, row=1, time=float(time[1]))
 
 
-def _uneven(trajectories: Trajectories) -> Iterator[Finding]:
+def _check_jitter(data: _CheckedData) -> Iterator[Finding]:
     """Gaps and jitter inside trajectories."""
-    if trajectories.time is None:
+    time = data.trajectories.time
+    if time is None:
         return
-    time = trajectories.time
-    steps = np.diff(trajectories.time)
-    inside = _inside(trajectories) & (steps > 0)
+    steps = np.diff(time)
+    inside = data.inside & (steps > 0)
     if inside.sum() < 3:
         return
     typical = float(np.median(steps[inside]))
-    gaps = np.flatnonzero(inside & (steps > GAP * typical))
+    longest_even = data.settings.gap * typical
+    gaps = np.flatnonzero(inside & (steps > longest_even))
     if len(gaps):
         row = int(gaps[0]) + 1
         longest = 1e3 * float(steps[gaps].max())
-        sentence = (
-            f"{len(gaps)} steps inside trajectories are longer than {GAP:g} of "
-            f"{1e3 * typical:.4g} ms, up to {longest:.4g} ms, the "
-            f"first before row {row}."
+        text = (
+            f"{len(gaps)} steps inside trajectories are longer than {data.settings.gap:g} of "
+            f"{1e3 * typical:.4g} ms, up to {longest:.4g} ms, the first before row {row}."
         )
-        yield Finding("warning", "time", sentence, REIMPORT, row=row, time=float(time[row]))
-    even = inside & (steps <= GAP * typical)
+        yield Finding("warning", "time", text, REIMPORT, row=row, time=float(time[row]))
+    even = inside & (steps <= longest_even)
     jitter = float(np.sqrt(np.mean((steps[even] / typical - 1) ** 2))) if even.any() else 0.0
-    if jitter > UNEVEN:
+    if jitter > data.settings.jitter:
         row = int(np.argmax(np.where(even, np.abs(steps - typical), 0.0))) + 1
-        sentence = (
+        text = (
             f"steps vary by {100 * jitter:.0f} % (rms) around {1e3 * typical:.4g} ms, most "
             f"before row {row}."
         )
-        yield Finding("warning", "time", sentence, REIMPORT, row=row, time=float(time[row]))
+        yield Finding("warning", "time", text, REIMPORT, row=row, time=float(time[row]))
 
 
 # Single columns
 
 
-def _clock(trajectories: Trajectories, simulator: Simulator | None) -> Array:
-    """(N,) seconds of each row: the data's, else by the control step from each trajectory's start."""
-    if trajectories.time is not None:
-        return trajectories.time
-    first = np.array([start for start, _ in trajectories.spans])[trajectories.trajectory]
-    return (np.arange(len(trajectories)) - first) * float(_control_step(simulator) or 1.0)
-
-
-def _columns(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Column]:
+def _columns(data: _CheckedData) -> Iterator[Column]:
     """Every observation and action column."""
-    n = len(trajectories)
-    time = _clock(trajectories, simulator)
+    trajectories = data.trajectories
+    rows = np.arange(len(trajectories))
     breaks = np.array([start for start, _ in trajectories.spans[1:]], dtype=np.int64)
-    limits = {
-        positions[0]: joint.range
-        for joint, positions, _ in _joints(trajectories, simulator)
-        if len(positions) == 1
-    }
-    named = columns(simulator, trajectories.observations.shape[1])
-    for i, (signal, values) in enumerate(zip(named, trajectories.observations.T, strict=True)):
-        yield Column(
-            signal.name, signal.unit, time, values, np.arange(n), True, limits.get(i), breaks
-        )
-    yield from _commands(trajectories, simulator)
+    limits = {}
+    for joint, positions, _ in data.joints():
+        if len(positions) == 1:
+            limits[positions[0]] = joint.range
+    named = columns(data.simulator, trajectories.observations.shape[1])
+    for i, signal in enumerate(named):
+        values = trajectories.observations[:, i]
+        yield Column(signal.name, signal.unit, data.time, values, rows, True, limits.get(i), breaks)
+    yield from _command_columns(data)
 
 
-def _commands(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Column]:
-    n, q = trajectories.actions.shape
+def _command_columns(data: _CheckedData) -> Iterator[Column]:
+    """Every action column, with the range of its actuator."""
+    actions = data.trajectories.actions
+    simulator = data.simulator
+    n, q = actions.shape
     ranges: list[tuple[float, float] | None] = [None] * q
     if isinstance(simulator, RobotSimulator) and len(simulator.controls) == q:
         every = actuators(simulator.model)
         ranges = [every[place].range for place in simulator.controls.tolist()]
-    for i, (signal, values) in enumerate(
-        zip(controls(simulator, q), trajectories.actions.T, strict=True)
-    ):
-        yield Column(
-            signal.name,
-            signal.unit,
-            _clock(trajectories, simulator),
-            values,
-            np.arange(n),
-            False,
-            ranges[i],
-        )
+    for i, signal in enumerate(controls(simulator, q)):
+        rows = np.arange(n)
+        yield Column(signal.name, signal.unit, data.time, actions[:, i], rows, False, ranges[i])
 
 
-def outside_control_range(
-    trajectories: Trajectories, simulator: Simulator | None
-) -> Iterator[Finding]:
-    """Actions that the model's actuators clip, so that the simulation does not apply what the data
-    say.
-    """
-    for column in _commands(trajectories, simulator):
-        if (
-            column.limits is not None
-            and ((column.values < column.limits[0]) | (column.values > column.limits[1])).any()
-        ):
-            yield from beyond(column)
-
-
-def _robot(trajectories: Trajectories, simulator: Simulator | None) -> RobotSimulator | None:
-    """The simulator, where it has a model and its columns are as many as the data's."""
-    if not isinstance(simulator, RobotSimulator):
-        return None
-    return simulator if len(simulator.layout) == trajectories.observations.shape[1] else None
-
-
-def quaternion_norms(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Finding]:
+def _check_quaternions(data: _CheckedData) -> Iterator[Finding]:
     """Quaternion columns that are not of unit length."""
-    robot = _robot(trajectories, simulator)
+    robot = data.robot
     if robot is None:
         return
+    trajectories = data.trajectories
+    states = np.vstack([trajectories.observations, trajectories.next_observations])
     for quaternion in robot.layout.quaternions:
-        norms = np.linalg.norm(
-            np.vstack(
-                [
-                    trajectories.observations[:, quaternion],
-                    trajectories.next_observations[:, quaternion],
-                ]
-            ),
-            axis=1,
-        )
+        norms = np.linalg.norm(states[:, quaternion], axis=1)
         place = int(np.argmax(np.abs(norms - 1)))
-        worst = float(norms[place])
+        excess = abs(float(norms[place]) - 1)
         row = place % len(trajectories)
-        if abs(worst - 1) > UNIT:
-            level: Level = "error" if abs(worst - 1) > NOT_UNIT else "warning"
+        if excess > data.settings.rounded_norm:
+            level: Level = "error" if excess > data.settings.wrong_norm else "warning"
             name = robot.layout.names[quaternion[0]].rsplit("[", 1)[0]
-            sentence = f"a quaternion must have length 1, and one has {worst:.6g}, row {row}."
-            yield Finding(level, name, sentence, "The order is w, x, y, z.", row=row)
+            text = f"a quaternion must have length 1, and one has {norms[place]:.6g}, row {row}."
+            yield Finding(level, name, text, "The order is w, x, y, z.", row=row)
 
 
 # Motion
 
 
-def _joints(
-    trajectories: Trajectories, simulator: Simulator | None
-) -> Iterator[tuple[Joint, list[int], list[int]]]:
-    """Each joint that is observed, with the data's columns of its position and, where they are
-    there, of its velocity.
-    """
-    robot = _robot(trajectories, simulator)
-    if robot is None:
-        return
-    where = {(column.field, column.place): i for i, column in enumerate(robot.layout.columns)}
-    for joint in all_joints(robot.model):
-        positions = [
-            where.get(("qpos", joint.qpos + i), -1) for i in range(len(joint.units("qpos")))
-        ]
-        velocities = [
-            where.get(("qvel", joint.qvel + i), -1) for i in range(len(joint.units("qvel")))
-        ]
-        if min(positions) >= 0:
-            yield joint, positions, velocities if min(velocities) >= 0 else []
-
-
-def motions(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Finding]:
+def _check_velocities(data: _CheckedData) -> Iterator[Finding]:
     """Velocities that are not those of the positions."""
-    step = _control_step(simulator)
+    step = data.control_step
     if step is None:
         return
-    names = [signal.name for signal in columns(simulator, trajectories.observations.shape[1])]
-    time = _clock(trajectories, simulator)
-    rows = np.arange(len(trajectories))
+    trajectories = data.trajectories
     now = trajectories.observations
     following = trajectories.next_observations
-    for joint, positions, velocities in _joints(trajectories, simulator):
+    names = [signal.name for signal in columns(data.simulator, now.shape[1])]
+    for joint, positions, velocities in data.joints():
         if not velocities:
             continue
-        moved = _displacements(joint, now[:, positions], following[:, positions])
-        what = f"qpos.{joint.name}"
+        displacements = _displacements(joint, now[:, positions], following[:, positions])
         for i, place in enumerate(velocities):
-            integral = step * (now[:, place] + following[:, place]) / 2
-            noise = noise_of_steps(moved[:, i])
-            yield from check_motions(
-                [
-                    Motion(
-                        what,
-                        names[place],
-                        moved[:, i],
-                        integral,
-                        noise,
-                        step,
-                        rows,
-                        time,
-                        trajectories.trajectory,
-                    )
-                ]
+            motion = Displacements(
+                name=f"qpos.{joint.name}",
+                velocity=names[place],
+                displacement=displacements[:, i],
+                integral=step * (now[:, place] + following[:, place]) / 2,
+                noise=displacement_noise(displacements[:, i]),
+                step=step,
+                rows=np.arange(len(trajectories)),
+                time=data.time,
+                pieces=trajectories.trajectory,
             )
+            yield from check_motions([motion], data.settings.motion)
 
 
 def _displacements(joint: Joint, now: Array, following: Array) -> Array:
-    """(n, nv) from positions to those that follow; a quaternion turns by three angles in the body's
-    frame.
-    """
+    """(n, nv) from positions to those that follow; a quaternion's as a rotation vector."""
     quaternion = joint.quaternion()
     if quaternion is None:
         return following - now
     linear = slice(0, quaternion.start)
-    return np.hstack(
-        [
-            following[:, linear] - now[:, linear],
-            turned(now[:, quaternion], following[:, quaternion]),
-        ]
-    )
+    rotation = rotation_vectors(now[:, quaternion], following[:, quaternion])
+    return np.hstack([following[:, linear] - now[:, linear], rotation])
 
 
-def falls(trajectories: Trajectories, simulator: Simulator | None) -> Iterator[Finding]:
+def _check_falls(data: _CheckedData) -> Iterator[Finding]:
     """Free bodies that fall in another way than under the model's gravity."""
-    step = _control_step(simulator)
-    robot = _robot(trajectories, simulator)
+    step = data.control_step
+    robot = data.robot
     if step is None or robot is None:
         return
     gravity = model_joints(robot.model).gravity
-    clock = _clock(trajectories, simulator)
-    for joint, positions, _ in _joints(trajectories, simulator):
+    settings = data.settings
+    for joint, positions, _ in data.joints():
         if joint.kind != "free":
             continue
-        spans = [(start, stop) for start, stop in trajectories.spans if stop - start > SHORT]
-        parts = [
-            falling(
-                step * np.arange(stop - start, dtype=np.float64),
-                trajectories.observations[start:stop, positions[:3]],
+        accelerations = []
+        rows = []
+        for start, stop in data.trajectories.spans:
+            if stop - start <= settings.short:
+                continue
+            time = step * np.arange(stop - start, dtype=np.float64)
+            centre = data.trajectories.observations[start:stop, positions[:3]]
+            found, first = fall_accelerations(time, centre, settings.motion)
+            accelerations.append(found)
+            rows.append(first + start)
+        if accelerations:
+            places = np.concatenate(rows)
+            yield from check_fall(
+                f"qpos.{joint.name}",
+                np.concatenate(accelerations),
+                gravity,
+                places,
+                data.time[places],
+                settings=settings.motion,
             )
-            for start, stop in spans
-        ]
-        if parts:
-            rows = np.concatenate(
-                [first + start for (_, first), (start, _) in zip(parts, spans, strict=True)]
-            )
-            accelerations = np.concatenate([found for found, _ in parts])
-            yield from check_fall(f"qpos.{joint.name}", accelerations, gravity, rows, clock[rows])
 
 
 # Rows and trajectories
 
 
-def _duplicates(trajectories: Trajectories) -> Iterator[Finding]:
-    everything = np.hstack(
+def _check_copies(data: _CheckedData) -> Iterator[Finding]:
+    """Transitions that are exact copies of others."""
+    trajectories = data.trajectories
+    rows = np.hstack(
         [trajectories.observations, trajectories.actions, trajectories.next_observations]
     )
-    _, first = np.unique(everything, axis=0, return_index=True)
-    copies = len(everything) - len(first)
-    if copies:
-        row = int(np.setdiff1d(np.arange(len(everything)), first)[0])
-        sentence = (
-            f"{copies} of {len(everything)} transitions are exact copies of others, the first "
+    _, first = np.unique(rows, axis=0, return_index=True)
+    copies = np.setdiff1d(np.arange(len(rows)), first)
+    if len(copies):
+        row = int(copies[0])
+        text = (
+            f"{len(copies)} of {len(rows)} transitions are exact copies of others, the first "
             f"is row {row}."
         )
-        yield Finding(
-            "warning",
-            "",
-            sentence,
-            "A machine at rest, or a log read twice: copies count as evidence and are none.",
-            row=row,
-        )
+        advice = "A machine at rest, or a log read twice: copies count as evidence and are none."
+        yield Finding("warning", "", text, advice, row=row)
 
 
-def _short(trajectories: Trajectories) -> Iterator[Finding]:
-    lengths = [stop - start for start, stop in trajectories.spans]
-    short = [i for i, length in enumerate(lengths) if length < SHORT]
+def _check_lengths(data: _CheckedData) -> Iterator[Finding]:
+    """Trajectories that are too short to say much."""
+    spans = data.trajectories.spans
+    shortest = data.settings.short
+    short = [i for i, (start, stop) in enumerate(spans) if stop - start < shortest]
     if short:
-        named = ", ".join(map(str, short[:8])) + (", ..." if len(short) > 8 else "")
-        row = trajectories.spans[short[0]][0]
-        yield Finding(
-            "warning",
-            "",
-            (
-                f"{len(short)} of {len(lengths)} trajectories have fewer than {SHORT} "
-                f"transitions: {named}."
-            ),
-            row=row,
+        named = ", ".join(map(str, short[:MOST_NUMBERS]))
+        more = ", ..." if len(short) > MOST_NUMBERS else ""
+        text = (
+            f"{len(short)} of {len(spans)} trajectories have fewer than {shortest} "
+            f"transitions: {named}{more}."
         )
+        yield Finding("warning", "", text, row=spans[short[0]][0])
 
 
-def shorter_than_lambda(problem: Problem) -> Iterator[Finding]:
-    """Trajectories that hold no segment, so that a fit does not see them."""
-    lengths = [stop - start for start, stop in problem.trajectories.spans]
-    short = sum(length < problem.length for length in lengths)
-    if short and problem.reset == "transition":
-        yield Finding(
-            "warning",
-            "",
-            (
-                f"{short} of {len(lengths)} trajectories are shorter than lambda = "
-                f"{problem.length} and are left out."
-            ),
-        )
-
-
-def _gaps(trajectories: Trajectories, signals: Sequence[Signal]) -> Iterator[Finding]:
-    """Where the next observation is not the following row's observation: noise drawn twice, or rows
-    left out.
-    """
+def _check_continuity(data: _CheckedData) -> Iterator[Finding]:
+    """Next observations that are not the following row's: noise drawn twice, or rows left out."""
+    trajectories = data.trajectories
     rows: Ints = np.flatnonzero(~trajectories.terminals)
     if not len(rows):
         return
-    differences: NDArray[np.float64] = (
-        trajectories.next_observations[rows] - trajectories.observations[rows + 1]
-    )
+    differences = trajectories.next_observations[rows] - trajectories.observations[rows + 1]
+    signals = columns(data.simulator, differences.shape[1])
     for signal, column in zip(signals, differences.T, strict=True):
         rms = float(np.sqrt(np.mean(column**2)))
         if rms > 0:

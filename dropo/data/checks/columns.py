@@ -1,37 +1,74 @@
-"""One column of numbers: stuck, clipped, coarsely quantised, still, or beyond its limits."""
+"""Checks of one column of numbers: stuck, clipped, coarsely quantised, still, or out of limits."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.data.checks.findings import Finding
+from dropo.data.checks.findings import Finding, Level
 
-STUCK = 10
-"""Rows of one value, between rows that move much faster, for a sensor that hangs."""
-CLIPPED = 10
-PLATEAU = 3
-"""Rows at one end of a signal's range, and in a row, for a sensor at the end of its range."""
-APPROACH = 30
-"""Rows before a plateau that tell how fast a signal runs into it."""
-COARSE = 1 / 300
-"""A step of the numbers beyond this share of their spread shows in velocities."""
-SATURATED = 0.05
-"""A command that stands at its limit for more than this share of the rows."""
 
-SOFT = 0.25
-"""How far a joint's stop may give way, as a share of its range."""
+@dataclass(frozen=True)
+class ColumnSettings:
+    """What makes a column look odd.
+
+    Attributes
+    ----------
+    stuck_rows : int
+        Rows of one value, between as many rows that move much faster, for a sensor that hangs.
+    clipped_rows : int
+        Rows at one end of a signal's range for a sensor at the end of its range.
+    plateau_rows : int
+        How many of them must follow each other.
+    approach_rows : int
+        Rows before such a plateau from which the speed is taken at which a signal runs into it.
+    coarse_step : float
+        A step of the numbers above this fraction of their spread shows in velocities.
+    saturated : float
+        Fraction of the rows in which a command may stand at its limit.
+    soft_stop : float
+        How far a joint's stop may give way, as a fraction of the joint's range.
+    """
+
+    stuck_rows: int = 10
+    clipped_rows: int = 10
+    plateau_rows: int = 3
+    approach_rows: int = 30
+    coarse_step: float = 1 / 300
+    saturated: float = 0.05
+    soft_stop: float = 0.25
+
+
+DEFAULTS = ColumnSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Numbers (n,) of a signal in time [s]; rows: places in the log or data; breaks: rows before
-    which the record is cut.
+    """The numbers of one signal in time.
 
-    sensor: measured, so that plateaus are odd; limits: of the joint or the actuator.
+    Attributes
+    ----------
+    name : str
+        The signal.
+    unit : str
+        Its unit.
+    time : (n,) array
+        Stamps [s].
+    values : (n,) array
+        The numbers, in the unit.
+    rows : (n,) int array
+        Their places in the log or the data.
+    sensor : bool
+        Whether they are measured, so that plateaus are odd; else a command.
+    limits : pair of float or None
+        Of the joint or the actuator.
+    breaks : int array
+        Places among the n before which the record is cut.
+    run : str or None
+        The run of a log, where there are several.
     """
 
     name: str
@@ -41,244 +78,339 @@ class Column:
     rows: Ints
     sensor: bool = True
     limits: tuple[float, float] | None = None
-    breaks: Ints | None = None
+    breaks: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     run: str | None = None
 
-    def shown(self, value: float) -> str:
-        """A number of it with its unit."""
+    def format_value(self, value: float) -> str:
+        """Write a number of the column with its unit."""
         return f"{value:.6g} {self.unit}".strip()
 
-    def finding(self, level: str, i: int, sentence: str, advice: str) -> Finding:
-        """A finding whose place is the i-th number."""
-        return Finding(
-            level, self.name, sentence, advice, self.run, int(self.rows[i]), float(self.time[i])
-        )  # type: ignore[arg-type]
-
-    def at(self, i: int) -> str:
-        """The place in words."""
+    def format_place(self, i: int) -> str:
+        """Say where the i-th number stands."""
         return f"row {self.rows[i]} at {self.time[i]:.6g} s"
 
+    def make_finding(self, level: Level, i: int, sentence: str, advice: str) -> Finding:
+        """Make a finding whose place is the i-th number.
 
-def check_column(column: Column) -> Iterator[Finding]:
-    """What is odd in one column."""
-    if len(column.values) < 2:
+        Parameters
+        ----------
+        level : "error", "warning" or "information"
+            How bad it is.
+        i : int
+            The place among the n numbers.
+        sentence, advice : str
+            What was found, and what to do.
+
+        Returns
+        -------
+        Finding
+        """
+        row = int(self.rows[i])
+        return Finding(level, self.name, sentence, advice, self.run, row, float(self.time[i]))
+
+
+def check_column(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator[Finding]:
+    """Find what is odd in one column.
+
+    Parameters
+    ----------
+    column : Column
+        The column.
+    settings : ColumnSettings, optional
+        What counts as odd.
+
+    Yields
+    ------
+    Finding
+    """
+    values = column.values
+    if len(values) < 2:
         return
-    if (column.values == column.values[0]).all():
-        text = f"it does not move: all {len(column.values)} rows are {column.values[0]:g}."
+    if (values == values[0]).all():
+        text = f"it does not move: all {len(values)} rows are {values[0]:g}."
         yield Finding("warning", column.name, text, run=column.run)
         return
     if column.sensor:
-        yield from _stuck(column)
-        yield from _clipped(column)
-        yield from _coarse(column)
-    yield from beyond(column)
+        yield from _check_hangs(column, settings)
+        yield from _check_clipping(column, settings)
+        yield from _check_quantisation(column, settings)
+    yield from check_limits(column, settings)
 
 
-def turns(angles: Array) -> Ints:
-    """(n - 1,) whole turns by which angles (n,) [rad] jump from row to row: an encoder that starts
-    anew.
+# Angles
+
+
+def whole_turns(angles: Array) -> Ints:
+    """Count the whole turns by which angles jump: an encoder that starts anew.
+
+    Parameters
+    ----------
+    angles : (n,) array
+        In rad.
+
+    Returns
+    -------
+    (n - 1,) int array
+        Turns from each row to the next.
     """
     steps = np.diff(angles)
-    return np.where(
-        np.abs(np.abs(steps) - 2 * np.pi) < np.pi / 2, np.rint(steps / (2 * np.pi)), 0.0
-    ).astype(np.int64)
+    jumps = np.abs(np.abs(steps) - 2 * np.pi) < np.pi / 2
+    return np.where(jumps, np.rint(steps / (2 * np.pi)), 0.0).astype(np.int64)
 
 
-def unwrapped(angles: Array) -> Array:
-    """Angles (n,) [rad] that go on beyond a turn."""
-    return angles - 2 * np.pi * np.concatenate([[0], np.cumsum(turns(angles))])
+def unwrap(angles: Array) -> Array:
+    """Let angles go on beyond a turn.
+
+    Parameters
+    ----------
+    angles : (n,) array
+        In rad.
+
+    Returns
+    -------
+    (n,) array
+        Without jumps by a whole turn.
+    """
+    return angles - 2 * np.pi * np.concatenate([[0], np.cumsum(whole_turns(angles))])
 
 
 def check_turns(column: Column) -> Iterator[Finding]:
-    """Where an angle starts anew after a whole turn."""
-    jumps = np.flatnonzero(turns(column.values)) + 1
+    """Find where an angle starts anew after a whole turn.
+
+    Parameters
+    ----------
+    column : Column
+        Angles in rad.
+
+    Yields
+    ------
+    Finding
+    """
+    jumps = np.flatnonzero(whole_turns(column.values)) + 1
     if len(jumps):
-        text = (
-            f"it starts anew after a whole turn {len(jumps)} times, the first at "
-            f"{column.at(int(jumps[0]))}."
-        )
-        yield column.finding("information", int(jumps[0]), text, "An import lets the angle go on.")
+        first = int(jumps[0])
+        place = column.format_place(first)
+        text = f"it starts anew after a whole turn {len(jumps)} times, the first at {place}."
+        yield column.make_finding("information", first, text, "An import lets the angle go on.")
 
 
-def _plateaus(column: Column) -> tuple[Ints, Ints]:
-    """First and behind-the-last place of every stretch of equal values."""
-    change = np.flatnonzero(np.diff(column.values) != 0) + 1
-    cuts = np.union1d(change, column.breaks) if column.breaks is not None else change
+# Plateaus
+
+
+def _find_plateaus(column: Column) -> tuple[Ints, Ints]:
+    """First place, and the place behind the last one, of every stretch of equal values."""
+    changes = np.flatnonzero(np.diff(column.values) != 0) + 1
+    cuts = np.union1d(changes, column.breaks)
     bounds = np.concatenate([[0], cuts, [len(column.values)]]).astype(np.int64)
     return bounds[:-1], bounds[1:]
 
 
-def hangs(column: Column) -> list[tuple[int, int]]:
-    """[start, stop) of stretches in which a sensor hangs: it moves before, and jumps behind by what
-    it moved meanwhile.
+def find_hangs(column: Column, settings: ColumnSettings = DEFAULTS) -> list[tuple[int, int]]:
+    """Find stretches in which a sensor hangs.
+
+    It moves before, and behind jumps by what it moved meanwhile.
+
+    Parameters
+    ----------
+    column : Column
+        The column.
+    settings : ColumnSettings, optional
+        What counts as a hang.
+
+    Returns
+    -------
+    list of pairs of int
+        First place, and the place behind the last one, of each stretch.
     """
     values = column.values
-    (starts, stops) = _plateaus(column)
+    count = settings.stuck_rows
+    starts, stops = _find_plateaus(column)
     broken = np.zeros(len(values) + 1, dtype=bool)
-    broken[[] if column.breaks is None else column.breaks] = True
-    whole = (
-        (stops - starts >= STUCK)
-        & (starts >= STUCK)
-        & (stops + STUCK <= len(values))
-        & ~broken[starts]
-        & ~broken[stops]
-    )
-    whole &= (values[starts] > values.min()) & (values[starts] < values.max())
+    broken[column.breaks] = True
+    # long enough, with enough rows on both sides, and not at a break or an end of the range
+    possible = stops - starts >= count
+    possible &= (starts >= count) & (stops + count <= len(values))
+    possible &= ~broken[starts] & ~broken[stops]
+    possible &= (values[starts] > values.min()) & (values[starts] < values.max())
     found = []
-    for start, stop in zip(starts[whole], stops[whole], strict=True):
-        around = np.abs(
-            np.concatenate(
-                [np.diff(values[start - STUCK : start + 1]), np.diff(values[stop : stop + STUCK])]
-            )
-        )
+    for start, stop in zip(starts[possible], stops[possible], strict=True):
+        before = np.diff(values[start - count : start + 1])
+        behind = np.diff(values[stop : stop + count])
+        around = np.abs(np.concatenate([before, behind]))
         moving = around[around > 0]
-        if len(moving) >= STUCK and abs(values[stop] - values[start]) > max(
-            3.0, (stop - start) / 10
-        ) * np.median(moving):
+        if len(moving) < count:
+            continue
+        jump = abs(values[stop] - values[start])
+        if jump > max(3.0, (stop - start) / 10) * np.median(moving):
             found.append((int(start), int(stop)))
     return found
 
 
-def _stuck(column: Column) -> Iterator[Finding]:
-    found = hangs(column)
+def _check_hangs(column: Column, settings: ColumnSettings) -> Iterator[Finding]:
+    """Stretches in which a sensor hangs."""
+    found = find_hangs(column, settings)
     if found:
         start, stop = found[0]
+        times = "once" if len(found) == 1 else f"{len(found)} times"
+        value = column.format_value(column.values[start])
         text = (
-            f"it hangs {'once' if len(found) == 1 else f'{len(found)} times'}, the first "
-            f"time for {stop - start} rows from "
-            f"{column.at(start)}, at {column.shown(column.values[start])}, and jumps behind."
+            f"it hangs {times}, the first time for {stop - start} rows from "
+            f"{column.format_place(start)}, at {value}, and jumps behind."
         )
-        yield column.finding(
-            "warning",
-            start,
-            text,
-            "The sensor or its bus did not answer: an import leaves that span out.",
-        )
+        advice = "The sensor or its bus did not answer: an import leaves that span out."
+        yield column.make_finding("warning", start, text, advice)
 
 
-def _clipped(column: Column) -> Iterator[Finding]:
+def _check_clipping(column: Column, settings: ColumnSettings) -> Iterator[Finding]:
     """Plateaus at an end of the range, into which the signal runs at speed."""
     values = column.values
-    (starts, stops) = _plateaus(column)
-    step = _step(values)
-    cut = np.empty(0, dtype=np.int64) if column.breaks is None else column.breaks
+    starts, stops = _find_plateaus(column)
+    step = _smallest_step(values)
+    # the signal must be recorded in the two rows before
+    whole = (starts > 1) & ~np.isin(starts, column.breaks) & ~np.isin(starts - 1, column.breaks)
     for end, word in ((values.min(), "least"), (values.max(), "largest")):
-        held = (
-            (values[starts] == end)
-            & (stops - starts >= PLATEAU)
-            & (starts > 1)
-            & ~np.isin(starts, cut)
-            & ~np.isin(starts - 1, cut)
-        )
-        held[held] = [
-            _fast(values[max(0, start - APPROACH) : start + 1], step) for start in starts[held]
-        ]
-        count = int((stops - starts)[values[starts] == end].sum())
-        if count >= CLIPPED and held.any():
+        at_end = values[starts] == end
+        held = whole & at_end & (stops - starts >= settings.plateau_rows)
+        for i in np.flatnonzero(held):
+            first = max(0, starts[i] - settings.approach_rows)
+            held[i] = _runs_into_end(values[first : starts[i] + 1], step)
+        count = int((stops - starts)[at_end].sum())
+        if count >= settings.clipped_rows and held.any():
             first = int(starts[np.flatnonzero(held)[0]])
             text = (
-                f"it is cut off at its {word} value, {column.shown(float(end))}: {count} "
-                "rows are exactly there, the first "
-                f"{column.at(first)}."
+                f"it is cut off at its {word} value, {column.format_value(float(end))}: {count} "
+                f"rows are exactly there, the first {column.format_place(first)}."
             )
-            yield column.finding(
-                "warning",
-                first,
-                text,
-                "The sensor's range is too small, or something clips: leave those spans out.",
-            )
+            advice = "The sensor's range is too small, or something clips: leave those spans out."
+            yield column.make_finding("warning", first, text, advice)
 
 
-def _fast(before: Array, step: float) -> bool:
-    """Whether a signal runs into its last value as fast as it moved before, rather than come to
-    rest there.
+def _runs_into_end(before: Array, step: float) -> bool:
+    """Whether a signal runs into its last value as fast as it moved before, without coming to rest.
+
+    `step` is that of a quantised signal.
     """
     steps = np.abs(np.diff(before))
     creeps = np.mean(steps < 0.1 * steps.max()) > 0.1  # as quantised numbers do near rest
-    return bool(
-        not creeps and steps[-2:].max() > max(2.5 * step, 0.5 * float(np.sqrt(np.mean(steps**2))))
-    )
+    usual = float(np.sqrt(np.mean(steps**2)))
+    return bool(not creeps and steps[-2:].max() > max(2.5 * step, 0.5 * usual))
 
 
-def _step(values: Array) -> float:
-    """The least difference of neighbouring different values, apart from rounding: the step of a
-    quantised signal.
-    """
+# Quantisation
+
+
+def _smallest_step(values: Array) -> float:
+    """The smallest difference of neighbours, apart from rounding: that of a quantised signal."""
     steps = np.abs(np.diff(values))
-    floor = 1e-9 * float(np.ptp(values))
-    return float(np.min(steps[steps > floor], initial=np.inf))
+    rounding = 1e-9 * float(np.ptp(values))
+    return float(np.min(steps[steps > rounding], initial=np.inf))
 
 
-def lattice(values: Array) -> float | None:
-    """The step of numbers that all lie on a lattice, with several rows on each point; None where
-    they do not.
+def lattice_step(values: Array) -> float | None:
+    """Find the step of a lattice on which all numbers lie, with several rows on each point.
+
+    Parameters
+    ----------
+    values : (n,) array
+        The numbers.
+
+    Returns
+    -------
+    float or None
+        The step, in their unit; None where they lie on no lattice.
     """
     points = np.unique(values)
     if len(points) < 3 or len(points) > len(values) / 2:
         return None
     steps = np.diff(points)
-    step = float(np.min(steps[steps > 1e-9 * (points[-1] - points[0])], initial=np.inf))
+    rounding = 1e-9 * (points[-1] - points[0])
+    step = float(np.min(steps[steps > rounding], initial=np.inf))
     counts = steps / step
-    return step if np.mean(np.abs(counts - np.rint(counts)) < 0.05) > 0.95 else None
+    whole = np.abs(counts - np.rint(counts)) < 0.05
+    return step if np.mean(whole) > 0.95 else None
 
 
-def _coarse(column: Column) -> Iterator[Finding]:
-    step = lattice(column.values)
-    spread = float(np.ptp(np.quantile(column.values, [0.05, 0.95])))
-    if step is not None and step > COARSE * spread:
-        first = int(np.flatnonzero(np.diff(column.values))[0]) + 1
-        text = (
-            f"it moves in steps of {column.shown(step)}, "
-            f"{100 * step / spread if spread else 100:.2g} % of its spread, the first at "
-            f"{column.at(first)}."
-        )
-        advice = (
-            f"Its noise is at least {column.shown(step / np.sqrt(12))}; log it with more "
-            "digits where that is possible."
-        )
-        yield column.finding("warning", first, text, advice)
+def _check_quantisation(column: Column, settings: ColumnSettings) -> Iterator[Finding]:
+    """Numbers whose steps are large beside what the signal moves."""
+    values = column.values
+    step = lattice_step(values)
+    spread = float(np.ptp(np.quantile(values, [0.05, 0.95])))
+    if step is None or step <= settings.coarse_step * spread:
+        return
+    first = int(np.flatnonzero(np.diff(values))[0]) + 1
+    percent = 100 * step / spread if spread else 100
+    text = (
+        f"it moves in steps of {column.format_value(step)}, {percent:.2g} % of its spread, the "
+        f"first at {column.format_place(first)}."
+    )
+    advice = (
+        f"Its noise is at least {column.format_value(step / np.sqrt(12))}; log it with more "
+        "digits where that is possible."
+    )
+    yield column.make_finding("warning", first, text, advice)
 
 
-def beyond(column: Column) -> Iterator[Finding]:
-    """Numbers outside the limits, and commands that stand at them."""
+# Limits
+
+
+def check_limits(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator[Finding]:
+    """Find numbers outside the limits, and commands that stand at them.
+
+    Parameters
+    ----------
+    column : Column
+        The column.
+    settings : ColumnSettings, optional
+        What counts as odd.
+
+    Yields
+    ------
+    Finding
+    """
     if column.limits is None:
         return
     low, high = column.limits
-    values = column.values
-    outside: NDArray[np.bool_] = (values < low) | (values > high)
+    outside: NDArray[np.bool_] = (column.values < low) | (column.values > high)
     if outside.any():
-        excess = np.maximum(low - values, values - high)
-        worst = int(np.argmax(excess))
-        count = int(outside.sum())
-        if column.sensor and excess[worst] < SOFT * (high - low):
-            return
-        what = (
-            "positions are outside the joint's range"
-            if column.sensor
-            else "actions are outside the control range"
-        )
-        ending = ", the farthest is" if column.sensor else " and are clipped; the farthest is"
-        text = (
-            f"{count} of {len(values)} {what} [{low:g}, {high:g}]{ending} {values[worst]:.6g}, "
-            f"{column.at(worst)}."
-        )
-        advice = (
-            "Check unit, sign and offset."
-            if column.sensor
-            else "Check the unit, or widen ctrlrange if the machine follows them."
-        )
-        yield column.finding("warning", worst, text, advice)
+        yield from _describe_excess(column, column.limits, int(outside.sum()), settings)
     elif not column.sensor:
-        at_limit = (values <= low) | (values >= high)
-        if at_limit.mean() > SATURATED:
-            first = int(np.argmax(at_limit))
-            text = (
-                f"{int(at_limit.sum())} of {len(values)} commands stand at a limit of "
-                f"[{low:g}, {high:g}], the first {column.at(first)}."
-            )
-            yield column.finding(
-                "information",
-                first,
-                text,
-                "The machine may have been asked for more: gains are told by the others.",
-            )
+        yield from _check_saturation(column, column.limits, settings)
+
+
+def _describe_excess(
+    column: Column, limits: tuple[float, float], count: int, settings: ColumnSettings
+) -> Iterator[Finding]:
+    """Numbers outside the limits; a joint's stop may give way a little."""
+    low, high = limits
+    values = column.values
+    excess = np.maximum(low - values, values - high)
+    worst = int(np.argmax(excess))
+    farthest = f"{values[worst]:.6g}, {column.format_place(worst)}."
+    if column.sensor:
+        if excess[worst] < settings.soft_stop * (high - low):
+            return
+        what = "positions are outside the joint's range"
+        ending = ", the farthest is"
+        advice = "Check unit, sign and offset."
+    else:
+        what = "actions are outside the control range"
+        ending = " and are clipped; the farthest is"
+        advice = "Check the unit, or widen ctrlrange if the machine follows them."
+    text = f"{count} of {len(values)} {what} [{low:g}, {high:g}]{ending} {farthest}"
+    yield column.make_finding("warning", worst, text, advice)
+
+
+def _check_saturation(
+    column: Column, limits: tuple[float, float], settings: ColumnSettings
+) -> Iterator[Finding]:
+    """Commands that often stand at a limit."""
+    low, high = limits
+    at_limit = (column.values <= low) | (column.values >= high)
+    if at_limit.mean() > settings.saturated:
+        first = int(np.argmax(at_limit))
+        text = (
+            f"{int(at_limit.sum())} of {len(at_limit)} commands stand at a limit of "
+            f"[{low:g}, {high:g}], the first {column.format_place(first)}."
+        )
+        advice = "The machine may have been asked for more: gains are told by the others."
+        yield column.make_finding("information", first, text, advice)

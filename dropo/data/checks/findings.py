@@ -6,15 +6,29 @@ from typing import Literal
 
 Level = Literal["error", "warning", "information"]
 LEVELS: tuple[Level, ...] = ("error", "warning", "information")
+"""From the worst to the least."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that looks odd: an "error" makes the data useless, a "warning" may, "information"
-    is only said.
+    """One thing that looks odd in a log or in data.
 
-    sentence: what was found, with how much and where; advice: what to do; run, row, time: the first
-    place, where there is one (rows count from 0 in the log or the data; seconds in its own clock).
+    Attributes
+    ----------
+    level : "error", "warning" or "information"
+        An error makes the data useless, a warning may, information is only reported.
+    signal : str
+        The signal; empty where it is none.
+    sentence : str
+        What was found, with how much and where.
+    advice : str
+        What to do about it.
+    run : str or None
+        The run of a log, where there are several.
+    row : int or None
+        The first place, counted from 0 in the log or the data.
+    time : float or None
+        The same in seconds of its own clock.
     """
 
     level: Level
@@ -31,5 +45,16 @@ class Finding:
 
 
 def errors_first(findings: Iterable[Finding]) -> list[Finding]:
-    """The same findings, the worst first."""
+    """Sort findings by level, the worst first.
+
+    Parameters
+    ----------
+    findings : iterable of Finding
+        In any order.
+
+    Returns
+    -------
+    list of Finding
+        Those of the same level stay in their order.
+    """
     return sorted(findings, key=lambda finding: LEVELS.index(finding.level))

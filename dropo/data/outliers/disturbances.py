@@ -2,7 +2,7 @@
 left out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,44 +15,96 @@ from dropo.core.records.trajectories import Ints, Segments, Signal, Trajectories
 from dropo.core.services.validation import Array, float_array, require
 from dropo.data.outliers.robust_fit import robust_fit
 
-SECONDS = (
-    0.05,
-    0.1,
-    0.2,
-    0.4,
-)  # windows in which a push shows: a short strong one, a long weak one
-# robust standard deviations: of a span's worst window, and of all of them
-SURE = 6.0
-EDGE = 4.0
-# windows of a span at least: a spike of a sensor spoils the one that begins there and the one that
-# ends there
-NEIGHBOURS = 2
-# of windows by how far they move, whose errors are compared with each other; windows in one at
-# least
-BINS = 10
-FEWEST = 40
-NEAR = 0.2  # seconds between spans of one disturbance
-FAR = 3.0  # standard deviations of noise that a start may be off by
-AROUND = 2  # rows around a contact that are not looked at
-WINDOWS = 300  # that the robust fit sees
-MUCH = 0.2  # a share of the data beyond which it is the model that is wrong
-STILL = 0.02  # of a signal's spread: a window that goes less far is at rest
-ROUNDING = 1e-4  # of a signal's spread: what is off by less is no push
-# of a run's moving windows, those that err least say what is usual in it; that quantile of |z|
-CALM = 0.25
-CALM_NORMAL = 0.3186
 
-Predict = Callable[[Segments], Array]
-"""What is expected at the compared rows (R, p) of segments of any length."""
+@dataclass(frozen=True)
+class DisturbanceSettings:
+    """What stands out in the errors of a simulator.
+
+    Attributes
+    ----------
+    seconds : tuple of float
+        Horizons of the windows [s]: a short one for a short strong push, a long one for a long weak
+        one.
+    worst : float
+        Robust standard deviations of a span's worst window ...
+    edge : float
+        ... and of all of its windows.
+    neighbours : int
+        Windows of a span, at least: a spike of a sensor spoils the one that begins there and the
+        one that ends there.
+    bins : int
+        Bins of windows by how far they move, within which errors are compared, at most.
+    fewest : int
+        Windows in a bin, at least.
+    near : float
+        Longest pause within one disturbance [s].
+    start_error : float
+        Standard deviations of noise that the start of a window may be off by.
+    around_contact : int
+        Rows around a contact that are not evaluated.
+    windows : int
+        Windows that the robust fit uses, at most.
+    at_rest : float
+        A window that goes less far is at rest, as a fraction of the signals' spread.
+    rounding : float
+        Errors below this fraction of a signal's spread are no push.
+    calm : float
+        Fraction of a run's moving windows, those with the smallest errors, that say what is usual
+        in it.
+    calm_normal : float
+        The same quantile of a Gaussian's |z|.
+    too_much : float
+        Fraction of the data beyond which the model, not the data, is wrong.
+    many_runs : int
+        From this number of trajectories on, disturbances must be rare ...
+    too_often : float
+        ... in no more than this fraction of them: what comes back in so many is the model's own.
+    """
+
+    seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
+    worst: float = 6.0
+    edge: float = 4.0
+    neighbours: int = 2
+    bins: int = 10
+    fewest: int = 40
+    near: float = 0.2
+    start_error: float = 3.0
+    around_contact: int = 2
+    windows: int = 300
+    at_rest: float = 0.02
+    rounding: float = 1e-4
+    calm: float = 0.25
+    calm_normal: float = 0.3186
+    too_much: float = 0.2
+    many_runs: int = 8
+    too_often: float = 1 / 3
+
+
+SETTINGS = DisturbanceSettings()
 
 
 @dataclass(frozen=True)
 class Span:
-    """Transitions `first` to `last` - 1 of a trajectory, `start` to `end` seconds from its
-    beginning; held_out: of those held out.
+    """A span of time in which a trajectory does not move as others do.
 
-    signal: that is off most, by `size` in its unit after `seconds`, `times` the robust standard
-    deviation of like windows.
+    Attributes
+    ----------
+    trajectory : int
+        Which one.
+    first, last : int
+        Its transitions from `first` to `last` - 1.
+    start, end : float
+        Its beginning and end [s], from the trajectory's beginning.
+    signal, unit : str
+        The signal that is off most.
+    size : float
+        By how much it is off, in its unit ...
+    seconds : float
+        ... after this horizon [s].
+    times : float
+        The same in robust standard deviations of like windows.
+    held_out : bool
+        Whether the trajectory is one of those held out.
     """
 
     trajectory: int
@@ -96,48 +148,49 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Disturbances:
-    """The spans, by trajectory and time, in which the trajectories do not move as they do
-    elsewhere.
+    """The spans in which trajectories do not move as they do elsewhere.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+        All data, N transitions.
+    spans : tuple of Span
+        By trajectory and time.
+    too_much : float
+        Fraction of the data beyond which the model, not the data, is wrong.
     """
 
     trajectories: Trajectories
     spans: tuple[Span, ...]
+    too_much: float = SETTINGS.too_much
 
     @property
     def share(self) -> float:
-        """Of the transitions, how many lie in the spans."""
+        """The fraction of the transitions that lies in the spans."""
         return sum(span.last - span.first for span in self.spans) / len(self.trajectories)
 
     @property
     def inside(self) -> NDArray[np.bool_]:
         """(N,) the transitions that lie in the spans."""
-        out = np.zeros(len(self.trajectories), dtype=bool)
+        inside = np.zeros(len(self.trajectories), dtype=bool)
         for span in self.spans:
             begin = self.trajectories.spans[span.trajectory][0]
-            out[begin + span.first : begin + span.last] = True
-        return out
+            inside[begin + span.first : begin + span.last] = True
+        return inside
 
     def left_out(self) -> Trajectories:
-        """The trajectories without the spans; a trajectory is cut in two at each."""
+        """Return the trajectories without the spans; a trajectory is cut in two at each."""
         return self.trajectories.rows(np.flatnonzero(~self.inside))
 
     def __str__(self) -> str:
         if not self.spans:
             return "No span of time stands out."
-        lines = [
-            (
-                f"{len(self.spans)} spans of time, {100 * self.share:.2g} % of the data, in "
-                "which something acts that no command explains:"
-            )
-        ]
-        if self.share > MUCH:
-            lines = [
-                (
-                    f"{len(self.spans)} spans, {100 * self.share:.2g} % of the data, stand "
-                    "out: so much is rather a model that lacks something:"
-                )
-            ]
-        return "\n  ".join([*lines, *map(str, self.spans)])
+        count = f"{len(self.spans)} spans"
+        share = f"{100 * self.share:.2g} % of the data"
+        title = f"{count} of time, {share}, in which something acts that no command explains:"
+        if self.share > self.too_much:
+            title = f"{count}, {share}, stand out: so much is rather a model that lacks something:"
+        return "\n  ".join([title, *map(str, self.spans)])
 
 
 def find_disturbances(
@@ -146,27 +199,30 @@ def find_disturbances(
     values: Array,
     step: float,
     *,
-    seconds: Sequence[float] = SECONDS,
+    seconds: Sequence[float] | None = None,
+    settings: DisturbanceSettings = SETTINGS,
 ) -> Disturbances:
-    """Find windows that a simulator predicts far worse than others of like motion, joined to spans.
+    """Find windows that a simulator predicts far worse than others of like motion, as spans.
 
     A push shows in velocities: where there are such signals (units per second), they alone are
     evaluated. A long window adds only what no short one has shown. Transitions near contacts are
-    not looked at.
+    left aside.
 
     Parameters
     ----------
-    simulator
+    simulator : Simulator
         Should explain most of the data, or its errors hide all but the strongest pushes: what it
         always gets wrong in like motion is its usual error there.
-    trajectories
+    trajectories : Trajectories
         The data.
-    values
-        (d,) the simulator's parameters, from a fit (see `robust_values`).
-    step
+    values : (d,) array
+        The simulator's parameters, from a fit (see `robust_values`).
+    step : float
         Of the control [s].
-    seconds
-        Lengths of the windows.
+    seconds : sequence of float, optional
+        Horizons of the windows, in place of the settings'.
+    settings : DisturbanceSettings
+        What stands out.
 
     Returns
     -------
@@ -180,173 +236,31 @@ def find_disturbances(
     """
     value = float_array("values", values, (len(simulator.space),), "find_disturbances")
     require(step > 0, "step", "the seconds of a control step, above 0", step, "find_disturbances")
-    predict: Predict = lambda segments: simulator.predict(value[None], segments)[0]
+    if seconds is None:
+        seconds = settings.seconds
+
+    # The noise, from one-step errors; the signals in which pushes show; where contacts are.
     short = cut(trajectories, 1)
-    noise = deviation(simulator.targets(short) - predict(short)) / np.sqrt(2)
-    free = _untouched(simulator, trajectories)
+    noise = deviation(simulator.targets(short) - _predict(simulator, value, short)) / np.sqrt(2)
     signals = simulator.signals
     every = list(range(len(signals)))
     rates = [i for i in every if signals[i].unit.endswith("/s")] or every
+    free = _away_from_contacts(simulator, trajectories, settings.around_contact)
+
     found: list[Span] = []
-    for length in sorted({max(1, round(s / step)) for s in seconds}):
+    for length in sorted({max(1, round(horizon / step)) for horizon in seconds}):
         windows = cut(trajectories, length)
-        windows = windows if free is None else windows.take(free[windows.steps].all(axis=1))
-        if len(windows) < FEWEST:
+        windows = windows.take(free[windows.steps].all(axis=1))
+        if len(windows) < settings.fewest:
             continue
-        predicted = predict(windows)
-        errors = (simulator.targets(windows) - predicted)[:, rates]
-        usual = _usual(errors, _moved(windows, predicted), windows.trajectory)
-        usual = np.maximum(usual, ROUNDING * np.nanstd(predicted[:, rates], axis=0))
-        times = errors / usual
-        far = np.flatnonzero((np.abs(times) > EDGE).any(axis=1))
-        if len(far):
-            by_noise = _reach(simulator, value, noise, windows.take(far))[:, rates]
-            left = np.maximum(np.abs(errors[far]) - by_noise, 0.0)
-            times[far] = np.sign(errors[far]) * left / usual[far]
-        for members, which in _runs(windows, times):
+        times, errors = _relative_errors(simulator, value, windows, rates, noise, settings)
+        for members, which in _neighbours(windows, times, settings):
             signal = signals[rates[which]]
             span = _span(windows, members, errors[:, which], times[:, which], signal, step)
             if not any(_overlap(span, other) for other in found):
                 found.append(span)
     found.sort(key=lambda span: (span.trajectory, span.first))
-    return Disturbances(trajectories, tuple(_joined(found)))
-
-
-def _overlap(one: Span, other: Span) -> bool:
-    """Whether two spans share a transition."""
-    same = one.trajectory == other.trajectory
-    return same and one.first < other.last and other.first < one.last
-
-
-def _reach(simulator: Simulator, value: Array, noise: Array, windows: Segments) -> Array:
-    """(W, p) how far predictions move as each signal of the start is off by up to FAR standard
-    deviations, all signals together.
-
-    So a window that begins close to a stop or an impact, where little decides much, is not taken
-    for pushed.
-    """
-    p = len(noise)
-    if simulator.start_size != p:
-        return np.zeros((len(windows), p))
-    shares = FAR * np.array([-1.0, -0.5, 0.5, 1.0])
-    offsets = np.zeros((1 + len(shares) * p, len(windows), p))
-    for i in range(p):
-        offsets[1 + len(shares) * i + np.arange(len(shares)), :, i] = (shares * noise[i])[:, None]
-    found = simulator.predict(
-        np.repeat(value[None], len(offsets), axis=0), windows, offsets=offsets
-    )
-    moved = np.nan_to_num(np.abs(found[1:] - found[0]), nan=np.inf).reshape(
-        p, len(shares), len(windows), p
-    )
-    return np.asarray(moved.max(axis=1).sum(axis=0))
-
-
-def _untouched(simulator: Simulator, trajectories: Trajectories) -> NDArray[np.bool_]:
-    """(N,) transitions that neither begin nor end near a contact, in which a push and a wrong
-    contact are the same.
-    """
-    touching = np.array(simulator.in_contact(trajectories.segments(1)))
-    for _ in range(AROUND):
-        touching[1:], touching[:-1] = touching[1:] | touching[:-1], touching[1:] | touching[:-1]
-    return ~touching
-
-
-def _joined(spans: list[Span]) -> list[Span]:
-    """Spans of one trajectory that follow each other closely as one, with the numbers of the worst."""
-    out: list[Span] = []
-    for span in spans:
-        if out and out[-1].trajectory == span.trajectory and span.start - out[-1].end <= NEAR:
-            worst = max(out[-1], span, key=lambda s: s.times)
-            out[-1] = replace(
-                worst,
-                first=out[-1].first,
-                start=out[-1].start,
-                last=max(out[-1].last, span.last),
-                end=max(out[-1].end, span.end),
-            )
-        else:
-            out.append(span)
-    return out
-
-
-def cut(trajectories: Trajectories, length: int) -> Segments:
-    """Windows of so many steps, each beginning half a window after the one before; only their ends
-    are compared.
-    """
-    stride = max(1, length // 2)
-    begin = np.concatenate(
-        [np.arange(start, stop - length + 1, stride) for start, stop in trajectories.spans]
-    ).astype(np.int64)
-    return trajectories.from_rows(begin, length)
-
-
-def _moved(windows: Segments, predicted: Array) -> Array:
-    """(W,) how far a window goes by the prediction, in spreads of the signals."""
-    ways = np.nan_to_num(
-        predicted - windows.starts if predicted.shape == windows.starts.shape else predicted
-    )
-    return np.asarray(np.sqrt(np.sum((ways / np.maximum(ways.std(axis=0), 1e-300)) ** 2, axis=1)))
-
-
-def _usual(errors: Array, moved: Array, run: Ints) -> Array:
-    """(W, p) the robust standard deviation of the errors of windows that move about as far, and no
-    less than in half of all bins; and no less than that of the calmer windows of its run.
-    Windows at rest do not count: where friction holds, there are no errors.
-    """
-    moving = np.flatnonzero(moved > STILL)
-    if not len(moving):
-        return np.full_like(errors, np.inf)
-    bins = np.array_split(
-        moving[np.argsort(moved[moving], kind="stable")], max(1, min(BINS, len(moving) // FEWEST))
-    )
-    scales = np.array([deviation(errors[members]) for members in bins])
-    scales = np.maximum(scales, np.median(scales, axis=0))
-    out = scales[np.searchsorted([moved[members[-1]] for members in bins[:-1]], moved)]
-    for k in np.unique(run[moving]):
-        calm = np.nanquantile(np.abs(errors[moving[run[moving] == k]]), CALM, axis=0) / CALM_NORMAL
-        out[run == k] = np.maximum(out[run == k], calm)
-    return out
-
-
-def _runs(windows: Segments, times: Array) -> list[tuple[Ints, int]]:
-    """Neighbouring windows, and the signal that is above EDGE to the same side in all of them, and
-    above SURE in one.
-    """
-    out = []
-    for which in range(times.shape[1]):
-        for side in (1.0, -1.0):
-            above = np.flatnonzero(side * times[:, which] > EDGE)
-            broken = (np.diff(above) > 1) | (np.diff(windows.trajectory[above]) != 0)
-            runs = np.split(above, np.flatnonzero(broken) + 1)
-            out += [
-                (run, which)
-                for run in runs
-                if len(run) >= NEIGHBOURS and (side * times[run, which]).max() > SURE
-            ]
-    return out
-
-
-def _span(
-    windows: Segments, members: Ints, errors: Array, times: Array, signal: Signal, step: float
-) -> Span:
-    trajectory = int(windows.trajectory[members[0]])
-    begin = windows.trajectories.spans[trajectory][0]
-    first = int(windows.steps[members[0], 0]) - begin
-    last = int(windows.steps[members[-1], -1]) + 1 - begin
-    worst = members[int(np.argmax(np.abs(times[members])))]
-    seconds = windows.steps.shape[1] * step
-    return Span(
-        trajectory,
-        first,
-        last,
-        first * step,
-        last * step,
-        signal.name,
-        signal.unit,
-        float(errors[worst]),
-        seconds,
-        float(abs(times[worst])),
-    )
+    return Disturbances(trajectories, tuple(_joined(found, settings.near)), settings.too_much)
 
 
 def robust_values(
@@ -356,9 +270,223 @@ def robust_values(
     start: Array,
     *,
     seconds: float = 0.2,
+    settings: DisturbanceSettings = SETTINGS,
 ) -> Array:
-    """The parameters (d,) that explain most windows of the trajectories, from `start`:
-    `robust_fit`, which pushes do not lead astray.
+    """Estimate the parameters that explain most windows, by `robust_fit`.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Of d parameters.
+    trajectories : Trajectories
+        The data, disturbances among them.
+    step : float
+        Of the control [s].
+    start : (d,) array
+        Where the fit begins.
+    seconds : float
+        Horizon of the windows [s].
+    settings : DisturbanceSettings
+        How many windows are used.
+
+    Returns
+    -------
+    (d,) array
+
+    Raises
+    ------
+    BadArgument
+        If there are not d numbers to start from.
+    SimulationFailed
+        If there is nothing to start from.
     """
     windows = cut(trajectories, max(1, round(seconds / step)))
-    return robust_fit(simulator, windows.take(windows.thin(WINDOWS)), start).value
+    chosen = windows.take(windows.thin(settings.windows))
+    return robust_fit(simulator, chosen, start).value
+
+
+def cut(trajectories: Trajectories, length: int) -> Segments:
+    """Cut trajectories into overlapping windows.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The data.
+    length : int
+        Control steps in a window.
+
+    Returns
+    -------
+    Segments
+        Each begins half a window after the one before; only their ends are compared.
+    """
+    stride = max(1, length // 2)
+    starts = [np.arange(start, stop - length + 1, stride) for start, stop in trajectories.spans]
+    return trajectories.from_rows(np.concatenate(starts).astype(np.int64), length)
+
+
+def _predict(simulator: Simulator, value: Array, windows: Segments) -> Array:
+    """(W, p) the predictions at the ends of windows."""
+    return simulator.predict(value[None], windows)[0]
+
+
+def _relative_errors(
+    simulator: Simulator,
+    value: Array,
+    windows: Segments,
+    rates: list[int],
+    noise: Array,
+    settings: DisturbanceSettings,
+) -> tuple[Array, Array]:
+    """(W, r) the errors of some signals in units of what is usual, and in the signals' units."""
+    predicted = _predict(simulator, value, windows)
+    errors = (simulator.targets(windows) - predicted)[:, rates]
+    usual = _usual_errors(errors, _motion(windows, predicted), windows.trajectory, settings)
+    usual = np.maximum(usual, settings.rounding * np.nanstd(predicted[:, rates], axis=0))
+    times = errors / usual
+    # Of large errors, only what the start's noise cannot explain counts.
+    large = np.flatnonzero((np.abs(times) > settings.edge).any(axis=1))
+    if len(large):
+        some = windows.take(large)
+        by_noise = _errors_by_start(simulator, value, settings.start_error * noise, some)
+        left = np.maximum(np.abs(errors[large]) - by_noise[:, rates], 0.0)
+        times[large] = np.sign(errors[large]) * left / usual[large]
+    return times, errors
+
+
+def _errors_by_start(simulator: Simulator, value: Array, width: Array, windows: Segments) -> Array:
+    """(W, p) the change of predictions as each signal of the start is off by up to a width (p,).
+
+    The changes of all signals are added. So a window that begins close to a stop or an impact,
+    where little decides much, is not taken for pushed.
+    """
+    p = len(width)
+    if simulator.start_size != p:
+        return np.zeros((len(windows), p))
+    fractions = np.array([-1.0, -0.5, 0.5, 1.0])
+    count = len(fractions)
+    # Row 0: the measured start; then for each signal the fractions of its width.
+    offsets = np.zeros((1 + count * p, len(windows), p))
+    for i in range(p):
+        rows = 1 + count * i + np.arange(count)
+        offsets[rows, :, i] = (fractions * width[i])[:, None]
+    values = np.repeat(value[None], len(offsets), axis=0)
+    predicted = simulator.predict(values, windows, offsets=offsets)
+    change = np.nan_to_num(np.abs(predicted[1:] - predicted[0]), nan=np.inf)
+    largest = change.reshape(p, count, len(windows), p).max(axis=1)
+    return np.asarray(largest.sum(axis=0))
+
+
+def _away_from_contacts(
+    simulator: Simulator, trajectories: Trajectories, around: int
+) -> NDArray[np.bool_]:
+    """(N,) transitions that neither begin nor end near a contact.
+
+    In a contact a push and a wrong contact are the same.
+    """
+    touching = np.array(simulator.in_contact(trajectories.segments(1)))
+    for _ in range(around):
+        either = touching[1:] | touching[:-1]
+        touching[1:] = either
+        touching[:-1] = either
+    return ~touching
+
+
+def _motion(windows: Segments, predicted: Array) -> Array:
+    """(W,) how far a window goes by the prediction, in spreads of the signals."""
+    way = predicted
+    if predicted.shape == windows.starts.shape:
+        way = predicted - windows.starts
+    way = np.nan_to_num(way)
+    scaled = way / np.maximum(way.std(axis=0), 1e-300)
+    return np.asarray(np.sqrt(np.sum(scaled**2, axis=1)))
+
+
+def _usual_errors(errors: Array, motion: Array, run: Ints, settings: DisturbanceSettings) -> Array:
+    """(W, r) the robust standard deviation of the errors of windows that move about as far.
+
+    It is no less than in half of all bins, and no less than that of the calmer windows of its run.
+    Windows at rest do not count: where friction holds, there are no errors.
+    """
+    moving = np.flatnonzero(motion > settings.at_rest)
+    if not len(moving):
+        return np.full_like(errors, np.inf)
+    # Bins of about as many windows, by how far they move.
+    ordered = moving[np.argsort(motion[moving], kind="stable")]
+    count = max(1, min(settings.bins, len(moving) // settings.fewest))
+    bins = np.array_split(ordered, count)
+    scales = np.array([deviation(errors[members]) for members in bins])
+    scales = np.maximum(scales, np.median(scales, axis=0))
+    edges = [motion[members[-1]] for members in bins[:-1]]
+    usual = scales[np.searchsorted(edges, motion)]
+    # The calmer windows of each run.
+    for number in np.unique(run[moving]):
+        own = np.abs(errors[moving[run[moving] == number]])
+        calm = np.nanquantile(own, settings.calm, axis=0) / settings.calm_normal
+        usual[run == number] = np.maximum(usual[run == number], calm)
+    return usual
+
+
+def _neighbours(
+    windows: Segments, times: Array, settings: DisturbanceSettings
+) -> list[tuple[Ints, int]]:
+    """Neighbouring windows, and the signal that is off to the same side in all of them."""
+    found = []
+    for which in range(times.shape[1]):
+        for side in (1.0, -1.0):
+            off = side * times[:, which]
+            above = np.flatnonzero(off > settings.edge)
+            apart = np.diff(above) > 1
+            other_run = np.diff(windows.trajectory[above]) != 0
+            for members in np.split(above, np.flatnonzero(apart | other_run) + 1):
+                if len(members) >= settings.neighbours and off[members].max() > settings.worst:
+                    found.append((members, which))
+    return found
+
+
+def _span(
+    windows: Segments, members: Ints, errors: Array, times: Array, signal: Signal, step: float
+) -> Span:
+    """The span of neighbouring windows, with the numbers of the worst of them."""
+    trajectory = int(windows.trajectory[members[0]])
+    begin = windows.trajectories.spans[trajectory][0]
+    first = int(windows.steps[members[0], 0]) - begin
+    last = int(windows.steps[members[-1], -1]) + 1 - begin
+    worst = members[int(np.argmax(np.abs(times[members])))]
+    return Span(
+        trajectory=trajectory,
+        first=first,
+        last=last,
+        start=first * step,
+        end=last * step,
+        signal=signal.name,
+        unit=signal.unit,
+        size=float(errors[worst]),
+        seconds=windows.steps.shape[1] * step,
+        times=float(abs(times[worst])),
+    )
+
+
+def _overlap(one: Span, other: Span) -> bool:
+    """Whether two spans share a transition."""
+    same = one.trajectory == other.trajectory
+    return same and one.first < other.last and other.first < one.last
+
+
+def _joined(spans: list[Span], near: float) -> list[Span]:
+    """Spans of one trajectory that follow each other closely as one, with the worst's numbers."""
+    joined: list[Span] = []
+    for span in spans:
+        before = joined[-1] if joined else None
+        if before is None or before.trajectory != span.trajectory or span.start - before.end > near:
+            joined.append(span)
+        else:
+            worst = max(before, span, key=lambda one: one.times)
+            joined[-1] = replace(
+                worst,
+                first=before.first,
+                start=before.start,
+                last=max(before.last, span.last),
+                end=max(before.end, span.end),
+            )
+    return joined

@@ -16,16 +16,49 @@ from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array, require
 from dropo.data.outliers.disturbances import cut, robust_values
 
-DEGREES = 4.0  # of freedom of the errors' Student t
-BLOCKS = 24  # of time whose gains are taken as independent
-SURE = 2.5  # standard errors of the gain from which one is called better
+
+@dataclass(frozen=True)
+class InputChoiceSettings:
+    """How inputs are compared.
+
+    Attributes
+    ----------
+    degrees : float
+        Degrees of freedom of the errors' Student t.
+    few_trajectories : int
+        Number of trajectories below which blocks of time take their place.
+    blocks : int
+        Blocks of time, whose gains count as independent.
+    sure : float
+        Standard errors of the gain from which an input is better.
+    """
+
+    degrees: float = 4.0
+    few_trajectories: int = 4
+    blocks: int = 24
+    sure: float = 2.5
+
+
+SETTINGS = InputChoiceSettings()
 
 
 @dataclass(frozen=True, repr=False)
 class InputChoice(Report):
-    """The candidates, best first. gain, se: of the best over each, in nats per window held out (0
-    for the best itself), with the standard error; rmse: of each, by signal, over the windows;
-    values: of the parameters, fitted under each.
+    """The candidate inputs, best first.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The inputs.
+    gain, se : tuple of float
+        Of the best over each, and its standard error [nats per window held out]; 0 for the best
+        itself.
+    rmse : dict of str to dict
+        For each input the root mean square error of each signal over the windows, in its unit.
+    values : dict of str to dict
+        For each input the fitted parameters.
+    settings : InputChoiceSettings
+        How they were compared.
     """
 
     names: tuple[str, ...]
@@ -33,6 +66,7 @@ class InputChoice(Report):
     se: tuple[float, ...]
     rmse: dict[str, dict[str, float]]
     values: dict[str, dict[str, float]]
+    settings: InputChoiceSettings = SETTINGS
 
     @property
     def best(self) -> str:
@@ -42,31 +76,38 @@ class InputChoice(Report):
     @property
     def sure(self) -> bool:
         """Whether it is better than the second by more than chance."""
-        return self.gain[1] > SURE * self.se[1]
+        return self.gain[1] > self.settings.sure * self.se[1]
 
     def parts(self) -> list[str | Table]:
-        """Which one to trust, and a table of all."""
-        rows = tuple(
-            (
-                name,
-                "-" if i == 0 else f"{gain:.3g} +- {se:.2g}",
-                *(number(error, 3) for error in self.rmse[name].values()),
-            )
-            for i, (name, gain, se) in enumerate(zip(self.names, self.gain, self.se, strict=True))
-        )
-        return [
-            self._sentence(),
-            Table("", ("input", "less likely [nats a window]", *self.rmse[self.best]), rows),
-        ]
+        """Return a sentence on which one to trust, and a table of all."""
+        rows = []
+        for name, gain, se in zip(self.names, self.gain, self.se, strict=True):
+            deficit = "-" if name == self.best else f"{gain:.3g} +- {se:.2g}"
+            errors = [number(error, 3) for error in self.rmse[name].values()]
+            rows.append((name, deficit, *errors))
+        header = ("input", "less likely [nats a window]", *self.rmse[self.best])
+        return [self._sentence(), Table("", header, tuple(rows))]
 
     def _sentence(self) -> str:
+        """Which one to trust."""
         if self.sure:
             return f"The input to trust is {self.best!r}: data held out are most likely under it."
         return f"The data do not tell {self.names[0]!r} from {self.names[1]!r}."
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""
-        return {**asdict(self), "sure": self.sure}
+        found = asdict(self)
+        del found["settings"]
+        return {**found, "sure": self.sure}
+
+
+@dataclass(frozen=True, eq=False)
+class _Evaluation:
+    """One input: log densities (W,) and errors (W, p) of all windows, and parameters (d,)."""
+
+    log_density: Array
+    errors: Array
+    value: Array
 
 
 def choose_input(
@@ -76,68 +117,91 @@ def choose_input(
     step: float,
     *,
     seconds: float = 0.1,
+    settings: InputChoiceSettings = SETTINGS,
 ) -> InputChoice:
-    """The candidate under which the simulator, fitted anew for each, predicts windows best that the
-    fit has not seen.
+    """Choose the input under which a simulator, fitted anew for each, predicts unseen windows best.
 
-    candidates: the same trajectories with other actions, by name; start: (d,) where the fits begin;
-    step: of the control [s];
-    seconds: of a window. Fitted on the even blocks (trajectories, or blocks of time where there are
-    fewer than four) and judged on the odd ones, and the other way round. The parameters must be
-    able to make up for a gain where an input is only scaled.
+    Fitted on the even blocks (trajectories, or blocks of time where there are few) and evaluated on
+    the odd ones, and the other way round.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Its d parameters must be able to compensate a gain where an input is only scaled.
+    candidates : mapping of str to Trajectories
+        The same trajectories with other actions, by name.
+    start : (d,) array
+        Where the fits begin.
+    step : float
+        Of the control [s].
+    seconds : float
+        Horizon of the windows [s].
+    settings : InputChoiceSettings
+        How inputs are compared.
+
+    Returns
+    -------
+    InputChoice
+
+    Raises
+    ------
+    BadArgument
+        If there are fewer than two inputs, or their observations or terminals differ.
     """
-    require(
-        len(candidates) >= 2, "candidates", "at least two inputs", list(candidates), "choose_input"
-    )
+    two = "at least two inputs"
+    require(len(candidates) >= 2, "candidates", two, list(candidates), "choose_input")
     first = next(iter(candidates.values()))
     for name, data in candidates.items():
-        same = np.array_equal(data.observations, first.observations) and np.array_equal(
-            data.terminals, first.terminals
-        )
-        require(
-            same, "candidates", "of the same observations", f"others under {name!r}", "choose_input"
-        )
+        observations = np.array_equal(data.observations, first.observations)
+        same = observations and np.array_equal(data.terminals, first.terminals)
+        others = f"others under {name!r}"
+        require(same, "candidates", "of the same observations", others, "choose_input")
     length = max(1, round(seconds / step))
-    block = _blocks(first)
-    judged = _judged(
-        simulator, candidates, block, np.asarray(start, dtype=float), step, seconds, length
-    )
+    block = _blocks(first, settings)
+    value = np.asarray(start, dtype=float)
+    found = _evaluate(simulator, candidates, block, value, step, seconds, length, settings)
+
+    # The gain of the best over each, summed over blocks; windows across two blocks do not count.
     windows = cut(first, length)
-    where = block[windows.steps[:, 0]]
-    whole = where == block[windows.steps[:, -1]]
-    order = sorted(candidates, key=lambda name: -judged[name][0][whole].sum())
-    gains = [judged[order[0]][0] - judged[name][0] for name in order]
-    sums = np.array(
-        [[gain[whole & (where == b)].sum() for b in np.unique(where[whole])] for gain in gains]
-    )
-    n = int(whole.sum())
-    se = np.sqrt(sums.shape[1]) * sums.std(axis=1, ddof=1) / n
+    block_of = block[windows.steps[:, 0]]
+    whole = block_of == block[windows.steps[:, -1]]
+    order = sorted(candidates, key=lambda name: -found[name].log_density[whole].sum())
+    sums = []
+    for name in order:
+        gain = found[order[0]].log_density - found[name].log_density
+        sums.append([gain[whole & (block_of == b)].sum() for b in np.unique(block_of[whole])])
+    by_block = np.array(sums)
+    count = int(whole.sum())
+    gains = by_block.sum(axis=1) / count
+    errors = np.sqrt(by_block.shape[1]) * by_block.std(axis=1, ddof=1) / count
+
+    # Errors by signal, and parameters.
     signals = [signal.name for signal in simulator.signals]
-    rmse = {
-        name: dict(
-            zip(
-                signals, np.sqrt(np.mean(judged[name][1][whole] ** 2, axis=0)).tolist(), strict=True
-            )
-        )
-        for name in order
-    }
-    values = {
-        name: dict(zip(simulator.space.names, judged[name][2].tolist(), strict=True))
-        for name in order
-    }
+    rmse = {}
+    values = {}
+    for name in order:
+        own = np.sqrt(np.mean(found[name].errors[whole] ** 2, axis=0))
+        rmse[name] = dict(zip(signals, own.tolist(), strict=True))
+        fitted = found[name].value.tolist()
+        values[name] = dict(zip(simulator.space.names, fitted, strict=True))
     return InputChoice(
-        tuple(order), tuple((sums.sum(axis=1) / n).tolist()), tuple(se.tolist()), rmse, values
+        names=tuple(order),
+        gain=tuple(gains.tolist()),
+        se=tuple(errors.tolist()),
+        rmse=rmse,
+        values=values,
+        settings=settings,
     )
 
 
-def _blocks(data: Trajectories) -> Ints:
-    """(N,) trajectories, or blocks of time where there are fewer than four."""
-    if len(data.spans) >= 4:
+def _blocks(data: Trajectories, settings: InputChoiceSettings) -> Ints:
+    """(N,) trajectories, or blocks of time where they are few."""
+    if len(data.spans) >= settings.few_trajectories:
         return data.trajectory
-    return np.arange(len(data)) * BLOCKS // len(data)
+    return np.arange(len(data)) * settings.blocks // len(data)
 
 
-def _judged(
+def _evaluate(
     simulator: Simulator,
     candidates: Mapping[str, Trajectories],
     block: Ints,
@@ -145,44 +209,44 @@ def _judged(
     step: float,
     seconds: float,
     length: int,
-) -> dict[str, tuple[Array, Array, Array]]:
-    """Of each candidate, log densities (W,) and errors (W, p) of all windows, each under its fit to
-    the other half, and the mean of its two fits (d,).
+    settings: InputChoiceSettings,
+) -> dict[str, _Evaluation]:
+    """Each input's windows, each under the fit to the other half, and the mean of its two fits.
 
     The noise is of one scale for all, that of their errors on the half that they were fitted to: of
-    a scale of its own, a candidate that explains the calmer half better would be thought less
-    likely in the wilder one.
+    a scale of its own, an input that explains the calmer half better would be thought less likely
+    in the wilder one.
     """
     windows = {name: cut(data, length) for name, data in candidates.items()}
-    odd = block[next(iter(windows.values())).steps[:, 0]] % 2
+    any_windows = next(iter(windows.values()))
+    half_of = block[any_windows.steps[:, 0]] % 2
+    shape = (len(half_of), len(simulator.signals))
     found = {
-        name: (
-            np.empty(len(odd)),
-            np.empty((len(odd), len(simulator.signals))),
-            np.zeros(len(start)),
-        )
+        name: _Evaluation(np.empty(shape[0]), np.empty(shape), np.zeros(len(start)))
         for name in candidates
     }
     for half in (0, 1):
-        seen = np.flatnonzero(block % 2 != half)
-        mine = np.flatnonzero(odd == half)
-        rest = []
+        fitted_rows = np.flatnonzero(block % 2 != half)
+        held_out = np.flatnonzero(half_of == half)
+        fitted_errors = []
         for name, data in candidates.items():
-            value = (
-                robust_values(simulator, data.rows(seen), step, start, seconds=seconds)
-                if len(start)
-                else start
-            )
-            rest.append(_errors(simulator, cut(data.rows(seen), length), value))
-            found[name][1][mine] = _errors(simulator, windows[name].take(mine), value)
-            found[name][2][:] += value / 2
-        scale = np.nanmedian(np.abs(np.concatenate(rest)), axis=0) / student_t.ppf(0.75, DEGREES)
-        for log, errors, _ in found.values():
-            log[mine] = np.asarray(
-                student_t.logpdf(np.nan_to_num(errors[mine], nan=1e6), DEGREES, scale=scale)
-            ).sum(axis=1)
+            part = data.rows(fitted_rows)
+            value = start
+            if len(start):
+                value = robust_values(simulator, part, step, start, seconds=seconds)
+            fitted_errors.append(_errors(simulator, cut(part, length), value))
+            errors = _errors(simulator, windows[name].take(held_out), value)
+            found[name].errors[held_out] = errors
+            found[name].value[:] += value / 2
+        median = np.nanmedian(np.abs(np.concatenate(fitted_errors)), axis=0)
+        scale = median / student_t.ppf(0.75, settings.degrees)
+        for own in found.values():
+            errors = np.nan_to_num(own.errors[held_out], nan=1e6)
+            density = np.asarray(student_t.logpdf(errors, settings.degrees, scale=scale))
+            own.log_density[held_out] = density.sum(axis=1)
     return found
 
 
 def _errors(simulator: Simulator, windows: Segments, value: Array) -> Array:
+    """(W, p) measured less predicted at the ends of windows."""
     return np.asarray(simulator.targets(windows) - simulator.predict(value[None], windows)[0])

@@ -12,18 +12,53 @@ from dropo.core.services.validation import Array, float_array, require
 from dropo.data.outliers.disturbances import cut
 from dropo.data.outliers.robust_fit import robust_fit
 
-LEVEL = 0.001  # false alarms over all runs and parameters
-# blocks of time whose scores are independent, within a run; windows of a run at least
-BLOCKS = 20
-FEWEST = 8
-RUNS = 4  # that are compared at least
-WINDOWS = 200  # of a run that its own fit sees
+
+@dataclass(frozen=True)
+class OutlierRunSettings:
+    """How runs are compared.
+
+    Attributes
+    ----------
+    level : float
+        False alarms over all runs and parameters.
+    blocks : int
+        Blocks of time within a run whose scores count as independent.
+    fewest_windows : int
+        Windows of a run below which it is not compared.
+    fewest_runs : int
+        Runs that are compared at least.
+    windows : int
+        Windows of a run that its own fit uses, at most.
+    """
+
+    level: float = 0.001
+    blocks: int = 20
+    fewest_windows: int = 8
+    fewest_runs: int = 4
+    windows: int = 200
+
+
+SETTINGS = OutlierRunSettings()
 
 
 @dataclass(frozen=True)
 class OutlierRun:
-    """A run whose own value of a parameter lies outside of what the others, spread and all, leave
-    room for. run: its group or trajectory; held_out: of those held out.
+    """A run whose own value of a parameter lies outside of the others' distribution.
+
+    Attributes
+    ----------
+    run : int
+        Its group or trajectory.
+    parameter, unit : str
+        Which parameter.
+    value, se : float
+        The run's own value and its standard error.
+    others, spread : float
+        The mean of the other runs, and the standard deviation between them.
+    p_value : float
+        Of one run that belongs to the others.
+    held_out : bool
+        Whether the run is one of those held out.
     """
 
     run: int
@@ -39,26 +74,39 @@ class OutlierRun:
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         name = f"{'held-out ' * self.held_out}run {self.run}"
+        own = f"{self.value:.4g} +- {self.se:.2g}{unit}"
+        others = f"{self.others:.4g} with a spread of {self.spread:.2g}"
         return (
-            f"{name} disagrees with the others: its {self.parameter} is {self.value:.4g} "
-            f"+- {self.se:.2g}{unit}, theirs"
-            f" {self.others:.4g} with a spread of {self.spread:.2g} (p = {self.p_value:.1g})"
+            f"{name} disagrees with the others: its {self.parameter} is {own}, theirs {others}"
+            f" (p = {self.p_value:.1g})"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Each run's own values (n, d) and standard errors (n, d), inf where it says nothing; `number`
-    (n,) of the runs; those that are odd.
+    """The parameters of each of n runs by itself.
+
+    Attributes
+    ----------
+    number : (n,) int array
+        Each run's group or trajectory.
+    values : (n, d) array
+        Its own values.
+    errors : (n, d) array
+        Their standard errors; infinite where the run says nothing of a parameter.
+    outliers : tuple of OutlierRun
+        The runs that disagree with the others, the most unlikely first.
     """
 
     number: Ints
     values: Array
     errors: Array
-    odd: tuple[OutlierRun, ...]
+    outliers: tuple[OutlierRun, ...]
 
     def __str__(self) -> str:
-        return "\n".join(map(str, self.odd)) if self.odd else f"The {len(self.number)} runs agree."
+        if not self.outliers:
+            return f"The {len(self.number)} runs agree."
+        return "\n".join(map(str, self.outliers))
 
 
 def compare_runs(
@@ -68,114 +116,156 @@ def compare_runs(
     step: float,
     *,
     seconds: float = 0.1,
+    settings: OutlierRunSettings = SETTINGS,
 ) -> Runs:
-    """Each run's own parameters around the common ones (d,), and the runs that differ from the
-    rest; step: of the control [s].
+    """Estimate each run's own parameters, and find the runs that differ from the rest.
 
-    A run is a group of the data, or a trajectory where there are none. A run is odd in a parameter
-    where a Student t test of it against all others says so; their own spread counts (DerSimonian
-    and Laird 1986), so that among runs that all differ none is. The most odd one is taken out
-    before the rest is tested again. Leave disturbances out first.
+    In each parameter, a run is compared with all others by a Student t test that allows for their
+    own spread [1]_, so that among runs that all differ there is no outlier. The most unlikely run
+    is taken out before the rest is tested again. Leave disturbances out first.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        With d parameters.
+    trajectories : Trajectories
+        A run is a group of the data, or a trajectory where there are no groups.
+    values : (d,) array
+        The common parameters, around which those of each run are sought.
+    step : float
+        Of the control [s].
+    seconds : float
+        Horizon of the windows that are fitted [s].
+    settings : OutlierRunSettings
+        How runs are compared.
+
+    Returns
+    -------
+    Runs
+
+    Raises
+    ------
+    BadArgument
+        If there are not d values, or fewer runs than are needed that are long enough.
+
+    References
+    ----------
+    .. [1] DerSimonian and Laird, Controlled Clinical Trials 7, 1986.
     """
-    value = float_array("values", values, (len(simulator.space),), "compare_runs")
-    label = trajectories.group if trajectories.group is not None else trajectories.trajectory
-    runs = [(int(run), trajectories.rows(np.flatnonzero(label == run))) for run in np.unique(label)]
+    common = float_array("values", values, (len(simulator.space),), "compare_runs")
     length = max(1, round(seconds / step))
-    runs = [
-        (run, data)
-        for run, data in runs
-        if max(b - a for a, b in data.spans) >= length and len(cut(data, length)) >= FEWEST
-    ]
-    require(
-        len(runs) >= RUNS,
-        "trajectories",
-        f"of at least {RUNS} runs of {FEWEST} windows",
-        len(runs),
-        "compare_runs",
-    )
-    own = [_own(simulator, data, value, length) for _, data in runs]
-    number = np.array([run for run, _ in runs], dtype=np.int64)
-    found, errors = (np.array(part) for part in zip(*own, strict=True))
-    odd = [
-        one
-        for i in range(len(value))
-        for one in _odd(number, found[:, i], errors[:, i], i, simulator)
-    ]
-    return Runs(number, found, errors, tuple(sorted(odd, key=lambda one: one.p_value)))
+    label = trajectories.trajectory if trajectories.group is None else trajectories.group
+
+    # The runs that are long enough.
+    numbers = []
+    runs = []
+    for run in np.unique(label):
+        data = trajectories.rows(np.flatnonzero(label == run))
+        longest = max(stop - start for start, stop in data.spans)
+        if longest >= length and len(cut(data, length)) >= settings.fewest_windows:
+            numbers.append(int(run))
+            runs.append(data)
+    needed = f"of at least {settings.fewest_runs} runs of {settings.fewest_windows} windows"
+    enough = len(runs) >= settings.fewest_runs
+    require(enough, "trajectories", needed, len(runs), "compare_runs")
+
+    # Each run by itself.
+    fits = [_fit_run(simulator, data, common, length, settings) for data in runs]
+    number = np.array(numbers, dtype=np.int64)
+    found = np.array([value for value, _ in fits])
+    errors = np.array([error for _, error in fits])
+
+    # Each parameter by itself.
+    outliers: list[OutlierRun] = []
+    for i in range(len(common)):
+        outliers += _outliers(number, found[:, i], errors[:, i], i, simulator, settings)
+    outliers.sort(key=lambda run: run.p_value)
+    return Runs(number, found, errors, tuple(outliers))
 
 
-def _own(
-    simulator: Simulator, data: Trajectories, value: Array, length: int
+def _fit_run(
+    simulator: Simulator,
+    data: Trajectories,
+    common: Array,
+    length: int,
+    settings: OutlierRunSettings,
 ) -> tuple[Array, Array]:
-    """A run's values and their standard errors: a robust fit to its windows, errors from the scores
-    of blocks of time.
-    """
+    """A run's values (d,) by a robust fit, and their errors from the scores of blocks of time."""
     windows = cut(data, length)
     width = simulator.space.high - simulator.space.low
-    fit = robust_fit(simulator, windows.take(windows.thin(WINDOWS)), value, beyond=True)
-    blocks = np.array(
-        [part.sum(axis=0) for part in np.array_split(fit.scores, min(BLOCKS, len(fit.scores)))]
-    )
+    chosen = windows.take(windows.thin(settings.windows))
+    fit = robust_fit(simulator, chosen, common, beyond=True)
+    pieces = np.array_split(fit.scores, min(settings.blocks, len(fit.scores)))
+    blocks = np.array([piece.sum(axis=0) for piece in pieces])
     blocks = blocks - blocks.mean(axis=0)
     covariance = fit.inverse @ (blocks.T @ blocks) @ fit.inverse * len(blocks) / (len(blocks) - 1)
+    errors = width * np.sqrt(np.diagonal(covariance))
+    # The prior, not the run, determines parameters without information.
     silent = np.diagonal(fit.information) * np.diagonal(fit.inverse) < 1e-3
-    return fit.value, np.where(silent, np.inf, width * np.sqrt(np.diagonal(covariance)))
+    return fit.value, np.where(silent, np.inf, errors)
 
 
-def _odd(
-    number: Ints, values: Array, errors: Array, place: int, simulator: Simulator
+def _outliers(
+    number: Ints,
+    values: Array,
+    errors: Array,
+    place: int,
+    simulator: Simulator,
+    settings: OutlierRunSettings,
 ) -> list[OutlierRun]:
-    """The runs that are odd in one parameter, the most odd first."""
+    """The outlier runs in one parameter, the most unlikely first."""
     parameter = simulator.space.parameters[place]
     left = np.isfinite(errors)
-    out = []
     tests = int(left.sum()) * len(simulator.space)
-    while left.sum() >= RUNS:
-        found = [
-            (i, *_against(values[i], errors[i], values[rest], errors[rest]))
-            for i in np.flatnonzero(left).tolist()
-            for rest in [_but(left, i)]
-        ]
-        i, mean, spread, p_value = min(found, key=lambda one: one[3])
-        if p_value > LEVEL / tests:
-            break
-        out.append(
-            OutlierRun(
-                int(number[i]),
-                parameter.name,
-                parameter.unit,
-                float(values[i]),
-                float(errors[i]),
-                mean,
-                spread,
-                p_value,
+    found = []
+    while left.sum() >= settings.fewest_runs:
+        # The run that fits the others least.
+        candidates = []
+        for i in np.flatnonzero(left).tolist():
+            others = _without(left, i)
+            mean, spread, p_value = _compare(
+                values[i], errors[i], values[others], errors[others], settings.blocks
             )
+            candidates.append((i, mean, spread, p_value))
+        i, mean, spread, p_value = min(candidates, key=lambda candidate: candidate[3])
+        if p_value > settings.level / tests:
+            break
+        outlier = OutlierRun(
+            run=int(number[i]),
+            parameter=parameter.name,
+            unit=parameter.unit,
+            value=float(values[i]),
+            se=float(errors[i]),
+            others=mean,
+            spread=spread,
+            p_value=p_value,
         )
+        found.append(outlier)
         left[i] = False
-    return out
+    return found
 
 
-def _but(left: NDArray[np.bool_], i: int) -> Ints:
-    return np.array([j for j in np.flatnonzero(left) if j != i], dtype=np.int64)
+def _without(left: NDArray[np.bool_], i: int) -> Ints:
+    """The indices of all runs that are left but one."""
+    indices: Ints = np.flatnonzero(left)
+    return indices[indices != i]
 
 
-def _against(
-    value: float, error: float, others: Array, errors: Array
+def _compare(
+    value: float, error: float, others: Array, errors: Array, blocks: int
 ) -> tuple[float, float, float]:
     """The others' mean and spread, and the p-value of one more of them."""
+    # The variance between the others (DerSimonian and Laird 1986).
     w = 1 / np.maximum(errors, 1e-300) ** 2
     mean = float(w @ others / w.sum())
     excess = float(w @ (others - mean) ** 2) - (len(others) - 1)
     between = max(0.0, excess / float(w.sum() - (w @ w) / w.sum()))
+    # Their mean with that variance, and one more value beside it.
     w = 1 / (errors**2 + between)
     mean = float(w @ others / w.sum())
     own = error**2
     rest = between + 1 / float(w.sum())
-    degrees = (own + rest) ** 2 / (
-        own**2 / (BLOCKS - 1) + rest**2 / (len(others) - 1)
-    )  # Welch and Satterthwaite
-    return (
-        mean,
-        float(np.sqrt(between)),
-        float(2 * student_t.sf(abs(value - mean) / np.sqrt(own + rest), degrees)),
-    )
+    # Degrees of freedom by Welch and Satterthwaite.
+    degrees = (own + rest) ** 2 / (own**2 / (blocks - 1) + rest**2 / (len(others) - 1))
+    t = abs(value - mean) / np.sqrt(own + rest)
+    return mean, float(np.sqrt(between)), float(2 * student_t.sf(t, degrees))

@@ -27,6 +27,7 @@ def robust_fit(
     Parameters
     ----------
     simulator : Simulator
+        Of d parameters.
     windows : Segments
         Measured windows.
     start : (d,) array
@@ -42,6 +43,13 @@ def robust_fit(
     -------
     ReweightedFit
         Its scores are those of the windows.
+
+    Raises
+    ------
+    BadArgument
+        If there are not d numbers to start from.
+    SimulationFailed
+        If there is nothing to start from.
     """
     space = simulator.space
     measured = simulator.targets(windows)

@@ -1,4 +1,4 @@
-"""A problem's data, those to fit and those held out, without the spans in which something pushes."""
+"""A problem's data, to fit and held out, without the spans in which something pushes."""
 
 from dataclasses import dataclass, replace
 
@@ -10,22 +10,28 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.data.outliers.disturbances import (
-    MUCH,
+    SETTINGS,
     Disturbances,
+    DisturbanceSettings,
     Span,
     find_disturbances,
     robust_values,
 )
 
-# trajectories, of which no more than this share is pushed: what comes back in so many is the
-# model's own
-MANY = 8
-OFTEN = 1 / 3
-
 
 @dataclass(frozen=True, eq=False)
 class WithoutDisturbances:
-    """problem: without the spans; share: of all transitions that lie in them."""
+    """A problem without disturbed spans.
+
+    Attributes
+    ----------
+    problem : Problem
+        Without the spans.
+    spans : tuple of Span
+        What was left out, data held out last.
+    share : float
+        The fraction of all transitions that lies in them.
+    """
 
     problem: Problem
     spans: tuple[Span, ...]
@@ -33,79 +39,128 @@ class WithoutDisturbances:
 
 
 def without_disturbances(
-    problem: Problem, simulator: Simulator, values: Array
+    problem: Problem,
+    simulator: Simulator,
+    values: Array,
+    settings: DisturbanceSettings = SETTINGS,
 ) -> WithoutDisturbances | None:
-    """The problem without the spans that the simulator with these values (d,) cannot explain.
+    """Leave out the spans of a problem that a simulator cannot explain.
 
-    None where there are none, where so much, or in so many trajectories, stands out that the model
-    is rather at fault, and where too few data would be left. What is usual is taken from both
-    sides, so that spans of data held out are found by the same measure as those of data to fit.
+    What errors are usual is taken from the data to fit and those held out together, so that the
+    same measure applies to both.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose data are cut.
+    simulator : Simulator
+        Of d parameters; it should explain most of the data.
+    values : (d,) array
+        Its parameters.
+    settings : DisturbanceSettings
+        What stands out.
+
+    Returns
+    -------
+    WithoutDisturbances or None
+        None if there are no such spans. None, too, if more than 20 % of the data, or more than a
+        third of eight or more trajectories, stands out: then the model, not the data, is wrong.
+        And None if too few data would be left.
     """
     step = simulator.control_step
     if step is None:
         return None
-    found = find_disturbances(simulator, both_sides(problem), values, step)
-    pushed = len({span.trajectory for span in found.spans})
+    found = find_disturbances(simulator, both_sides(problem), values, step, settings=settings)
+    disturbed = len({span.trajectory for span in found.spans})
     runs = len(found.trajectories.spans)
-    if not found.spans or found.share > MUCH or (runs >= MANY and pushed > OFTEN * runs):
+    too_much = found.share > settings.too_much
+    too_often = runs >= settings.many_runs and disturbed > settings.too_often * runs
+    if not found.spans or too_much or too_often:
         return None
+
+    # Spans of data held out are numbered from their first trajectory on.
     count = len(problem.trajectories.spans)
-    fitted = tuple(span for span in found.spans if span.trajectory < count)
-    later = tuple(
-        replace(span, trajectory=span.trajectory - count, held_out=True)
-        for span in found.spans
-        if span.trajectory >= count
-    )
+    fitted = []
+    held_out = []
+    for span in found.spans:
+        if span.trajectory < count:
+            fitted.append(span)
+        else:
+            held_out.append(replace(span, trajectory=span.trajectory - count, held_out=True))
     try:
-        quiet = replace(
-            problem,
-            trajectories=Disturbances(problem.trajectories, fitted).left_out(),
-            everything=None,
-            held_out=None
-            if problem.held_out is None
-            else Disturbances(problem.held_out, later).left_out(),
-        )
-    except BadArgument:  # no trajectory is as long as a segment any more
+        train = Disturbances(problem.trajectories, tuple(fitted)).left_out()
+        test: Trajectories | None = None
+        if problem.held_out is not None:
+            test = Disturbances(problem.held_out, tuple(held_out)).left_out()
+        undisturbed = replace(problem, trajectories=train, everything=None, held_out=test)
+    except BadArgument:
+        # No trajectory is as long as a segment any more.
         return None
-    return WithoutDisturbances(quiet, (*fitted, *later), found.share)
+    return WithoutDisturbances(undisturbed, (*fitted, *held_out), found.share)
 
 
-def remove_disturbances(problem: Problem) -> WithoutDisturbances | None:
-    """The problem without the spans that its own simulator, robustly fitted to most of the data,
-    cannot explain; None as of `undisturbed`.
+def remove_disturbances(
+    problem: Problem, settings: DisturbanceSettings = SETTINGS
+) -> WithoutDisturbances | None:
+    """Leave out the spans that a problem's own simulator, robustly fitted, cannot explain.
 
-    Only where segments start from measurements: elsewhere they cannot begin anew behind a span. A
-    model that lacks much finds fewer spans.
+    A model that lacks much finds fewer spans.
+
+    Parameters
+    ----------
+    problem : Problem
+        Only where its segments start from measurements: elsewhere they cannot begin anew behind a
+        span.
+    settings : DisturbanceSettings
+        What stands out.
+
+    Returns
+    -------
+    WithoutDisturbances or None
+        None as of `without_disturbances`, and where the simulator cannot be fitted.
     """
     simulator = problem.simulator
     step = simulator.control_step
     if step is None or problem.reset != "transition":
         return None
     space = problem.space
-    start = (
-        np.clip(simulator.nominal, space.low, space.high)
-        if simulator.nominal is not None
-        else (space.low + space.high) / 2
-    )
+    start = (space.low + space.high) / 2
+    if simulator.nominal is not None:
+        start = np.clip(simulator.nominal, space.low, space.high)
     try:
-        return without_disturbances(
-            problem, simulator, robust_values(simulator, problem.trajectories, step, start)
-        )
-    except SimulationFailed:  # a search has nothing to start from; the fit itself will say so
+        values = robust_values(simulator, problem.trajectories, step, start, settings=settings)
+        return without_disturbances(problem, simulator, values, settings)
+    except SimulationFailed:
+        # A search has nothing to start from; the fit itself will say so.
         return None
 
 
 def both_sides(problem: Problem) -> Trajectories:
-    """The trajectories to fit, then those held out; groups, or trajectories where there are none,
-    are counted on.
+    """Return the trajectories to fit, then those held out.
+
+    Parameters
+    ----------
+    problem : Problem
+        With data held out, or without.
+
+    Returns
+    -------
+    Trajectories
+        Groups, or trajectories where there are no groups, are numbered on as groups.
     """
-    sides = [side for side in (problem.trajectories, problem.held_out) if side is not None]
-    labels = [side.trajectory if side.group is None else side.group for side in sides]
-    ahead = [0, int(labels[0].max()) + 1]
+    sides = [problem.trajectories]
+    if problem.held_out is not None:
+        sides.append(problem.held_out)
+    groups = []
+    first = 0
+    for side in sides:
+        label = side.trajectory if side.group is None else side.group
+        groups.append(label + first)
+        first = int(label.max()) + 1
     return Trajectories(
         np.concatenate([side.observations for side in sides]),
         np.concatenate([side.actions for side in sides]),
         np.concatenate([side.next_observations for side in sides]),
         np.concatenate([side.terminals for side in sides]),
-        np.concatenate([label + first for label, first in zip(labels, ahead, strict=False)]),
+        np.concatenate(groups),
     )

@@ -1,8 +1,9 @@
-"""Summary of each accepted effect: its size with error, what it gained, what it cannot be told
-from.
+"""Summary of each accepted effect: its magnitude with error, what it gained, and what it cannot be
+distinguished from.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
@@ -19,12 +20,33 @@ from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
 from dropo.diagnosis.search.review import Review, ambiguity
 from dropo.diagnosis.search.screening import Candidate
-from dropo.diagnosis.search.selection import Selection, State, by_block, gain_of
+from dropo.diagnosis.search.selection import SETTINGS as SELECTION
+from dropo.diagnosis.search.selection import (
+    Selection,
+    SelectionSettings,
+    State,
+    gain_by_block,
+    gain_of,
+)
 
-# effects in an ambiguity set for which an experiment is looked for; [s] that it may take
-TOLD_APART = 2
-PATIENCE = 600.0
-LEAST_P = float(np.finfo(float).tiny)
+
+@dataclass(frozen=True)
+class CauseSettings:
+    """How much is said of what a cause cannot be distinguished from.
+
+    Attributes
+    ----------
+    experiments : int
+        Alternatives of a cause for which an experiment is looked for.
+    patience : float
+        The longest experiment that is proposed [s].
+    """
+
+    experiments: int = 2
+    patience: float = 600.0
+
+
+SETTINGS = CauseSettings()
 
 
 def causes(
@@ -33,22 +55,28 @@ def causes(
     reviews: Mapping[str, Review],
     count: int,
     errors: Sequence[tuple[float, float]],
+    selection: SelectionSettings = SELECTION,
+    settings: CauseSettings = SETTINGS,
 ) -> tuple[Cause, ...]:
-    """Summary of each accepted effect of the last state, in the order in which they were found.
+    """Summarize each accepted effect, in the order in which they were found.
 
     Parameters
     ----------
-    library
+    library : Library
         The simulator with every effect.
-    last
+    last : State
         Where the search ended.
-    reviews
+    reviews : mapping of str to Review
         By effect, what became of it when it was evaluated again.
-    count
+    count : int
         How many effects were looked for.
-    errors
+    errors : sequence of tuple of float
         For each accepted effect the error on held-out data after the windows' horizon without it
         and with it, in units of the motion.
+    selection : SelectionSettings
+        When two effects cannot be distinguished.
+    settings : CauseSettings
+        How much is said of alternatives.
 
     Returns
     -------
@@ -56,144 +84,207 @@ def causes(
         One of each accepted effect.
     """
     deviations = standard_errors(library, last) if last.accepted else np.zeros(0)
-    pairs = zip(last.accepted, errors, strict=True)
-    return tuple(
-        _cause(library, last, instance, reviews[instance.label], count, deviations, *off)
-        for instance, off in pairs
-    )
-
-
-def _cause(
-    library: Library,
-    last: State,
-    instance: EffectInstance,
-    found: Review,
-    count: int,
-    errors: Array,
-    rmse_before: float,
-    rmse_after: float,
-) -> Cause:
-    """The summary of one effect."""
-    gain = gain_of(found.without.test, last.test)[0]
-    steps = last.test.windows.steps
-    blocks = by_block(found.without.test, last.test)
-    held = invariance(library, last.test, instance)
-    return Cause(
-        effect=instance.effect,
-        target=instance.target,
-        variant=instance.variant,
-        estimate=estimate(library, last, instance, errors),
-        p_value=p_of(gain, count),
-        held_out_gain=gain / steps,
-        held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
-        rmse_before=rmse_before,
-        rmse_after=rmse_after,
-        confused_with=_alternatives(library, last, instance, found),
-        acts_like=_shape(last, instance) if held.constant else held.variable,
-    )
+    found = []
+    for instance, (before, after) in zip(last.accepted, errors, strict=True):
+        own = reviews[instance.label]
+        gain = gain_of(own.without.test, last.test)[0]
+        blocks = gain_by_block(own.without.test, last.test)
+        steps = last.test.windows.steps
+        regimes = invariance(library, last.test, instance)
+        others = ambiguity(last, instance, own, selection)
+        cause = Cause(
+            effect=instance.effect,
+            target=instance.target,
+            variant=instance.variant,
+            estimate=estimate(library, last, instance, deviations),
+            p_value=p_of(gain, count),
+            held_out_gain=gain / steps,
+            held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
+            rmse_before=before,
+            rmse_after=after,
+            confused_with=_alternatives(library, last, instance, own, others, settings),
+            acts_like=_shape(last, instance) if regimes.constant else regimes.variable,
+        )
+        found.append(cause)
+    return tuple(found)
 
 
 def _shape(last: State, instance: EffectInstance) -> str | None:
-    """The angle that harmonics act on which are no multiples of the lowest: together they draw a
-    shape that no effect stands for.
+    """The angle of a joint whose harmonics are no multiples of the lowest one.
+
+    Together they draw a shape that no effect stands for.
     """
+    if not instance.order:
+        return None
     orders = [
         other.order
         for other in last.accepted
         if (other.effect, other.target) == (instance.effect, instance.target)
     ]
-    return (
-        f"qpos.{instance.target}"
-        if instance.order and any(order % min(orders) for order in orders)
-        else None
-    )
+    lowest = min(orders)
+    if any(order % lowest for order in orders):
+        return f"qpos.{instance.target}"
+    return None
 
 
 def p_of(gain: float, count: int, z: float | None = None) -> float:
-    """The p-value of the split likelihood-ratio test for all effects tried, and where that says
-    less, of z by blocks.
+    """Return the p-value of the split likelihood-ratio test for all effects tried.
+
+    Parameters
+    ----------
+    gain : float
+        On windows held out [nats].
+    count : int
+        How many effects were tried.
+    z : float, optional
+        The gain in standard errors by block: the p-value is no smaller than its own.
+
+    Returns
+    -------
+    float
+        Between the smallest positive number and 1.
     """
-    p = min(1.0, count * float(np.exp(-max(gain, 0.0))))
-    return max(p, LEAST_P, 0.0 if z is None else float(norm.sf(z)))
+    p_value = min(1.0, count * float(np.exp(-max(gain, 0.0))))
+    of_z = 0.0 if z is None else float(norm.sf(z))
+    return max(p_value, float(np.finfo(float).tiny), of_z)
 
 
 def _alternatives(
-    library: Library, last: State, instance: EffectInstance, found: Review
+    library: Library,
+    last: State,
+    instance: EffectInstance,
+    found: Review,
+    others: Sequence[tuple[Candidate, Candidate, str]],
+    settings: CauseSettings,
 ) -> tuple[Alternative, ...]:
-    """The other effects that the data cannot tell from it, why, and what to record to tell them."""
+    """The effects that the data cannot distinguish from one, why, and what to record to do so."""
     alternatives = []
-    for i, (own, other, why) in enumerate(ambiguity(last, instance, found)):
-        tried = None
-        if i < TOLD_APART:
-            tried = experiment(library, last, instance, other.instance, other.sizes)
-        regime = _difference(library, found.origin.before, own, other) if found.origin else None
+    for i, (own, other, why) in enumerate(others):
+        proposed = None
+        if i < settings.experiments:
+            proposed = experiment(library, last, instance, other.instance, other.sizes)
+        regime = None
+        if found.origin is not None:
+            regime = _difference(library, found.origin.before, own, other)
         to_tell: str | None = None
-        if tried is not None and tried.seconds < PATIENCE:
-            to_tell = f"record {number(tried.seconds, 2)} s of {tried}"
+        if proposed is not None and proposed.seconds < settings.patience:
+            to_tell = f"record {number(proposed.seconds, 2)} s of {proposed}"
         elif regime:
             to_tell = f"record more {regime}"
         effect = other.instance
-        alternatives.append(Alternative(effect.effect, effect.target, effect.variant, why, to_tell))
-    always = "the same in any recorded data"
-    return (*alternatives, *(Alternative(name, None, "", always) for name in instance.alike))
+        alternative = Alternative(effect.effect, effect.target, effect.variant, why, to_tell)
+        alternatives.append(alternative)
+    for name in instance.alike:
+        alternatives.append(Alternative(name, None, "", "the same in any recorded data"))
+    return tuple(alternatives)
 
 
 def _difference(library: Library, before: State, one: Candidate, two: Candidate) -> str | None:
     """The regime in which two effects' responses differ most, in words."""
-    a = one.signature
-    b = two.signature
-    rest = (a - (a @ b) * b).reshape(len(before.train.windows), -1)
-    return standing_out(before.train.windows, library, (rest**2).sum(axis=1))
+    first = one.signature
+    second = two.signature
+    windows = before.train.windows
+    rest = (first - (first @ second) * second).reshape(len(windows), -1)
+    return standing_out(windows, library, (rest**2).sum(axis=1))
 
 
 def estimate(
     library: Library, last: State, instance: EffectInstance, errors: Array
 ) -> dict[str, Estimate]:
-    """By quantity: what is added, its standard error, the model's own number."""
-    out = {}
+    """Return an effect's magnitudes with their errors.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        Where the search ended.
+    instance : EffectInstance
+        One of its effects.
+    errors : (f,) array
+        Standard errors of the free numbers, as of `standard_errors`.
+
+    Returns
+    -------
+    dict of str to Estimate
+        By quantity: what is added, its standard error, the model's own number.
+    """
+    found = {}
     for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
-        error = float(errors[int(np.flatnonzero(last.free == place)[0])])
+        index = int(np.flatnonzero(last.free == place)[0])
         value = float(last.theta[place])
-        out[quantity.name] = Estimate(value, error, quantity.unit, quantity.base)
-    return out
+        found[quantity.name] = Estimate(value, float(errors[index]), quantity.unit, quantity.base)
+    return found
 
 
 def standard_errors(library: Library, last: State, close: float = REFIT.close) -> Array:
-    """(f,) of the free numbers, by the sandwich clustered by block; close: the fraction of the
-    usual widths of differences that is taken where predictions bend within those.
+    """Return standard errors of the fitted numbers, by the sandwich clustered by block.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        A model.
+    close : float
+        Fraction of the usual widths of differences that is taken where predictions are curved
+        within those.
+
+    Returns
+    -------
+    (f,) array
+        In the numbers' units.
     """
     errors = _sandwich(library, last, 1.0)
-    # Errors far below the usual width of differences: predictions bend within it.
-    bends = np.any(errors < close * library.steps[last.free])
-    return _sandwich(library, last, close) if bends else errors
+    # Errors far below the usual width of differences: predictions are curved within it.
+    curved = np.any(errors < close * library.steps[last.free])
+    return _sandwich(library, last, close) if curved else errors
 
 
-def _sandwich(library: Library, last: State, share: float) -> Array:
-    """The same with slopes over so large a share of the usual width."""
-    seen = last.train
+def _sandwich(library: Library, last: State, fraction: float) -> Array:
+    """Standard errors (f,) with differences over a fraction of the usual width."""
+    train = last.train
+    windows = train.windows
     free = last.free
-    slopes = seen.flat(library.slopes(seen.theta, free, seen.windows, share)).reshape(
-        len(free), len(seen.windows), -1
-    )
-    rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
-    scores = np.einsum("fwn,wn->wf", slopes, rest)
-    information = np.einsum("fwn,gwn->fg", slopes, slopes)
-    block = np.unique(seen.windows.block, return_inverse=True)[1]
+    jacobian = library.jacobian(train.theta, free, windows, fraction)
+    rows = train.flat(jacobian).reshape(len(free), len(windows), -1)
+    residuals = train.flat(train.residuals).reshape(len(windows), -1)
+    scores = np.einsum("fwn,wn->wf", rows, residuals)
+    information = np.einsum("fwn,gwn->fg", rows, rows)
+    block = np.unique(windows.block, return_inverse=True)[1]
     units = Units(block, False, np.argsort(block, kind="stable"), "blocks")
-    return np.sqrt(np.diagonal(sandwich(scores, information, units)[0]))
+    covariance = sandwich(scores, information, units)[0]
+    return np.sqrt(np.diagonal(covariance))
 
 
 def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ...]:
-    """Effects of the last round that seemed to help and were not confirmed."""
-    taken = {instance.label for instance in last.accepted}
+    """Return the effects of the last batch that seemed to help and were not confirmed.
+
+    Parameters
+    ----------
+    selection : Selection
+        The search.
+    last : State
+        Where it ended.
+    count : int
+        How many effects were looked for.
+
+    Returns
+    -------
+    tuple of Suspect
+    """
+    accepted = {instance.label for instance in last.accepted}
     trials = selection.rounds[-1].trials if selection.rounds else []
-    return tuple(
-        Suspect(
-            effect=trial.candidate.instance.effect,
-            target=trial.candidate.instance.target,
+    found = []
+    for trial in trials:
+        instance = trial.candidate.instance
+        if not trial.held_out > 0 or instance.label in accepted:
+            continue
+        suspect = Suspect(
+            effect=instance.effect,
+            target=instance.target,
             p_value=p_of(trial.held_out, count, trial.z),
             held_out_gain=trial.held_out / last.test.windows.steps,
         )
-        for trial in trials
-        if trial.held_out > 0 and trial.candidate.instance.label not in taken
-    )
+        found.append(suspect)
+    return tuple(found)

@@ -18,13 +18,20 @@ from dropo.data.outliers.without_disturbances import WithoutDisturbances, both_s
 from dropo.diagnosis.findings.horizons import Horizon
 from dropo.diagnosis.search.library import robot_of
 
-RUNS = 40  # that are compared at most: each is fitted by itself
-
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Spans that a diagnosis left out, and their share of the data; inside: the errors at its
-    horizon of the model as it came, fitted and extended, on all data held out, those spans too.
+    """Spans that a diagnosis left out.
+
+    Attributes
+    ----------
+    spans : tuple of Span
+        The spans.
+    share : float
+        The fraction of the data that lies in them.
+    inside : sequence of Horizon
+        The errors at the windows' horizon on all data held out, those spans too, of the model as
+        it came, fitted, and extended.
     """
 
     spans: tuple[Span, ...]
@@ -39,67 +46,92 @@ class LeftOut:
         )
 
     def lines(self) -> list[str]:
-        """Each span, and the errors with all of them."""
+        """Each span, and the errors with all of them, a line each."""
         spans = [f"  left out: {span}" for span in self.spans]
         if len(self.inside) < 2:
             return spans
-        told = [
-            (
-                f"{number(first, 3)} {unit} fitted, "
-                f"{number(self.inside[-1].units[unit][0], 3)} {unit} extended"
-            )
-            for unit, (first, _) in self.inside[-2].units.items()
-        ]
-        return [
-            *spans,
-            f"  with them, the errors after {self.inside[-1].steps} steps are {'; '.join(told)}",
-        ]
+        fitted = self.inside[-2].units
+        extended = self.inside[-1].units
+        errors = []
+        for unit, (before, _) in fitted.items():
+            after = number(extended[unit][0], 3)
+            errors.append(f"{number(before, 3)} {unit} fitted, {after} {unit} extended")
+        steps = self.inside[-1].steps
+        return [*spans, f"  with them, the errors after {steps} steps are {'; '.join(errors)}"]
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""
-        sides = dict(
-            zip(
-                ("nominal", "baseline", "extended"),
-                (one.to_json() for one in self.inside),
-                strict=False,
-            )
-        )
+        models = ("nominal", "baseline", "extended")
+        errors = {}
+        for name, horizon in zip(models, self.inside, strict=False):
+            errors[name] = horizon.to_json()
         return {
             "spans": [span.to_json() for span in self.spans],
             "share": self.share,
-            "errors_with_them": sides,
+            "errors_with_them": errors,
         }
 
 
-def left_out(quiet: WithoutDisturbances, inside: Sequence[Sequence[Horizon]]) -> LeftOut:
-    """What was left out, with the errors on all data held out of each model (one horizon each,
-    where the data are long enough).
+def left_out(undisturbed: WithoutDisturbances, inside: Sequence[Sequence[Horizon]]) -> LeftOut:
+    """Return what was left out.
+
+    Parameters
+    ----------
+    undisturbed : WithoutDisturbances
+        The problem without the spans.
+    inside : sequence of sequence of Horizon
+        For each model, the errors on all data held out; empty where the data are too short.
+
+    Returns
+    -------
+    LeftOut
     """
-    return LeftOut(quiet.spans, quiet.share, tuple(one for found in inside for one in found))
+    errors = tuple(horizon for horizons in inside for horizon in horizons)
+    return LeftOut(undisturbed.spans, undisturbed.share, errors)
 
 
-def outlier_runs(problem: Problem, extended: Problem, values: Array) -> tuple[OutlierRun, ...]:
-    """The runs whose own declared parameters or sizes of causes disagree with the others'; none
-    where there are few runs or many.
+def outlier_runs(
+    problem: Problem, extended: Problem, values: Array, maximum: int = 40
+) -> tuple[OutlierRun, ...]:
+    """Return the runs that disagree with the others.
+
+    Parameters
+    ----------
+    problem : Problem
+        That was diagnosed.
+    extended : Problem
+        With the causes.
+    values : (d,) array
+        Its declared parameters.
+    maximum : int
+        Runs that are compared at most, as each is fitted by itself.
+
+    Returns
+    -------
+    tuple of OutlierRun
+        By a declared parameter of their own, or a magnitude of a cause. None where there are few
+        runs or too many.
     """
     base = robot_of(problem)
     data = both_sides(problem)
-    causes = robot_of(extended).fixed[len(base.fixed) :]
-    simulator = base.with_effects([instance for instance, _ in causes])
-    if not len(simulator.space) or data.group is None or data.group.max() >= RUNS:
+    # The causes become parameters beside the declared ones.
+    fixed = robot_of(extended).fixed[len(base.fixed) :]
+    simulator = base.with_effects([instance for instance, _ in fixed])
+    if not len(simulator.space) or data.group is None or data.group.max() >= maximum:
         return ()
+    common = np.concatenate([values, *(sizes for _, sizes in fixed)])
     try:
-        found = compare_runs(
-            simulator,
-            data,
-            np.concatenate([values, *(sizes for _, sizes in causes)]),
-            base.control_step,
-        )
-    except (BadArgument, SimulationFailed):  # too few runs, or one whose own values are no machine
+        found = compare_runs(simulator, data, common, base.control_step)
+    except (BadArgument, SimulationFailed):
+        # Too few runs, or one whose own values make no machine.
         return ()
-    own = problem.trajectories
-    before = 1 + int((own.trajectory if own.group is None else own.group).max())
-    return tuple(
-        one if one.run < before else replace(one, run=one.run - before, held_out=True)
-        for one in found.odd
-    )
+    # Runs held out are numbered from 0 again.
+    train = problem.trajectories
+    labels = train.trajectory if train.group is None else train.group
+    fitted = 1 + int(labels.max())
+    runs = []
+    for run in found.outliers:
+        if run.run >= fitted:
+            run = replace(run, run=run.run - fitted, held_out=True)
+        runs.append(run)
+    return tuple(runs)

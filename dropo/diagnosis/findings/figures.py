@@ -1,8 +1,7 @@
-"""Gathers what the pictures of a diagnosis need from what its search and its tests have looked at
-anyway.
-"""
+"""What the figures of a diagnosis are drawn from: what its search has computed anyway."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,18 +18,33 @@ from dropo.core.records.figure_data import (
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.remaining import force_names
 from dropo.diagnosis.findings.unexplained_forces import Unexplained, unexplained_force
-from dropo.diagnosis.search.invariance import bins_of, differing, regimes, response_of
+from dropo.diagnosis.search.invariance import (
+    bins_of,
+    command_change_variable,
+    command_variable,
+    differing,
+    regimes,
+    response_of,
+    scores_by_window,
+)
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.review import Review, ambiguity
-from dropo.diagnosis.search.selection import FALSE_ALARM, Round, Selection, State, Trial, gain_of
+from dropo.diagnosis.search.selection import (
+    Round,
+    Selection,
+    SelectionSettings,
+    State,
+    Trial,
+    gain_of,
+)
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
-TOP = 8  # effects in the similarity matrix
 RESPONSE = "response to the effect"
+"""The axis of effects that act on no variable of their own."""
 
-SPEED = ("joint_damping", "joint_friction", "joint_stribeck", "joint_load_friction")
-PLACE = ("joint_stiffness", "joint_cogging", "joint_limit", "gear_lash")
-COMMAND = (
+ON_SPEED = ("joint_damping", "joint_friction", "joint_stribeck", "joint_load_friction")
+ON_POSITION = ("joint_stiffness", "joint_cogging", "joint_limit", "gear_lash")
+ON_COMMAND = (
     "actuator_gain",
     "actuator_bias",
     "actuator_coupling",
@@ -38,7 +52,29 @@ COMMAND = (
     "actuator_deadband",
     "actuator_torque_speed",
 )
-LATE = ("actuator_delay", "actuator_lag")
+ON_COMMAND_CHANGE = ("actuator_delay", "actuator_lag")
+ON_SIGNAL = ("sensor_bias", "sensor_gain")
+ON_OTHER = {
+    "parameter_drift": "time",
+    "contact_friction": "contact",
+    "contact_stiffness": "contact",
+}
+
+
+@dataclass(frozen=True)
+class FigureSettings:
+    """How much figures show.
+
+    Attributes
+    ----------
+    similar : int
+        Effects in the matrix of similarities.
+    """
+
+    similar: int = 8
+
+
+SETTINGS = FigureSettings()
 
 
 def figure_data(
@@ -49,165 +85,234 @@ def figure_data(
     reviews: Mapping[str, Review],
     rest: Unexplained,
     count: int,
+    settings: FigureSettings = SETTINGS,
 ) -> FigureData:
-    """rest: the forces that remain unexplained; count: how many effects were looked for."""
-    before = (
-        rest
-        if first is last
-        else unexplained_force(
-            library, first.train, first.test, selection.floor, gain_of, rest.answers
-        )
-    )
+    """Gather what the figures of a diagnosis show.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    selection : Selection
+        The search.
+    first, last : State
+        The model as it is, and where the search ended.
+    reviews : mapping of str to Review
+        Of each accepted effect, by its label.
+    rest : Unexplained
+        The forces that remain unexplained.
+    count : int
+        How many effects were looked for.
+    settings : FigureSettings
+        How much is shown.
+
+    Returns
+    -------
+    FigureData
+    """
+    # The unexplained forces of the model as it is.
+    before = rest
+    if first is not last:
+        floor = selection.floor
+        before = unexplained_force(library, first.train, first.test, floor, gain_of, rest.responses)
+
+    # What each accepted effect does to the windows held out.
+    axes = []
+    sizes: list[Sizes] = []
+    sums = []
+    for instance in last.accepted:
+        response = response_of(library, last.test, instance)
+        without = reviews[instance.label].without
+        axes.append(_against_axis(library, without, last, instance, response))
+        sizes += _sizes(library, last.test, instance, response)
+        sums.append(_sums(last.test, instance, response))
+
     chosen = {instance.label: (instance, reviews[instance.label]) for instance in last.accepted}
-    responses = [
-        (instance, response_of(library, last.test, instance)) for instance in last.accepted
-    ]
+    rounds = [_bars(batch, last, chosen, selection.settings) for batch in selection.rounds]
     return FigureData(
-        float(np.log(count / FALSE_ALARM)),
-        tuple(_bars(tried, last, chosen) for tried in selection.rounds),
-        tuple(
-            _against_axis(library, reviews[instance.label].without, last, instance, response)
-            for instance, response in responses
-        ),
-        tuple(
-            sizes
-            for instance, response in responses
-            for sizes in _sizes(library, last.test, instance, response)
-        ),
-        _forces(library, before, rest),
-        _similarity(selection),
-        tuple(_sums(last.test, instance, response) for instance, response in responses),
+        needed=selection.settings.needed_gain(count),
+        rounds=tuple(rounds),
+        axes=tuple(axes),
+        sizes=tuple(sizes),
+        forces=_forces(library, before, rest),
+        similarity=_similarity(selection, settings.similar),
+        sums=tuple(sums),
     )
 
 
 def _bars(
-    tried: Round, last: State, chosen: Mapping[str, tuple[EffectInstance, Review]]
+    batch: Round,
+    last: State,
+    chosen: Mapping[str, tuple[EffectInstance, Review]],
+    settings: SelectionSettings,
 ) -> tuple[Bar, ...]:
-    """The effects that a round refitted, and those that do the same as the accepted one; by what
-    they gain.
-    """
-    label = next((name for name, (_, found) in chosen.items() if found.origin is tried), None)
-    alike = (
-        {}
-        if label is None
-        else {other.instance.label: other for _, other, _ in ambiguity(last, *chosen[label])}
-    )
-    bars = [_bar(trial, label, alike) for trial in tried.trials]
-    named = {bar.label for bar in bars}
-    bars += [Bar(name, None, None, False, False) for name in alike if name not in named]
-    return tuple(
-        sorted(bars, key=lambda bar: -np.inf if bar.gain is None else bar.gain, reverse=True)
-    )
+    """The effects that a batch refitted, and those like the one accepted from it, by their gain."""
+    accepted: str | None = None
+    ambiguous: list[str] = []
+    for label, (instance, found) in chosen.items():
+        if found.origin is batch:
+            accepted = label
+            others = ambiguity(last, instance, found, settings)
+            ambiguous = [other.instance.label for _, other, _ in others]
+            break
+    bars = [_bar(trial, accepted, ambiguous) for trial in batch.trials]
+    refitted = {bar.label for bar in bars}
+    for name in ambiguous:
+        if name not in refitted:
+            bars.append(Bar(name, gain=None, error=None, accepted=False, told=False))
+    bars.sort(key=lambda bar: -np.inf if bar.gain is None else bar.gain, reverse=True)
+    return tuple(bars)
 
 
-def _bar(trial: Trial, chosen: str | None, alike: Mapping[str, object]) -> Bar:
+def _bar(trial: Trial, accepted: str | None, ambiguous: list[str]) -> Bar:
+    """One refitted effect."""
     label = trial.candidate.instance.label
     error = abs(trial.held_out / trial.z) if trial.z else None
-    return Bar(label, trial.held_out, error, label == chosen, label not in alike)
+    distinguishable = label not in ambiguous
+    return Bar(label, trial.held_out, error, label == accepted, distinguishable)
 
 
 def _against_axis(
     library: Library, without: State, last: State, instance: EffectInstance, response: Array
 ) -> AgainstAxis:
+    """Errors at the windows' ends over what an effect acts on, in the signal in which it shows."""
     before = without.test
     after = last.test
-    p = len(after.whiten.sigma)
-    simulator = library.simulator
-    response = response[:, -p:]
-    k = int(np.argmax(np.sum((response / after.whiten.sigma) ** 2, axis=0)))
+    sigma = after.whiten.sigma
+    p = len(sigma)
+    at_end = response[:, -p:]
+    which = int(np.argmax(np.sum((at_end / sigma) ** 2, axis=0)))
+    signals = library.simulator.signals
+    signal = signals[which]
+
+    # The axis: the effect's own where the windows have it, else its response.
     axis = own_axis(library, instance)
-    found = regimes(after.windows, library)
-    axis, x = (axis, found[axis]) if axis in found else (RESPONSE, response[:, k])
-    units = {signal.name: signal.unit for signal in simulator.signals}
+    variables = regimes(after.windows, library)
+    if axis is not None and axis in variables:
+        x = variables[axis]
+        unit = {one.name: one.unit for one in signals}.get(axis, "")
+    else:
+        axis = RESPONSE
+        x = at_end[:, which]
+        unit = signal.unit
+
     good = ~(before.lost | after.lost)
     return AgainstAxis(
-        instance.label,
-        axis,
-        units.get(axis, simulator.signals[k].unit if axis == RESPONSE else ""),
-        simulator.signals[k].name,
-        simulator.signals[k].unit,
-        _numbers(x[good]),
-        *(_numbers(seen.residuals[good, -p:][:, k]) for seen in (before, after)),
+        label=instance.label,
+        axis=axis,
+        axis_unit=unit,
+        signal=signal.name,
+        unit=signal.unit,
+        x=_numbers(x[good]),
+        before=_numbers(before.residuals[good, -p:][:, which]),
+        after=_numbers(after.residuals[good, -p:][:, which]),
     )
 
 
 def own_axis(library: Library, instance: EffectInstance) -> str | None:
-    """The variable of `regimes` that an effect acts on: speed for damping, angle for a spring,
-    command for a gain; None where there is no such one.
+    """Return the variable that an effect acts on.
+
+    Parameters
+    ----------
+    library : Library
+        Its simulator names the actuators.
+    instance : EffectInstance
+        The effect.
+
+    Returns
+    -------
+    str or None
+        A name among `regimes`: speed for damping, angle for a spring, command for a gain. None
+        where there is no such variable.
     """
-    target = str(instance.target)
-    if instance.effect in SPEED:
+    effect = instance.effect
+    target = instance.target
+    if effect in ON_SPEED:
         return f"qvel.{target}"
-    if instance.effect in PLACE:
+    if effect in ON_POSITION:
         return f"qpos.{target}"
-    if instance.effect in (*COMMAND, *LATE) and instance.target is not None:
+    if effect in ON_SIGNAL:
+        return str(target)
+    if effect in ON_COMMAND or effect in ON_COMMAND_CHANGE:
         simulator = library.simulator
-        names = simulator.action_names if isinstance(simulator, RobotSimulator) else []
-        command = f"command {names.index(target)}" if target in names else ""
-        return f"the change of {command}" if instance.effect in LATE else command
-    if instance.effect in ("sensor_bias", "sensor_gain"):
-        return target
-    return {
-        "parameter_drift": "time",
-        "contact_friction": "contact",
-        "contact_stiffness": "contact",
-    }.get(instance.effect)
+        actuators = simulator.action_names if isinstance(simulator, RobotSimulator) else []
+        if target is None or target not in actuators:
+            return None
+        return command_variable(target) if effect in ON_COMMAND else command_change_variable(target)
+    return ON_OTHER.get(effect)
 
 
 def _sizes(
-    library: Library, seen: LinearizedWindows, instance: EffectInstance, response: Array
+    library: Library, linearized: LinearizedWindows, instance: EffectInstance, response: Array
 ) -> list[Sizes]:
-    """By the effect's own axis, by the variable in which it differs most, and by time."""
-    variables = regimes(seen.windows, library)
-    wanted = [own_axis(library, instance), differing(seen, response, variables).variable, "time"]
-    out = []
-    for name in dict.fromkeys(one for one in wanted if one in variables):
-        assert name is not None
+    """The magnitude by the effect's own axis, by the variable in which it differs most, by time."""
+    variables = regimes(linearized.windows, library)
+    worst = differing(linearized, response, variables).variable
+    found = []
+    for name in dict.fromkeys([own_axis(library, instance), worst, "time"]):
+        if name is None or name not in variables:
+            continue
         values = variables[name]
-        found = differing(seen, response, {name: variables[name]})
-        at = [float(np.median(values[mask])) for mask in bins_of(values)]
-        kept = [i for i, error in enumerate(found.errors) if error > 0]
-        out.append(
-            Sizes(
-                instance.label,
-                name,
-                tuple(at[i] for i in kept),
-                tuple(1 + found.sizes[i] for i in kept),
-                tuple(found.errors[i] for i in kept),
-                found.p_value,
-            )
+        test = differing(linearized, response, {name: values})
+        medians = [float(np.median(values[mask])) for mask in bins_of(values)]
+        bins = [
+            (median, 1 + size, error)
+            for median, size, error in zip(medians, test.sizes, test.errors, strict=True)
+            if error > 0
+        ]
+        sizes = Sizes(
+            label=instance.label,
+            variable=name,
+            at=tuple(median for median, _, _ in bins),
+            size=tuple(size for _, size, _ in bins),
+            error=tuple(error for _, _, error in bins),
+            p_value=test.p_value,
         )
-    return out
+        found.append(sizes)
+    return found
 
 
 def _forces(library: Library, first: Unexplained, rest: Unexplained) -> Forces:
+    """The unexplained forces before and after."""
     names, units = zip(*force_names(library), strict=True)
-    return Forces(names, units, _numbers(first.sd), _numbers(rest.sd), first.present, rest.present)
-
-
-def _similarity(selection: Selection) -> Similarity:
-    first = selection.rounds[0].screened if selection.rounds else []
-    top = [candidate for candidate in first if len(candidate.signature) == len(first[0].signature)][
-        :TOP
-    ]
-    cosines = tuple(
-        tuple(min(1.0, abs(float(one.signature @ two.signature))) for two in top) for one in top
+    return Forces(
+        names=names,
+        units=units,
+        before=_numbers(first.sd),
+        after=_numbers(rest.sd),
+        there_before=first.present,
+        there_after=rest.present,
     )
-    return Similarity(tuple(candidate.instance.label for candidate in top), cosines)
 
 
-def _sums(seen: LinearizedWindows, instance: EffectInstance, response: Array) -> Sums:
-    """Of the estimate's share in the residuals, window by window in the data's order."""
-    slope = seen.flat(response).reshape(len(seen.windows), -1)
-    rest = seen.flat(seen.residuals).reshape(len(seen.windows), -1)
-    order = np.argsort(seen.windows.segments.steps[:, 0], kind="stable")
-    score, weight = ((slope * one).sum(axis=1)[order] for one in (rest, slope))
+def _similarity(selection: Selection, count: int) -> Similarity:
+    """The cosines between the effects that promised most at first."""
+    screened = selection.rounds[0].screened if selection.rounds else []
+    # Those that were screened on all windows have signatures of the same length.
+    best = []
+    for candidate in screened:
+        if len(candidate.signature) == len(screened[0].signature):
+            best.append(candidate)
+    best = best[:count]
+    cosines = []
+    for one in best:
+        row = [min(1.0, abs(float(one.signature @ two.signature))) for two in best]
+        cosines.append(tuple(row))
+    return Similarity(tuple(candidate.instance.label for candidate in best), tuple(cosines))
+
+
+def _sums(linearized: LinearizedWindows, instance: EffectInstance, response: Array) -> Sums:
+    """The scores of the magnitude, summed window by window in the data's order, as a bridge."""
+    score, weight = scores_by_window(linearized, response)
+    order = np.argsort(linearized.windows.segments.steps[:, 0], kind="stable")
+    score = score[order]
+    weight = weight[order]
     centred = score - score.sum() / max(float(weight.sum()), 1e-300) * weight
     bridge = np.cumsum(centred) / max(float(np.sqrt(np.sum(centred**2))), 1e-300)
-    return Sums(
-        instance.label, _numbers(np.arange(1, len(bridge) + 1) / len(bridge)), _numbers(bridge)
-    )
+    time = np.arange(1, len(bridge) + 1) / len(bridge)
+    return Sums(instance.label, _numbers(time), _numbers(bridge))
 
 
 def _numbers(values: Array) -> tuple[float, ...]:
+    """Plain numbers."""
     return tuple(values.tolist())

@@ -24,8 +24,6 @@ from dropo.evaluation.held_out import (
     rms_of_motion,
 )
 
-DRAWS = 2  # of each window's start, from which the noise's part is computed
-
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
@@ -33,18 +31,18 @@ class Horizon:
 
     Attributes
     ----------
-    steps
+    steps : int
         The horizon in control steps.
-    seconds
+    seconds : float or None
         The horizon [s]; None where the simulator does not know its control step.
-    rmse
+    rmse : float
         Root mean square error of all signals, each in units of its noise-free spread.
-    noise
+    noise : float
         The part of `rmse` that noise explains.
-    units
+    units : dict of str to tuple
         For each unit the root mean square error over its signals, and the noise's part.
-    by_signal
-        (p,) root mean square error of each signal, in its unit.
+    by_signal : (p,) array
+        Root mean square error of each signal, in its unit.
     """
 
     steps: int
@@ -73,23 +71,26 @@ def horizons(
     last: State,
     rng: np.random.Generator,
     settings: HeldOutSettings = SETTINGS,
+    draws: int = 2,
 ) -> list[list[Horizon]]:
     """Return the errors of several models by horizon.
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Whose held-out part is predicted.
-    library
+    library : Library
         The simulator with every effect.
-    thetas
+    thetas : sequence of array
         The models: (m,) each.
-    last
+    last : State
         Its noise is taken: starts are drawn anew under it, so that it is known at impacts too.
-    rng
+    rng : numpy.random.Generator
         Draws the noise of the starts.
-    settings
+    settings : HeldOutSettings
         Which horizons, beside that of the windows, and which windows.
+    draws : int
+        Draws of each window's start, from which the noise's part is computed.
 
     Returns
     -------
@@ -110,8 +111,8 @@ def horizons(
         if len(windows) < settings.fewest:
             break
         predicted = simulator.predict(different, windows)
-        offsets = sigma * rng.standard_normal((DRAWS, len(windows), len(sigma)))
-        same = np.repeat(last.theta[None], DRAWS, axis=0)
+        offsets = sigma * rng.standard_normal((draws, len(windows), len(sigma)))
+        same = np.repeat(last.theta[None], draws, axis=0)
         change = simulator.predict(same, windows, offsets=offsets) - predicted[which[-1]]
         good = np.isfinite(change).all(axis=2)
         noise = sigma**2 + np.mean(change[good] ** 2, axis=0)
@@ -128,7 +129,15 @@ def errors_after(
 ) -> list[HorizonErrors]:
     """Return the errors of several models after the horizon of the last state's windows.
 
-    Parameters are those of `horizons`, which gives the same numbers at this horizon.
+    Parameters
+    ----------
+    problem, library, thetas, last
+        As of `horizons`, which gives the same numbers at this horizon.
+
+    Returns
+    -------
+    list of HorizonErrors
+        One of each model.
     """
     part, spread = _part_and_spread(problem, library, last)
     windows = held_out_windows(part, last.train.windows.length)

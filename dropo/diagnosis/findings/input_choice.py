@@ -1,6 +1,4 @@
-"""Which of several logged commands drives a machine, judged with a model that may lose what drives
-lose.
-"""
+"""Which of several logged commands drives a machine, with a model that may have motor losses."""
 
 from collections.abc import Mapping
 
@@ -12,29 +10,47 @@ from dropo.data.outliers.input_choice import InputChoice, choose_input
 from dropo.diagnosis.search.library import declared, robot_of
 
 LOSSES = ("joint_friction", "joint_armature")
-"""What a torque on a joint is spent on before the link feels it: a first model lacks it, and would
-trust the wrong one.
-"""
-SECONDS = 0.1  # of a window, where the problem states no horizon
+"""What a joint's torque is spent on before the link feels it: without these, a first model would
+trust the wrong command."""
 
 
-def choose_problem_input(problems: Mapping[str, Problem]) -> InputChoice:
-    """The best of one problem under each of several commands, by name; dry friction and rotor
-    inertia of every joint are fitted too.
+def choose_problem_input(
+    problems: Mapping[str, Problem], least_seconds: float = 0.1
+) -> InputChoice:
+    """Choose between one problem's logged commands.
+
+    Dry friction and rotor inertia of every joint are fitted too.
+
+    Parameters
+    ----------
+    problems : mapping of str to Problem
+        One problem under each of several commands, by the command's name.
+    least_seconds : float
+        Horizon of the windows where the problem states a shorter one, or none [s].
+
+    Returns
+    -------
+    InputChoice
+        The commands, best first.
+
+    Raises
+    ------
+    Incompatible
+        If the simulator has no MuJoCo model.
+    BadArgument
+        If there are fewer than two commands, or their measurements differ.
     """
     first = next(iter(problems.values()))
     simulator = robot_of(first)
-    losses = [
-        instance for name in LOSSES for instance in find("effects", name)(simulator.effect_context)
-    ]
-    simulator = simulator.with_effects(
-        [
-            instance
-            for instance in losses
-            if instance.target is not None and not declared(simulator, instance)
-        ]
-    )
-    start = np.clip(simulator.nominal, simulator.space.low, simulator.space.high)
-    seconds = max(SECONDS, first.length * simulator.control_step)
+    losses = []
+    for name in LOSSES:
+        for instance in find("effects", name)(simulator.effect_context):
+            if instance.target is not None and not declared(simulator, instance):
+                losses.append(instance)
+    simulator = simulator.with_effects(losses)
+    space = simulator.space
+    start = np.clip(simulator.nominal, space.low, space.high)
+    step = simulator.control_step
+    seconds = max(least_seconds, first.length * step)
     data = {name: problem.trajectories for name, problem in problems.items()}
-    return choose_input(simulator, data, start, simulator.control_step, seconds=seconds)
+    return choose_input(simulator, data, start, step, seconds=seconds)

@@ -11,10 +11,16 @@ from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.horizons import Horizon
-from dropo.diagnosis.search.linearization import Library, LinearizedWindows, linearize, moved
+from dropo.diagnosis.search.linearization import (
+    Library,
+    LinearizedWindows,
+    linearize,
+    shift_linearization,
+)
 from dropo.diagnosis.search.selection import State
 from dropo.diagnosis.search.whitening import DEGREES
-from dropo.diagnosis.search.windows import FEWEST, Windows, windows_from
+from dropo.diagnosis.search.windows import SETTINGS as WINDOWS
+from dropo.diagnosis.search.windows import Windows, windows_from
 from dropo.evaluation.held_out import (
     DataPart,
     held_out_part,
@@ -30,14 +36,14 @@ class MotionSettings:
 
     Attributes
     ----------
-    lengths
+    lengths : tuple of int
         Control steps in a window that is drawn: the longest of which there are enough, unless the
         diagnosis has longer ones.
-    steps
+    steps : int
         Control steps, about, in the windows from which neighbours are taken.
-    shown
+    shown : int
         Windows that are drawn.
-    entries
+    entries : int
         Measurements of a window that are made independent of each other for the calibration.
     """
 
@@ -63,15 +69,15 @@ def motion(
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Whose held-out part is shown.
-    library
+    library : Library
         The simulator with every effect.
-    first, last
+    first, last : State
         The model as it is, and with what was found.
-    before, after
+    before, after : sequence of Horizon
         Their errors by horizon, which are shown as they are.
-    settings
+    settings : MotionSettings
         How much is shown.
 
     Returns
@@ -85,7 +91,7 @@ def motion(
         return None
     simulator = library.simulator
     end = linearize(library, windows, last.theta, last.train.whiten.sigma)
-    begin = moved(library, end, first.theta, first.train.whiten.sigma)
+    begin = shift_linearization(library, end, first.theta, first.train.whiten.sigma)
     rows = windows.segments.steps[:, 0]
     data = windows.segments.trajectories
     origins = np.array([start for start, _ in data.spans])
@@ -109,15 +115,15 @@ def motion(
 
 def _side(
     name: str,
-    seen: LinearizedWindows,
+    linearized: LinearizedWindows,
     state: State,
     errors: Sequence[Horizon],
     settings: MotionSettings,
 ) -> Side:
     """What one model predicts for the windows that are shown, and its errors."""
-    p = len(seen.whiten.sigma)
-    line = seen.predicted + seen.shift
-    half = stats.t.ppf((1 + LEVEL) / 2, DEGREES) * _deviations(seen)
+    p = len(linearized.whiten.sigma)
+    line = linearized.predicted + linearized.shift
+    half = stats.t.ppf((1 + LEVEL) / 2, DEGREES) * _deviations(linearized)
     own = next((one for one in errors if one.steps == state.test.windows.length), errors[-1])
     return Side(
         name=name,
@@ -129,25 +135,27 @@ def _side(
     )
 
 
-def _deviations(seen: LinearizedWindows) -> Array:
+def _deviations(linearized: LinearizedWindows) -> Array:
     """(W, n) standard deviations by the noise of the measurement and of the measured start."""
-    by_start = np.sum((seen.whiten.loadings * seen.whiten.scale) ** 2, axis=2)
-    return np.sqrt(seen.whiten.rows**2 + by_start)
+    by_start = np.sum((linearized.whiten.loadings * linearized.whiten.scale) ** 2, axis=2)
+    return np.sqrt(linearized.whiten.rows**2 + by_start)
 
 
-def _pit(seen: LinearizedWindows, entries: int) -> Array:
+def _pit(linearized: LinearizedWindows, entries: int) -> Array:
     """Probabilities below the residuals of some steps, made independent by the Cholesky factor of
     each window's covariance.
     """
-    p = len(seen.whiten.sigma)
-    good = ~seen.lost
-    length = seen.windows.length
+    p = len(linearized.whiten.sigma)
+    good = ~linearized.lost
+    length = linearized.windows.length
     count = max(1, min(length, entries // p))
     steps = np.unique(np.linspace(0, length - 1, count).round().astype(np.int64))
     places = (steps[:, None] * p + np.arange(p)).ravel()
-    loadings = (seen.whiten.loadings * seen.whiten.scale)[good][:, places]
-    covariance = loadings @ loadings.swapaxes(1, 2) + np.diag(seen.whiten.rows[places] ** 2)
-    white = np.linalg.solve(np.linalg.cholesky(covariance), seen.residuals[good][:, places, None])
+    loadings = (linearized.whiten.loadings * linearized.whiten.scale)[good][:, places]
+    covariance = loadings @ loadings.swapaxes(1, 2) + np.diag(linearized.whiten.rows[places] ** 2)
+    white = np.linalg.solve(
+        np.linalg.cholesky(covariance), linearized.residuals[good][:, places, None]
+    )
     return np.asarray(stats.t.cdf(white.ravel(), DEGREES))
 
 
@@ -157,13 +165,14 @@ def _neighbours(
     """Windows one after another, of the block that has most; None where there are too few."""
     for length in sorted({*settings.lengths, longest}, reverse=True):
         starts = window_starts(part, length)
-        if len(starts) < FEWEST:
+        if len(starts) < WINDOWS.fewest:
             continue
-        starts = thin(starts, max(FEWEST, settings.steps // length))
+        starts = thin(starts, max(WINDOWS.fewest, settings.steps // length))
         block = part.block[starts]
-        most: Ints = np.flatnonzero(block == np.bincount(block).argmax())[: settings.shown]
-        segments = part.trajectories.from_rows(starts[most], length, every_step=True)
-        return windows_from(library.simulator, segments, block[most])
+        largest = np.bincount(block).argmax()
+        chosen: Ints = np.flatnonzero(block == largest)[: settings.shown]
+        segments = part.trajectories.from_rows(starts[chosen], length, every_step=True)
+        return windows_from(library.simulator, segments, block[chosen])
     return None
 
 

@@ -1,4 +1,4 @@
-"""What of the numbers that were fitted the data do not tell."""
+"""What of the fitted numbers the data do not determine."""
 
 import numpy as np
 
@@ -10,17 +10,25 @@ from dropo.evaluation.identifiability import undetermined as sentences
 
 
 def undetermined(library: Library, last: State) -> tuple[str, ...]:
-    """Declared parameters and sizes of causes, and combinations of them, that could as well be
-    others, in words.
+    """Name fitted parameters and magnitudes, and combinations of them, that the data leave open.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        Where the search ended.
+
+    Returns
+    -------
+    tuple of str
+        A sentence each.
     """
     if not len(last.free):
         return ()
-    seen = last.train
-    space = library.simulator.space
-    own = ParameterSpace(tuple(list(space)[i] for i in last.free))
-    slopes = seen.flat(library.slopes(seen.theta, last.free, seen.windows))
-    return tuple(
-        sentences(
-            own, seen.theta[last.free], null_directions(own, slopes.T[:, None, :], np.ones(1))
-        )
-    )
+    train = last.train
+    parameters = list(library.simulator.space)
+    own = ParameterSpace(tuple(parameters[i] for i in last.free))
+    jacobian = train.flat(library.jacobian(train.theta, last.free, train.windows))
+    directions = null_directions(own, jacobian.T[:, None, :], np.ones(1))
+    return tuple(sentences(own, train.theta[last.free], directions))

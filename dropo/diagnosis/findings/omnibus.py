@@ -19,15 +19,15 @@ class OmnibusSettings:
 
     Attributes
     ----------
-    regression
+    regression : ResidualTestSettings
         Of the ridge regression.
-    commands
+    commands : int
         How many commands a residual may follow: the present one and those before it.
-    least_z
-        Standard errors by block above which something is there ...
-    least_share
-        ... if it is also more than this share of the noise's variance: where predictions are right
-        to rounding, the noise is held at its least.
+    least_z : float
+        Standard errors by block above which structure is left ...
+    least_share : float
+        ... if it is also more than this fraction of the noise's variance: where predictions are
+        right to rounding, the noise is at its lower bound.
     """
 
     regression: ResidualTestSettings = REGRESSION
@@ -45,13 +45,13 @@ class Omnibus:
 
     Attributes
     ----------
-    z
+    z : float
         Normal score of the fall of all signals.
-    signals
+    signals : tuple of float
         Normal score of each signal's.
-    share
-        The fall as a share of the noise's variance.
-    present
+    share : float
+        The fall as a fraction of the noise's variance.
+    present : bool
         Whether structure is left.
     """
 
@@ -71,13 +71,13 @@ def omnibus(
 
     Parameters
     ----------
-    train
+    train : LinearizedWindows
         Windows that the regression is fitted to.
-    test
+    test : LinearizedWindows
         Windows held out, which it predicts.
-    rng
+    rng : numpy.random.Generator
         Draws the random features.
-    settings
+    settings : OmnibusSettings
         Of the regression.
 
     Returns
@@ -85,7 +85,7 @@ def omnibus(
     Omnibus
         The test's numbers.
     """
-    rows = [_state_and_command(seen, settings.commands) for seen in (train, test)]
+    rows = [_state_and_command(linearized, settings.commands) for linearized in (train, test)]
     mean = rows[0].mean(axis=0)
     sd = rows[0].std(axis=0)
     moves = sd > 1e-9 * np.maximum(np.abs(mean), 1e-12)
@@ -96,7 +96,10 @@ def omnibus(
     design = np.concatenate([np.ones((len(both), 1)), scaled, smooth], axis=1)
     residuals = np.concatenate([_whitened(train), _whitened(test)])
     unseen = np.arange(len(both)) >= len(rows[0])
-    blocks = [np.repeat(seen.windows.block, seen.windows.length) for seen in (train, test)]
+    blocks = [
+        np.repeat(linearized.windows.block, linearized.windows.length)
+        for linearized in (train, test)
+    ]
     found = predictability(
         design, residuals, [(~unseen, unseen)], np.concatenate(blocks), settings.regression
     )
@@ -105,18 +108,18 @@ def omnibus(
     return Omnibus(found.z, tuple(found.by_signal.tolist()), share, present)
 
 
-def _whitened(seen: LinearizedWindows) -> Array:
+def _whitened(linearized: LinearizedWindows) -> Array:
     """(W L, p) whitened residuals, windows across an impact held down."""
-    n = seen.residuals.shape[1]
-    whole = seen.flat(seen.residuals).reshape(len(seen.windows), -1)[:, :n]
-    return whole.reshape(-1, len(seen.whiten.sigma))
+    n = linearized.residuals.shape[1]
+    whole = linearized.flat(linearized.residuals).reshape(len(linearized.windows), -1)[:, :n]
+    return whole.reshape(-1, len(linearized.whiten.sigma))
 
 
-def _state_and_command(seen: LinearizedWindows, commands: int) -> Array:
+def _state_and_command(linearized: LinearizedWindows, commands: int) -> Array:
     """(W L, s) the window's start, the step, and the commands up to it."""
-    segments = seen.windows.segments
+    segments = linearized.windows.segments
     data = segments.trajectories
-    length = seen.windows.length
+    length = linearized.windows.length
     origins = np.array([span[0] for span in data.spans])
     first = origins[data.trajectory[segments.steps]]
     given = [data.actions[np.maximum(segments.steps - k, first)] for k in range(commands)]

@@ -2,7 +2,7 @@
 they are there at all.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -15,48 +15,115 @@ from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.whitening import Whitener, learn_noise
 from dropo.mjmodel.joints import degrees_of_freedom
 
-# nats and standard errors on windows held out, from which the forces are there
-GAINED = 9.0
-CERTAIN = 2.5
-PIECES = 10  # of a window at most, in each of which a force is drawn anew
-LEARNED = 48  # windows at least that their size is learned from, where there are so many
+EFFECT = "unexplained_force"
+"""Name of the effect that stands for an impulse; it is no candidate for a cause."""
 
 
-def impulses(model: Any, length: int) -> list[EffectInstance]:
-    """An atom for each piece of a window and degree of freedom: a generalised force in that piece
-    alone. Its target is the joint.
+@dataclass(frozen=True)
+class ForceSettings:
+    """How unexplained forces are estimated, and when they are there.
 
-    A piece is a control step, in long windows several.
+    Attributes
+    ----------
+    gain : float
+        Gain on windows held out [nats] ...
+    z : float
+        ... and the gain in standard errors by block, above which the forces are there.
+    windows : int
+        Windows that their size is learned from, at least, where there are so many.
+    """
+
+    gain: float = 9.0
+    z: float = 2.5
+    windows: int = 48
+
+
+SETTINGS = ForceSettings()
+
+
+def impulses(model: Any, length: int, pieces: int = 10) -> list[EffectInstance]:
+    """Return an effect for each piece of a window and each degree of freedom.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The robot.
+    length : int
+        Control steps in a window.
+    pieces : int
+        Pieces of a window, at most; in short windows each control step is one.
+
+    Returns
+    -------
+    list of EffectInstance
+        A generalized force [N m or N] in that piece alone; its target is the joint.
     """
     named = degrees_of_freedom(model)
-    pieces = min(length, PIECES)
+    pieces = min(length, pieces)
     return [
-        _impulse(model, dof, k, pieces, *named[dof])
-        for k in range(pieces)
-        for dof in range(len(named))
+        _impulse(model, dof, piece, pieces, name, unit)
+        for piece in range(pieces)
+        for dof, (name, unit) in enumerate(named)
     ]
 
 
-def _impulse(model: Any, dof: int, k: int, pieces: int, name: str, unit: str) -> EffectInstance:
-    scale = 10.0 * max(float(model.dof_M0[dof]), 1e-9)  # what moves it by 10 rad/s^2 (m/s^2)
+def without_impulses(instances: Sequence[EffectInstance]) -> list[EffectInstance]:
+    """Return the effects that may be causes.
+
+    Parameters
+    ----------
+    instances : sequence of EffectInstance
+        Effects and impulses.
+
+    Returns
+    -------
+    list of EffectInstance
+    """
+    return [instance for instance in instances if instance.effect != EFFECT]
+
+
+def impulses_of(library: Library) -> list[EffectInstance]:
+    """Return the impulses of a library, those of the first piece first."""
+    return [instance for instance in library.instances if instance.effect == EFFECT]
+
+
+def _impulse(model: Any, dof: int, piece: int, pieces: int, name: str, unit: str) -> EffectInstance:
+    """The force on one degree of freedom in one piece of a window."""
+    scale = 10.0 * max(float(model.dof_M0[dof]), 1e-9)  # accelerates it by 10 rad/s^2 (m/s^2)
     force = Quantity("force", unit, -1e3 * scale, 1e3 * scale, (scale,))
-    return EffectInstance(
-        "unexplained_force", name, (force,), str(k), applied_force=partial(_push, model.nv, dof, k, pieces)
-    )
+    applied = partial(_force, model.nv, dof, piece, pieces)
+    return EffectInstance(EFFECT, name, (force,), str(piece), applied_force=applied)
 
 
-def _push(nv: int, dof: int, k: int, pieces: int, steps: int, sizes: Array) -> Array:
-    out = np.zeros((steps, nv))
-    out[np.arange(steps) * pieces // steps == k, dof] = sizes[0]
-    return out
+def _force(nv: int, dof: int, piece: int, pieces: int, steps: int, sizes: Array) -> Array:
+    """(steps, nv) the force in each control step of a window."""
+    force = np.zeros((steps, nv))
+    inside = np.arange(steps) * pieces // steps == piece
+    force[inside, dof] = sizes[0]
+    return force
 
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
-    """sd: (nv,) of the forces [N m, N], each piece of a window anew; scale: (nv,) 1 / what moves
-    each as far; gain, z: of allowing for them on windows held out [nats]; excess: (W,) that gain
-    by window; answers: d residual / d force (W, n, pieces nv) of the windows that they are
-    learned from and of those held out.
+    """Random forces beside everything that was found.
+
+    Attributes
+    ----------
+    sd : (nv,) array
+        Standard deviations of the forces, each piece of a window anew [N m, N].
+    scale : (nv,) array
+        The inverse of the forces that accelerate each degree of freedom alike.
+    gain : float
+        Of allowing for the forces, on windows held out [nats].
+    z : float
+        The gain in standard errors by block.
+    excess : (W,) array
+        The gain of each window held out [nats].
+    responses : tuple of array
+        d residual / d force (W, n, pieces nv), of the windows that the forces are learned from and
+        of those held out.
+    settings : ForceSettings
+        When the forces are there.
     """
 
     sd: Array
@@ -64,12 +131,13 @@ class Unexplained:
     gain: float
     z: float
     excess: Array
-    answers: tuple[Array, Array]
+    responses: tuple[Array, Array]
+    settings: ForceSettings = SETTINGS
 
     @property
     def present(self) -> bool:
         """Whether the windows held out are better explained with them."""
-        return self.gain > GAINED and self.z > CERTAIN
+        return self.gain > self.settings.gain and self.z > self.settings.z
 
 
 def unexplained_force(
@@ -78,53 +146,74 @@ def unexplained_force(
     test: LinearizedWindows,
     floor: Array,
     gain_of: Callable[[LinearizedWindows, LinearizedWindows], tuple[float, float]],
-    answers: tuple[Array, Array] | None = None,
+    responses: tuple[Array, Array] | None = None,
+    settings: ForceSettings = SETTINGS,
 ) -> Unexplained:
-    """Random forces w ~ N(0, diag(sd^2)) in every piece of a window beside the noise, by
-    expectation-maximisation on the windows to fit.
+    """Estimate random forces w ~ N(0, diag(sd^2)) in every piece of a window, beside the noise.
 
-    answers: those found under another theta, which hardly matters to them.
+    By expectation-maximization on the windows to fit.
+
+    Parameters
+    ----------
+    library : Library
+        With impulses among its effects.
+    train, test : LinearizedWindows
+        The windows to fit, and those held out.
+    floor : (p,) array
+        Lower bound of the noise.
+    gain_of : callable
+        Compares two models on the same windows: the gain [nats], and its z.
+    responses : tuple of array, optional
+        Those found under another theta, which changes them little.
+    settings : ForceSettings
+        How much is learned from, and when the forces are there.
+
+    Returns
+    -------
+    Unexplained
     """
-    instances = [
-        instance for instance in library.instances if instance.effect == "unexplained_force"
-    ]
-    train = train.take(np.arange(0, len(train.windows), max(1, len(train.windows) // LEARNED)))
+    instances = impulses_of(library)
     nv = len({instance.target for instance in instances})
-    good = ~train.lost
     pieces = len(instances) // nv
     unit = np.array([instance.quantities[0].probes[0] for instance in instances[:nv]])
-    answers = answers or (_answers(library, train, instances), _answers(library, test, instances))
-    ways = [
-        np.concatenate([seen.loadings, way], axis=2)
-        for seen, way in zip((train, test), answers, strict=True)
-    ]
+
+    # How the residuals respond to each force.
+    stride = max(1, len(train.windows) // settings.windows)
+    train = train.take(np.arange(0, len(train.windows), stride))
+    if responses is None:
+        responses = _responses(library, train, instances), _responses(library, test, instances)
+    of_train, of_test = responses
+
+    # The noise and the forces that the windows to fit are most likely under.
+    good = ~train.lost
     sigma, sd = learn_noise(
-        ways[0][good],
+        np.concatenate([train.loadings, of_train], axis=2)[good],
         train.residuals[good],
         train.whiten.sigma,
         floor,
         unit,
         pieces=pieces,
-        known=train.doubts[good],
-    )
-    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces), np.ones(test.doubts.shape[2])])
-    with_forces = replace(
-        test, whiten=Whitener(np.concatenate([ways[1], test.doubts], axis=2), scale, sigma)
-    )
-    return Unexplained(
-        sd,
-        1 / unit,
-        *gain_of(test, with_forces),
-        with_forces.log_likelihood - test.log_likelihood,
-        answers,
+        known=train.extra_loadings[good],
     )
 
+    # What they gain on the windows held out.
+    ones = np.ones(test.extra_loadings.shape[2])
+    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces), ones])
+    loadings = np.concatenate([test.loadings, of_test, test.extra_loadings], axis=2)
+    with_forces = replace(test, whiten=Whitener(loadings, scale, sigma))
+    gain, z = gain_of(test, with_forces)
+    excess = with_forces.log_likelihood - test.log_likelihood
+    return Unexplained(sd, 1 / unit, gain, z, excess, responses, settings)
 
-def _answers(library: Library, seen: LinearizedWindows, instances: list[EffectInstance]) -> Array:
-    """D residual / d force (W, n, pieces nv)."""
+
+def _responses(
+    library: Library, linearized: LinearizedWindows, instances: Sequence[EffectInstance]
+) -> Array:
+    """d residual / d force (W, n, pieces nv)."""
     free = np.concatenate([library.places[instance.label] for instance in instances])
-    push = library.steps[free]
-    tried = np.repeat(seen.theta[None], len(free), axis=0)
-    tried[np.arange(len(free)), free] = push
-    moved = np.nan_to_num(library.predict(tried, seen.windows) - seen.predicted)
-    return np.moveaxis(moved / push[:, None, None], 0, 2)
+    steps = library.steps[free]
+    thetas = np.repeat(linearized.theta[None], len(free), axis=0)
+    thetas[np.arange(len(free)), free] = steps
+    predicted = library.predict(thetas, linearized.windows)
+    change = np.nan_to_num(predicted - linearized.predicted)
+    return np.moveaxis(change / steps[:, None, None], 0, 2)

@@ -1,6 +1,4 @@
-"""Every effect that a problem's robot may have, but for those that its declared parameters already
-are.
-"""
+"""The effects that a problem's robot may have, but for those that are declared parameters."""
 
 import copy
 from collections.abc import Sequence
@@ -18,24 +16,39 @@ from dropo.mjmodel.robot_simulator import RobotSimulator
 def instances_for(
     problem: Problem, effects: Sequence[str] | None = None, free: Ints | None = None
 ) -> list[EffectInstance]:
-    """The atoms of the named effects, of all where None is named.
+    """Return the effects to look for in a problem.
 
-    "joint_damping:elbow" names one at one place.
+    Parameters
+    ----------
+    problem : Problem
+        With a MuJoCo model.
+    effects : sequence of str, optional
+        Names of effects; "joint_damping:elbow" names one at one place. All if None.
+    free : int array, optional
+        Indices of the declared parameters that are fitted; all if None.
 
-    free: the places of the declared parameters that are fitted; None: all.
+    Returns
+    -------
+    list of EffectInstance
+        Each effect at each of its places.
 
-    Raises UnknownName for an effect or a place that does not exist, with the nearest valid one.
+    Raises
+    ------
+    UnknownName
+        If an effect or a place does not exist; the message has the nearest valid one.
+    BadArgument
+        If all effects that were named are declared as parameters.
+    Incompatible
+        If the simulator has no model that effects can be added to.
     """
     simulator = robot_of(problem)
-    wanted = (
-        [text.partition(":") for text in effects]
-        if effects is not None
-        else [(name, "", "") for name in names("effects")]
-    )
+    wanted = names("effects") if effects is None else effects
     found: list[EffectInstance] = []
-    for name, _, place in wanted:
-        every = instances_of(simulator.effect_context, name, place)
-        found += [instance for instance in every if not declared(simulator, instance, free)]
+    for text in wanted:
+        name, _, place = text.partition(":")
+        for instance in instances_of(simulator.effect_context, name, place):
+            if not declared(simulator, instance, free):
+                found.append(instance)
     if not found:
         raise BadArgument(
             "No effect is left to look for: all that were named are declared as parameters."
@@ -44,7 +57,22 @@ def instances_for(
 
 
 def robot_of(problem: Problem) -> RobotSimulator:
-    """The problem's simulator; Incompatible where it has no model that effects can be added to."""
+    """Return a problem's simulator, which effects can be added to.
+
+    Parameters
+    ----------
+    problem : Problem
+        Any.
+
+    Returns
+    -------
+    RobotSimulator
+
+    Raises
+    ------
+    Incompatible
+        If the simulator has no model that effects can be added to.
+    """
     simulator = problem.simulator
     if not isinstance(simulator, RobotSimulator):
         raise Incompatible(
@@ -54,8 +82,22 @@ def robot_of(problem: Problem) -> RobotSimulator:
 
 
 def declared(simulator: RobotSimulator, instance: EffectInstance, free: Ints | None = None) -> bool:
-    """Whether the atom is declared, or changes a number of the model that a declared parameter (one
-    of `free`) stands for, at that place alone.
+    """Decide whether an effect is declared already.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        With its declared parameters and effects.
+    instance : EffectInstance
+        The effect.
+    free : int array, optional
+        Indices of the declared parameters that are fitted; all if None.
+
+    Returns
+    -------
+    bool
+        Whether the effect itself is declared, or changes a number of the model, at its one place,
+        that a fitted parameter stands for.
     """
     if instance.label in {own.label for own in simulator.effects}:
         return True
@@ -66,7 +108,7 @@ def declared(simulator: RobotSimulator, instance: EffectInstance, free: Ints | N
         return False
     changed = copy.copy(simulator.model)
     instance.model(changed, np.array(instance.trials[0][0]))
-    return any(
-        not np.array_equal(binding.read(changed), binding.read(simulator.model))
-        for binding in bindings
-    )
+    for binding in bindings:
+        if not np.array_equal(binding.read(changed), binding.read(simulator.model)):
+            return True
+    return False

@@ -1,5 +1,5 @@
-"""A simulator with every effect at hand, held against windows: residuals, how the start's noise
-reaches them, slopes.
+"""Windows beside what a simulator with every effect predicts for them: residuals, and how the noise
+of the measured start state carries into the predictions.
 """
 
 from collections.abc import Sequence
@@ -15,70 +15,145 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.whitening import Whitener, learn_noise
 from dropo.diagnosis.search.windows import Windows
 
-LOST = 1e3  # a window that diverges is this many standard deviations off
+DIVERGED = 1e3
+"""Standard deviations by which a window counts as wrong whose simulation diverges."""
+
+
+@dataclass(frozen=True)
+class DifferenceSettings:
+    """Half widths of the differences that derivatives are taken from.
+
+    Attributes
+    ----------
+    of_interval : float
+        For a declared parameter, as a fraction of its search interval.
+    of_probe : float
+        For a magnitude of an effect, as a fraction of its smallest probe.
+    """
+
+    of_interval: float = 1e-3
+    of_probe: float = 0.1
+
+
+DEFAULTS = DifferenceSettings()
 
 
 @dataclass(eq=False)
 class Library:
-    """The simulator whose parameters are the d declared ones, then the sizes of all atoms; and
-    where each atom's stand.
+    """A simulator with every effect, and where each effect's magnitudes stand in its parameters.
+
+    Attributes
+    ----------
+    simulator : Simulator
+        Its m parameters are the d declared ones, then the magnitudes of all effects.
+    instances : sequence of EffectInstance
+        The effects, in the order of their magnitudes.
+    declared : int
+        d.
+    differences : DifferenceSettings
+        Widths of differences.
+    places : dict of str to (q,) int array
+        For each effect's label, the indices of its magnitudes among the parameters.
     """
 
     simulator: Simulator
     instances: Sequence[EffectInstance]
     declared: int
+    differences: DifferenceSettings = DEFAULTS
     places: dict[str, np.ndarray] = field(init=False)
 
     def __post_init__(self) -> None:
-        ends = self.declared + np.cumsum([len(instance.quantities) for instance in self.instances])
-        self.places = {
-            a.label: np.arange(end - len(a.quantities), end)
-            for a, end in zip(self.instances, ends.tolist(), strict=True)
-        }
+        self.places = {}
+        end = self.declared
+        for instance in self.instances:
+            start = end
+            end += len(instance.quantities)
+            self.places[instance.label] = np.arange(start, end)
 
     @property
     def steps(self) -> Array:
-        """(m,) half widths of differences: a share of the smallest probe; of declared parameters a
-        thousandth of their interval.
-        """
+        """(m,) half widths of differences."""
         space = self.simulator.space
-        own = 1e-3 * (space.high - space.low)[: self.declared]
-        rest = [
-            0.1 * min(abs(probe) for probe in q.probes)
+        width = self.differences.of_interval * (space.high - space.low)
+        of_effects = [
+            self.differences.of_probe * min(abs(probe) for probe in quantity.probes)
             for instance in self.instances
-            for q in instance.quantities
+            for quantity in instance.quantities
         ]
-        return np.concatenate([own, rest])
+        return np.concatenate([width[: self.declared], of_effects])
 
     def predict(self, values: Array, windows: Windows, offsets: Array | None = None) -> Array:
-        """(K, m) -> (K, W, n)."""
-        return self.simulator.predict(values, windows.segments, offsets=offsets).reshape(
-            len(values), len(windows), -1
-        )
+        """Simulate windows under several parameter vectors.
 
-    def slopes(self, theta: Array, free: np.ndarray, windows: Windows, share: float = 1.0) -> Array:
-        """D prediction / d theta (f, W, n) in the free numbers, by central differences within the
-        bounds; share: of `steps`.
+        Parameters
+        ----------
+        values : (K, m) array
+            Parameter vectors.
+        windows : Windows
+            W windows of n measurements each.
+        offsets : (K, W, p) array, optional
+            Added to the measured start of each window.
+
+        Returns
+        -------
+        (K, W, n) array
+            NaN where a simulation diverges.
+        """
+        predicted = self.simulator.predict(values, windows.segments, offsets=offsets)
+        return predicted.reshape(len(values), len(windows), -1)
+
+    def jacobian(
+        self, theta: Array, free: np.ndarray, windows: Windows, fraction: float = 1.0
+    ) -> Array:
+        """Differentiate the predictions, by central differences within the bounds.
+
+        Parameters
+        ----------
+        theta : (m,) array
+            Where.
+        free : (f,) int array
+            The parameters by which it differentiates.
+        windows : Windows
+            What is predicted.
+        fraction : float
+            Of the usual half widths `steps`.
+
+        Returns
+        -------
+        (f, W, n) array
+            0 where a simulation diverges.
         """
         space = self.simulator.space
-        width = share * self.steps[free]
-        up, down = (
-            np.clip(theta[free] + sign * width, space.low[free], space.high[free])
-            for sign in (1, -1)
-        )
-        values = np.repeat(theta[None], 2 * len(free), axis=0)
-        values[np.arange(len(free)), free], values[len(free) + np.arange(len(free)), free] = (
-            up,
-            down,
-        )
-        found = self.predict(values, windows)
-        return np.nan_to_num((found[: len(free)] - found[len(free) :]) / (up - down)[:, None, None])
+        count = len(free)
+        width = fraction * self.steps[free]
+        upper = np.clip(theta[free] + width, space.low[free], space.high[free])
+        lower = np.clip(theta[free] - width, space.low[free], space.high[free])
+        values = np.repeat(theta[None], 2 * count, axis=0)
+        values[np.arange(count), free] = upper
+        values[count + np.arange(count), free] = lower
+        predicted = self.predict(values, windows)
+        change = predicted[:count] - predicted[count:]
+        return np.nan_to_num(change / (upper - lower)[:, None, None])
 
 
 @dataclass(frozen=True, eq=False)
 class LinearizedWindows:
-    """Windows under theta (m,) and sigma (p,): residuals (W, n), the curvature's part of the
-    predictions (W, n), and the whitener. `lost` (W,) are those that diverge.
+    """W windows of n measurements, and the model linearized in their starts.
+
+    Attributes
+    ----------
+    windows : Windows
+        What was measured.
+    theta : (m,) array
+        The parameters.
+    residuals : (W, n) array
+        Measured less predicted, in the signals' units.
+    shift : (W, n) array
+        The part of the predictions that comes from their curvature in the noisy start.
+    whiten : Whitener
+        The covariance of the residuals, with the noise sigma (p,).
+    lost : (W,) bool array
+        Windows whose simulation diverges.
     """
 
     windows: Windows
@@ -90,122 +165,213 @@ class LinearizedWindows:
 
     @property
     def predicted(self) -> Array:
-        """(W, n) what was simulated from the measured starts; of lost windows nothing."""
-        return np.where(
-            self.lost[:, None], np.nan, self.windows.measured - self.residuals - self.shift
-        )
+        """(W, n) what was simulated from the measured starts; NaN in windows that diverge."""
+        predicted = self.windows.measured - self.residuals - self.shift
+        return np.where(self.lost[:, None], np.nan, predicted)
 
     @property
     def loadings(self) -> Array:
-        """(W, n, 2 p) those of starts that are off by noise alone."""
+        """(W, n, 2 p) the loadings of the start's noise: of its linear and its quadratic part."""
         return self.whiten.loadings[:, :, : 2 * len(self.whiten.sigma)]
 
     @property
-    def doubts(self) -> Array:
-        """(W, n, e) the loadings of e standard normal numbers: what starts of late signals are off
-        by beside noise.
-        """
+    def extra_loadings(self) -> Array:
+        """(W, n, e) the loadings of what else starts of delayed signals are wrong by."""
         return self.whiten.loadings[:, :, 2 * len(self.whiten.sigma) :]
 
     @property
     def log_likelihood(self) -> Array:
-        """(W,) [nats]."""
+        """(W,) log densities of the windows [nats]."""
         return self.whiten.log_likelihood(self.residuals)
 
     def take(self, index: Ints) -> "LinearizedWindows":
-        """Some of the windows."""
+        """Return some of the windows.
+
+        Parameters
+        ----------
+        index : int array
+            Which.
+
+        Returns
+        -------
+        LinearizedWindows
+        """
         whiten = Whitener(self.whiten.loadings[index], self.whiten.scale, self.whiten.sigma)
         return LinearizedWindows(
-            self.windows.take(index),
-            self.theta,
-            self.residuals[index],
-            self.shift[index],
-            whiten,
-            self.lost[index],
+            windows=self.windows.take(index),
+            theta=self.theta,
+            residuals=self.residuals[index],
+            shift=self.shift[index],
+            whiten=whiten,
+            lost=self.lost[index],
         )
 
     def flat(self, residuals: Array) -> Array:
-        """(..., W (n + m)) residuals (..., W, n) whitened and weighted as the likelihood does; lost
-        windows count for nothing.
+        """Whiten and weight residuals as the likelihood does; windows that diverge count nothing.
+
+        Parameters
+        ----------
+        residuals : (..., W, n) array
+            Residuals, or changes of predictions.
+
+        Returns
+        -------
+        (..., W (n + r)) array
+            With the r latent numbers of each window's start.
         """
         weights = np.sqrt(self.whiten.weights(self.residuals) * ~self.lost)[:, None]
-        return (weights * self.whiten(residuals)).reshape(*residuals.shape[:-2], -1)
+        whitened = weights * self.whiten(residuals)
+        return whitened.reshape(*residuals.shape[:-2], -1)
 
-    def of(self, predictions: Array) -> Array:
-        """(..., W) log densities under other predictions (..., W, n), the noise and the curvature's
-        part as they are.
+    def log_likelihood_of(self, predictions: Array) -> Array:
+        """Evaluate other predictions, with the noise and the curvature's part as they are.
+
+        Parameters
+        ----------
+        predictions : (..., W, n) array
+            NaN where a simulation diverges.
+
+        Returns
+        -------
+        (..., W) array
+            Log densities [nats].
         """
-        residuals = np.nan_to_num(self.windows.measured - predictions - self.shift, nan=LOST)
+        residuals = self.windows.measured - predictions - self.shift
+        residuals = np.nan_to_num(residuals, nan=DIVERGED)
         residuals[..., self.lost, :] = self.residuals[self.lost]
         return self.whiten.log_likelihood(residuals)
 
 
 def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) -> LinearizedWindows:
-    """Simulates the windows from their measured starts and, for the noise's way, from starts moved
-    by sigma either way.
+    """Simulate windows from their measured starts, and from starts shifted by sigma either way.
 
-    To second order in each signal's error z, f + J z + H z^2 / 2 (without mixed terms): the mean of
-    the last part shifts the predictions, and its spread, of variance (H sigma^2)^2 / 2, is a column
-    of its own. So windows that begin close to an impact count less.
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    windows : Windows
+        W windows of n measurements.
+    theta : (m,) array
+        The parameters.
+    sigma : (p,) array
+        Standard deviation of each signal's noise.
+
+    Returns
+    -------
+    LinearizedWindows
+
+    Notes
+    -----
+    To second order in each signal's error z, without mixed terms, the prediction is f + J z +
+    H z^2 / 2. The mean of the last part shifts the predictions; its variance, (H sigma^2)^2 / 2, is
+    a loading of its own, so that windows that begin close to an impact count less.
     """
     p = len(sigma)
+    # Row 0: the measured start; then each signal larger by sigma, then each smaller by sigma.
     offsets = np.repeat(axial_design(sigma, -sigma)[:, None], len(windows), axis=1)
-    found = library.predict(np.repeat(theta[None], 2 * p + 1, axis=0), windows, offsets)
-    lost = np.asarray(~np.isfinite(found).all(axis=(0, 2)))
-    found[:, lost] = 0.0
-    curved = (
-        0.5 * (found[1 : p + 1] + found[p + 1 :]) - found[0]
-    )  # (p, W, n), half the second derivative times sigma^2
-    linear = 0.5 * (found[1 : p + 1] - found[p + 1 :])
-    loadings = np.moveaxis(
-        np.concatenate([linear, np.sqrt(2) * curved]) / np.tile(sigma, 2)[:, None, None], 0, 2
-    )
-    shift = curved.sum(axis=0)
-    residuals = windows.measured - found[0] - shift
-    residuals[lost] = LOST * np.tile(sigma, windows.length)
-    return LinearizedWindows(
-        windows, theta, residuals, shift, whitener(library, windows, theta, sigma, loadings), lost
-    )
+    predicted = library.predict(np.repeat(theta[None], 2 * p + 1, axis=0), windows, offsets)
+    lost = np.asarray(~np.isfinite(predicted).all(axis=(0, 2)))
+    predicted[:, lost] = 0.0
+    centre = predicted[0]
+    upper = predicted[1 : p + 1]
+    lower = predicted[p + 1 :]
+    # (p, W, n) half the second derivative times sigma^2, and the first derivative times sigma.
+    curvature = 0.5 * (upper + lower) - centre
+    linear = 0.5 * (upper - lower)
+    scaled = np.concatenate([linear, np.sqrt(2) * curvature])
+    loadings = np.moveaxis(scaled / np.tile(sigma, 2)[:, None, None], 0, 2)
+    shift = curvature.sum(axis=0)
+    residuals = windows.measured - centre - shift
+    residuals[lost] = DIVERGED * np.tile(sigma, windows.length)
+    whiten = whitener(library, windows, theta, sigma, loadings)
+    return LinearizedWindows(windows, theta, residuals, shift, whiten, lost)
 
 
-def moved(
-    library: Library, seen: LinearizedWindows, theta: Array, sigma: Array
+def shift_linearization(
+    library: Library, linearized: LinearizedWindows, theta: Array, sigma: Array
 ) -> LinearizedWindows:
-    """A look at another theta and noise that takes the start noise's way from `seen`: one
-    simulation a window.
+    """Simulate windows under other parameters, with the start's loadings as they are.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    linearized : LinearizedWindows
+        Where the loadings are taken from.
+    theta : (m,) array
+        The other parameters.
+    sigma : (p,) array
+        The other noise.
+
+    Returns
+    -------
+    LinearizedWindows
+        By one simulation a window.
     """
-    predictions = library.predict(theta[None], seen.windows)[0]
-    lost = np.logical_or(seen.lost, ~np.isfinite(predictions).all(axis=1))
-    residuals = seen.windows.measured - predictions - seen.shift
-    residuals[lost] = LOST * np.tile(sigma, seen.windows.length)
-    whiten = whitener(library, seen.windows, theta, sigma, seen.loadings)
-    return LinearizedWindows(seen.windows, theta, residuals, seen.shift, whiten, lost)
+    windows = linearized.windows
+    predicted = library.predict(theta[None], windows)[0]
+    lost = np.logical_or(linearized.lost, ~np.isfinite(predicted).all(axis=1))
+    residuals = windows.measured - predicted - linearized.shift
+    residuals[lost] = DIVERGED * np.tile(sigma, windows.length)
+    whiten = whitener(library, windows, theta, sigma, linearized.loadings)
+    return LinearizedWindows(windows, theta, residuals, linearized.shift, whiten, lost)
 
 
 def whitener(
     library: Library, windows: Windows, theta: Array, sigma: Array, loadings: Array
 ) -> Whitener:
-    """Of noisy starts: those of signals that are seen late are in doubt by more than noise, a
-    latent number more for each.
+    """Return the covariance of windows whose starts are noisy.
+
+    Starts of delayed signals are wrong by more than noise: for each such signal there is one latent
+    number more.
+
+    Parameters
+    ----------
+    library : Library
+        Its simulator knows the extra standard deviation of starts.
+    windows : Windows
+        W windows of n measurements.
+    theta : (m,) array
+        The parameters, delays among them.
+    sigma : (p,) array
+        Standard deviation of each signal's noise.
+    loadings : (W, n, 2 p) array
+        Of the start's noise.
+
+    Returns
+    -------
+    Whitener
     """
-    doubt = library.simulator.extra_start_sd(theta, windows.segments)
-    late = np.flatnonzero(doubt.any(axis=0))
-    more = loadings[:, :, late] * doubt[:, None, late]
-    return Whitener(
-        np.concatenate([loadings, more], axis=2),
-        np.concatenate([np.tile(sigma, 2), np.ones(len(late))]),
-        sigma,
-    )
+    extra_sd = library.simulator.extra_start_sd(theta, windows.segments)
+    delayed = np.flatnonzero(extra_sd.any(axis=0))
+    extra = loadings[:, :, delayed] * extra_sd[:, None, delayed]
+    scale = np.concatenate([np.tile(sigma, 2), np.ones(len(delayed))])
+    return Whitener(np.concatenate([loadings, extra], axis=2), scale, sigma)
 
 
-def noise_of(seen: LinearizedWindows, sigma: Array, floor: Array, rounds: int = 60) -> Array:
-    """Sigma (p,) that the windows are most likely under, at the theta of a look."""
-    good = ~seen.lost
-    return learn_noise(
-        seen.loadings[good],
-        seen.residuals[good],
-        sigma,
-        floor,
-        known=seen.doubts[good],
-        rounds=rounds,
-    )[0]
+def estimate_noise(
+    linearized: LinearizedWindows, sigma: Array, floor: Array, rounds: int = 60
+) -> Array:
+    """Estimate the noise under which windows are most likely.
+
+    Parameters
+    ----------
+    linearized : LinearizedWindows
+        The windows, at their theta.
+    sigma : (p,) array
+        First guess.
+    floor : (p,) array
+        Lower bound.
+    rounds : int
+        Iterations, at most.
+
+    Returns
+    -------
+    (p,) array
+        Standard deviations, in the signals' units.
+    """
+    good = ~linearized.lost
+    loadings = linearized.loadings[good]
+    residuals = linearized.residuals[good]
+    known = linearized.extra_loadings[good]
+    return learn_noise(loadings, residuals, sigma, floor, known=known, rounds=rounds)[0]

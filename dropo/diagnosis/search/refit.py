@@ -10,13 +10,14 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
+    estimate_noise,
     linearize,
-    moved,
-    noise_of,
+    shift_linearization,
     whitener,
 )
 
 NONE = np.zeros(0, dtype=np.int64)
+"""No numbers of theta."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class RefitSettings:
     steps : GaussNewtonSettings
         Steps under a fixed noise; gains in nats.
     close : float
-        Fraction of the usual half widths of differences, where predictions bend within those.
+        Fraction of the usual half widths of differences, where predictions curve within those.
     renewals : int
         How often at most the effect of the start's noise is found anew in a fit.
     renewal_gain : float
@@ -55,7 +56,7 @@ DEFAULTS = RefitSettings()
 
 def refit(
     library: Library,
-    seen: LinearizedWindows,
+    linearized: LinearizedWindows,
     free: np.ndarray,
     floor: Array,
     *,
@@ -73,7 +74,7 @@ def refit(
     ----------
     library : Library
         The simulator with every effect.
-    seen : Look
+    linearized : LinearizedWindows
         The windows at the first theta.
     free : (f,) int array
         Which numbers of theta are fitted.
@@ -90,48 +91,55 @@ def refit(
 
     Returns
     -------
-    Look
+    LinearizedWindows
         The windows at the most likely theta and noise.
     """
-    seen = settle(library, seen, free, floor, rounds=rounds, rough=rough, settings=settings)
+    linearized = settle(
+        library, linearized, free, floor, rounds=rounds, rough=rough, settings=settings
+    )
+    # Linearize anew where theta has gone, until that changes nothing any more.
     for _ in range(settings.renewals if renewals is None else renewals):
-        renewed = linearize(library, seen.windows, seen.theta, seen.whiten.sigma)
-        change = float(renewed.log_likelihood.sum() - seen.log_likelihood.sum())
+        renewed = linearize(library, linearized.windows, linearized.theta, linearized.whiten.sigma)
+        change = float(renewed.log_likelihood.sum() - linearized.log_likelihood.sum())
         if abs(change) < settings.renewal_gain:
-            seen = renewed
+            linearized = renewed
             break
-        seen = settle(library, renewed, free, floor, settings=settings)
-    if np.median(seen.whiten.sigma / floor) < settings.noiseless:
-        return settle(library, seen, free, floor, close=True, settings=settings)
-    return seen
+        linearized = settle(library, renewed, free, floor, settings=settings)
+    # Without noise, errors are so small that usual differences are too wide.
+    if np.median(linearized.whiten.sigma / floor) < settings.noiseless:
+        return settle(library, linearized, free, floor, close=True, settings=settings)
+    return linearized
 
 
 def with_noise(
-    library: Library, seen: LinearizedWindows, floor: Array, settings: RefitSettings = DEFAULTS
+    library: Library,
+    linearized: LinearizedWindows,
+    floor: Array,
+    settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
     """Give windows the noise that their residuals have.
 
     Parameters
     ----------
-    library, seen, floor, settings
+    library, linearized, floor, settings
         As of `refit`.
 
     Returns
     -------
-    Look
+    LinearizedWindows
         The windows at the same theta; the effect of the start's noise is found anew where the
         noise is quite another.
     """
-    sigma = noise_of(seen, seen.whiten.sigma, floor)
-    ratios = np.abs(np.log(sigma / seen.whiten.sigma))
+    sigma = estimate_noise(linearized, linearized.whiten.sigma, floor)
+    ratios = np.abs(np.log(sigma / linearized.whiten.sigma))
     if np.any(ratios > np.log(settings.other_noise)):
-        return linearize(library, seen.windows, seen.theta, sigma)
-    return moved(library, seen, seen.theta, sigma)
+        return linearize(library, linearized.windows, linearized.theta, sigma)
+    return shift_linearization(library, linearized, linearized.theta, sigma)
 
 
 def settle(
     library: Library,
-    seen: LinearizedWindows,
+    linearized: LinearizedWindows,
     free: np.ndarray,
     floor: Array,
     *,
@@ -145,7 +153,7 @@ def settle(
 
     Parameters
     ----------
-    library, seen, free, floor, rounds, rough, settings
+    library, linearized, free, floor, rounds, rough, settings
         As of `refit`.
     known : (k, W, n) array, optional
         Jacobian by the first k free numbers that may stand for theirs at any theta near by.
@@ -154,23 +162,27 @@ def settle(
 
     Returns
     -------
-    Look
+    LinearizedWindows
     """
     problem = _Steps(library, free, known, settings)
     jacobian = None
     for _ in range(rounds):
-        before = float(seen.log_likelihood.sum())
+        before = float(linearized.log_likelihood.sum())
+        # Line scans of numbers that have no useful derivative; in the first round only.
         for number in rough:
-            seen = _scan(library, seen, int(number), settings)
+            linearized = _scan(library, linearized, int(number), settings)
             jacobian = None
         rough = NONE
+        # Theta under this noise, then the noise at this theta.
         if len(free):
-            seen, jacobian = maximize(problem, seen, settings.steps, jacobian=jacobian, close=close)
-        sigma = noise_of(seen, seen.whiten.sigma, floor)
-        seen = moved(library, seen, seen.theta, sigma)
-        if abs(float(seen.log_likelihood.sum()) - before) < settings.steps.tolerance:
+            linearized, jacobian = maximize(
+                problem, linearized, settings.steps, jacobian=jacobian, close=close
+            )
+        sigma = estimate_noise(linearized, linearized.whiten.sigma, floor)
+        linearized = shift_linearization(library, linearized, linearized.theta, sigma)
+        if abs(float(linearized.log_likelihood.sum()) - before) < settings.steps.tolerance:
             break
-    return seen
+    return linearized
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,64 +194,75 @@ class _Steps:
     known: Array | None
     settings: RefitSettings
 
-    def differentiate(self, seen: LinearizedWindows, close: bool) -> Array:
+    def differentiate(self, linearized: LinearizedWindows, close: bool) -> Array:
         """(f, W, n) by the free numbers; those known are not found anew, unless closer by."""
         if close:
             close_by = self.settings.close
-            return self.library.slopes(seen.theta, self.free, seen.windows, close_by)
+            return self.library.jacobian(linearized.theta, self.free, linearized.windows, close_by)
         first = 0 if self.known is None else len(self.known)
-        own = self.library.slopes(seen.theta, self.free[first:], seen.windows)
+        own = self.library.jacobian(linearized.theta, self.free[first:], linearized.windows)
         return own if self.known is None else np.concatenate([self.known, own])
 
-    def step(self, seen: LinearizedWindows, jacobian: Array) -> tuple[Array, float]:
+    def step(self, linearized: LinearizedWindows, jacobian: Array) -> tuple[Array, float]:
         """The damped step, and the nats that it promises."""
         space = self.library.simulator.space
         low = space.low[self.free]
         high = space.high[self.free]
-        here = seen.theta[self.free]
+        here = linearized.theta[self.free]
         prior_sd = self.settings.steps.prior_width * (high - low)
         room = (low - here, high - here)
-        return damped_step(seen.flat(jacobian), seen.flat(seen.residuals), room, prior_sd)
+        rows = linearized.flat(jacobian)
+        residuals = linearized.flat(linearized.residuals)
+        return damped_step(rows, residuals, room, prior_sd)
 
-    def try_steps(self, seen: LinearizedWindows, steps: Array) -> tuple[LinearizedWindows, float]:
+    def try_steps(
+        self, linearized: LinearizedWindows, steps: Array
+    ) -> tuple[LinearizedWindows, float]:
         """The best of several steps (K, f), and the nats gained."""
         space = self.library.simulator.space
         free = self.free
-        tried = np.repeat(seen.theta[None], len(steps), axis=0)
-        tried[:, free] = np.clip(seen.theta[free] + steps, space.low[free], space.high[free])
-        return _best(self.library, seen, tried)
+        thetas = np.repeat(linearized.theta[None], len(steps), axis=0)
+        stepped = linearized.theta[free] + steps
+        thetas[:, free] = np.clip(stepped, space.low[free], space.high[free])
+        return _best(self.library, linearized, thetas)
 
 
 def _scan(
-    library: Library, seen: LinearizedWindows, number: int, settings: RefitSettings
+    library: Library, linearized: LinearizedWindows, number: int, settings: RefitSettings
 ) -> LinearizedWindows:
-    """One number of theta at multiples of its size."""
+    """One number of theta at multiples of its present value."""
     space = library.simulator.space
     multiples = np.array(settings.scan)
-    tried = np.repeat(seen.theta[None], len(multiples), axis=0)
-    scanned = multiples * seen.theta[number]
-    tried[:, number] = np.clip(scanned, space.low[number], space.high[number])
-    return _best(library, seen, tried)[0]
+    candidates = np.repeat(linearized.theta[None], len(multiples), axis=0)
+    scanned = multiples * linearized.theta[number]
+    candidates[:, number] = np.clip(scanned, space.low[number], space.high[number])
+    return _best(library, linearized, candidates)[0]
 
 
 def _best(
-    library: Library, seen: LinearizedWindows, tried: Array
+    library: Library, linearized: LinearizedWindows, candidates: Array
 ) -> tuple[LinearizedWindows, float]:
-    """The best of several thetas (K, m) where it is better than the present one, and its gain."""
-    predictions = library.predict(tried, seen.windows)
-    sigma = seen.whiten.sigma
-    ways = [whitener(library, seen.windows, theta, sigma, seen.loadings) for theta in tried]
-    values = np.array(
-        [
-            replace(seen, whiten=way).of(one).sum()
-            for way, one in zip(ways, predictions, strict=True)
-        ]
-    )
-    k = int(np.nanargmax(np.where(np.isfinite(values), values, -np.inf)))
-    gain = float(values[k] - seen.log_likelihood.sum())
+    """The best of several thetas (K, m) if it is better than the present one, and its gain."""
+    windows = linearized.windows
+    sigma = linearized.whiten.sigma
+    predictions = library.predict(candidates, windows)
+    # Evaluate each theta under the covariance that it implies.
+    whiteners = []
+    values = []
+    for theta, predicted in zip(candidates, predictions, strict=True):
+        whiten = whitener(library, windows, theta, sigma, linearized.loadings)
+        there = replace(linearized, whiten=whiten)
+        whiteners.append(whiten)
+        values.append(there.log_likelihood_of(predicted).sum())
+    finite = np.where(np.isfinite(values), values, -np.inf)
+    best = int(np.nanargmax(finite))
+    gain = float(values[best] - linearized.log_likelihood.sum())
     if not gain > 0:
-        return seen, 0.0
-    residuals = seen.windows.measured - predictions[k] - seen.shift
-    bad = seen.lost | ~np.isfinite(residuals).all(axis=1)
-    residuals[bad] = seen.residuals[bad]
-    return replace(seen, theta=tried[k], residuals=residuals, whiten=ways[k]), gain
+        return linearized, 0.0
+    # Windows that diverge keep the residuals that they had.
+    residuals = windows.measured - predictions[best] - linearized.shift
+    diverged = linearized.lost | ~np.isfinite(residuals).all(axis=1)
+    residuals[diverged] = linearized.residuals[diverged]
+    theta = candidates[best]
+    better = replace(linearized, theta=theta, residuals=residuals, whiten=whiteners[best])
+    return better, gain

@@ -1,5 +1,8 @@
-"""Which effects the residuals look like: a score test at finite probes, with what is fitted anyway
-projected out.
+"""Which effects the residuals suggest: a score test at finite probes, with everything that is
+fitted anyway projected out.
+
+Each effect is simulated at a few magnitudes (its probes). How far the residuals follow the change
+of the predictions gives the gain in log-likelihood that the effect promises.
 """
 
 from collections.abc import Iterator, Sequence
@@ -9,30 +12,67 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library, LinearizedWindows, noise_of, whitener
-
-BATCH = 64  # probes simulated at once
-FINALISTS = 18  # atoms that are looked at on all windows
-# a first choice takes one window in so many, where that leaves at least so many
-COARSE = 4
-LEAST = 12
-
-ROUNDS = 4  # in which noise is learned for a promise
-LEAST_NOISE = (
-    0.5  # variance of whitened residuals: about 1 but where the noise is held at its least
+from dropo.diagnosis.search.linearization import (
+    Library,
+    LinearizedWindows,
+    estimate_noise,
+    whitener,
 )
 
-Trial = tuple[EffectInstance, tuple[tuple[float, ...], ...]]
-"""An atom with sizes that are tried together."""
-Known = dict[tuple[str, tuple[tuple[float, ...], ...]], Array]
+Probe = tuple[tuple[float, ...], ...]
+"""t vectors of magnitudes (q,) along which the score test is made together."""
+Trial = tuple[EffectInstance, Probe]
+"""An effect and one of its probes."""
+Responses = dict[tuple[str, Probe], Array]
+"""By an effect's label and the probe, the change (t, W, n) of the predictions."""
+
+
+@dataclass(frozen=True)
+class ScreeningSettings:
+    """How effects are screened.
+
+    Attributes
+    ----------
+    batch : int
+        Probes that are simulated at once.
+    finalists : int
+        Effects that are screened on all windows, after a first choice on some.
+    coarse : int
+        A first choice takes one window of so many ...
+    fewest : int
+        ... if at least so many windows are left.
+    noise_rounds : int
+        Iterations in which the noise is learned for one promise.
+    least_variance : float
+        Lower bound of the whitened residuals' variance, which is about 1 unless the noise is at its
+        lower bound.
+    """
+
+    batch: int = 64
+    finalists: int = 18
+    coarse: int = 4
+    fewest: int = 12
+    noise_rounds: int = 4
+    least_variance: float = 0.5
+
+
+SETTINGS = ScreeningSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An atom with the sizes (q,) that the residuals suggest, and what the score test promises.
+    """An effect, and what the score test promises of it.
 
-    gain: [nats] of the windows' log-likelihood; signature: the whitened, weighted response (W (n +
-    m),), of length 1.
+    Attributes
+    ----------
+    instance : EffectInstance
+        The effect.
+    sizes : (q,) array
+        The magnitudes that the residuals suggest, in the units of its quantities.
+    gain : float
+        In the windows' log-likelihood [nats].
+    signature : (W (n + m),) array
+        The change of the predictions, whitened and weighted, of length 1.
     """
 
     instance: EffectInstance
@@ -43,214 +83,286 @@ class Candidate:
 
 @dataclass(eq=False)
 class Screening:
-    """A screening that remembers how the first choice's windows answered to each probe: a later
-    effect changes that little.
+    """A screening that keeps the responses of its first choice, which later effects hardly change.
 
-    floor: (p,) the least noise; free: the numbers of theta that are fitted with any of the atoms.
+    Attributes
+    ----------
+    library : Library
+        The simulator with every effect.
+    floor : (p,) array
+        Lower bound of the noise.
+    settings : ScreeningSettings
+        How effects are screened.
+    remembered : dict
+        Responses of the first choice, by effect and probe.
     """
 
     library: Library
     floor: Array
-    remembered: Known = field(default_factory=dict)
+    settings: ScreeningSettings = SETTINGS
+    remembered: Responses = field(default_factory=dict)
 
     def __call__(
-        self, seen: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]
+        self, linearized: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]
     ) -> list[Candidate]:
-        """The atoms by what they promise, most first: all of them on a quarter of the windows, the
-        best of these on all windows.
-        """
-        if len(instances) > FINALISTS and len(seen.windows) >= COARSE * LEAST:
-            some = seen.take(np.arange(0, len(seen.windows), COARSE))
-            first = self._score(
-                some,
-                free,
-                [(instance, trial) for instance in instances for trial in few(instance)],
-                self.remembered,
-            )
-            instances = [candidate.instance for candidate in first[:FINALISTS]]
-        return self._score(
-            seen,
-            free,
-            [(instance, trial) for instance in instances for trial in thorough(instance)],
-            {},
-        )
+        """Order effects by what they promise.
 
-    def _score(
-        self, seen: LinearizedWindows, free: np.ndarray, trials: Sequence[Trial], known: Known
-    ) -> list[Candidate]:
-        """The atoms that the windows answer to, by what the score test promises, most first."""
-        free = _within(self.library, seen.theta, free)
-        basis = (
-            np.linalg.qr(seen.flat(self.library.slopes(seen.theta, free, seen.windows)).T)[0]
-            if len(free)
-            else None
-        )
-        target = _rest(seen.flat(seen.residuals), basis)
-        size = max(float(target @ target) / max(seen.residuals[~seen.lost].size, 1), LEAST_NOISE)
-        best: dict[str, Candidate] = {}
-        for (instance, trial), response in self._responses(seen, trials, known):
-            promises = [
-                _score(
-                    self.library,
-                    seen,
-                    instance,
-                    np.array(trial),
-                    _rest(seen.flat(response), basis),
-                    target,
-                    size,
-                )
+        All are screened on some of the windows, the best of these on all windows.
+
+        Parameters
+        ----------
+        linearized : LinearizedWindows
+            The windows to fit, as the model without the effects explains them.
+        free : (f,) int array
+            The numbers of theta that are fitted with any of the effects.
+        instances : sequence of EffectInstance
+            The effects.
+
+        Returns
+        -------
+        list of Candidate
+            The one that promises most comes first.
+        """
+        settings = self.settings
+        count = len(linearized.windows)
+        if len(instances) > settings.finalists and count >= settings.coarse * settings.fewest:
+            some = linearized.take(np.arange(0, count, settings.coarse))
+            trials = [
+                (instance, probe) for instance in instances for probe in coarse_probes(instance)
             ]
+            chosen = self._score_all(some, free, trials, self.remembered)
+            instances = [candidate.instance for candidate in chosen[: settings.finalists]]
+        trials = [(instance, probe) for instance in instances for probe in all_probes(instance)]
+        return self._score_all(linearized, free, trials, {})
+
+    def _score_all(
+        self,
+        linearized: LinearizedWindows,
+        free: np.ndarray,
+        trials: Sequence[Trial],
+        responses: Responses,
+    ) -> list[Candidate]:
+        """The best candidate of each effect to which the windows respond, the best effect first."""
+        library = self.library
+        free = _inside_bounds(library, linearized.theta, free)
+        # Whatever the free numbers of theta explain is no evidence of an effect.
+        basis: Array | None = None
+        if len(free):
+            jacobian = library.jacobian(linearized.theta, free, linearized.windows)
+            basis = np.linalg.qr(linearized.flat(jacobian).T)[0]
+        residuals = _without(linearized.flat(linearized.residuals), basis)
+        count = max(linearized.residuals[~linearized.lost].size, 1)
+        variance = max(float(residuals @ residuals) / count, self.settings.least_variance)
+
+        best: dict[str, Candidate] = {}
+        for (instance, probe), response in self._responses(linearized, trials, responses):
+            whitened = _without(linearized.flat(response), basis)
+            theta = linearized.theta
+            found = [_score(library, theta, instance, probe, whitened, residuals, variance)]
             if instance.sensor_delay is not None:
-                promises += [
-                    self._with_other_noise(seen, instance, np.array(sizes), one)
-                    for sizes, one in zip(trial, response, strict=True)
-                ]
-            for found in promises:
-                if found is not None and (
-                    instance.label not in best or found.gain > best[instance.label].gain
-                ):
-                    best[instance.label] = found
+                for magnitudes, change in zip(probe, response, strict=True):
+                    found.append(self._with_new_noise(linearized, instance, magnitudes, change))
+            for candidate in found:
+                if candidate is None:
+                    continue
+                before = best.get(instance.label)
+                if before is None or candidate.gain > before.gain:
+                    best[instance.label] = candidate
         return sorted(best.values(), key=lambda candidate: -candidate.gain)
 
-    def _with_other_noise(
-        self, seen: LinearizedWindows, instance: EffectInstance, sizes: Array, response: Array
+    def _with_new_noise(
+        self,
+        linearized: LinearizedWindows,
+        instance: EffectInstance,
+        magnitudes: Sequence[float],
+        response: Array,
     ) -> Candidate:
-        """An atom of sensors with sizes under which starts are in doubt, and the noise learned
-        anew: without it, noise stands for it.
+        """A delay of a sensor with the noise learned anew, since without the delay, noise stands
+        for it.
         """
-        theta = seen.theta.copy()
-        place = self.library.places[instance.label]
-        theta[place] += sizes
-        way = whitener(self.library, seen.windows, theta, seen.whiten.sigma, seen.loadings)
-        there = replace(seen, residuals=seen.residuals - response, whiten=way)
-        sigma = noise_of(there, seen.whiten.sigma, self.floor, rounds=ROUNDS)
-        learned = replace(
-            there, whiten=whitener(self.library, seen.windows, theta, sigma, seen.loadings)
-        )
-        moves = seen.flat(response)
-        gain = float((learned.log_likelihood - seen.log_likelihood)[~seen.lost].sum())
-        return Candidate(
-            instance, theta[place], gain, moves / max(float(np.linalg.norm(moves)), 1e-300)
-        )
+        library = self.library
+        windows = linearized.windows
+        sigma = linearized.whiten.sigma
+        loadings = linearized.loadings
+        # The windows with the delay, under the noise as it is.
+        theta = linearized.theta.copy()
+        place = library.places[instance.label]
+        theta[place] += np.array(magnitudes)
+        whiten = whitener(library, windows, theta, sigma, loadings)
+        delayed = replace(linearized, residuals=linearized.residuals - response, whiten=whiten)
+        # The same under the noise that is then left.
+        sigma = estimate_noise(delayed, sigma, self.floor, rounds=self.settings.noise_rounds)
+        whiten = whitener(library, windows, theta, sigma, loadings)
+        learned = replace(delayed, whiten=whiten)
+        gains = learned.log_likelihood - linearized.log_likelihood
+        change = linearized.flat(response)
+        signature = change / max(float(np.linalg.norm(change)), 1e-300)
+        return Candidate(instance, theta[place], float(gains[~linearized.lost].sum()), signature)
 
     def _responses(
-        self, seen: LinearizedWindows, trials: Sequence[Trial], known: Known
+        self, linearized: LinearizedWindows, trials: Sequence[Trial], responses: Responses
     ) -> Iterator[tuple[Trial, Array]]:
-        """Each trial with how far its sizes move the predictions (t, W, n); `known` is taken where
-        it has them, and filled.
+        """Each trial with the change (t, W, n) of the predictions under its probe.
+
+        Responses that are there already are taken; the others are simulated and added.
         """
-        missing = [
-            (instance, trial) for instance, trial in trials if (instance.label, trial) not in known
-        ]
-        for first in range(0, len(missing), BATCH):
-            part = missing[first : first + BATCH]
-            moved = np.nan_to_num(self._predictions(seen, part) - seen.predicted)
-            ends = np.cumsum([len(trial) for _, trial in part])
-            for (instance, trial), response in zip(part, np.split(moved, ends[:-1]), strict=True):
-                known[instance.label, trial] = response
-        for instance, trial in trials:
-            yield (instance, trial), known[instance.label, trial]
+        missing = []
+        for instance, probe in trials:
+            if (instance.label, probe) not in responses:
+                missing.append((instance, probe))
+        for first in range(0, len(missing), self.settings.batch):
+            batch = missing[first : first + self.settings.batch]
+            predicted = self._predictions(linearized, batch)
+            changes = np.nan_to_num(predicted - linearized.predicted)
+            ends = np.cumsum([len(probe) for _, probe in batch])
+            parts = np.split(changes, ends[:-1])
+            for (instance, probe), change in zip(batch, parts, strict=True):
+                responses[instance.label, probe] = change
+        for instance, probe in trials:
+            yield (instance, probe), responses[instance.label, probe]
 
-    def _predictions(self, seen: LinearizedWindows, trials: Sequence[Trial]) -> Array:
-        """(sum of sizes tried, W, n)."""
-        rows = np.repeat(seen.theta[None], sum(len(trial) for _, trial in trials), axis=0)
-        tried = [
-            (self.library.places[instance.label], sizes)
-            for instance, trial in trials
-            for sizes in trial
-        ]
-        for row, (place, sizes) in zip(rows, tried, strict=True):
-            row[place] += sizes
-        return self.library.predict(
-            np.clip(rows, self.library.simulator.space.low, self.library.simulator.space.high),
-            seen.windows,
-        )
+    def _predictions(self, linearized: LinearizedWindows, trials: Sequence[Trial]) -> Array:
+        """(T, W, n) the predictions under each of the T vectors of magnitudes of the probes."""
+        space = self.library.simulator.space
+        thetas = []
+        for instance, probe in trials:
+            place = self.library.places[instance.label]
+            for magnitudes in probe:
+                theta = linearized.theta.copy()
+                theta[place] += magnitudes
+                thetas.append(theta)
+        within = np.clip(np.stack(thetas), space.low, space.high)
+        return self.library.predict(within, linearized.windows)
 
 
-def _within(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:
-    """The free numbers that are on none of their bounds: the others will not make room for an
-    effect.
-    """
+def _inside_bounds(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:
+    """The free numbers that are on none of their bounds; the others cannot make room."""
     space = library.simulator.space
-    return free[(theta[free] > space.low[free]) & (theta[free] < space.high[free])]
+    inside = (theta[free] > space.low[free]) & (theta[free] < space.high[free])
+    return free[inside]
 
 
-def few(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
-    """What a first choice tries: where predictions are smooth, the smallest probe; else one of each
-    sign, or several sizes.
+def coarse_probes(instance: EffectInstance) -> list[Probe]:
+    """Return the probes of an effect for a first choice.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        The effect.
+
+    Returns
+    -------
+    list of tuple
+        The smallest probe where predictions are smooth in the magnitudes; else the largest of each
+        sign, or several magnitudes.
     """
-    tried = sorted(instance.trials, key=_length)
+    probes = sorted(instance.trials, key=_size)
     if all(quantity.smooth for quantity in instance.quantities):
-        return tried[:1]
-    if (
-        instance.sensor_delay is not None
-    ):  # judged with the noise learned anew, which no size stands for
-        return tried
-    if instance.time_profile is not None:  # the largest size, from every moment on that is tried
-        return tried[-3:]
-    upwards = [trial for trial in tried if trial[0][0] > 0]
-    downwards = [trial for trial in tried if trial[0][0] < 0]
-    return [upwards[-1], downwards[-1]] if upwards and downwards else tried[1::2] or tried
+        return probes[:1]
+    if instance.sensor_delay is not None:
+        # Each is evaluated with the noise learned anew, so that none stands for another.
+        return probes
+    if instance.time_profile is not None:
+        # The largest magnitude, from each time on at which the effect may set in.
+        return probes[-3:]
+    upwards = [probe for probe in probes if probe[0][0] > 0]
+    downwards = [probe for probe in probes if probe[0][0] < 0]
+    if upwards and downwards:
+        return [upwards[-1], downwards[-1]]
+    return probes[1::2] or probes
 
 
-def thorough(instance: EffectInstance) -> list[tuple[tuple[float, ...], ...]]:
-    """What the best are tried at: every probe, but a single smooth number at its smallest alone."""
-    return (
-        few(instance)
-        if len(instance.quantities) == 1 and instance.quantities[0].smooth
-        else list(instance.trials)
-    )
+def all_probes(instance: EffectInstance) -> list[Probe]:
+    """Return the probes of an effect that is among the best.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        The effect.
+
+    Returns
+    -------
+    list of tuple
+        Every probe; of a single magnitude in which predictions are smooth, the smallest alone.
+    """
+    if len(instance.quantities) == 1 and instance.quantities[0].smooth:
+        return coarse_probes(instance)
+    return list(instance.trials)
 
 
-def _length(trial: tuple[tuple[float, ...], ...]) -> float:
-    return float(np.abs(trial).sum())
+def _size(probe: Probe) -> float:
+    """The sum of a probe's absolute magnitudes."""
+    return float(np.abs(probe).sum())
 
 
-def _rest(rows: Array, basis: Array | None) -> Array:
+def _without(rows: Array, basis: Array | None) -> Array:
     """Rows (..., N) without what an orthonormal basis (N, f) explains."""
-    return rows if basis is None else rows - (rows @ basis) @ basis.T
+    if basis is None:
+        return rows
+    return rows - (rows @ basis) @ basis.T
 
 
 def _score(
     library: Library,
-    seen: LinearizedWindows,
+    theta: Array,
     instance: EffectInstance,
-    trials: Array,
+    probe: Probe,
     responses: Array,
-    target: Array,
-    size: float,
+    residuals: Array,
+    variance: float,
 ) -> Candidate | None:
-    """The score test along the trials' responses (t, ...); None where they answer nothing, or point
-    out of bounds.
+    """The score test of residuals (N,) along the responses (t, N) to a probe.
+
+    None where the windows do not respond, or where the residuals ask for magnitudes out of bounds.
     """
     lengths = np.linalg.norm(responses, axis=1)
-    if not np.all(lengths > 1e-9 * np.sqrt(size * len(target))):
+    negligible = 1e-9 * np.sqrt(variance * len(residuals))
+    if not np.all(lengths > negligible):
         return None
-    share = np.linalg.lstsq(responses.T, target, rcond=1e-8)[0]
+    # The multiples of the probe's vectors that explain the residuals best.
+    multiples = np.linalg.lstsq(responses.T, residuals, rcond=1e-8)[0]
+    wanted = multiples @ np.array(probe)
     place = library.places[instance.label]
     space = library.simulator.space
-    wanted = seen.theta[place] + share @ trials
-    sizes = np.clip(wanted, space.low[place], space.high[place])
-    moves = sizes - seen.theta[place]
-    if not np.any(moves * (share @ trials) > 0):  # it would have to leave its bounds
+    sizes = np.clip(theta[place] + wanted, space.low[place], space.high[place])
+    possible = sizes - theta[place]
+    if not np.any(possible * wanted > 0):
         return None
-    fitted = share @ responses
-    return Candidate(
-        instance, sizes, float(fitted @ target) / (2 * size), fitted / np.linalg.norm(fitted)
-    )
+    fitted = multiples @ responses
+    gain = float(fitted @ residuals) / (2 * variance)
+    return Candidate(instance, sizes, gain, fitted / np.linalg.norm(fitted))
 
 
 def shortlist(
-    candidates: Sequence[Candidate], most: int, least: float, each: int = 2
+    candidates: Sequence[Candidate], maximum: int, least_gain: float, each: int = 2
 ) -> list[Candidate]:
-    """The first few that promise at least so many nats, no more than `each` of one effect; none
-    that sets in or grows where the effect that is always there promises more.
+    """Return the first candidates that promise enough.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Those that promise most come first.
+    maximum : int
+        How many are returned at most.
+    least_gain : float
+        What each must promise [nats].
+    each : int
+        How many of one effect, at most.
+
+    Returns
+    -------
+    list of Candidate
+        Without effects that set in or grow, if the same effect without a time profile promises
+        more.
     """
     chosen: list[Candidate] = []
     for candidate in candidates:
-        same = sum(other.instance.effect == candidate.instance.effect for other in chosen)
-        always = any(other.instance.label == candidate.instance.target for other in chosen)
-        if candidate.gain > least and same < each and len(chosen) < most and not always:
+        instance = candidate.instance
+        same = sum(other.instance.effect == instance.effect for other in chosen)
+        # The target of an effect with a time profile is the label of the one without.
+        constant = any(other.instance.label == instance.target for other in chosen)
+        enough = candidate.gain > least_gain
+        if enough and same < each and len(chosen) < maximum and not constant:
             chosen.append(candidate)
     return chosen
 
@@ -258,24 +370,30 @@ def shortlist(
 def with_constant(
     candidates: Sequence[Candidate], instances: Sequence[EffectInstance]
 ) -> list[Candidate]:
-    """Before each candidate that sets in or grows, the one of `atoms` that is always there, with
-    its size: a large effect that declared parameters make up for in part may promise nothing at
-    the small sizes that it is screened at.
+    """Put the constant effect before each candidate that sets in or grows.
+
+    A large constant effect that declared parameters compensate in part may promise nothing at the
+    small magnitudes at which it is screened.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Some of them with a time profile.
+    instances : sequence of EffectInstance
+        The effects that may be added, among them constant ones.
+
+    Returns
+    -------
+    list of Candidate
+        Each effect once; a constant one has the magnitudes of the candidate that it precedes.
     """
-    always = {instance.label: instance for instance in instances}
-    chosen = dict[str, Candidate]()
+    by_label = {instance.label: instance for instance in instances}
+    chosen: dict[str, Candidate] = {}
     for candidate in candidates:
-        instance = (
-            always.get(str(candidate.instance.target))
-            if candidate.instance.time_profile is not None
-            else None
-        )
-        if instance is not None:
-            chosen.setdefault(
-                instance.label,
-                replace(
-                    candidate, instance=instance, sizes=candidate.sizes[: len(instance.quantities)]
-                ),
-            )
+        constant = by_label.get(str(candidate.instance.target))
+        if constant is not None and candidate.instance.time_profile is not None:
+            sizes = candidate.sizes[: len(constant.quantities)]
+            first = replace(candidate, instance=constant, sizes=sizes)
+            chosen.setdefault(constant.label, first)
         chosen.setdefault(candidate.instance.label, candidate)
     return list(chosen.values())

@@ -1,5 +1,5 @@
-"""Which effects are accepted: refitted on the windows to fit, confirmed on the windows held out,
-one after another.
+"""Which effects are accepted, one after another: refitted on the windows to fit, confirmed on the
+windows held out.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -17,48 +17,127 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
+    estimate_noise,
     linearize,
-    moved,
-    noise_of,
+    shift_linearization,
 )
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
-from dropo.diagnosis.search.refit import refit, settle, with_noise
-from dropo.diagnosis.search.screening import Candidate, Screening, shortlist, with_constant
-from dropo.diagnosis.search.single_steps import only_over_windows
+from dropo.diagnosis.search.refit import RefitSettings, refit, settle, with_noise
+from dropo.diagnosis.search.screening import (
+    Candidate,
+    Screening,
+    ScreeningSettings,
+    shortlist,
+    with_constant,
+)
+from dropo.diagnosis.search.single_steps import absent_in_single_steps
 from dropo.diagnosis.search.windows import Windows
 
-# of the split likelihood-ratio test: gain > log(atoms / FALSE_ALARM) (Wasserman, Ramdas,
-# Balakrishnan 2020)
-FALSE_ALARM = 0.01
-# standard errors of the held-out gain by window and by block; nats on the windows to fit
-CERTAIN = 3.0
-SPREAD = 1.5
-TRAINED = 5.0
-# nats from which a window answers to an effect; windows that must, where all of those gain
-ANSWERS = 1.0
-SELDOM = 5
-NEGLIGIBLE = 0.01  # of what earlier effects gained together: a later one must bring more
-# candidates refitted at a time, and how often in a round; effects accepted in all
-TRIED = 6
-BATCHES = 3
-MOST = 12
-# of the candidates refitted at a time, how many are fitted to the end where those before are then
-# not confirmed
-POLISHED = 3
-# cosine of whitened responses from which, and nats within which, two effects do the same
-ALIKE = 0.98
-EQUAL = 2.0
-DEFICIT = 4.0  # nats held out below which more numbers are not called for
-FEWER = 3  # one window in so many tells the first noise
-DIVERGES = 0.3  # share of the windows beyond which a diverging simulation is refused
-
 Progress = Callable[[float, str], None]
+"""Called with the fraction of the work that is done (0 to 1), and with a text."""
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """When an effect is accepted, and when another one is as good.
+
+    Attributes
+    ----------
+    false_alarm : float
+        Level of the split likelihood-ratio test: the held-out gain must be above
+        log(effects / false_alarm) [1]_.
+    window_z : float
+        Standard errors by window by which the held-out gain, or its signed ranks, must exceed 0.
+    block_z : float
+        Standard errors by block by which the held-out gain must exceed 0.
+    fitted_gain : float
+        Gain on the windows to fit below which a candidate is not considered [nats].
+    response : float
+        Gain or loss from which a window responds to an effect [nats].
+    few_windows : int
+        Windows that must respond, and gain, of an effect that acts seldom.
+    negligible : float
+        A later effect must gain this fraction of what the earlier ones gained together.
+    batch : int
+        Candidates that are refitted at a time.
+    batches : int
+        How many batches a step tries at most.
+    effects : int
+        Effects that are accepted at most.
+    polished : int
+        Candidates of a batch that are fitted to the end, at most, if those before are then not
+        confirmed.
+    similarity : float
+        Cosine of two whitened responses from which two effects do the same to the data.
+    equal : float
+        Penalized gains that differ by less are equal [nats].
+    deficit : float
+        Held-out loss below which an effect with fewer magnitudes is as good [nats].
+    first_noise : int
+        The first estimate of the noise takes one window of so many.
+    diverging : float
+        Fraction of diverging windows beyond which the model is refused.
+    indistinguishable_z : float
+        An alternative within so many standard errors, or within `deficit`, cannot be distinguished.
+    alternative : float
+        Alternatives have at least this fraction of the accepted effect's penalized gain.
+    alternatives : int
+        Alternatives that are tried in the place of an accepted effect.
+    nearly : float
+        Fraction of an effect's gain from which an alternative to it is fitted to the end.
+    screening : ScreeningSettings
+        How effects are screened.
+    refit : RefitSettings
+        How theta and the noise are fitted.
+
+    References
+    ----------
+    .. [1] Wasserman, Ramdas and Balakrishnan, Universal inference, PNAS 117, 2020.
+    """
+
+    false_alarm: float = 0.01
+    window_z: float = 3.0
+    block_z: float = 1.5
+    fitted_gain: float = 5.0
+    response: float = 1.0
+    few_windows: int = 5
+    negligible: float = 0.01
+    batch: int = 6
+    batches: int = 3
+    effects: int = 12
+    polished: int = 3
+    similarity: float = 0.98
+    equal: float = 2.0
+    deficit: float = 4.0
+    first_noise: int = 3
+    diverging: float = 0.3
+    indistinguishable_z: float = 2.0
+    alternative: float = 0.5
+    alternatives: int = 2
+    nearly: float = 0.9
+    screening: ScreeningSettings = field(default_factory=ScreeningSettings)
+    refit: RefitSettings = REFIT
+
+    def needed_gain(self, effects: int) -> float:
+        """Return the held-out gain [nats] that confirms one of so many effects."""
+        return float(np.log(effects / self.false_alarm))
+
+
+SETTINGS = SelectionSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where the model stands: the windows to fit and those held out as it explains them, and what
-    has been accepted.
+    """A model in the search: how it explains the data, and which effects it has.
+
+    Attributes
+    ----------
+    train, test : LinearizedWindows
+        The windows to fit, and those held out.
+    free : (f,) int array
+        The numbers of theta that are fitted.
+    accepted : tuple of EffectInstance
+        The effects, in the order in which they were accepted.
     """
 
     train: LinearizedWindows
@@ -68,14 +147,28 @@ class State:
 
     @property
     def theta(self) -> Array:
-        """(m,) the declared parameters, then all sizes."""
+        """(m,) the declared parameters, then the magnitudes of all effects."""
         return self.train.theta
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A candidate refitted: the sizes (q,) that it has now, the state with it, and what it gains on
-    windows to fit and on windows held out, with the latter's z.
+    """A candidate refitted.
+
+    Attributes
+    ----------
+    candidate : Candidate
+        As it was screened.
+    sizes : (q,) array
+        Its fitted magnitudes.
+    state : State
+        The model with it.
+    trained : float
+        Gain on the windows to fit [nats].
+    held_out : float
+        Gain on the windows held out [nats].
+    z : float
+        The held-out gain in standard errors by block.
     """
 
     candidate: Candidate
@@ -87,25 +180,29 @@ class Trial:
 
     @property
     def sized(self) -> Candidate:
-        """The candidate with the sizes that were fitted."""
+        """The candidate with the fitted magnitudes."""
         return replace(self.candidate, sizes=self.sizes)
 
     @property
-    def worth(self) -> float:
-        """[nats] gained in all, less what each number beyond the first gains by chance (Schwarz
-        1978).
-        """
-        return (
-            self.trained
-            + self.held_out
-            - 0.5 * (len(self.candidate.sizes) - 1) * np.log(self.state.train.windows.steps)
-        )
+    def penalized_gain(self) -> float:
+        """Gain in all, less the BIC penalty for each magnitude beyond the first [nats]."""
+        further = len(self.candidate.sizes) - 1
+        penalty = 0.5 * further * np.log(self.state.train.windows.steps)
+        return self.trained + self.held_out - float(penalty)
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One round of the search: the state before it, what the screening promised, most first, and
-    what was refitted, by worth.
+    """One batch of refitted candidates.
+
+    Attributes
+    ----------
+    before : State
+        The model before it.
+    screened : sequence of Candidate
+        All candidates, the one that promises most first.
+    trials : sequence of Trial
+        Those refitted, the one with the largest penalized gain first.
     """
 
     before: State
@@ -115,45 +212,95 @@ class Round:
 
 @dataclass(eq=False)
 class Selection:
-    """The search. floor: (p,) the least noise; progress(share, text)."""
+    """The search for effects, one after another.
+
+    Attributes
+    ----------
+    library : Library
+        The simulator with every effect.
+    floor : (p,) array
+        Lower bound of the noise.
+    progress : callable
+        Called with the fraction done and a text.
+    settings : SelectionSettings
+        When an effect is accepted.
+    rounds : list of Round
+        Every batch that was refitted.
+    origins : dict of str to Round
+        By an accepted effect's label, the batch that it was accepted from.
+    screening : Screening
+        What the rounds begin with.
+    """
 
     library: Library
     floor: Array
     progress: Progress = lambda share, text: None
+    settings: SelectionSettings = SETTINGS
     rounds: list[Round] = field(default_factory=list)
-    origins: dict[str, Round] = field(
-        default_factory=dict
-    )  # an accepted effect's label -> the round that it was accepted from
+    origins: dict[str, Round] = field(default_factory=dict)
     screening: Screening = field(init=False)
 
     def __post_init__(self) -> None:
-        self.screening = Screening(self.library, self.floor)
+        self.screening = Screening(self.library, self.floor, self.settings.screening)
 
     def begin(
         self, train: Windows, test: Windows, theta: Array, sigma: Array, free: np.ndarray
     ) -> State:
-        """The model as it is, with its declared parameters and the noise fitted."""
-        rough = linearize(self.library, train.take(np.arange(0, len(train), FEWER)), theta, sigma)
-        if rough.lost.mean() > DIVERGES:
+        """Fit the model as it is: its declared parameters and the noise.
+
+        Parameters
+        ----------
+        train, test : Windows
+            The windows to fit, and those held out.
+        theta : (m,) array
+            The first parameters, without effects.
+        sigma : (p,) array
+            First guess of the noise.
+        free : (f,) int array
+            The declared parameters that are fitted.
+
+        Returns
+        -------
+        State
+
+        Raises
+        ------
+        SimulationFailed
+            If the simulation diverges in too many windows.
+        """
+        library = self.library
+        some = train.take(np.arange(0, len(train), self.settings.first_noise))
+        rough = linearize(library, some, theta, sigma)
+        if rough.lost.mean() > self.settings.diverging:
             raise SimulationFailed(
-                f"The simulation diverges in {rough.lost.mean():.0%} of the windows, with "
-                "the parameters at their nominal values. Check"
-                " the model, the time step and the units of the data."
+                f"The simulation diverges in {rough.lost.mean():.0%} of the windows, with the"
+                " parameters at their nominal values. Check the model, the time step and the"
+                " units of the data."
             )
-        first = linearize(self.library, train, theta, noise_of(rough, sigma, self.floor))
-        fitted = refit(
-            self.library,
-            with_noise(self.library, first, self.floor),
-            free,
-            self.floor,
-            rounds=2,
-            renewals=1,
-        )
+        sigma = estimate_noise(rough, sigma, self.floor)
+        first = linearize(library, train, theta, sigma)
+        first = with_noise(library, first, self.floor, self.settings.refit)
+        fitted = self._refit(first, free, rounds=2, renewals=1)
         return State(fitted, self._held_out(fitted, test), free)
 
     def run(self, first: State, state: State, instances: Sequence[EffectInstance]) -> State:
-        """The state that accepted effects lead to, one after another; first: the model as it is."""
-        while len(state.accepted) < MOST:
+        """Accept effects until none is confirmed.
+
+        Parameters
+        ----------
+        first : State
+            The model as it is.
+        state : State
+            Where the search begins.
+        instances : sequence of EffectInstance
+            The effects that may be accepted.
+
+        Returns
+        -------
+        State
+            `state` itself if none was accepted.
+        """
+        while len(state.accepted) < self.settings.effects:
             found = self.step(state, instances, first)
             if found is None:
                 break
@@ -161,214 +308,405 @@ class Selection:
         return state
 
     def step(self, state: State, instances: Sequence[EffectInstance], first: State) -> State | None:
-        """The state with one more effect; None where none is confirmed."""
-        taken = {instance.label for instance in state.accepted}
-        rest = [instance for instance in instances if instance.label not in taken]
-        done = len(state.accepted)
-        self.progress(_share(done, 0.0), f"screening {len(rest)} effects")
-        screened = self.screening(state.train, state.free, rest)
-        least = np.log(len(instances) / FALSE_ALARM)
-        gained = (
-            float((state.test.log_likelihood - first.test.log_likelihood).sum()) if done else 0.0
-        )
-        least = max(least, NEGLIGIBLE * gained)
-        listed = with_constant(shortlist(screened, BATCHES * TRIED, TRAINED), rest)
-        held_up = list[Trial]()
-        for begin in range(
-            0, max(len(listed), 1), TRIED
-        ):  # the next ones only where none of those before is confirmed
-            trials = self.tried(state, listed[begin : begin + TRIED])
+        """Accept one more effect.
+
+        Parameters
+        ----------
+        state : State
+            The model without it.
+        instances : sequence of EffectInstance
+            The effects that may be accepted.
+        first : State
+            The model as it is.
+
+        Returns
+        -------
+        State or None
+            None where no effect is confirmed.
+        """
+        settings = self.settings
+        accepted = {instance.label for instance in state.accepted}
+        others = [instance for instance in instances if instance.label not in accepted]
+
+        # What the residuals suggest.
+        count = len(state.accepted)
+        self.progress(_fraction_done(count, 0.0), f"screening {len(others)} effects")
+        screened = self.screening(state.train, state.free, others)
+        maximum = settings.batches * settings.batch
+        listed = shortlist(screened, maximum, settings.fitted_gain)
+        listed = with_constant(listed, others)
+        needed = self._needed_gain(state, first, len(instances))
+
+        # Refit batch after batch, until one of a batch is confirmed.
+        too_noisy: list[Trial] = []
+        for begin in range(0, max(len(listed), 1), settings.batch):
+            trials = self.try_candidates(state, listed[begin : begin + settings.batch])
             self.rounds.append(Round(state, screened, trials))
-            promising = [t for t in trials if t.trained > TRAINED]
-            sure = [t for t in promising if confirmed(state.test, t.state.test, least)]
-            found = self._accepted(state, sure, least)
+            sure: list[Trial] = []
+            for trial in trials:
+                if trial.trained <= settings.fitted_gain:
+                    continue
+                if is_confirmed(state.test, trial.state.test, needed, settings):
+                    sure.append(trial)
+                elif has_less_noise(state.train, trial.state.train, settings):
+                    too_noisy.append(trial)
+            found = self._accept_first(state, sure, needed)
             if found is not None:
                 return found
-            held_up += [
-                t for t in promising if t not in sure and quieter(state.train, t.state.train)
-            ]
-        return self._accepted(
-            state, (replace(t, state=self.polish(t.state)) for t in held_up), least
-        )
 
-    def _accepted(self, state: State, trials: Iterable[Trial], least: float) -> State | None:
-        """The first of so many trials that windows held out confirm when it is fitted to the end."""
-        for trial in islice(trials, POLISHED):
-            polished = None if self._of_feedback(trial.state) else self.polish(trial.state)
-            if polished is not None and confirmed(state.test, polished.test, least):
+        # A trial keeps the noise's loadings; where the noise fell, they are renewed first.
+        renewed = (replace(trial, state=self.polish(trial.state)) for trial in too_noisy)
+        return self._accept_first(state, renewed, needed)
+
+    def _needed_gain(self, state: State, first: State, effects: int) -> float:
+        """The held-out gain [nats] that one more effect needs."""
+        needed = self.settings.needed_gain(effects)
+        if not state.accepted:
+            return max(needed, 0.0)
+        gained = float((state.test.log_likelihood - first.test.log_likelihood).sum())
+        return max(needed, self.settings.negligible * gained)
+
+    def _accept_first(self, state: State, trials: Iterable[Trial], needed: float) -> State | None:
+        """The first of a few trials that windows held out confirm when it is fitted to the end."""
+        for trial in islice(trials, self.settings.polished):
+            if self._only_by_feedback(trial.state):
+                continue
+            polished = self.polish(trial.state)
+            if is_confirmed(state.test, polished.test, needed, self.settings):
                 self.origins[trial.candidate.instance.label] = self._origin(trial.candidate)
                 return polished
         return None
 
     def _origin(self, candidate: Candidate) -> Round:
-        return next(
-            r
-            for r in reversed(self.rounds)
-            if any(trial.candidate is candidate for trial in r.trials)
-        )
+        """The last round that refitted the candidate."""
+        for batch in reversed(self.rounds):
+            if any(trial.candidate is candidate for trial in batch.trials):
+                return batch
+        raise AssertionError("no round has refitted this candidate")
 
-    def tried(self, state: State, candidates: Sequence[Candidate]) -> list[Trial]:
-        """Each candidate added to the state and fitted with the rest, by what it is worth, most
-        first.
+    def try_candidates(self, state: State, candidates: Sequence[Candidate]) -> list[Trial]:
+        """Refit a model with each candidate in turn.
+
+        Parameters
+        ----------
+        state : State
+            The model without them.
+        candidates : sequence of Candidate
+            The effects and their first magnitudes.
+
+        Returns
+        -------
+        list of Trial
+            The one with the largest penalized gain first, as `commonest_first` orders them.
         """
-        known = (
-            self.library.slopes(state.theta, state.free, state.train.windows)
-            if len(state.free) and candidates
-            else None
-        )
+        known: Array | None = None
+        if len(state.free) and candidates:
+            known = self.library.jacobian(state.theta, state.free, state.train.windows)
         trials = []
         for i, candidate in enumerate(candidates):
-            self.progress(
-                _share(len(state.accepted), (1 + i) / (1 + len(candidates))),
-                f"fitting {candidate.instance.label}",
-            )
+            part = (1 + i) / (1 + len(candidates))
+            done = _fraction_done(len(state.accepted), part)
+            self.progress(done, f"fitting {candidate.instance.label}")
             trials.append(self._try(state, candidate, known))
-        return commonest_first(sorted(trials, key=lambda trial: -trial.worth))
+        trials.sort(key=lambda trial: -trial.penalized_gain)
+        return commonest_first(trials, self.settings)
 
-    def _of_feedback(self, state: State) -> bool:
-        """Whether the state's last effect is in the windows only because commands answer to chance."""
-        return only_over_windows(
-            self.library, (state.train, state.test), state.accepted[-1], self.floor
-        )
+    def _only_by_feedback(self, state: State) -> bool:
+        """Whether the state's last effect is there only because commands respond to chance."""
+        sides = (state.train, state.test)
+        return absent_in_single_steps(self.library, sides, state.accepted[-1], self.floor)
 
     def polish(self, state: State) -> State:
-        """The same effects with everything fitted to the end."""
-        rough = rough_numbers(self.library, state.accepted)
-        fitted = refit(self.library, state.train, state.free, self.floor, rough=rough)
-        known = moved(self.library, state.train, fitted.theta, fitted.whiten.sigma)
-        if (
-            abs(float(known.log_likelihood.sum() - fitted.log_likelihood.sum()))
-            < REFIT.renewal_gain
-        ):  # the start noise's way is as it was
-            return replace(
-                state,
-                train=fitted,
-                test=moved(self.library, state.test, fitted.theta, fitted.whiten.sigma),
-            )
-        return replace(state, train=fitted, test=self._held_out(fitted, state.test.windows))
+        """Fit a model to the end.
+
+        Parameters
+        ----------
+        state : State
+            Any.
+
+        Returns
+        -------
+        State
+            With the same effects.
+        """
+        library = self.library
+        rough = rough_numbers(library, state.accepted)
+        fitted = self._refit(state.train, state.free, rough=rough)
+        theta = fitted.theta
+        sigma = fitted.whiten.sigma
+        # Did the new linearization change anything? If not, the windows held out keep theirs.
+        shifted = shift_linearization(library, state.train, theta, sigma)
+        change = abs(float(shifted.log_likelihood.sum() - fitted.log_likelihood.sum()))
+        if change < self.settings.refit.renewal_gain:
+            test = shift_linearization(library, state.test, theta, sigma)
+        else:
+            test = self._held_out(fitted, state.test.windows)
+        return replace(state, train=fitted, test=test)
 
     def _try(self, state: State, candidate: Candidate, known: Array | None) -> Trial:
+        """The candidate added to the state and fitted with the rest.
+
+        known: (f, W, n) the Jacobian by the state's free numbers.
+        """
+        library = self.library
+        instance = candidate.instance
+        place = library.places[instance.label]
         theta = state.theta.copy()
-        place = self.library.places[candidate.instance.label]
         theta[place] = candidate.sizes
         free = np.concatenate([state.free, place]).astype(np.int64)
-        rough = rough_numbers(self.library, (candidate.instance,))
-        begun = moved(self.library, state.train, theta, state.train.whiten.sigma)
-        if candidate.instance.sensor_delay is None:
-            fitted = settle(self.library, begun, free, self.floor, rough=rough, known=known)
-            held_out = moved(self.library, state.test, fitted.theta, fitted.whiten.sigma)
-        else:  # without it noise stands for it, which is then far from what it is with it
-            begun = linearize(
-                self.library, begun.windows, theta, noise_of(begun, begun.whiten.sigma, self.floor)
+        rough = rough_numbers(library, (instance,))
+        start = shift_linearization(library, state.train, theta, state.train.whiten.sigma)
+        if instance.sensor_delay is None:
+            fitted = settle(
+                library,
+                start,
+                free,
+                self.floor,
+                rough=rough,
+                known=known,
+                settings=self.settings.refit,
             )
-            fitted = refit(self.library, begun, free, self.floor, rough=rough, renewals=1)
+            sigma = fitted.whiten.sigma
+            held_out = shift_linearization(library, state.test, fitted.theta, sigma)
+        else:
+            # Without the delay noise stands for it: the noise with it is a very different one.
+            sigma = estimate_noise(start, start.whiten.sigma, self.floor)
+            start = linearize(library, start.windows, theta, sigma)
+            fitted = self._refit(start, free, rough=rough, renewals=1)
             held_out = self._held_out(fitted, state.test.windows)
-        new = State(fitted, held_out, free, (*state.accepted, candidate.instance))
-        gain, z = gain_of(state.test, new.test)
+        accepted = (*state.accepted, instance)
+        gains = fitted.log_likelihood - state.train.log_likelihood
+        held_out_gain, z = gain_of(state.test, held_out)
         return Trial(
-            candidate,
-            fitted.theta[place],
-            new,
-            float((fitted.log_likelihood - state.train.log_likelihood).sum()),
-            gain,
-            z,
+            candidate=candidate,
+            sizes=fitted.theta[place],
+            state=State(fitted, held_out, free, accepted),
+            trained=float(gains.sum()),
+            held_out=held_out_gain,
+            z=z,
+        )
+
+    def _refit(
+        self,
+        start: LinearizedWindows,
+        free: np.ndarray,
+        *,
+        rounds: int = 4,
+        rough: Ints | None = None,
+        renewals: int | None = None,
+    ) -> LinearizedWindows:
+        """Windows fitted as the settings say."""
+        return refit(
+            self.library,
+            start,
+            free,
+            self.floor,
+            rounds=rounds,
+            rough=np.zeros(0, dtype=np.int64) if rough is None else rough,
+            renewals=renewals,
+            settings=self.settings.refit,
         )
 
     def _held_out(self, fitted: LinearizedWindows, test: Windows) -> LinearizedWindows:
+        """The windows held out under what was fitted."""
         return linearize(self.library, test, fitted.theta, fitted.whiten.sigma)
 
 
-def _share(accepted: int, part: float) -> float:
-    """Of the search done, in a round's part: each round is taken for half of what is left."""
+def _fraction_done(accepted: int, part: float) -> float:
+    """The fraction of the search that is done, in a part of a round (0 to 1).
+
+    Each round counts as half of what is left.
+    """
     return 0.9 * (1 - 0.5**accepted * (1 - 0.5 * part))
 
 
-def commonest_first(trials: list[Trial]) -> list[Trial]:
-    """Trials, the best first, whose place goes to one of fewer numbers that windows held out do not
-    tell from it, then to the commonest effect of those that do the same to the data: the
-    catalogue's earliest.
+def commonest_first(trials: list[Trial], settings: SelectionSettings = SETTINGS) -> list[Trial]:
+    """Put the simplest and commonest of equally good trials first.
+
+    Parameters
+    ----------
+    trials : list of Trial
+        The one with the largest penalized gain first.
+    settings : SelectionSettings
+        When two trials are equally good.
+
+    Returns
+    -------
+    list of Trial
+        First comes the one with the fewest magnitudes among those that windows held out cannot
+        distinguish from the best; if several effects do the same to the data as it, then the one
+        that stands earliest in the registry. The others stay in their order.
     """
     if not trials:
         return []
-    best = min(
-        (trial for trial in trials if _untold(trial, trials[0])), key=lambda trial: len(trial.sizes)
-    )
-    near = [trial for trial in trials if best.worth - trial.worth < EQUAL]
-    same = [
+    best = trials[0]
+    as_good = [
         trial
-        for trial in near
-        if abs(float(trial.candidate.signature @ best.candidate.signature)) > ALIKE
+        for trial in trials
+        if gain_of(trial.state.test, best.state.test)[0] < settings.deficit
     ]
+    simplest = min(as_good, key=lambda trial: len(trial.sizes))
+    same = []
+    for trial in trials:
+        cosine = abs(float(trial.candidate.signature @ simplest.candidate.signature))
+        difference = simplest.penalized_gain - trial.penalized_gain
+        if difference < settings.equal and cosine > settings.similarity:
+            same.append(trial)
     first = min(same, key=lambda trial: _rarity(trial.candidate.instance.effect))
     return [first, *(trial for trial in trials if trial is not first)]
 
 
-def _untold(trial: Trial, best: Trial) -> bool:
-    """Whether windows held out do not tell a trial from the best one."""
-    return gain_of(trial.state.test, best.state.test)[0] < DEFICIT
-
-
 def _rarity(effect: str) -> int:
+    """The place of an effect in the registry, where common ones come first."""
     names = list(BUILT_IN["effects"])
     return names.index(effect) if effect in names else len(names)
 
 
 def rough_numbers(library: Library, instances: Sequence[EffectInstance]) -> Ints:
-    """The numbers of theta in which predictions are not smooth."""
-    found = [
-        library.places[a.label][i]
-        for a in instances
-        for i, q in enumerate(a.quantities)
-        if not q.smooth
-    ]
+    """Return the numbers of theta in which predictions are not smooth.
+
+    Parameters
+    ----------
+    library : Library
+        Where the effects' magnitudes stand in theta.
+    instances : sequence of EffectInstance
+        The effects.
+
+    Returns
+    -------
+    int array
+        Indices into theta.
+    """
+    found = []
+    for instance in instances:
+        place = library.places[instance.label]
+        for index, quantity in zip(place, instance.quantities, strict=True):
+            if not quantity.smooth:
+                found.append(index)
     return np.array(found, dtype=np.int64)
 
 
-def by_block(before: LinearizedWindows, after: LinearizedWindows) -> Array:
-    """(B,) nats gained in each block of the windows."""
-    gain = after.log_likelihood - before.log_likelihood
-    block = before.windows.block
-    return np.asarray(np.bincount(np.unique(block, return_inverse=True)[1], gain), dtype=float)
+def gain_by_block(before: LinearizedWindows, after: LinearizedWindows) -> Array:
+    """Sum what windows gain over each of their blocks.
+
+    Parameters
+    ----------
+    before, after : LinearizedWindows
+        The same windows under two models.
+
+    Returns
+    -------
+    (B,) array
+        [nats].
+    """
+    gains = after.log_likelihood - before.log_likelihood
+    block = np.unique(before.windows.block, return_inverse=True)[1]
+    return np.asarray(np.bincount(block, gains), dtype=float)
 
 
-def confirmed(before: LinearizedWindows, after: LinearizedWindows, least: float) -> bool:
-    """Whether windows held out gain at least so many nats, and not a few of them or a single block
-    alone: their mean is certain, or most of them gain; of what acts seldom (a joint's limit) a
-    few windows will do where none loses.
+def is_confirmed(
+    before: LinearizedWindows,
+    after: LinearizedWindows,
+    needed: float,
+    settings: SelectionSettings = SETTINGS,
+) -> bool:
+    """Decide whether windows held out confirm a model.
+
+    Neither a single block nor a few windows may make the gain alone: the mean gain is certain, or
+    most windows gain. Of an effect that acts seldom, such as a joint's limit, a few windows are
+    enough if none loses.
+
+    Parameters
+    ----------
+    before, after : LinearizedWindows
+        The windows held out without and with the effect.
+    needed : float
+        Gain that is needed [nats].
+    settings : SelectionSettings
+        How sure the gain must be.
+
+    Returns
+    -------
+    bool
     """
     gain, z = gain_of(before, after)
-    windows = after.log_likelihood - before.log_likelihood
-    many = (
-        float(windows.sum()) > CERTAIN * float(windows.std(ddof=1)) * np.sqrt(len(windows))
-        or ranked(windows) > CERTAIN
-    )
-    answers = windows[np.abs(windows) > ANSWERS]
-    return (
-        gain > least
-        and z > SPREAD
-        and (many or (len(answers) >= SELDOM and bool(answers.min() > 0)))
-    )
+    if not (gain > needed and z > settings.block_z):
+        return False
+    gains = after.log_likelihood - before.log_likelihood
+    error = float(gains.std(ddof=1)) * np.sqrt(len(gains))
+    if float(gains.sum()) > settings.window_z * error:
+        return True
+    if signed_rank_score(gains) > settings.window_z:
+        return True
+    responding = gains[np.abs(gains) > settings.response]
+    return len(responding) >= settings.few_windows and bool(responding.min() > 0)
 
 
-def quieter(before: LinearizedWindows, after: LinearizedWindows) -> bool:
-    """Whether some signal's noise is far less, so that the start noise's way, which a trial keeps,
-    is no longer right: where an error of a sensor is taken for noise, the trial of its cause
-    goes a part of the way only.
+def has_less_noise(
+    before: LinearizedWindows, after: LinearizedWindows, settings: SelectionSettings = SETTINGS
+) -> bool:
+    """Decide whether some signal's noise has fallen much.
+
+    Then the loadings of the start's noise, which a trial keeps, are not right any more. This is so
+    where an error of a sensor was taken for noise: the trial of its cause goes only part of the
+    way.
+
+    Parameters
+    ----------
+    before, after : LinearizedWindows
+        The same windows under two models.
+    settings : SelectionSettings
+        Its `refit.other_noise` is the ratio of noises that counts.
+
+    Returns
+    -------
+    bool
     """
-    return bool(np.any(after.whiten.sigma < before.whiten.sigma / REFIT.other_noise))
+    limit = before.whiten.sigma / settings.refit.other_noise
+    return bool(np.any(after.whiten.sigma < limit))
 
 
-def ranked(windows: Array) -> float:
-    """How many standard errors the signed ranks of windows' gains are above chance: that most of
-    them gain (Wilcoxon 1945).
+def signed_rank_score(gains: Array) -> float:
+    """Return the normal score of the signed-rank test that most windows gain.
+
+    Parameters
+    ----------
+    gains : (W,) array
+        Of the windows [nats].
+
+    Returns
+    -------
+    float
+        Standard errors above chance.
+
+    References
+    ----------
+    Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945.
     """
-    n = len(windows)
-    ranks = rankdata(np.abs(windows))
-    return float(np.sum(np.sign(windows) * ranks) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
+    n = len(gains)
+    ranks = rankdata(np.abs(gains))
+    error = np.sqrt(n * (n + 1) * (2 * n + 1) / 6)
+    return float(np.sum(np.sign(gains) * ranks) / error)
 
 
 def gain_of(before: LinearizedWindows, after: LinearizedWindows) -> tuple[float, float]:
-    """Nats gained on the windows, and how many of its standard errors by block that is."""
-    blocks = by_block(before, after)
-    error = blocks.std(ddof=1) * np.sqrt(len(blocks)) if len(blocks) > 1 else np.inf
-    return float(blocks.sum()), float(blocks.sum() / error) if error > 0 else 0.0
+    """Compare two models on the same windows.
+
+    Parameters
+    ----------
+    before, after : LinearizedWindows
+        The windows under both.
+
+    Returns
+    -------
+    gain : float
+        Of the second model [nats].
+    z : float
+        The gain in standard errors by block; 0 where there is no standard error.
+    """
+    blocks = gain_by_block(before, after)
+    gain = float(blocks.sum())
+    if len(blocks) < 2:
+        return gain, 0.0
+    error = blocks.std(ddof=1) * np.sqrt(len(blocks))
+    return gain, float(blocks.sum() / error) if error > 0 else 0.0

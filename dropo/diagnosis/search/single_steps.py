@@ -1,13 +1,19 @@
 """Whether an effect shows in single steps too, as a true cause does.
 
-In a closed loop the commands answer to random forces. Over a window of several steps the forces of
-its beginning and the commands of its end belong together, so that an effect of the commands may
-seem to explain what chance did (the bias of open-loop prediction errors under feedback; Forssell
-and Ljung 1999). A single step's command was given before the step's force: there is no such effect
-in it. The two estimates of the size are compared (Hausman 1978).
+In a closed loop the commands respond to random forces. Over a window of several steps, the forces
+at its beginning and the commands at its end are correlated, so that an effect of the commands may
+seem to explain what was chance (the bias of open-loop prediction errors under feedback [1]_). A
+single step's command was given before the step's force: there is no such effect in it. The two
+estimates of the magnitude are compared [2]_.
+
+References
+----------
+.. [1] Forssell and Ljung, Closed-loop identification revisited, Automatica 35, 1999.
+.. [2] Hausman, Specification tests in econometrics, Econometrica 46, 1978.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,77 +23,141 @@ from dropo.diagnosis.search.invariance import response_of
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
+    estimate_noise,
     linearize,
-    moved,
-    noise_of,
+    shift_linearization,
 )
 from dropo.diagnosis.search.windows import Windows
 
-# standard errors from the full size, and no more from nothing, at which an effect is not there
-CLEAR = 3.0
-ROUNDS = 10  # of weighting by what is left
-MOST = 240  # single steps of each look, evenly spread
+
+@dataclass(frozen=True)
+class SingleStepSettings:
+    """How single steps are compared with windows.
+
+    Attributes
+    ----------
+    z : float
+        Standard errors that the estimate from single steps must be below the full magnitude, and
+        may be above 0 at most, for the effect to be absent.
+    rounds : int
+        Reweighted least squares are repeated so often.
+    maximum : int
+        Single steps of each side that are simulated, evenly spread.
+    """
+
+    z: float = 3.0
+    rounds: int = 10
+    maximum: int = 240
 
 
-def only_over_windows(
-    library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array
+SETTINGS = SingleStepSettings()
+
+
+def absent_in_single_steps(
+    library: Library,
+    sides: Sequence[LinearizedWindows],
+    instance: EffectInstance,
+    floor: Array,
+    settings: SingleStepSettings = SETTINGS,
 ) -> bool:
-    """Whether single steps say, against the windows of the looks, that the effect is not there."""
-    windows = looks[0].windows
+    """Decide whether single steps, against the windows, say that an effect is not there.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    sides : sequence of LinearizedWindows
+        Windows under the model with the effect.
+    instance : EffectInstance
+        The effect.
+    floor : (p,) array
+        Lower bound of the noise.
+    settings : SingleStepSettings
+        How sure that must be.
+
+    Returns
+    -------
+    bool
+        False where the windows are single steps themselves, or no command changes.
+    """
+    windows = sides[0].windows
     if windows.length == 1 or not np.diff(windows.segments.actions.ravel()).any():
         return False
-    share, error = size_in_single_steps(library, looks, instance, floor)
-    return error > 0 and share < CLEAR * error and share < 1 - CLEAR * error
+    fraction, error = magnitude_in_single_steps(library, sides, instance, floor, settings)
+    nothing = fraction < settings.z * error
+    not_full = fraction < 1 - settings.z * error
+    return error > 0 and nothing and not_full
 
 
-def size_in_single_steps(
-    library: Library, looks: Sequence[LinearizedWindows], instance: EffectInstance, floor: Array
+def magnitude_in_single_steps(
+    library: Library,
+    sides: Sequence[LinearizedWindows],
+    instance: EffectInstance,
+    floor: Array,
+    settings: SingleStepSettings = SETTINGS,
 ) -> tuple[float, float]:
-    """The effect's size in single steps as a share of the one that it has, by reweighted least
-    squares, and its standard error, by window.
+    """Estimate an effect's magnitude from single steps, by reweighted least squares.
+
+    Parameters
+    ----------
+    library, sides, instance, floor, settings
+        As of `absent_in_single_steps`.
+
+    Returns
+    -------
+    fraction : float
+        The magnitude, as a fraction of the one that was fitted to windows.
+    error : float
+        Its standard error, clustered by window; 0 where the steps do not respond.
     """
-    singles = [_single(library, seen, floor) for seen in looks]
-    slopes = [response_of(library, single, instance) for single in singles]
-    more = 0.0
-    for _ in range(ROUNDS):
-        parts = [
-            _by_window(single, slope, more) for single, slope in zip(singles, slopes, strict=True)
-        ]
-        score, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
+    singles = [_single_steps(library, side, floor, settings) for side in sides]
+    responses = [response_of(library, single, instance) for single in singles]
+    change = 0.0
+    score = np.zeros(0)
+    weight = np.zeros(0)
+    for _ in range(settings.rounds):
+        scores = []
+        weights = []
+        for single, response in zip(singles, responses, strict=True):
+            own_score, own_weight = _by_window(single, response, change)
+            scores.append(own_score)
+            weights.append(own_weight)
+        score = np.concatenate(scores)
+        weight = np.concatenate(weights)
         if not weight.sum() > 0:
             return 1.0, 0.0
-        more += float(score.sum() / weight.sum())
-    return 1 + more, float(np.sqrt((score**2).sum()) / weight.sum())
+        change += float(score.sum() / weight.sum())
+    return 1 + change, float(np.sqrt((score**2).sum()) / weight.sum())
 
 
-def _single(library: Library, seen: LinearizedWindows, floor: Array) -> LinearizedWindows:
-    """Steps of the windows by themselves, under the noise that they have."""
-    begun = linearize(library, _apart(library, seen.windows), seen.theta, seen.whiten.sigma)
-    return moved(library, begun, seen.theta, noise_of(begun, begun.whiten.sigma, floor))
+def _single_steps(
+    library: Library, linearized: LinearizedWindows, floor: Array, settings: SingleStepSettings
+) -> LinearizedWindows:
+    """The steps of windows as windows of their own, under the noise that they have."""
+    apart = _cut_apart(library, linearized.windows, settings.maximum)
+    singles = linearize(library, apart, linearized.theta, linearized.whiten.sigma)
+    sigma = estimate_noise(singles, singles.whiten.sigma, floor)
+    return shift_linearization(library, singles, linearized.theta, sigma)
 
 
-def _by_window(single: LinearizedWindows, slope: Array, more: float) -> tuple[Array, Array]:
-    """(W,) the score of so much more of the size than there is, and its weight."""
-    rest = single.residuals - more * slope
-    counts = single.whiten.weights(rest) * ~single.lost
-    left = single.whiten(rest)
-    along = single.whiten(slope)
-    score, weight = (
-        np.bincount(single.windows.block, counts * (along * part).sum(axis=1))
-        for part in (left, along)
-    )
+def _by_window(single: LinearizedWindows, response: Array, change: float) -> tuple[Array, Array]:
+    """(W,) the score of the magnitude changed by a fraction, and its weight, in each window."""
+    residuals = single.residuals - change * response
+    weights = single.whiten.weights(residuals) * ~single.lost
+    left = single.whiten(residuals)
+    along = single.whiten(response)
+    block = single.windows.block
+    score = np.bincount(block, weights * (along * left).sum(axis=1))
+    weight = np.bincount(block, weights * (along * along).sum(axis=1))
     return np.asarray(score, dtype=float), np.asarray(weight, dtype=float)
 
 
-def _apart(library: Library, windows: Windows) -> Windows:
-    """Steps of the windows as windows of their own; the block is the window that a step is of."""
+def _cut_apart(library: Library, windows: Windows, maximum: int) -> Windows:
+    """Steps of the windows as windows of their own; their block is the window they are from."""
     old = windows.segments
-    n = len(windows) * windows.length
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.int64))
+    count = len(windows) * windows.length
+    chosen = np.linspace(0, count - 1, min(count, maximum)).round().astype(np.int64)
+    chosen = np.unique(chosen)
     segments = old.trajectories.from_rows(old.steps.ravel()[chosen], every_step=True)
-    return Windows(
-        segments,
-        library.simulator.targets(segments).reshape(len(chosen), -1),
-        chosen // windows.length,
-        1,
-    )
+    measured = library.simulator.targets(segments).reshape(len(chosen), -1)
+    return Windows(segments, measured, chosen // windows.length, 1)

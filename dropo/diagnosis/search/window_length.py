@@ -1,89 +1,174 @@
-"""How long windows must be for what is wrong to stand out from the sensors' noise."""
+"""How long windows must be for errors of the model to stand out from the sensors' noise."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library, linearize
 from dropo.diagnosis.search.windows import Windows, split, spread_of
 
-SHORTEST = 5  # steps; enough where the simulation's errors stand out from the noise so early
-LENGTHS = (5, 10, 20, 50, 100, 200, 500, 1000)
-STANDS_OUT = 3.0  # times what noise explains that most windows must be off by in some signal
-# share of what noise explains that is not linear in it, from which windows are too long to judge
-CURVED = 0.2
-# windows on each side that must be left; windows that are looked at
-ENOUGH = 16
-TRIED = 24
+
+@dataclass(frozen=True)
+class WindowLengthSettings:
+    """Which horizons are tried, and when one is long enough.
+
+    Attributes
+    ----------
+    shortest : int
+        Control steps; enough where errors stand out from the noise at once.
+    horizons : tuple of int
+        Control steps that are tried, in this order.
+    stands_out : float
+        Most windows must be off by this multiple of what noise explains, in some signal.
+    curved : float
+        Fraction of the noise's variance that is not linear in it, above which windows are too long.
+    fewest : int
+        Windows of each side that must be left.
+    tried : int
+        Windows that are simulated.
+    least_noise : float
+        Lower bound of the noise, as a fraction of each signal's spread.
+    """
+
+    shortest: int = 5
+    horizons: tuple[int, ...] = (5, 10, 20, 50, 100, 200, 500, 1000)
+    stands_out: float = 3.0
+    curved: float = 0.2
+    fewest: int = 16
+    tried: int = 24
+    least_noise: float = 1e-5
 
 
-def choose_length(problem: Problem, windows: int) -> int:
-    """The problem's own horizon, where it states one (lambda above 1), but at least SHORTEST; else
-    the first of LENGTHS at which the model as it is, with its parameters nominal, is off by
-    STANDS_OUT times the noise. SHORTEST where it is at none: for want of data, or where the
-    start's noise grows until it bends (impacts, chaos), and no likelihood holds that takes its
-    way to be nearly straight.
+SETTINGS = WindowLengthSettings()
+
+
+def choose_length(problem: Problem, settings: WindowLengthSettings = SETTINGS) -> int:
+    """Choose the horizon of a diagnosis's windows.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its own horizon (lambda) is taken if it is above 1, but no less than the shortest.
+    settings : WindowLengthSettings
+        Which horizons are tried.
+
+    Returns
+    -------
+    int
+        Control steps. The first horizon at which the model with nominal parameters is clearly off;
+        the shortest if it is at none. That is so where the data are too few, or where the start's
+        noise grows so fast (impacts, chaos) that no linearization in it holds.
     """
     if problem.length > 1:
-        return max(SHORTEST, problem.length)
-    library = Library(problem.simulator, (), len(problem.space))
-    theta = np.clip(
-        np.asarray(problem.simulator.nominal, dtype=float), problem.space.low, problem.space.high
-    )
+        return max(settings.shortest, problem.length)
+    space = problem.space
+    library = Library(problem.simulator, (), len(space))
+    nominal = np.asarray(problem.simulator.nominal, dtype=float)
+    theta = np.clip(nominal, space.low, space.high)
     sigma: Array | None = None
-    for length in LENGTHS:
-        if not _enough(problem, length):
+    for horizon in settings.horizons:
+        if not _enough(problem, horizon, settings.fewest):
             break
-        train = split(problem, length, TRIED)[0]
+        train = split(problem, horizon, settings.tried)[0]
         if sigma is None:
-            sigma = first_noise(
-                problem,
-                library,
-                train,
-                theta,
-                np.maximum(1e-5 * spread_of(problem.simulator, train), 1e-12),
-            )
-        surprise, curved = _judged(library, train, theta, sigma)
-        if surprise > STANDS_OUT:
-            return length
-        if curved > CURVED:
+            floor = noise_floor(problem.simulator, train, settings)
+            sigma = first_noise(problem, library, train, theta, floor)
+        error, curved = _errors_and_curvature(library, train, theta, sigma)
+        if error > settings.stands_out:
+            return horizon
+        if curved > settings.curved:
             break
-    return SHORTEST
+    return settings.shortest
 
 
-def _enough(problem: Problem, length: int) -> bool:
-    sides = (
-        (problem.trajectories, problem.held_out)
-        if problem.held_out is not None
-        else (problem.trajectories,)
-    )
-    least = ENOUGH if problem.held_out is not None else 2 * ENOUGH
-    return all(
-        sum((stop - start) // (length + 1) for start, stop in side.spans) >= least for side in sides
-    )
+def _enough(problem: Problem, horizon: int, fewest: int) -> bool:
+    """Whether both sides of the data hold enough windows."""
+    sides = [problem.trajectories]
+    needed = 2 * fewest  # half of them are held out
+    if problem.held_out is not None:
+        sides.append(problem.held_out)
+        needed = fewest
+    for side in sides:
+        windows = sum((stop - start) // (horizon + 1) for start, stop in side.spans)
+        if windows < needed:
+            return False
+    return True
 
 
-def _judged(library: Library, windows: Windows, theta: Array, sigma: Array) -> tuple[float, float]:
-    """How many times the noise's reach most windows are off at their last step, in the signal where
-    that is most; and what share of the noise's reach there is of second order, on average.
+def _errors_and_curvature(
+    library: Library, windows: Windows, theta: Array, sigma: Array
+) -> tuple[float, float]:
+    """How far windows are off at their last step, and how curved the noise's effect is there.
+
+    The first is the median over windows, in units of what noise explains, of the worst signal; the
+    second the fraction of the noise's variance that is of second order, on average.
     """
-    seen = linearize(library, windows, theta, sigma)
+    linearized = linearize(library, windows, theta, sigma)
     p = len(sigma)
-    linear, bent = np.split((seen.loadings[:, -p:] * np.tile(sigma, 2)) ** 2, 2, axis=2)
-    variance = sigma**2 + linear.sum(axis=2) + bent.sum(axis=2)
-    off = np.abs(seen.residuals[:, -p:]) / (0.6745 * np.sqrt(variance))
-    return float(np.median(off, axis=0).max()), float(np.mean(bent.sum(axis=2) / variance))
+    loadings = linearized.loadings[:, -p:] * np.tile(sigma, 2)
+    linear, quadratic = np.split(loadings**2, 2, axis=2)
+    curved = quadratic.sum(axis=2)
+    variance = sigma**2 + linear.sum(axis=2) + curved
+    # 0.6745 sd is the median of a Gaussian's absolute value.
+    off = np.abs(linearized.residuals[:, -p:]) / (0.6745 * np.sqrt(variance))
+    return float(np.median(off, axis=0).max()), float(np.mean(curved / variance))
+
+
+def noise_floor(
+    simulator: Simulator, train: Windows, settings: WindowLengthSettings = SETTINGS
+) -> Array:
+    """Return the lower bound (p,) of the noise in a diagnosis.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Whose signals they are.
+    train : Windows
+        Windows to fit, which give each signal's spread.
+    settings : WindowLengthSettings
+        Which fraction of the spread it is.
+
+    Returns
+    -------
+    (p,) array
+        Standard deviations, in the signals' units.
+    """
+    return np.maximum(settings.least_noise * spread_of(simulator, train), 1e-12)
 
 
 def first_noise(
     problem: Problem, library: Library, train: Windows, theta: Array, floor: Array
 ) -> Array:
-    """(p,) the stated noise, else the spread of most one-step residuals."""
+    """Guess the noise before anything is fitted.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its noise is taken if it states one.
+    library : Library
+        The simulator.
+    train : Windows
+        Windows to fit.
+    theta : (m,) array
+        The parameters.
+    floor : (p,) array
+        Lower bound.
+
+    Returns
+    -------
+    (p,) array
+        The stated standard deviations, else the robust spread of one-step residuals over sqrt(2).
+    """
     if problem.epsilon is not None:
-        return np.maximum(
-            np.sqrt(np.broadcast_to(np.asarray(problem.epsilon, dtype=float), floor.shape)), floor
-        )
-    residuals = (train.measured - library.predict(theta[None], train)[0])[:, : len(floor)]
-    found = residuals[np.isfinite(residuals).all(axis=1)]
-    return np.maximum(deviation(found) / np.sqrt(2), floor) if len(found) else floor
+        stated = np.broadcast_to(np.asarray(problem.epsilon, dtype=float), floor.shape)
+        return np.maximum(np.sqrt(stated), floor)
+    residuals = train.measured - library.predict(theta[None], train)[0]
+    one_step = residuals[:, : len(floor)]
+    found = one_step[np.isfinite(one_step).all(axis=1)]
+    if not len(found):
+        return floor
+    return np.maximum(deviation(found) / np.sqrt(2), floor)

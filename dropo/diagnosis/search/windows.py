@@ -1,5 +1,5 @@
-"""Windows of several steps, every step compared, and how they are split into those that a fit sees
-and those that evaluate it.
+"""Windows of several steps, every step compared, and how they are split into windows to fit and
+windows held out.
 """
 
 from dataclasses import dataclass
@@ -13,25 +13,45 @@ from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.evaluation.held_out import DataPart, held_out_part, signal_spread, thin, window_starts
 
-BLOCKS = 24  # blocks of neighbours where trajectories are too few to tell how much a sum varies
-FEW = 8  # trajectories on one side below which windows are counted by shorter blocks
-STILL = 0.01  # of a signal's spread: a window in which none moves farther is at rest
-FEWEST = 8  # windows on each side, below which nothing can be confirmed
+
+@dataclass(frozen=True)
+class WindowSettings:
+    """Which windows are taken.
+
+    Attributes
+    ----------
+    fewest : int
+        Windows on each side below which nothing can be confirmed.
+    few_blocks : int
+        Trajectories or blocks on one side below which they are cut into shorter blocks ...
+    blocks : int
+        ... of which there are then about so many: enough for the standard error of a sum.
+    at_rest : float
+        A window is at rest if no column moves by more than this fraction of its spread.
+    """
+
+    fewest: int = 8
+    few_blocks: int = 8
+    blocks: int = 24
+    at_rest: float = 0.01
+
+
+SETTINGS = WindowSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """W windows of L steps.
+    """W windows of L steps and p signals.
 
     Attributes
     ----------
-    segments
+    segments : Segments
         The windows, every step compared.
-    measured
-        (W, L p) what was measured.
-    block
-        (W,) the trajectory or block of time that each belongs to.
-    length
+    measured : (W, L p) array
+        What was measured, in the signals' units.
+    block : (W,) int array
+        The trajectory or block of time that each belongs to.
+    length : int
         L.
     """
 
@@ -44,7 +64,7 @@ class Windows:
         return len(self.block)
 
     def take(self, index: Ints) -> "Windows":
-        """Return some of the windows."""
+        """Return some of the windows, by index."""
         segments = self.segments.take(index)
         return Windows(segments, self.measured[index], self.block[index], self.length)
 
@@ -54,50 +74,69 @@ class Windows:
         return len(self) * self.length
 
 
-def split(problem: Problem, length: int, most: int) -> tuple[Windows, Windows]:
+def split(
+    problem: Problem, length: int, maximum: int, settings: WindowSettings = SETTINGS
+) -> tuple[Windows, Windows]:
     """Cut the data into windows to fit and windows held out.
 
-    Windows have a step between them, so that no measurement is used twice. Where a side has few
-    trajectories, its windows are told apart by blocks of neighbours. Windows at rest are left out,
-    unless few move: they say little of the model, and would have the noise look like nothing.
+    Windows have a step between them, so that no measurement is used twice. Windows at rest are left
+    out, unless few move: they say little of the model, and would make the noise seem small.
 
     Parameters
     ----------
-    problem
+    problem : Problem
         Which of its data are held out, `held_out_part` says.
-    length
+    length : int
         Control steps in a window.
-    most
+    maximum : int
         About how many windows of each side are taken, evenly spread.
+    settings : WindowSettings
+        Which windows count.
 
     Returns
     -------
-    tuple of Windows
+    train, test : Windows
         Those to fit, and those held out.
 
     Raises
     ------
     BadArgument
-        If a side has fewer than `FEWEST` windows.
+        If a side has fewer windows than `settings.fewest`.
     """
     data = problem.trajectories
+    fewest = settings.fewest
     sides = []
     for held_out, purpose in ((False, "fit"), (True, "hold out")):
         part = held_out_part(problem, length, held_out)
-        starts = _moving(problem, part, window_starts(part, length, stride=length + 1), length)
-        if len(starts) < FEWEST:
+        starts = window_starts(part, length, stride=length + 1)
+        starts = _moving(problem, part, starts, length, settings)
+        if len(starts) < fewest:
             raise BadArgument(
-                f"A diagnosis needs at least {FEWEST} windows of {length} steps to {purpose}. Got"
+                f"A diagnosis needs at least {fewest} windows of {length} steps to {purpose}. Got"
                 f" {len(starts)} from {len(data)} transitions in {len(data.spans)} trajectories."
-                f" Give more data, about {4 * FEWEST * (length + 1)} transitions, or"
-                " shorter windows."
+                f" Give more data, about {4 * fewest * (length + 1)} transitions, or shorter"
+                " windows."
             )
-        sides.append(_side(problem.simulator, part, starts, length, most))
+        sides.append(_side(problem.simulator, part, starts, length, maximum, settings))
     return sides[0], sides[1]
 
 
 def windows_from(simulator: Simulator, segments: Segments, block: Ints) -> Windows:
-    """Return windows of segments of equal length with every step compared; block: (W,)."""
+    """Return segments of equal length as windows with every step compared.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Whose signals are compared.
+    segments : Segments
+        W of them.
+    block : (W,) int array
+        The trajectory or block of time that each belongs to.
+
+    Returns
+    -------
+    Windows
+    """
     length = segments.steps.shape[1]
     measured = simulator.targets(segments).reshape(len(segments), length * len(simulator.signals))
     return Windows(segments, measured, block, length)
@@ -108,15 +147,24 @@ def spread_of(simulator: Simulator, windows: Windows) -> Array:
     return signal_spread(simulator, windows.measured.reshape(len(windows) * windows.length, -1))
 
 
-def _side(simulator: Simulator, part: DataPart, starts: Ints, length: int, most: int) -> Windows:
+def _side(
+    simulator: Simulator,
+    part: DataPart,
+    starts: Ints,
+    length: int,
+    maximum: int,
+    settings: WindowSettings,
+) -> Windows:
     """At most so many of the windows that begin at the rows (W,)."""
-    block = _finer(part.block[starts])
-    chosen = thin(np.arange(len(starts)), most)
+    block = _finer(part.block[starts], settings)
+    chosen = thin(np.arange(len(starts)), maximum)
     segments = part.trajectories.from_rows(starts[chosen], length, every_step=True)
     return windows_from(simulator, segments, block[chosen])
 
 
-def _moving(problem: Problem, part: DataPart, starts: Ints, length: int) -> Ints:
+def _moving(
+    problem: Problem, part: DataPart, starts: Ints, length: int, settings: WindowSettings
+) -> Ints:
     """The starts (W,) of windows in which some column moves; all where those are few."""
     data = part.trajectories
     if not len(starts):
@@ -125,15 +173,19 @@ def _moving(problem: Problem, part: DataPart, starts: Ints, length: int) -> Ints
     rows = starts[:, None] + np.arange(length)
     first = data.observations[starts[:, None]]
     path = np.concatenate([first, data.next_observations[rows]], axis=1)
-    moves = np.asarray((np.ptp(path, axis=1) > STILL * spread).any(axis=1))
-    return starts[moves] if moves.sum() >= FEWEST else starts
+    moves = np.asarray((np.ptp(path, axis=1) > settings.at_rest * spread).any(axis=1))
+    return starts[moves] if moves.sum() >= settings.fewest else starts
 
 
-def _finer(block: Ints) -> Ints:
+def _finer(block: Ints, settings: WindowSettings) -> Ints:
     """The blocks (W,) as they are, or where they are few each cut into pieces of neighbours."""
-    which, count = np.unique(block, return_counts=True)
-    if len(which) >= FEW:
+    which, counts = np.unique(block, return_counts=True)
+    if len(which) >= settings.few_blocks:
         return block
-    pieces = [np.arange(n) * max(1, min(n, BLOCKS // len(which))) // n for n in count]
-    piece = np.concatenate([*pieces, []]).astype(np.int64)
-    return np.asarray(BLOCKS * block + piece, dtype=np.int64)
+    # The windows of a block stand together: number the pieces within each.
+    pieces = [np.zeros(0, dtype=np.int64)]
+    for count in counts:
+        parts = max(1, min(count, settings.blocks // len(which)))
+        pieces.append(np.arange(count) * parts // count)
+    piece = np.concatenate(pieces).astype(np.int64)
+    return np.asarray(settings.blocks * block + piece, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The play operator."""
+"""The play operator: an output that follows its input through a gap."""
 
 import numpy as np
 
@@ -6,16 +6,31 @@ from dropo.core.services.validation import Array
 
 
 def play(inputs: Array, width: float, start: float) -> Array:
-    """(T,) an output that follows the inputs (T,) no closer than half the width (Krasnosel'skii and
-    Pokrovskii 1989, ch. 2).
+    """Let an output follow the inputs no closer than half the width.
 
-    It rests while the input moves within the width, and is drawn along at either end: w(t) =
-    min(max(w(t-1), v(t) - width / 2), v(t) + width / 2), from w = start.
+    Parameters
+    ----------
+    inputs : (T,) array
+        The input v(t).
+    width : float
+        The width of the play, in the input's unit.
+    start : float
+        The output before the first input.
+
+    Returns
+    -------
+    (T,) array
+        The output w(t) = min(max(w(t-1), v(t) - width / 2), v(t) + width / 2): it rests while the
+        input moves within the width, and is drawn along at either end.
+
+    References
+    ----------
+    Krasnosel'skii and Pokrovskii 1989, Systems with Hysteresis, chapter 2.
     """
-    out = []
-    now = start
     half = width / 2
-    for wanted in inputs.tolist():
-        now = min(max(now, wanted - half), wanted + half)
-        out.append(now)
-    return np.array(out)
+    output = start
+    outputs = []
+    for value in inputs.tolist():
+        output = min(max(output, value - half), value + half)
+        outputs.append(output)
+    return np.array(outputs)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Noise, NoiseModel
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.draws import Draws

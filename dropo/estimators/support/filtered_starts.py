@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.maximize import SearchResult
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem

@@ -5,8 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dropo.core.contracts.likelihood import LogLikelihood
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood, LogLikelihood
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.prior import LogPrior
 from dropo.core.contracts.problem import Problem

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import independent
 from dropo.core.numerics.linear_gaussian import scores_and_information

@@ -7,8 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.likelihood import LogLikelihood
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood, LogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import ModelCheck
@@ -63,7 +62,10 @@ def summarize(
     mean_prediction : (R, p) array
         Under the member.
     status : Status
+    status : Status
         How the method ended.
+        How the method ended.
+    message : str
     message : str
         The same in words.
     objective : LogLikelihood, optional
@@ -88,7 +90,7 @@ def summarize(
     correlation = family.correlation(own)
     notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, own)]
     unknown = np.full(len(mean), np.nan)
-    found: dict[str, Any] = {"mean_se": unknown, "scale_se": unknown, "degrees": unknown}
+    found: dict[str, Any] = {"mean_se": unknown, "scale_se": unknown, "degrees_of_freedom": unknown}
     try:
         errors = _standard_errors(problem, run, family, objective, phi, epsilon, weighted_by)
     except SimulationFailed as error:
@@ -97,7 +99,7 @@ def summarize(
         # What the data do not determine has no standard error.
         null = null_directions(problem.space, errors.jacobian, epsilon)
         mean_se = np.where(determined(problem.space, null), errors.mean, np.nan)
-        found = {"mean_se": mean_se, "scale_se": errors.scale, "degrees": errors.degrees}
+        found = {"mean_se": mean_se, "scale_se": errors.scale, "degrees_of_freedom": errors.degrees}
         found["identifiability"] = tuple(blind_spots(problem, mean, errors.jacobian, null))
 
         # Whether the model can be right, where a search came to an end.

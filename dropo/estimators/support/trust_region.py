@@ -13,7 +13,7 @@ import numpy as np
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.fisher_scoring import maximize_locally
-from dropo.core.contracts.local_likelihood import LocalLikelihood, LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.maximize import SearchResult, maximize
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.optimizer import Optimizer

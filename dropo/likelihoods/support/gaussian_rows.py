@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from scipy.special import gammaln
 
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.local_likelihood import LocalLogLikelihood
+from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, is_tensor, namespace, plain

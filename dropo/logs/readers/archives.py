@@ -1,6 +1,4 @@
-"""NPZ archives of columns: one table, or many runs as arrays "000/time", "000/qpos", ... with their
-`names`.
-"""
+"""NPZ archives of columns: one table, or many runs with arrays "000/time", "000/qpos" and so on."""
 
 import re
 import zipfile
@@ -14,23 +12,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.errors import BadFile
-from dropo.logs.readers.reader import Arrays, Log, Progress, expanded
+from dropo.logs.readers.reader import Arrays, Log, Progress, expand_columns
 
 EXPECTED = "an .npz file, as numpy.savez writes it"
+RUN_COLUMN = "run"
+"""The column of an archive of runs that holds their names."""
 _RUN = re.compile(r"^(\d+)/(.+)$")
 
 
 def npz_log(path: str | Path) -> Log:
-    """The reader for an archive: of runs where its arrays are called "000/time" and so on, else of
-    columns.
+    """Choose the reader for an archive.
+
+    Parameters
+    ----------
+    path : str or Path
+        The .npz file.
+
+    Returns
+    -------
+    Log
+        A `RunsLog` where its arrays are called "000/time" and so on, else an `NpzLog`.
+
+    Raises
+    ------
+    BadFile
+        If it cannot be read.
     """
     log = NpzLog(path)
     return RunsLog(path) if any(_RUN.match(name) for name in log.members) else log
 
 
 class NpzLog(Log):
-    """Arrays of one length, each a column, or (n, k) for columns "name[0]" to "name[k - 1]"; others
-    are passed over.
+    """Arrays of one length (n,), each a column, or (n, k) for "name[0]" to "name[k - 1]".
+
+    Arrays of other lengths are ignored.
     """
 
     @cached_property
@@ -41,9 +56,8 @@ class NpzLog(Log):
             with zipfile.ZipFile(self.path) as archive:
                 return [name.removesuffix(".npy") for name in archive.namelist()]
         except (zipfile.BadZipFile, OSError) as error:
-            raise self.broken(
-                EXPECTED, f"byte {size}", f"{error}: it ends before the table of its contents"
-            ) from None
+            reason = f"{error}: it ends before the table of its contents"
+            raise self.broken(EXPECTED, f"byte {size}", reason) from None
 
     @cached_property
     def arrays(self) -> Arrays:
@@ -60,27 +74,30 @@ class NpzLog(Log):
 
     @cached_property
     def _table(self) -> Arrays:
+        """The columns, all of the most frequent length."""
         arrays = {name: array for name, array in self.arrays.items() if array.ndim >= 1}
         lengths = [len(array) for array in arrays.values()]
         rows = max(lengths, key=lengths.count, default=0)
-        return expanded({name: array for name, array in arrays.items() if len(array) == rows})
+        return expand_columns({name: array for name, array in arrays.items() if len(array) == rows})
 
     def columns(self, topic: str | None) -> list[str]:
+        """List the names of the columns."""
         return list(self._table)
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
+        """Read columns by name."""
         progress(1.0, f"reading {self.path.name}")
         return {name: self._table[name] for name in columns}
 
 
 class RunsLog(NpzLog):
-    """Many runs in one archive: `names` (n,), and for run i the arrays "{i:03d}/time" and others,
-    first axis time.
+    """Many runs in one archive, for run i the arrays "{i:03d}/time" and others, first axis time.
 
-    A run that lacks a column has NaN in it. The column "run" holds the runs' names.
+    An array `names` (n,) may name them. A run that lacks a column has NaN in it. The column "run"
+    holds the runs' names.
     """
 
-    run_column = "run"
+    run_column = RUN_COLUMN
     time_column = "time"
     separate_runs = True
 
@@ -90,9 +107,8 @@ class RunsLog(NpzLog):
         numbers = sorted({int(found[1]) for name in self.members if (found := _RUN.match(name))})
         given = [str(name) for name in self.arrays.get("names", ())]
         if given and len(given) != len(numbers):
-            raise BadFile(
-                self.path, "names", f"a name for each of the {len(numbers)} runs", f"{len(given)}"
-            )
+            expected = f"a name for each of the {len(numbers)} runs"
+            raise BadFile(self.path, "names", expected, f"{len(given)}")
         return given or [f"{i:03d}" for i in numbers]
 
     @cached_property
@@ -106,31 +122,29 @@ class RunsLog(NpzLog):
         for run, name in zip(runs, self.names, strict=True):
             lengths = {channel: len(array) for channel, array in run.items()}
             if len(set(lengths.values())) > 1:
-                raise BadFile(
-                    self.path,
-                    name,
-                    "arrays of one length",
-                    ", ".join(f"{key} of {n}" for key, n in lengths.items()),
-                )
+                got = ", ".join(f"{key} of {n}" for key, n in lengths.items())
+                raise BadFile(self.path, name, "arrays of one length", got)
         return runs
 
     @cached_property
     def _runs(self) -> list[Arrays]:
         """The columns of each run."""
-        return [expanded(run) for run in self.runs]
+        return [expand_columns(run) for run in self.runs]
 
     def columns(self, topic: str | None) -> list[str]:
-        return [*dict.fromkeys(name for run in self._runs for name in run), "run"]
+        """List the names of the columns."""
+        names = dict.fromkeys(name for run in self._runs for name in run)
+        return [*names, RUN_COLUMN]
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
+        """Read columns by name."""
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in columns}
         for number, (run, name) in enumerate(zip(self._runs, self.names, strict=True)):
             rows = len(next(iter(run.values())))
-            for column, into in parts.items():
-                into.append(
-                    np.full(rows, name)
-                    if column == "run"
-                    else run.get(column, np.full(rows, np.nan))
-                )
+            for column, blocks in parts.items():
+                if column == RUN_COLUMN:
+                    blocks.append(np.full(rows, name))
+                else:
+                    blocks.append(run.get(column, np.full(rows, np.nan)))
             progress((number + 1) / len(self.names), f"reading {self.path.name}")
         return {name: np.concatenate(arrays) for name, arrays in parts.items()}

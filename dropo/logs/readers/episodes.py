@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 
 from dropo.core.services.errors import BadFile
-from dropo.logs.readers.reader import Arrays, Log, Progress, expanded, joined, package
+from dropo.logs.readers.reader import (
+    Arrays,
+    Log,
+    Progress,
+    expand_columns,
+    join_blocks,
+    package,
+    part_progress,
+)
 from dropo.logs.readers.tables import ParquetLog
 
 
@@ -24,47 +32,43 @@ class LeRobotLog(Log):
 
     @cached_property
     def _names(self) -> dict[str, str]:
-        """ "observation.state[elbow]" -> "observation.state[0]"."""
+        """By the name of an element, "observation.state[elbow]", that of its column, "...[0]"."""
         path = self.path / "meta" / "info.json"
         try:
             features = json.loads(path.read_text()).get("features", {})
         except ValueError as error:
             raise BadFile(path, "", "JSON", str(error)) from None
-        return {
-            f"{feature}[{name}]": f"{feature}[{i}]"
-            for feature, content in features.items()
-            for i, name in enumerate(
-                _listed(content.get("names") if isinstance(content, dict) else None)
-            )
-        }
+        names = {}
+        for feature, content in features.items():
+            elements = _list_names(content.get("names")) if isinstance(content, dict) else []
+            for i, name in enumerate(elements):
+                names[f"{feature}[{name}]"] = f"{feature}[{i}]"
+        return names
 
     @cached_property
     def _files(self) -> list[ParquetLog]:
+        """The files of the episodes."""
         files = [ParquetLog(path) for path in sorted((self.path / "data").rglob("*.parquet"))]
         if not files:
             raise BadFile(self.path / "data", "", "Parquet files of episodes", "none")
         return files
 
     def columns(self, topic: str | None) -> list[str]:
+        """List the names of the columns."""
         own = self._files[0].columns(None)
         return [*own, *(name for name, place in self._names.items() if place in own)]
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
+        """Read columns by name."""
         places = [self._names.get(name, name) for name in columns]
         blocks = []
         for i, file in enumerate(self._files):
-            blocks.append(
-                file.read(
-                    None,
-                    places,
-                    lambda share, text, i=i: progress((i + share) / len(self._files), text),
-                )
-            )  # type: ignore[misc]
-        found = joined(blocks, places)
+            blocks.append(file.read(None, places, part_progress(progress, i, len(self._files))))
+        found = join_blocks(blocks, places)
         return {name: found[place] for name, place in zip(columns, places, strict=True)}
 
 
-def _listed(names: Any) -> list[str]:
+def _list_names(names: Any) -> list[str]:
     """The names of a feature's elements: a list, or lists under some word ("motors")."""
     if isinstance(names, dict):
         names = next((value for value in names.values() if isinstance(value, list)), list(names))
@@ -72,11 +76,11 @@ def _listed(names: Any) -> list[str]:
 
 
 class MinariLog(Log):
-    """A Minari data set's folder: columns "observations[0]", "actions[0]", or
-    "observations.position[0]" of a dictionary.
+    """A Minari data set's folder, with columns "observations[0]", "actions[0]" and so on.
 
-    Each episode is a run with one more observation than actions: the last row has no action. It has
-    no time stamps: rows are a control step apart, which the mapping's `rate` gives.
+    A column of a dictionary is "observations.position[0]". Each episode is a run with one more
+    observation than actions: the last row has no action. It has no time stamps: rows are a control
+    step apart, which the mapping's `rate` gives.
     """
 
     run_column = "episode"
@@ -85,6 +89,7 @@ class MinariLog(Log):
 
     @cached_property
     def _runs(self) -> list[Arrays]:
+        """The columns of each episode."""
         minari = package("minari", self.path, "minari")
         place = self.path / "data" if (self.path / "data").is_dir() else self.path
         try:
@@ -94,35 +99,38 @@ class MinariLog(Log):
         return [_episode(episode) for episode in episodes if len(episode.rewards)]
 
     def columns(self, topic: str | None) -> list[str]:
-        return [*(self._runs[0] if self._runs else ()), "episode"]
+        """List the names of the columns."""
+        names = list(self._runs[0]) if self._runs else []
+        return [*names, self.run_column]
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
+        """Read columns by name."""
         blocks = []
         for i, run in enumerate(self._runs):
             rows = len(next(iter(run.values())))
-            blocks.append(
-                {name: np.full(rows, i) if name == "episode" else run[name] for name in columns}
-            )
+            numbered = run | {self.run_column: np.full(rows, i)}
+            blocks.append({name: numbered[name] for name in columns})
             progress((i + 1) / len(self._runs), f"reading {self.path.name}")
-        return joined(blocks, columns)
+        return join_blocks(blocks, columns)
 
 
 def _episode(episode: Any) -> Arrays:
     """An episode's columns, T + 1 rows; the action of the last is NaN."""
-    parts = {**_flat("observations", episode.observations), **_flat("actions", episode.actions)}
+    observations = _flatten("observations", episode.observations)
+    parts = observations | _flatten("actions", episode.actions)
     rows = max(len(array) for array in parts.values())
     padded = {}
     for name, array in parts.items():
         padded[name] = np.full((rows, *array.shape[1:]), np.nan)
         padded[name][: len(array)] = array
-    return expanded(padded)
+    return expand_columns(padded)
 
 
-def _flat(name: str, value: Any) -> Arrays:
-    if isinstance(value, dict):
-        return {
-            key: array
-            for inner, item in value.items()
-            for key, array in _flat(f"{name}.{inner}", item).items()
-        }
-    return {name: np.asarray(value, dtype=float)}
+def _flatten(name: str, value: Any) -> Arrays:
+    """An array under its name, or the arrays of nested dictionaries under dotted names."""
+    if not isinstance(value, dict):
+        return {name: np.asarray(value, dtype=float)}
+    arrays: Arrays = {}
+    for key, item in value.items():
+        arrays |= _flatten(f"{name}.{key}", item)
+    return arrays

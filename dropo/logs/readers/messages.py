@@ -1,6 +1,4 @@
-"""Numbers inside messages: "position[elbow]", "pose.orientation.w", "header.stamp", out of ROS
-messages and JSON objects.
-"""
+"""Numbers inside ROS messages and JSON objects, such as "position[elbow]" or "header.stamp"."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -9,6 +7,7 @@ from typing import Any
 import numpy as np
 
 STAMP = "header.stamp"
+"""The message's own time stamp."""
 LOG_TIME = "log_time"
 """When the recorder received a message."""
 LONGEST = 1024
@@ -17,79 +16,100 @@ _STEP = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
 
 
 def columns_of(message: Any) -> list[str]:
-    """The paths of all numbers in a message; numbers beside a list `name` of the same length go by
-    the names.
+    """List the paths of all numbers in a message.
+
+    Parameters
+    ----------
+    message : object
+        A ROS message, or what JSON holds.
+
+    Returns
+    -------
+    list of str
+        Such as "pose.orientation.w"; numbers beside a list `name` of the same length go by the
+        names in it, such as "position[elbow]".
     """
     return [LOG_TIME, *_paths(message, "")]
 
 
 def _paths(value: Any, path: str) -> list[str]:
+    """The paths of all numbers in a part of a message that stands at a path."""
     if _is_stamp(value) or isinstance(value, bool | int | float | np.number):
         return [path]
     if isinstance(value, str | bytes):
         return []
     if isinstance(value, np.ndarray | Sequence):
-        return (
-            [found for i, item in enumerate(value) for found in _paths(item, f"{path}[{i}]")]
-            if len(value) <= LONGEST
-            else []
-        )
+        return _list_paths(value, path)
     names = _names(value)
-    out = []
+    out: list[str] = []
     for key, item in _members(value).items():
         inner = f"{path}.{key}" if path else key
-        named = (
-            names is not None
-            and key != "name"
-            and isinstance(item, np.ndarray | Sequence)
-            and len(item) == len(names)
-        )
-        out += [f"{inner}[{name}]" for name in names or ()] if named else _paths(item, inner)
+        is_list = isinstance(item, np.ndarray | Sequence)
+        if names is not None and key != "name" and is_list and len(item) == len(names):
+            out += [f"{inner}[{name}]" for name in names]
+        else:
+            out += _paths(item, inner)
+    return out
+
+
+def _list_paths(values: Any, path: str) -> list[str]:
+    """The paths of all numbers in a list, unless it is too long."""
+    out: list[str] = []
+    if len(values) <= LONGEST:
+        for i, item in enumerate(values):
+            out += _paths(item, f"{path}[{i}]")
     return out
 
 
 def _members(value: Any) -> dict[str, Any]:
+    """The parts of a message by name."""
     if isinstance(value, Mapping):
         return {str(key): item for key, item in value.items()}
-    return {
-        key: item for key, item in getattr(value, "__dict__", {}).items() if not key.startswith("_")
-    }
+    members = getattr(value, "__dict__", {})
+    return {key: item for key, item in members.items() if not key.startswith("_")}
 
 
 def _names(value: Any) -> list[str] | None:
-    """The names of a message such as sensor_msgs/JointState."""
+    """The names in a message such as sensor_msgs/JointState."""
     given = _get(value, "name")
-    return (
-        list(given)
-        if isinstance(given, Sequence) and not isinstance(given, str) and len(given)
-        else None
-    )
+    is_list = isinstance(given, Sequence) and not isinstance(given, str)
+    return list(given) if is_list and len(given) else None
 
 
 def _get(value: Any, key: str) -> Any:
+    """A part of a message; None where it is not there."""
     return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)
 
 
 def _is_stamp(value: Any) -> bool:
-    return _get(value, "sec") is not None and (
-        _get(value, "nanosec") is not None or _get(value, "nsec") is not None
-    )
+    """Whether a part of a message is a time stamp of ROS 1 or 2."""
+    if _get(value, "sec") is None:
+        return False
+    return _get(value, "nanosec") is not None or _get(value, "nsec") is not None
 
 
-def getter(path: str) -> Callable[[Any], Any]:
-    """A function from a message to the number at a path: NaN where it is not there, a date for a
-    time stamp.
+def make_getter(path: str) -> Callable[[Any], Any]:
+    """Make a function that takes the number at a path out of a message.
+
+    Parameters
+    ----------
+    path : str
+        As `columns_of` gives it.
+
+    Returns
+    -------
+    callable
+        From a message to the number: NaN where it is not there, a date for a time stamp.
     """
-    steps = [key or f"[{inside}]" for key, inside in _STEP.findall(path)]
+    steps = _STEP.findall(path)
 
     def get(message: Any) -> Any:
         value = message
         owner = None
-        for step in steps:
-            value, owner = (
-                _item(value, owner, step[1:-1]) if step.startswith("[") else _get(value, step),
-                value,
-            )
+        for key, place in steps:
+            part = _get(value, key) if key else _item(value, owner, place)
+            owner = value
+            value = part
             if value is None:
                 return np.nan
         return _stamp(value) if _is_stamp(value) else value
@@ -106,9 +126,8 @@ def _item(value: Any, owner: Any, place: str) -> Any:
 
 
 def _stamp(value: Any) -> np.datetime64:
+    """A time stamp as a date."""
     fraction = _get(value, "nanosec")
-    return np.datetime64(
-        int(_get(value, "sec")) * 10**9
-        + int(_get(value, "nsec") if fraction is None else fraction),
-        "ns",
-    )
+    if fraction is None:
+        fraction = _get(value, "nsec")
+    return np.datetime64(int(_get(value, "sec")) * 10**9 + int(fraction), "ns")

@@ -17,15 +17,52 @@ from dropo.core.services.registry import find, names
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, str], None]
-"""progress(share of the work, what is being done)."""
+"""Called with the fraction of the work that is done, and what is being done."""
+MINARI_FILES = (
+    "data/metadata.json",
+    "metadata.json",
+    "data/main_data.hdf5",
+    "main_data.hdf5",
+)
+"""Files by which a folder is known as a Minari data set."""
+
+
+def part_progress(progress: Progress, part: int, parts: int) -> Progress:
+    """Report the progress of one of several equal parts as that of all.
+
+    Parameters
+    ----------
+    progress : callable
+        Of all parts.
+    part, parts : int
+        Which of how many.
+
+    Returns
+    -------
+    callable
+        Of the part.
+    """
+    return lambda share, text: progress((part + share) / parts, text)
 
 
 class Log(ABC):
     """A file or folder of recorded numbers: one table of named columns, or several by topic.
 
-    run_column: the column that tells its runs apart, where the kind of log has one; time_column:
-    its own column of stamps;
-    separate_runs: each run counts its own rows.
+    Parameters
+    ----------
+    path : str or Path
+        The file or folder.
+
+    Attributes
+    ----------
+    path : Path
+        The same.
+    run_column : str or None
+        The column that tells its runs apart, where the kind of log has one.
+    time_column : str or None
+        Its own column of stamps.
+    separate_runs : bool
+        Whether each run counts its own rows.
     """
 
     run_column: str | None = None
@@ -36,32 +73,90 @@ class Log(ABC):
         self.path = Path(path)
 
     def topics(self) -> dict[str, str]:
-        """Topic -> type of its messages; none where the log is one table."""
+        """List its topics, each with the type of its messages; none where the log is one table."""
         return {}
 
     @abstractmethod
     def columns(self, topic: str | None) -> list[str]:
-        """The names of the columns; a vector's are "name[0]", "name[1]", ..."""
+        """List the names of the columns; a vector's are "name[0]", "name[1]", ...
+
+        Parameters
+        ----------
+        topic : str or None
+            One of its topics, where it has such.
+
+        Returns
+        -------
+        list of str
+
+        Raises
+        ------
+        BadFile
+            If the log cannot be read, or has no such topic.
+        """
 
     @abstractmethod
     def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
-        """Columns by name, (n,) each: numbers (NaN: no value in that row), dates, or texts.
+        """Read columns.
 
-        All are in `columns(topic)`.
+        Parameters
+        ----------
+        topic : str or None
+            One of its topics, where it has such.
+        columns : sequence of str
+            Names in `columns(topic)`.
+        progress : callable
+            Called with the fraction of the work that is done, and what is being done.
+
+        Returns
+        -------
+        dict
+            By name (n,) numbers, NaN where a row has no value, or dates, or texts.
+
+        Raises
+        ------
+        BadFile
+            If the log cannot be read.
         """
 
     def broken(self, expected: str, where: str, reason: object) -> BadFile:
-        """The refusal of a truncated or corrupt file, with the place."""
-        return BadFile(
-            self.path,
-            where,
-            expected,
-            f"a truncated or corrupt file ({' '.join(str(reason).split()).removesuffix('.')})",
-        )
+        """Make the error for a truncated or corrupt file.
+
+        Parameters
+        ----------
+        expected : str
+            What had to stand there.
+        where : str
+            The place in the file.
+        reason : object
+            What its decoder says.
+
+        Returns
+        -------
+        BadFile
+            To be raised by the caller.
+        """
+        text = " ".join(str(reason).split()).removesuffix(".")
+        return BadFile(self.path, where, expected, f"a truncated or corrupt file ({text})")
 
 
 def open_log(path: str | Path) -> Log:
-    """The reader for a file or folder, chosen by its ending and layout."""
+    """Choose the reader for a file or folder by its ending and layout.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log.
+
+    Returns
+    -------
+    Log
+
+    Raises
+    ------
+    BadFile
+        If there is no such file, or it is none that is read.
+    """
     place = Path(path)
     if not place.exists():
         raise BadFile(path, "", "a log", "no such file")
@@ -81,32 +176,41 @@ def _reader_name(place: Path) -> str:
             return "lerobot"
         if (place / "metadata.yaml").is_file():
             return "ros2"
-        if any(
-            (place / name).exists()
-            for name in (
-                "data/metadata.json",
-                "metadata.json",
-                "data/main_data.hdf5",
-                "main_data.hdf5",
-            )
-        ):
+        if any((place / name).exists() for name in MINARI_FILES):
             return "minari"
-        raise BadFile(
-            place,
-            "",
-            "a ROS 2 bag (metadata.yaml), LeRobot episodes (meta/info.json) or a Minari data set",
-            "another folder",
+        expected = (
+            "a ROS 2 bag (metadata.yaml), LeRobot episodes (meta/info.json) or a Minari data set"
         )
+        raise BadFile(place, "", expected, "another folder")
     endings = [name for name in names("readers") if name not in _FOLDERS]
     ending = place.suffix.lower().removeprefix(".")
     if ending not in endings:
-        listed = ", ".join(f".{name}" for name in endings)
-        raise BadFile(place, "", f"a log that ends in {listed}", f"a file {place.suffix!r}")
+        expected = f"a log that ends in {', '.join(f'.{name}' for name in endings)}"
+        raise BadFile(place, "", expected, f"a file {place.suffix!r}")
     return ending
 
 
 def package(name: str, path: Path, extra: str) -> Any:
-    """A package that only some logs need, imported when one is read."""
+    """Import a package that only some logs need.
+
+    Parameters
+    ----------
+    name : str
+        The module.
+    path : Path
+        The log that needs it.
+    extra : str
+        The optional dependencies of this package that hold it.
+
+    Returns
+    -------
+    module
+
+    Raises
+    ------
+    BadFile
+        If it is not installed.
+    """
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -114,27 +218,50 @@ def package(name: str, path: Path, extra: str) -> Any:
         raise BadFile(path, "", wanted, "no such package") from None
 
 
-def expanded(columns: dict[str, NDArray[Any]]) -> Arrays:
-    """Arrays (n,) under their names, and of arrays (n, ...) every column, "name[0]", "name[1]",
-    ..., flattened row by row.
+def expand_columns(arrays: Arrays) -> Arrays:
+    """Take arrays apart into columns.
+
+    Parameters
+    ----------
+    arrays : dict
+        By name (n,) or (n, ...).
+
+    Returns
+    -------
+    dict
+        By name (n,); of an array (n, ...) "name[0]", "name[1]", ..., flattened row by row.
     """
     out: Arrays = {}
-    for name, array in columns.items():
-        rows = array.reshape(len(array), -1) if array.ndim > 1 else array
-        out |= (
-            {name: rows}
-            if rows.ndim == 1
-            else {f"{name}[{i}]": rows[:, i] for i in range(rows.shape[1])}
-        )
+    for name, array in arrays.items():
+        if array.ndim == 1:
+            out[name] = array
+            continue
+        rows = array.reshape(len(array), -1)
+        for i in range(rows.shape[1]):
+            out[f"{name}[{i}]"] = rows[:, i]
     return out
 
 
-def joined(blocks: Iterable[Arrays], columns: Sequence[str]) -> Arrays:
-    """Blocks of rows one behind the other."""
+def join_blocks(blocks: Iterable[Arrays], columns: Sequence[str]) -> Arrays:
+    """Join blocks of rows.
+
+    Parameters
+    ----------
+    blocks : iterable of dict
+        Each with all columns.
+    columns : sequence of str
+        Their names.
+
+    Returns
+    -------
+    dict
+        By name all rows, those of each block behind those of the one before.
+    """
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in columns}
     for block in blocks:
         for name in columns:
             parts[name].append(block[name])
-    return {
-        name: np.concatenate(arrays) if arrays else np.empty(0) for name, arrays in parts.items()
-    }
+    out: Arrays = {}
+    for name, arrays in parts.items():
+        out[name] = np.concatenate(arrays) if arrays else np.empty(0)
+    return out

@@ -10,16 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.errors import BadFile
-from dropo.logs.readers.reader import Arrays, Log, Progress, expanded, joined, package
+from dropo.logs.readers.reader import (
+    Arrays,
+    Log,
+    Progress,
+    expand_columns,
+    join_blocks,
+    package,
+)
 
 BLOCK = 1 << 16
 """Rows that are held as text or as Python objects at a time."""
 MAGIC = b"PAR1"
+"""With what a Parquet file begins and ends."""
+NO_VALUE = ("", "nan", "null", "none", "na")
+"""Cells that hold no number, in lower case."""
 
 
 class CsvLog(Log):
-    """Text with a row of names, then one row of values a line; separated by commas, semicolons,
-    tabs or blanks.
+    """Text with a row of names, then a line for each row, separated by , ; tabs or blanks.
 
     An empty cell, "nan" or "null" is no value. Cells may be dates as ISO 8601 writes them; other
     texts only tell runs apart.
@@ -36,10 +45,8 @@ class CsvLog(Log):
             raise self.broken("a table of text", f"byte {error.start}", "no text") from None
         separator = max(",;\t", key=text.count)
         separator = separator if separator in text else " "
-        names = [
-            name.strip()
-            for name in next(csv.reader([text], delimiter=separator, skipinitialspace=True))
-        ]
+        cells = next(csv.reader([text], delimiter=separator, skipinitialspace=True))
+        names = [name.strip() for name in cells]
         twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
         if twice is not None:
             raise BadFile(self.path, "line 1", "every column's name once", f"{twice!r} twice")
@@ -48,15 +55,18 @@ class CsvLog(Log):
         return names, separator
 
     def columns(self, topic: str | None) -> list[str]:
+        """List the names of the columns."""
         return self._header[0]
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
+        """Read columns by name."""
         with self.path.open("rb") as file:
-            return joined(self._blocks(file, columns, progress), columns)
+            return join_blocks(self._blocks(file, columns, progress), columns)
 
     def _blocks(
         self, file: IO[bytes], columns: Sequence[str], progress: Progress
     ) -> Iterator[Arrays]:
+        """The columns, some rows at a time."""
         names, separator = self._header
         places = [names.index(name) for name in columns]
         size = self.path.stat().st_size
@@ -64,30 +74,29 @@ class CsvLog(Log):
         file.readline()
         rows = csv.reader(self._lines(file), delimiter=separator, skipinitialspace=True)
         while block := list(itertools.islice(rows, BLOCK)):
+            for i, row in enumerate(block):
+                if row and len(row) != len(names):
+                    got = f"{len(row)} cells for {len(names)} columns"
+                    raise self.broken("as many cells in every line", f"line {line + i}", got)
             filled = [row for row in block if row]
-            wrong = next((i for i, row in enumerate(block) if row and len(row) != len(names)), None)
-            if wrong is not None:
-                got = f"{len(block[wrong])} cells for {len(names)} columns"
-                raise self.broken("as many cells in every line", f"line {line + wrong}", got)
-            yield {
-                name: self._column([row[i] for row in filled], name, block, line, i)
-                for name, i in zip(columns, places, strict=True)
-            }
+            arrays = {}
+            for name, place in zip(columns, places, strict=True):
+                cells = [row[place] for row in filled]
+                arrays[name] = self._parse_column(cells, name, block, line, place)
+            yield arrays
             line += len(block)
             progress(file.tell() / size, f"reading {self.path.name}")
 
     def _lines(self, file: IO[bytes]) -> Iterator[str]:
-        start = 0
+        """The lines of text."""
         for raw in file:
             try:
                 yield raw.decode().rstrip(" \r\n") if raw.strip() else "\n"
             except UnicodeDecodeError as error:
-                raise self.broken(
-                    "a table of text", f"byte {file.tell() - len(raw) + error.start}", "no text"
-                ) from None
-            start += len(raw)
+                byte = file.tell() - len(raw) + error.start
+                raise self.broken("a table of text", f"byte {byte}", "no text") from None
 
-    def _column(
+    def _parse_column(
         self, cells: list[str], name: str, block: list[list[str]], line: int, place: int
     ) -> NDArray[Any]:
         """Numbers, else dates, else texts; a text among numbers is refused with its line."""
@@ -96,18 +105,13 @@ class CsvLog(Log):
         except ValueError:
             pass
         numbers = [_number(cell) for cell in cells]
+        if all(number is not None for number in numbers):
+            return np.array(numbers, dtype=float)
         if any(number is not None for number in numbers):
-            if all(number is not None for number in numbers):
-                return np.array(numbers, dtype=float)
-            row = next(
-                i for i, cells in enumerate(block) if cells and _number(cells[place]) is None
-            )
-            raise BadFile(
-                self.path,
-                f"line {line + row}, column {name!r}",
-                "a number",
-                repr(block[row][place]),
-            )
+            for i, row in enumerate(block):
+                if row and _number(row[place]) is None:
+                    where = f"line {line + i}, column {name!r}"
+                    raise BadFile(self.path, where, "a number", repr(row[place]))
         try:
             return np.array([cell.rstrip("Z") for cell in cells], dtype="datetime64[ns]")
         except ValueError:
@@ -115,8 +119,9 @@ class CsvLog(Log):
 
 
 def _number(cell: str) -> float | None:
+    """The number in a cell, NaN where it holds none, None where it holds another text."""
     text = cell.strip()
-    if text.lower() in ("", "nan", "null", "none", "na"):
+    if text.lower() in NO_VALUE:
         return float("nan")
     try:
         return float(text)
@@ -134,6 +139,7 @@ class ParquetLog(Log):
 
     @cached_property
     def _file(self) -> Any:
+        """The open file, found whole."""
         parquet = package("pyarrow.parquet", self.path, "logs")
         with self.path.open("rb") as file:
             first = file.read(4)
@@ -141,30 +147,32 @@ class ParquetLog(Log):
             file.seek(max(0, size - 4))
             last = file.read(4)
         if first != MAGIC:
-            raise BadFile(
-                self.path, "byte 0", f"a Parquet file, which begins with {MAGIC!r}", repr(first)
-            )
+            expected = f"{self.expected}, which begins with {MAGIC!r}"
+            raise BadFile(self.path, "byte 0", expected, repr(first))
         if last != MAGIC:
-            raise self.broken(
-                self.expected, f"byte {size}", "it ends before the table of its contents"
-            )
+            reason = "it ends before the table of its contents"
+            raise self.broken(self.expected, f"byte {size}", reason)
         try:
             return parquet.ParquetFile(self.path)
         except (OSError, ValueError) as error:
             raise self.broken(self.expected, f"byte {size}", error) from None
 
     def columns(self, topic: str | None) -> list[str]:
-        first = next(self._batches(0, size=1), None) if self._file.metadata.num_row_groups else None
-        return [field.name for field in self._file.schema_arrow] if first is None else list(first)
+        """List the names of the columns."""
+        if self._file.metadata.num_row_groups:
+            first = next(self._batches(0, size=1), None)
+            if first is not None:
+                return list(first)
+        return [field.name for field in self._file.schema_arrow]
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
+        """Read columns by name."""
         own = [field.name for field in self._file.schema_arrow]
-        needed = list(
-            dict.fromkeys(name if name in own else name.rsplit("[", 1)[0] for name in columns)
-        )
-        return joined(self._groups(needed, progress), columns)
+        needed = [name if name in own else name.rsplit("[", 1)[0] for name in columns]
+        return join_blocks(self._groups(list(dict.fromkeys(needed)), progress), columns)
 
     def _groups(self, names: list[str], progress: Progress) -> Iterator[Arrays]:
+        """The columns, one group of rows after the other."""
         groups = self._file.metadata.num_row_groups
         for group in range(groups):
             yield from self._batches(group, names)
@@ -175,15 +183,13 @@ class ParquetLog(Log):
     ) -> Iterator[Arrays]:
         """The rows of a group, some at a time."""
         try:
-            for batch in self._file.iter_batches(
-                batch_size=size, row_groups=[group], columns=names
-            ):
-                yield expanded(_arrays(batch))
+            batches = self._file.iter_batches(batch_size=size, row_groups=[group], columns=names)
+            for batch in batches:
+                yield expand_columns(_arrays(batch))
         except (OSError, ValueError) as error:
             first = sum(self._file.metadata.row_group(i).num_rows for i in range(group))
-            raise self.broken(
-                self.expected, f"rows from {first} (row group {group})", error
-            ) from None
+            place = f"rows from {first} (row group {group})"
+            raise self.broken(self.expected, place, error) from None
 
 
 def _arrays(batch: Any) -> Arrays:

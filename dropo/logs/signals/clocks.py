@@ -1,8 +1,10 @@
-"""Which stamps of a recording are late, by how much, and taken off: sensors beside each other, and
-clocks beside the log's.
+"""Which stamps of a recording are late, by how much, and the same recording without the delays.
+
+In reading order: `align_runs` first brings sources with clocks of their own to the log's clock
+(`_estimate_source_clock`), then each velocity to its position (`_velocity_delays`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,34 +13,82 @@ from scipy.interpolate import CubicHermiteSpline
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.logs.mapping import Source
-from dropo.logs.recordings import Run, Series
+from dropo.logs.recordings import LogRun, TimeSeries
 from dropo.logs.signals.delays import estimate_clock, estimate_delay
 from dropo.logs.signals.resampling import resample
 from dropo.logs.signals.velocities import estimate_velocities
 from dropo.mjmodel.forces import inverse_forces
 from dropo.mjmodel.joints import Joint, ModelJoints
 
-INSTANTS = 20000  # rows that a delay is estimated from at most
-LEAST = 50  # rows that it needs
-APART = 0.5  # [s] to which two clocks, or their first rows, are together
-# standard errors, and seconds, from which a delay is taken off
-SURE = 3.0
-WORTH = 5e-5
-RUNS = 12  # that a constant delay is estimated from at most
-# mean square of their deviations, in standard errors, from which runs have delays of their own
-DISAGREE = 9.0
-LEAST_ERROR = 1e-6  # [s]
-WINDOW = 0.05  # [s] over which displacements are compared
-EXPLAINED = 0.25  # of a signal's variance, without which a delay means nothing
+
+@dataclass(frozen=True)
+class AlignmentSettings:
+    """How delays are estimated, and when they are removed.
+
+    Attributes
+    ----------
+    rows : int
+        Rows that a delay is estimated from at most.
+    minimum_rows : int
+        Rows that it needs.
+    largest_offset : float
+        Seconds to which two clocks are together, or else their first rows.
+    certain : float
+        A delay of more standard errors than this is removed ...
+    smallest : float
+        ... unless it is less than so many seconds.
+    runs : int
+        Runs that a constant delay is estimated from at most.
+    disagreement : float
+        Mean square of the runs' deviations, in standard errors, from which they have delays of
+        their own.
+    smallest_error : float
+        Least standard error of a delay [s].
+    window : float
+        Seconds over which displacements are compared.
+    explained : float
+        Fraction of a signal's variance without which a delay means nothing.
+    """
+
+    rows: int = 20000
+    minimum_rows: int = 50
+    largest_offset: float = 0.5
+    certain: float = 3.0
+    smallest: float = 5e-5
+    runs: int = 12
+    disagreement: float = 9.0
+    smallest_error: float = 1e-6
+    window: float = 0.05
+    explained: float = 0.25
+
+
+DEFAULTS = AlignmentSettings()
 
 
 @dataclass(frozen=True)
-class Lateness:
-    """Stamps of `signal` are too late by seconds + skew (t - origin), against those of `reference`,
-    t on the latter's clock.
+class SignalDelay:
+    """By how much the stamps of a signal are late, against those of a reference.
 
-    se, skew_se: standard errors; run: None where one delay was found for all. Only what stands out
-    of its error is taken off.
+    At t on the reference's clock they are late by seconds + skew (t - origin).
+
+    Attributes
+    ----------
+    signal, reference : str
+        Labels of the series.
+    seconds : float
+        The delay [s].
+    se : float
+        Its standard error [s].
+    skew : float
+        How much faster the signal's clock runs, as a fraction.
+    skew_se : float
+        Its standard error.
+    origin : float
+        The reference's first stamp [s].
+    run : str or None
+        The run; None where one delay was found for all.
+    removed : bool
+        Whether the delay stands out of its error, so that an import removes it.
     """
 
     signal: str
@@ -49,14 +99,7 @@ class Lateness:
     skew_se: float = 0.0
     origin: float = 0.0
     run: str | None = None
-
-    @property
-    def removed(self) -> bool:
-        """Whether an import takes it off."""
-        return (
-            abs(self.seconds) > max(SURE * self.se, WORTH)
-            or abs(self.skew) > SURE * self.skew_se > 0
-        )
+    removed: bool = False
 
     def __str__(self) -> str:
         where = f"{self.run}: " if self.run else ""
@@ -67,120 +110,140 @@ class Lateness:
             f"behind {self.reference}{skew}: {done}."
         )
 
-    def off(self, series: Series) -> Series:
-        """The series with stamps of the reference's clock."""
+    def correct(self, series: TimeSeries) -> TimeSeries:
+        """Give a series the stamps of the reference's clock.
+
+        Parameters
+        ----------
+        series : TimeSeries
+            With the signal's stamps.
+
+        Returns
+        -------
+        TimeSeries
+            The same where the delay is not removed.
+        """
         if not self.removed:
             return series
-        return replace(
-            series, time=self.origin + (series.time - self.origin - self.seconds) / (1 + self.skew)
-        )
+        since = (series.time - self.origin - self.seconds) / (1 + self.skew)
+        return replace(series, time=self.origin + since)
 
 
-def aligned(runs: Sequence[Run], machine: ModelJoints) -> tuple[list[Run], list[Lateness]]:
-    """The runs with the delays taken off, and all that were found.
+def align_runs(
+    runs: Sequence[LogRun], robot: ModelJoints, settings: AlignmentSettings = DEFAULTS
+) -> tuple[list[LogRun], list[SignalDelay]]:
+    """Find delays and remove them.
 
+    Parameters
+    ----------
+    runs : sequence of LogRun
+        Cleaned.
+    robot : ModelJoints
+        The joints and actuators of the model.
+    settings : AlignmentSettings, optional
+        How delays are estimated.
+
+    Returns
+    -------
+    runs : list of LogRun
+        On the log's clock, without the delays that were removed.
+    delays : list of SignalDelay
+        All that were found.
+
+    Notes
+    -----
     A source with a clock of its own is brought to the log's by its velocities or positions, beside
     the same joint's on the log's clock, or by its commands, beside the forces that the motion
     needs. A velocity on the log's clock is brought to its position, as late behind it as the
     model's own velocities are (`ModelJoints.velocity_lag`), which is not counted as a delay.
     """
-    found: list[Lateness] = []
-    runs = list(runs)
-    for i, run in enumerate(runs):
-        for source in dict.fromkeys(
-            series.channel.source for series in run.series if series.channel.source.own_clock
-        ):
-            late = _clock(run, source, machine)
-            if late is not None:
-                found.append(late)
-                run = _taken_off(
-                    run,
-                    late,
-                    [series.label for series in run.series if series.channel.source == source],
-                )
-        runs[i] = run
-    for name in machine.joints:
-        delays = _velocity_delays(runs, name, machine)
+    found: list[SignalDelay] = []
+    aligned = []
+    for run in runs:
+        for source in _sources_with_clocks(run):
+            delay = _estimate_source_clock(run, source, robot, settings)
+            if delay is not None:
+                found.append(delay)
+                labels = [one.label for one in run.series if one.channel.source == source]
+                run = _correct(run, delay, labels)
+        aligned.append(run)
+    for name in robot.joints:
+        delays = _velocity_delays(aligned, name, robot, settings)
         found += delays
-        by_run = {one.run: one for one in delays}
-        taken = [(run, by_run.get(run.name, by_run.get(None))) for run in runs]
-        runs = [run if one is None else _taken_off(run, one, [one.signal]) for run, one in taken]
-    return runs, found
+        by_run = {delay.run: delay for delay in delays}
+        for i, run in enumerate(aligned):
+            delay = by_run.get(run.name, by_run.get(None))
+            if delay is not None:
+                aligned[i] = _correct(run, delay, [delay.signal])
+    return aligned, found
 
 
-def _taken_off(run: Run, late: Lateness, labels: list[str]) -> Run:
-    return replace(
-        run,
-        series=tuple(
-            late.off(series) if series.label in labels else series for series in run.series
-        ),
-    )
+def _sources_with_clocks(run: LogRun) -> list[Source]:
+    """The sources of a run whose stamps come from another clock than the log's."""
+    sources = [series.channel.source for series in run.series]
+    return list(dict.fromkeys(source for source in sources if source.own_clock))
 
 
-def _velocity_delays(runs: list[Run], name: str, machine: ModelJoints) -> list[Lateness]:
-    """How much later a measured velocity is than the position: one delay for all runs, or each its
-    own where they disagree.
+def _correct(run: LogRun, delay: SignalDelay, labels: list[str]) -> LogRun:
+    """The run with a delay removed from the series of these labels."""
+    series = [delay.correct(one) if one.label in labels else one for one in run.series]
+    return replace(run, series=tuple(series))
+
+
+def _mark(delay: SignalDelay, settings: AlignmentSettings) -> SignalDelay:
+    """The delay, with whether it is removed."""
+    late = abs(delay.seconds) > max(settings.certain * delay.se, settings.smallest)
+    fast = abs(delay.skew) > settings.certain * delay.skew_se > 0
+    return replace(delay, removed=bool(late or fast))
+
+
+# Velocities behind their positions
+
+
+def _velocity_delays(
+    runs: list[LogRun], name: str, robot: ModelJoints, settings: AlignmentSettings
+) -> list[SignalDelay]:
+    """How much later a joint's measured velocity is than its position.
+
+    It is one delay for all runs, or each its own where they disagree.
     """
-    some = [runs[int(i)] for i in np.linspace(0, len(runs) - 1, min(RUNS, len(runs)))]
-    each = [late for run in some if (late := _velocity_delay(run, name, machine)) is not None]
+    some = np.linspace(0, len(runs) - 1, min(settings.runs, len(runs))).astype(int)
+    each = _delays_of_runs([runs[i] for i in some], name, robot, settings)
     if not each:
         return []
-    delays = np.array([one.seconds for one in each])
-    weights = np.array([max(one.se, LEAST_ERROR) ** -2 for one in each])
-    mean = float(np.sum(weights * delays) / np.sum(weights))
-    spread = float(np.sum(weights * (delays - mean) ** 2)) / max(1, len(each) - 1)
-    if spread > DISAGREE:
-        return [late for run in runs if (late := _velocity_delay(run, name, machine)) is not None]
-    return [
-        replace(
-            each[0], seconds=mean, se=float(np.sqrt(max(1.0, spread) / np.sum(weights))), run=None
-        )
-    ]
+    seconds = np.array([delay.seconds for delay in each])
+    weights = np.array([max(delay.se, settings.smallest_error) ** -2 for delay in each])
+    mean = float(np.sum(weights * seconds) / np.sum(weights))
+    spread = float(np.sum(weights * (seconds - mean) ** 2)) / max(1, len(each) - 1)
+    if spread > settings.disagreement:
+        return _delays_of_runs(runs, name, robot, settings)
+    se = float(np.sqrt(max(1.0, spread) / np.sum(weights)))
+    return [_mark(replace(each[0], seconds=mean, se=se, run=None), settings)]
 
 
-def _linear(series: Series, joint: Joint) -> Array:
-    """The numbers (n, k) of a position or velocity that are no rotations."""
-    return (
-        series.values[:, :3]
-        if joint.kind == "free"
-        else series.values[:, :0]
-        if joint.kind == "ball"
-        else series.values
-    )
+def _delays_of_runs(
+    runs: Sequence[LogRun], name: str, robot: ModelJoints, settings: AlignmentSettings
+) -> list[SignalDelay]:
+    """The delays of the runs in which one can be estimated."""
+    delays = [_velocity_delay(run, name, robot, settings) for run in runs]
+    return [delay for delay in delays if delay is not None]
 
 
-def _moved(series: Series, machine: ModelJoints) -> tuple[Array, Array]:
-    """Displacements (n, k) of a joint in the WINDOW around each stamp (n,), from its position or
-    velocity, of a part of a long log.
-
-    A velocity is integrated rather than a position differentiated: impacts leave no trace in it.
-    """
-    time = series.time[:INSTANTS]
-    values = _linear(series, machine.joints[series.channel.name])[:INSTANTS]
-    half = max(WINDOW, 5 * float(np.median(np.diff(time)))) / 2
-    inside = time[(time >= time[0] + half) & (time <= time[-1] - half)]
-    if series.channel.field == "qpos":
-        ends = (np.clip(inside + side, time[0], time[-1]) for side in (half, -half))
-        later, earlier = (resample(time, values, at) for at in ends)
-        return inside, later - earlier
-    time = time - machine.velocity_lag
-    inside = inside - machine.velocity_lag
-    steps = np.diff(time)[:, None] * (values[1:] + values[:-1]) / 2
-    integral = CubicHermiteSpline(
-        time, np.concatenate([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)]), values
-    )
-    return inside, integral(inside + half) - integral(inside - half)
-
-
-def _velocity_delay(run: Run, name: str, machine: ModelJoints) -> Lateness | None:
+def _velocity_delay(
+    run: LogRun, name: str, robot: ModelJoints, settings: AlignmentSettings
+) -> SignalDelay | None:
     """How much later a measured velocity is than the position of the same joint, on one clock."""
     position = run.of("qpos", name)
     velocity = run.of("qvel", name)
-    if position is None or velocity is None or machine.joints[name].kind == "ball":
+    if position is None or velocity is None or robot.joints[name].kind == "ball":
         return None
-    (time, reference), (stamps, signal) = _moved(position, machine), _moved(velocity, machine)
-    both = (time >= stamps[:1].sum()) & (time <= stamps[-1:].sum())
-    if both.sum() < LEAST:
+    time, reference = _displacements(position, robot, settings)
+    stamps, signal = _displacements(velocity, robot, settings)
+    if not len(stamps):
+        return None
+    # both at the position's stamps
+    both = (time >= stamps[0]) & (time <= stamps[-1])
+    if both.sum() < settings.minimum_rows:
         return None
     time = time[both]
     reference = reference[both]
@@ -188,100 +251,154 @@ def _velocity_delay(run: Run, name: str, machine: ModelJoints) -> Lateness | Non
     moving = (np.ptp(reference, axis=0) > 0) & (np.ptp(signal, axis=0) > 0)
     if not moving.any():
         return None
-    late = estimate_delay(time, reference[:, moving], signal[:, moving])
-    if not (np.isfinite(late.se) and late.se > 0 and late.explained > EXPLAINED):
+    found = estimate_delay(time, reference[:, moving], signal[:, moving])
+    if not (np.isfinite(found.se) and found.se > 0 and found.explained > settings.explained):
         return None
-    return Lateness(velocity.label, position.label, late.seconds, late.se, run=run.name)
+    delay = SignalDelay(velocity.label, position.label, found.seconds, found.se, run=run.name)
+    return _mark(delay, settings)
 
 
-def _clock(run: Run, source: Source, machine: ModelJoints) -> Lateness | None:
-    """How late and how fast a source's clock is."""
-    for reference, signal in _pairs(run, source, machine):
-        (time, one), (stamps, other) = reference[1:], signal[1:]
-        start = 0.0 if abs(stamps[0] - time[0]) < APART else float(stamps[0] - time[0])
-        moving = (np.ptp(one, axis=0) > 0) & (np.ptp(other, axis=0) > 0)
-        if not moving.any() or len(stamps) < LEAST:
+def _displacements(
+    series: TimeSeries, robot: ModelJoints, settings: AlignmentSettings
+) -> tuple[Array, Array]:
+    """Stamps (n,), and displacements (n, k) of a joint in the window around each of them.
+
+    They come from its position or velocity, of a part of a long log. A velocity is integrated
+    rather than a position differentiated: impacts leave no trace in it.
+    """
+    time = series.time[: settings.rows]
+    values = _linear_part(series, robot.joints[series.channel.name])[: settings.rows]
+    half = max(settings.window, 5 * float(np.median(np.diff(time)))) / 2
+    inside = time[(time >= time[0] + half) & (time <= time[-1] - half)]
+    if series.channel.field == "qpos":
+        later = resample(time, values, np.clip(inside + half, time[0], time[-1]))
+        earlier = resample(time, values, np.clip(inside - half, time[0], time[-1]))
+        return inside, later - earlier
+    time = time - robot.velocity_lag
+    inside = inside - robot.velocity_lag
+    steps = np.diff(time)[:, None] * (values[1:] + values[:-1]) / 2
+    total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)])
+    integral = CubicHermiteSpline(time, total, values)
+    return inside, integral(inside + half) - integral(inside - half)
+
+
+def _linear_part(series: TimeSeries, joint: Joint) -> Array:
+    """The numbers (n, k) of a position or velocity that are no rotations in space."""
+    width = {"free": 3, "ball": 0}.get(joint.kind)
+    return series.values[:, :width]
+
+
+# Sources with a clock of their own
+
+
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """Numbers (n, k) at stamps (n,) [s]."""
+
+    name: str
+    time: Array
+    values: Array
+
+
+def _estimate_source_clock(
+    run: LogRun, source: Source, robot: ModelJoints, settings: AlignmentSettings
+) -> SignalDelay | None:
+    """How late and how fast a source's clock is, by the first pair of curves that agree."""
+    for reference, signal in _pairs(run, source, robot, settings):
+        if len(signal.time) < settings.minimum_rows or not len(reference.time):
+            continue
+        # clocks that are far apart are compared from their first rows on
+        start = float(signal.time[0] - reference.time[0])
+        if abs(start) < settings.largest_offset:
+            start = 0.0
+        moving = (np.ptp(reference.values, axis=0) > 0) & (np.ptp(signal.values, axis=0) > 0)
+        if not moving.any():
             continue
         try:
             found = estimate_clock(
-                time, one[:, moving], stamps - start, other[:, moving], most=APART
+                reference.time,
+                reference.values[:, moving],
+                signal.time - start,
+                signal.values[:, moving],
+                most=settings.largest_offset,
             )
         except BadArgument:
             continue
-        if found.explained > EXPLAINED:
-            return Lateness(
-                signal[0],
-                reference[0],
-                found.seconds + start,
-                found.se,
-                found.skew,
-                found.skew_se,
-                found.origin,
-                run.name,
+        if found.explained > settings.explained:
+            delay = SignalDelay(
+                signal=signal.name,
+                reference=reference.name,
+                seconds=found.seconds + start,
+                se=found.se,
+                skew=found.skew,
+                skew_se=found.skew_se,
+                origin=found.origin,
+                run=run.name,
             )
+            return _mark(delay, settings)
     return None
 
 
-Curve = tuple[str, Array, Array]
-"""Name, stamps (n,) and numbers (n, k)."""
+def _pairs(
+    run: LogRun, source: Source, robot: ModelJoints, settings: AlignmentSettings
+) -> Iterator[tuple[_Curve, _Curve]]:
+    """What the log's clock and the source's both saw.
 
-
-def _pairs(run: Run, source: Source, machine: ModelJoints) -> list[tuple[Curve, Curve]]:
-    """What the log's clock and the source's both saw: displacements of joints, else forces and
-    commands.
+    These are displacements of joints, then the forces that the motion needs and commands.
     """
-    out = []
-    for name, joint in machine.joints.items():
-        own = [
-            s
-            for field in ("qvel", "qpos")
-            if (s := run.of(field, name)) is not None and s.channel.source == source
-        ]
-        main = [
-            s
-            for field in ("qpos", "qvel")
-            if (s := run.of(field, name)) is not None and not s.channel.source.own_clock
-        ]
-        if own and main and joint.kind != "ball":
-            out.append(
-                (
-                    (main[0].label, *_moved(main[0], machine)),
-                    (own[0].label, *_moved(own[0], machine)),
-                )
-            )
+    for name, joint in robot.joints.items():
+        own = _first_series(run, name, ("qvel", "qpos"), source)
+        main = _first_series(run, name, ("qpos", "qvel"), None)
+        if own is not None and main is not None and joint.kind != "ball":
+            reference = _Curve(main.label, *_displacements(main, robot, settings))
+            yield reference, _Curve(own.label, *_displacements(own, robot, settings))
     for series in run.series:
-        if series.channel.source == source and series.channel.field == "ctrl":
-            driven = machine.actuators[series.channel.name].joint
-            forces = None if driven is None else _forces(run, machine, driven.qvel)
-            if forces is not None:
-                held = (
-                    float(np.median(np.diff(series.time))) / 2 - machine.velocity_lag
-                )  # from a row to the middle of its effect
-                out.append(
-                    (
-                        ("the forces that the motion needs", *forces),
-                        (series.label, series.time + held, series.values),
-                    )
-                )
-    return out
+        if series.channel.source != source or series.channel.field != "ctrl":
+            continue
+        driven = robot.actuators[series.channel.name].joint
+        forces = None if driven is None else _needed_forces(run, robot, driven.qvel, settings)
+        if forces is not None:
+            # from a row to the middle of its effect
+            held = float(np.median(np.diff(series.time))) / 2 - robot.velocity_lag
+            yield forces, _Curve(series.label, series.time + held, series.values)
 
 
-def _forces(run: Run, machine: ModelJoints, dof: int) -> tuple[Array, Array] | None:
-    """The generalised force (n, 1) at a dof that the motion needs (mj_inverse), at stamps (n,);
+def _first_series(
+    run: LogRun, name: str, fields: Sequence[str], source: Source | None
+) -> TimeSeries | None:
+    """The first series of a joint that a source has, or, for None, that is on the log's clock."""
+    for field in fields:
+        series = run.of(field, name)
+        if series is None:
+            continue
+        there = series.channel.source
+        fits = there == source if source is not None else not there.own_clock
+        if fits:
+            return series
+    return None
+
+
+def _needed_forces(
+    run: LogRun, robot: ModelJoints, dof: int, settings: AlignmentSettings
+) -> _Curve | None:
+    """The generalised force (n, 1) at a degree of freedom that the motion needs (mj_inverse).
+
     None where a position is missing.
     """
-    positions = [run.of("qpos", name) for name in machine.joints]
-    if any(s is None or s.channel.source.own_clock for s in positions) or any(
-        joint.quaternion() for joint in machine.joints.values()
-    ):
+    positions = []
+    for name, joint in robot.joints.items():
+        series = run.of("qpos", name)
+        if series is None or series.channel.source.own_clock or joint.quaternion() is not None:
+            return None
+        positions.append(series)
+    time = positions[0].time[: settings.rows]
+    first = max(series.time[0] for series in positions)
+    last = min(series.time[-1] for series in positions)
+    time = time[(time >= first) & (time <= last)]
+    if len(time) < settings.minimum_rows:
         return None
-    known = [s for s in positions if s is not None]
-    time = known[0].time[:INSTANTS]
-    time = time[(time >= max(s.time[0] for s in known)) & (time <= min(s.time[-1] for s in known))]
-    if len(time) < LEAST:
-        return None
-    qpos = np.hstack([resample(s.time, s.values, time) for s in known])
-    moved = estimate_velocities(time, qpos)
-    accelerations = np.gradient(moved.velocities, time, axis=0)
-    forces = inverse_forces(machine.model, moved.positions, moved.velocities, accelerations)
-    return time, forces[:, [dof]]
+    qpos = np.hstack([resample(series.time, series.values, time) for series in positions])
+    motion = estimate_velocities(time, qpos)
+    accelerations = np.gradient(motion.velocities, time, axis=0)
+    forces = inverse_forces(robot.model, motion.positions, motion.velocities, accelerations)
+    return _Curve("the forces that the motion needs", time, forces[:, [dof]])

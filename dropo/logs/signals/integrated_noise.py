@@ -46,7 +46,7 @@ def transition(order: int) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class IntegratedNoise:
     """One measured position.
 
     Attributes
@@ -190,14 +190,14 @@ class Motion:
         return np.einsum("nij,nj->ni", self._precisions, self._noise(states[:, :, 0]))
 
 
-def filtered(motions: Sequence[Motion], ratios: Array) -> Array:
+def filter_motions(motions: Sequence[IntegratedNoise], ratios: Array) -> Array:
     """Estimate the states of positions measured at the same times, by the past alone.
 
     The filter knows of no jumps: behind one it catches up.
 
     Parameters
     ----------
-    motions : sequence of Motion
+    motions : sequence of IntegratedNoise
         The p positions.
     ratios : (p,) array
         q / r of each, in the inner unit of time.

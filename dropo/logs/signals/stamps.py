@@ -1,132 +1,176 @@
 """Time stamps: rows that do not go on, gaps and jitter; and the rows that can be kept."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.data.checks.findings import Finding
-
-GAP = 5.0
-"""A step of more than so many median steps is a gap: what happened in it is not known."""
-JITTER = 0.2
-"""Steps that vary by more than this share of the median (rms) are worth a word."""
-BACKWARD = 0.01
-"""Where more than this share of the rows runs backward, the stamps cannot be trusted."""
+from dropo.data.checks.findings import Finding, Level
 
 
-def going_on(time: Array) -> NDArray[np.bool_]:
-    """(n,) rows that are later than every row before them."""
+@dataclass(frozen=True)
+class StampSettings:
+    """What makes time stamps look odd.
+
+    Attributes
+    ----------
+    gap : float
+        A step of more than this many median steps is a gap: what happened in it is not known.
+    jitter : float
+        Steps that vary by more than this fraction of the median (rms) are reported.
+    backward : float
+        Where more than this fraction of the rows runs backward, the stamps cannot be trusted.
+    """
+
+    gap: float = 5.0
+    jitter: float = 0.2
+    backward: float = 0.01
+
+
+DEFAULTS = StampSettings()
+
+
+def increasing(time: Array) -> NDArray[np.bool_]:
+    """Mark the rows that are later than every row before them.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Stamps [s] in the order of the log.
+
+    Returns
+    -------
+    (n,) bool array
+    """
     before = np.concatenate([[-np.inf], np.maximum.accumulate(time)[:-1]])
     return time > before
 
 
-def gaps(time: Array) -> Ints:
-    """The rows of increasing stamps before which there is a gap."""
+def find_gaps(time: Array, settings: StampSettings = DEFAULTS) -> Ints:
+    """Find the rows before which there is a gap.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Increasing stamps [s].
+    settings : StampSettings, optional
+        How long a gap is.
+
+    Returns
+    -------
+    int array
+        Places among the n rows.
+    """
     steps = np.diff(time)
-    return (
-        np.flatnonzero(steps > GAP * np.median(steps)) + 1
-        if len(steps)
-        else np.empty(0, dtype=np.int64)
-    )
+    if not len(steps):
+        return np.empty(0, dtype=np.int64)
+    return np.flatnonzero(steps > settings.gap * np.median(steps)) + 1
 
 
-def check_stamps(name: str, time: Array, rows: Ints, run: str | None = None) -> Iterator[Finding]:
-    """What is wrong with stamps (n,) [s] in the order of the log; rows: their places in it."""
+def check_stamps(
+    name: str,
+    time: Array,
+    rows: Ints,
+    run: str | None = None,
+    settings: StampSettings = DEFAULTS,
+) -> Iterator[Finding]:
+    """Find what is wrong with time stamps.
+
+    Parameters
+    ----------
+    name : str
+        What messages call them.
+    time : (n,) array
+        Stamps [s] in the order of the log.
+    rows : (n,) int array
+        Their places in the log.
+    run : str, optional
+        The run, where there are several.
+    settings : StampSettings, optional
+        What counts as odd.
+
+    Yields
+    ------
+    Finding
+    """
     if len(time) < 2:
         return
-    keep = going_on(time)
-    steps = np.diff(time)
+    stamps = _Stamps(name, time, rows, run)
+    keep = increasing(time)
+    yield from _check_order(stamps, float(np.mean(~keep)), settings)
+    yield from _check_steps(_Stamps(name, time[keep], rows[keep], run), settings)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stamps:
+    """Stamps (n,) [s] with their places (n,) in the log."""
+
+    name: str
+    time: Array
+    rows: Ints
+    run: str | None
+
+    def place(self, i: int) -> str:
+        """Where the i-th stands."""
+        return f"row {self.rows[i]} at {self.time[i]:.6g} s"
+
+    def finding(self, level: Level, i: int, text: str, advice: str) -> Finding:
+        """A finding at the i-th."""
+        row = int(self.rows[i])
+        return Finding(level, self.name, text, advice, self.run, row, float(self.time[i]))
+
+
+def _check_order(stamps: _Stamps, lost: float, settings: StampSettings) -> Iterator[Finding]:
+    """Stamps that are written twice or run backward; `lost` is the fraction of both."""
+    steps = np.diff(stamps.time)
     same = np.flatnonzero(steps == 0) + 1
     back = np.flatnonzero(steps < 0) + 1
     if len(same):
-        text = (
-            f"{_rows(len(same))} the time stamp of the row before, the first is row "
-            f"{rows[same[0]]} at {time[same[0]]:.6g} s."
-        )
-        yield Finding(
-            "warning",
-            name,
-            text,
-            "An import drops them; see why the logger writes rows twice.",
-            run,
-            *_place(rows, time, same[0]),
-        )
+        rows = "1 row has" if len(same) == 1 else f"{len(same)} rows have"
+        text = f"{rows} the time stamp of the row before, the first is {stamps.place(same[0])}."
+        advice = "An import drops them; see why the logger writes rows twice."
+        yield stamps.finding("warning", same[0], text, advice)
     if len(back):
-        lost = float(np.mean(~keep)) - len(same) / len(time)
+        first = back[0]
+        times = "once" if len(back) == 1 else f"{len(back)} times"
         text = (
-            f"time runs backward {_times(len(back))}, first to row {rows[back[0]]} at "
-            f"{time[back[0]]:.6g} s, from "
-            f"{time[back[0] - 1]:.6g} s."
+            f"time runs backward {times}, first to {stamps.place(first)}, from "
+            f"{stamps.time[first - 1]:.6g} s."
         )
-        if lost > BACKWARD:
+        if lost - len(same) / len(stamps.time) > settings.backward:
             advice = "Cut the log there, or map a clock that does not restart."
-            yield Finding("error", name, text, advice, run, *_place(rows, time, back[0]))
+            yield stamps.finding("error", first, text, advice)
         else:
-            yield Finding(
-                "warning",
-                name,
-                text,
-                "An import drops rows that are not later than all before.",
-                run,
-                *_place(rows, time, back[0]),
-            )
-    yield from _steps(name, time[keep], rows[keep], run)
+            advice = "An import drops rows that are not later than all before."
+            yield stamps.finding("warning", first, text, advice)
 
 
-def _steps(name: str, time: Array, rows: Ints, run: str | None) -> Iterator[Finding]:
-    steps = np.diff(time)
+def _check_steps(stamps: _Stamps, settings: StampSettings) -> Iterator[Finding]:
+    """Gaps and jitter of increasing stamps."""
+    steps = np.diff(stamps.time)
     if len(steps) < 3:
         return
     typical = float(np.median(steps))
-    cut = gaps(time)
-    if len(cut):
-        first = cut[0]
+    gaps = find_gaps(stamps.time, settings)
+    if len(gaps):
+        count = "1 gap" if len(gaps) == 1 else f"{len(gaps)} gaps"
         text = (
-            f"{len(cut)} {'gap' if len(cut) == 1 else 'gaps'} of more than {GAP:g} steps "
-            f"of {1e3 * typical:.4g} ms, the longest "
-            f"{1e3 * steps.max():.4g} ms, the first before row {rows[first]} at "
-            f"{time[first]:.6g} s."
+            f"{count} of more than {settings.gap:g} steps of {1e3 * typical:.4g} ms, the longest "
+            f"{1e3 * steps.max():.4g} ms, the first before {stamps.place(gaps[0])}."
         )
-        yield Finding(
-            "warning",
-            name,
-            text,
-            "An import ends a trajectory there.",
-            run,
-            *_place(rows, time, first),
-        )
-    inside = steps[steps <= GAP * typical]
-    jitter = float(np.sqrt(np.mean((inside / typical - 1) ** 2)))
-    if jitter > JITTER:
-        worst = int(np.argmax(np.where(steps <= GAP * typical, np.abs(steps - typical), 0))) + 1
+        yield stamps.finding("warning", gaps[0], text, "An import ends a trajectory there.")
+    even = steps <= settings.gap * typical
+    jitter = float(np.sqrt(np.mean((steps[even] / typical - 1) ** 2)))
+    if jitter > settings.jitter:
+        worst = int(np.argmax(np.where(even, np.abs(steps - typical), 0))) + 1
         text = (
             f"steps vary by {100 * jitter:.0f} % (rms) around {1e3 * typical:.4g} ms; the "
-            f"farthest is {1e3 * steps[worst - 1]:.4g} ms, "
-            f"before row {rows[worst]} at {time[worst]:.6g} s."
+            f"farthest is {1e3 * steps[worst - 1]:.4g} ms, before {stamps.place(worst)}."
         )
-        yield Finding(
-            "information",
-            name,
-            text,
-            (
-                "An import resamples; stamps of the sensor itself jitter less than those of "
-                "the logger."
-            ),
-            run,
-            *_place(rows, time, worst),
+        advice = (
+            "An import resamples; stamps of the sensor itself jitter less than those of the logger."
         )
-
-
-def _rows(count: int) -> str:
-    return f"{count} row has" if count == 1 else f"{count} rows have"
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
-
-
-def _place(rows: Ints, time: Array, i: int) -> tuple[int, float]:
-    return int(rows[i]), float(time[i])
+        yield stamps.finding("information", worst, text, advice)

@@ -128,6 +128,7 @@ class StateSpaceModel:
     Attributes
     ----------
     simulator : Simulator
+        Must observe whole states of p numbers, without rotations.
     value : (d,) array
         Its parameters.
     trajectories : Trajectories
@@ -135,6 +136,7 @@ class StateSpaceModel:
     measured : (p,) bool array
         Which columns were measured.
     settings : SmootherSettings
+        How states are estimated.
     """
 
     simulator: Simulator
@@ -144,7 +146,24 @@ class StateSpaceModel:
     settings: SmootherSettings
 
     def linearize(self, states: Array, noise: Array) -> _Linearization:
-        """Linearize around states (M, p), by differences as wide as the noise (p,)."""
+        """Linearize every transition around its first state.
+
+        Parameters
+        ----------
+        states : (M, p) array
+            Every state once.
+        noise : (p,) array
+            Variances of the measurements: differences are as wide as their standard deviations.
+
+        Returns
+        -------
+        _Linearization
+
+        Raises
+        ------
+        SimulationFailed
+            If a simulation from one of the states diverges.
+        """
         step = self._difference_steps(states, noise)
         segments = replace_states(self.trajectories, states).segments(1)
         try:
@@ -183,6 +202,7 @@ def estimate_along(
     Parameters
     ----------
     model : StateSpaceModel
+        The simulator and the measured transitions.
     noise : (p,) array
         Variances of the measurements.
     process : (p, p) array
@@ -193,7 +213,14 @@ def estimate_along(
     Returns
     -------
     states : (M, p) array
+        Every state once.
     covariance : (M, p, p) array
+        Of each.
+
+    Raises
+    ------
+    SimulationFailed
+        If a simulation from one of the states diverges.
     """
     states = _measured_states(model.trajectories)
     for _ in range(model.settings.passes):
@@ -206,9 +233,16 @@ def estimate_along(
 
 @dataclass(frozen=True, eq=False)
 class _Filtered:
-    """States (M, p) given the measurements up to them, and predictions (N, p) of transitions' ends.
+    """States (M, p) given the measurements up to them, and what was predicted before each.
 
-    With their covariances; log_likelihood: of the innovations, up to a constant.
+    Attributes
+    ----------
+    states, covariance : (M, p) and (M, p, p) array
+        Of every state.
+    predicted, predicted_covariance : (N, p) and (N, p, p) array
+        Of the state after each transition, by the measurements before it.
+    log_likelihood : float
+        Of the innovations, up to a constant.
     """
 
     states: Array
@@ -220,9 +254,16 @@ class _Filtered:
 
 @dataclass(frozen=True, eq=False)
 class _Smoothed:
-    """States (M, p) given all measurements, with covariances (M, p, p).
+    """States (M, p) given all measurements.
 
-    lagged: (N, p, p) covariance of the state after each transition with the one before it.
+    Attributes
+    ----------
+    filtered : _Filtered
+        What the filter found before.
+    states, covariance : (M, p) and (M, p, p) array
+        Of every state.
+    lagged : (N, p, p) array
+        Covariance of the state after each transition with the one before it.
     """
 
     filtered: _Filtered
@@ -245,17 +286,17 @@ def _filter(
     predicted = np.empty((len(data), p))
     predicted_covariance = np.empty((len(data), p, p))
     log_likelihood = 0.0
-    for number, (start, stop) in enumerate(data.spans):
-        # The state before transition k is in row k + number.
-        first = start + number
+    for trajectory, (start, stop) in enumerate(data.spans):
+        # The trajectories before have one state more each: that before transition k is in this row.
+        first = start + trajectory
         states[first] = model.first_state(measured[first], linear.at[first])
         covariance[first] = first_covariance
         log_likelihoods = []
         for k in range(start, stop):
-            row = k + number
-            away = states[row] - linear.at[row]
+            row = k + trajectory
+            deviation = states[row] - linear.at[row]
             predicted[k], predicted_covariance[k] = predict(
-                away, covariance[row], linear.jacobian[k], process, linear.predicted[k]
+                deviation, covariance[row], linear.jacobian[k], process, linear.predicted[k]
             )
             observation = measured[row + 1, sensors.columns]
             found = update(predicted[k], predicted_covariance[k], observation, sensors)
@@ -276,9 +317,9 @@ def _smooth(
     states = filtered.states.copy()
     covariance = filtered.covariance.copy()
     lagged = np.empty_like(linear.jacobian)
-    for number, (start, stop) in enumerate(data.spans):
+    for trajectory, (start, stop) in enumerate(data.spans):
         for k in reversed(range(start, stop)):
-            row = k + number
+            row = k + trajectory
             states[row], covariance[row], lagged[k] = smooth(
                 (filtered.states[row], filtered.covariance[row]),
                 linear.jacobian[k],
@@ -294,14 +335,25 @@ def learn_noise(model: StateSpaceModel, noise: Array | None) -> tuple[Array, Arr
     Parameters
     ----------
     model : StateSpaceModel
+        The simulator and the transitions to learn from.
     noise : (p,) array or None
         Variances of the measurements, where they are known.
 
     Returns
     -------
     noise : (p,) array
+        Variances of the measurements.
     process : (p, p) array
         Covariance of what the model misses in a step.
+
+    Raises
+    ------
+    SimulationFailed
+        If a simulation from one of the states diverges.
+
+    References
+    ----------
+    Shumway and Stoffer, Journal of Time Series Analysis 3 (1982), 253.
     """
     settings = model.settings
     measured = _measured_states(model.trajectories)
@@ -354,9 +406,9 @@ def _expected_process(
     """(p, p) expected outer product of what the linear model misses in a step."""
     before = places_before(trajectories)
     a = linear.jacobian
-    away = found.states[before] - linear.at[before]
-    residual = found.states[before + 1] - linear.predicted - np.einsum("nij,nj->ni", a, away)
+    deviation = found.states[before] - linear.at[before]
+    missed = found.states[before + 1] - linear.predicted - np.einsum("nij,nj->ni", a, deviation)
     carried = a @ found.covariance[before] @ a.swapaxes(1, 2)
     crossed = a @ found.lagged.swapaxes(1, 2)
     spread = found.covariance[before + 1] + carried - crossed - crossed.swapaxes(1, 2)
-    return np.asarray(residual.T @ residual / len(residual) + spread.mean(axis=0))
+    return np.asarray(missed.T @ missed / len(missed) + spread.mean(axis=0))

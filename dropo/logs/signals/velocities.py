@@ -1,5 +1,8 @@
-"""Velocities from logged positions, with the noise level of both: by a smoother, or by a filter
-that knows the past alone.
+"""Velocities from logged positions, with the noise level of both.
+
+They come from a smoother, or from a filter that knows the past alone. In reading order:
+`estimate_velocities` fits a `_Column` to each position; `_fit_column` finds the noise level and the
+bandwidth of largest likelihood, and `_find_jumps` the rows at which the velocity jumps.
 """
 
 from collections.abc import Callable
@@ -12,36 +15,80 @@ from scipy.optimize import minimize_scalar
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array, float_array, require
-from dropo.logs.signals.integrated_noise import Motion, filtered
+from dropo.logs.signals.integrated_noise import IntegratedNoise, filter_motions
 
-# accelerations are taken as a random walk: of 2, 3 and 4 the one whose stated noise levels are
-# right on most motions
 ORDER = 3
-# of log q / r: the search, in steps of the median time, and its first grid
-LEAST = -30.0
-LARGEST = 10.0
-GRID = 4.0
-# rows that the search sees of a long log
-BLOCKS = 20
-BLOCK = 1000
-# a jump of the velocity: its score among all, beside its surroundings', above the acceleration's
-GATE = 8.0
-ABOVE = 6.5
-BELOW = 1.95
-ROUNDS = 5  # of looking for jumps
-PROBES = 8  # columns of random signs that show how much noise comes through (Hutchinson 1990)
-NOTHING: Ints = np.empty(0, dtype=np.int64)
+"""Numbers in a state: position, velocity and acceleration, which is a random walk.
+
+Of 2, 3 and 4 the one whose stated noise levels are right on most motions.
+"""
+
+
+@dataclass(frozen=True)
+class VelocitySettings:
+    """How noise level, bandwidth and jumps of a position are found.
+
+    q is the density of the random walk of the acceleration, r the variance of the measurement.
+
+    Attributes
+    ----------
+    lowest, highest : float
+        Bounds of log(q / r), in steps of the median time.
+    grid_step : float
+        Of the first search between them.
+    tolerance : float
+        Of log(q / r) in the search that follows.
+    blocks, block_rows : int
+        A long log is fitted on so many pieces of so many rows.
+    jump_score : float
+        A jump of the velocity has a score above this, in standard deviations of all scores, ...
+    jump_contrast : float
+        ... more than this times those around it, ...
+    jump_sharpness : float
+        ... and such that the acceleration's score is below this times the velocity's.
+    jump_rounds : int
+        Rounds of searching for jumps.
+    probes : int
+        Columns of random signs that show how much noise passes the smoother (Hutchinson 1990).
+    """
+
+    lowest: float = -30.0
+    highest: float = 10.0
+    grid_step: float = 4.0
+    tolerance: float = 0.02
+    blocks: int = 20
+    block_rows: int = 1000
+    jump_score: float = 8.0
+    jump_contrast: float = 6.5
+    jump_sharpness: float = 1.95
+    jump_rounds: int = 5
+    probes: int = 8
+
+
+DEFAULTS = VelocitySettings()
+NO_JUMPS: Ints = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Velocities:
-    """Smoothed or filtered positions and their velocities, (n, p) each, and standard deviations
-    (p,) of what is wrong in them.
+    """Smoothed or filtered positions, and their velocities.
 
-    position_noise: of the measured positions; smoothed_noise: of `positions`; velocity_noise: of
-    `velocities`, whose errors hang together over the width of the smoother. jumps: for each column
-    the rows before which the velocity jumped (an impact), so that nothing was smoothed across.
-    causal: whether only measurements up to a row were used.
+    Attributes
+    ----------
+    positions, velocities : (n, p) array
+        The estimates.
+    position_noise : (p,) array
+        Standard deviation of the noise of the measured positions.
+    velocity_noise : (p,) array
+        Standard deviation of the errors of `velocities`, which are correlated over the width of the
+        smoother.
+    smoothed_noise : (p,) array
+        Standard deviation of the errors of `positions`.
+    jumps : tuple of int array
+        For each column the rows before which the velocity jumped (an impact), so that nothing was
+        smoothed across.
+    causal : bool
+        Whether only measurements up to a row were used.
     """
 
     positions: Array
@@ -54,230 +101,265 @@ class Velocities:
 
 
 def estimate_velocities(
-    time: ArrayLike, positions: ArrayLike, *, noise: ArrayLike | None = None, causal: bool = False
+    time: ArrayLike,
+    positions: ArrayLike,
+    *,
+    noise: ArrayLike | None = None,
+    causal: bool = False,
+    settings: VelocitySettings = DEFAULTS,
 ) -> Velocities:
-    """The velocities (n, p) of positions (n, p) measured at `time` (n,) [s], strictly increasing,
-    also unevenly.
+    """Estimate velocities from measured positions.
 
-    Each column's acceleration is taken as a random walk seen through white noise; the noise level
-    and the smoother's bandwidth are the ones of largest likelihood. noise: (p,) the standard
-    deviations, where they are known. A quantised column has at least the noise of its steps, step /
-    sqrt(12). causal: a filter, for what must not know the future, with larger errors, which catches
-    up behind a jump; else a smoother, split at jumps. Angles must be unwrapped.
+    Parameters
+    ----------
+    time : (n,) array
+        Strictly increasing instants [s], also unevenly spaced.
+    positions : (n, p) array
+        Measured then; angles must be unwrapped.
+    noise : (p,) array, optional
+        Standard deviations of the measurements, where they are known.
+    causal : bool
+        Use a filter, for what must not know the future: its errors are larger, and it catches up
+        behind a jump. By default a smoother, split at jumps.
+    settings : VelocitySettings, optional
+        How noise level, bandwidth and jumps are found.
+
+    Returns
+    -------
+    Velocities
+
+    Raises
+    ------
+    BadArgument
+        If an array has another shape or is not finite, there are fewer than 7 rows, `time` does not
+        increase, or `noise` is not above 0.
+
+    Notes
+    -----
+    Each column's acceleration is a random walk seen through white noise; the noise level and the
+    smoother's bandwidth are those of largest likelihood. A quantised column has at least the noise
+    of its steps, step / sqrt(12).
     """
-    stamps = float_array("time", time, (None,), "estimate_velocities")
-    rows = float_array("positions", positions, (len(stamps), None), "estimate_velocities")
-    require(
-        len(stamps) > 2 * ORDER,
-        "positions",
-        f"at least {2 * ORDER + 1} rows",
-        len(stamps),
-        "estimate_velocities",
-    )
-    require(
-        bool((np.diff(stamps) > 0).all()),
-        "time",
-        "strictly increasing",
-        "instants that are not",
-        "estimate_velocities",
-    )
-    known = (
-        None
-        if noise is None
-        else float_array("noise", noise, (rows.shape[1],), "estimate_velocities")
-    )
-    require(
-        known is None or bool((known > 0).all()), "noise", "above 0", known, "estimate_velocities"
-    )
-    columns = [
-        _Column.of(stamps, column, None if known is None else float(known[i]))
-        for i, column in enumerate(rows.T)
-    ]
-    smooth = [column.smoothed() for column in columns]
-    estimates = [s[0] for s in smooth]
-    errors = [s[1] for s in smooth]
+    caller = "estimate_velocities"
+    stamps = float_array("time", time, (None,), caller)
+    rows = float_array("positions", positions, (len(stamps), None), caller)
+    rule = f"at least {2 * ORDER + 1} rows"
+    require(len(stamps) > 2 * ORDER, "positions", rule, len(stamps), caller)
+    increasing = bool((np.diff(stamps) > 0).all())
+    require(increasing, "time", "strictly increasing", "instants that are not", caller)
+    levels: list[float | None] = [None] * rows.shape[1]
+    if noise is not None:
+        known = float_array("noise", noise, (rows.shape[1],), caller)
+        require(bool((known > 0).all()), "noise", "above 0", known, caller)
+        levels = list(known.tolist())
+
+    columns = []
+    for measured, level in zip(rows.T, levels, strict=True):
+        columns.append(_fit_column(stamps, measured, level, settings))
+    smooth = [_smooth(column, settings) for column in columns]
+    estimates = np.stack([states for states, _ in smooth], axis=2)  # (n, 2, p)
+    errors = np.stack([deviations for _, deviations in smooth], axis=1)  # (2, p)
     if causal:
-        later = estimates
-        estimates = list(
-            filtered(
-                [column.motion for column in columns],
-                np.array([column.ratio for column in columns]),
-            )[:, :, :2]
-        )
-        errors = [
-            np.sqrt(e**2 + np.mean((a - b)[2 * ORDER :] ** 2, axis=0))
-            for e, a, b in zip(errors, estimates, later, strict=True)
-        ]
-    # (n, 2, p), (2, p)
-    found = np.stack(estimates, axis=2)
-    deviations = np.stack(errors, axis=1)
-    levels = np.array([column.noise for column in columns])
-    jumps = tuple(column.motion.jumps for column in columns)
-    return Velocities(found[:, 0], found[:, 1], levels, deviations[1], deviations[0], jumps, causal)
+        motions = [column.motion for column in columns]
+        ratios = np.array([column.ratio for column in columns])
+        past = np.stack(list(filter_motions(motions, ratios)[:, :, :2]), axis=2)
+        # the smoother's errors, and what the filter is off the smoother
+        late = np.mean((past - estimates)[2 * ORDER :] ** 2, axis=0)
+        errors = np.sqrt(errors**2 + late)
+        estimates = past
+    return Velocities(
+        positions=estimates[:, 0],
+        velocities=estimates[:, 1],
+        position_noise=np.array([column.noise for column in columns]),
+        velocity_noise=errors[1],
+        smoothed_noise=errors[0],
+        jumps=tuple(column.motion.jumps for column in columns),
+        causal=causal,
+    )
 
 
 def quantum(values: Array) -> float:
-    """The step of which all differences of the values (n,) are multiples; 0 where there is none."""
-    gaps = np.diff(np.unique(values))
-    gaps = (
-        gaps[gaps > 1e-7 * np.abs(values).max()] if len(gaps) else gaps
-    )  # below, rounding of single precision
-    if not len(gaps):
+    """Find the step of which all differences of values are multiples.
+
+    Parameters
+    ----------
+    values : (n,) array
+        The values.
+
+    Returns
+    -------
+    float
+        The step, in their unit; 0 where there is none.
+    """
+    steps = np.diff(np.unique(values))
+    if len(steps):
+        steps = steps[steps > 1e-7 * np.abs(values).max()]  # below, rounding of single precision
+    if not len(steps):
         return 0.0
-    step = float(np.mean(gaps[gaps < 1.5 * gaps.min()]))
-    whole = np.abs(gaps / step - np.round(gaps / step)) < 0.05
-    return step if len(gaps) > 2 and whole.all() else 0.0
+    step = float(np.mean(steps[steps < 1.5 * steps.min()]))
+    whole = np.abs(steps / step - np.round(steps / step)) < 0.05
+    return step if len(steps) > 2 and whole.all() else 0.0
+
+
+# One position
 
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """One position: its motion, the standard deviation of its noise and q / r of largest
-    likelihood.
-    """
+    """One position: its motion, the standard deviation of its noise, and q / r."""
 
-    motion: Motion
+    motion: IntegratedNoise
     noise: float
     ratio: float
 
-    @staticmethod
-    def of(time: Array, measured: Array, noise: float | None) -> "_Column":
-        motion = Motion(time, measured, ORDER, NOTHING, unit=float(np.median(np.diff(time))))
-        if np.ptp(measured) == 0:
-            return _Column(motion, 0.0, float(np.exp(LEAST)))
-        least = quantum(measured) / np.sqrt(12)
-        for _ in range(ROUNDS):
-            column = _likeliest(motion, noise, least)
-            more = _jumps(column)
-            if not len(more):
-                break
-            motion = replace(motion, jumps=np.union1d(motion.jumps, more).astype(np.int64))
-        return column
 
-    def smoothed(self) -> tuple[Array, Array]:
-        """Position and velocity (n, 2), and the standard deviations (2,) of their errors: noise
-        that comes through, and lost motion.
-
-        What the smoother takes off its own result stands for the motion that it took off the truth.
-        What stands still has velocity 0.
-        """
-        if np.ptp(self.motion.measured) == 0:
-            return np.stack(
-                [self.motion.measured, np.zeros_like(self.motion.measured)], axis=1
-            ), np.zeros(2)
-        states = self.motion.smoothed(self.ratio, self.motion.measured[:, None])[:, :2, 0]
-        signs = np.random.default_rng(0).choice(
-            [-1.0, 1.0], size=(len(states), PROBES)
-        )  # always the same: a trace's estimate
-        probes = self.motion.smoothed(self.ratio, np.concatenate([states[:, :1], signs], axis=1))[
-            :, :2
-        ]
-        lost = np.mean((probes[:, :, 0] - states)[ORDER:-ORDER] ** 2, axis=0)
-        through = np.mean(probes[:, :, 1:] ** 2, axis=(0, 2))
-        return states, np.sqrt(self.noise**2 * through + lost)
+def _fit_column(
+    time: Array, measured: Array, noise: float | None, settings: VelocitySettings
+) -> _Column:
+    """The column with its jumps, and noise and ratio of largest likelihood."""
+    unit = float(np.median(np.diff(time)))
+    motion = IntegratedNoise(time, measured, ORDER, NO_JUMPS, unit=unit)
+    if np.ptp(measured) == 0:
+        return _Column(motion, 0.0, float(np.exp(settings.lowest)))
+    minimum_noise = quantum(measured) / np.sqrt(12)
+    for _ in range(settings.jump_rounds):
+        column = _fit_noise(motion, noise, minimum_noise, settings)
+        new = _find_jumps(column, settings)
+        if not len(new):
+            break
+        jumps = np.union1d(motion.jumps, new).astype(np.int64)
+        motion = replace(motion, jumps=jumps)
+    return column
 
 
-def _likeliest(motion: Motion, noise: float | None, least: float) -> _Column:
+def _smooth(column: _Column, settings: VelocitySettings) -> tuple[Array, Array]:
+    """Position and velocity (n, 2), and the standard deviations (2,) of their errors.
+
+    The errors are noise that passes the smoother, and motion that it takes off: what it takes off
+    its own result stands for what it took off the truth. What stands still has velocity 0.
+    """
+    motion = column.motion
+    measured = motion.measured
+    if np.ptp(measured) == 0:
+        return np.stack([measured, np.zeros_like(measured)], axis=1), np.zeros(2)
+    states = motion.smoothed(column.ratio, measured[:, None])[:, :2, 0]
+    rng = np.random.default_rng(0)  # always the same: an estimate of a trace
+    signs = rng.choice([-1.0, 1.0], size=(len(states), settings.probes))
+    inputs = np.concatenate([states[:, :1], signs], axis=1)
+    outputs = motion.smoothed(column.ratio, inputs)[:, :2]
+    lost = np.mean((outputs[:, :, 0] - states)[ORDER:-ORDER] ** 2, axis=0)
+    passed = np.mean(outputs[:, :, 1:] ** 2, axis=(0, 2))
+    return states, np.sqrt(column.noise**2 * passed + lost)
+
+
+# Noise level and bandwidth
+
+
+def _fit_noise(
+    motion: IntegratedNoise, noise: float | None, minimum: float, settings: VelocitySettings
+) -> _Column:
     """The column with the noise level, if it is not known, and the ratio of largest likelihood."""
-    blocks = _blocks(motion)
+    blocks = _blocks(motion, settings)
 
-    def fits(ratio: float) -> Array:
+    def fit(ratio: float) -> Array:
         return np.sum([block.fit(ratio) for block in blocks], axis=0)
 
-    def free(log_ratio: float) -> float:
-        squares, determinant, degrees = fits(float(np.exp(log_ratio)))
+    def cost_of_free_noise(log_ratio: float) -> float:
+        squares, determinant, degrees = fit(float(np.exp(log_ratio)))
         return float(degrees * np.log(squares / degrees) + determinant)
 
-    def fixed(log_ratio: float, level: float) -> float:
-        squares, determinant, degrees = fits(float(np.exp(log_ratio)))
+    if noise is None:
+        ratio = _minimize(cost_of_free_noise, settings)
+        squares, _, degrees = fit(ratio)
+        found = float(np.sqrt(squares / degrees))
+        if found >= minimum:
+            return _Column(motion, found, ratio)
+    level = minimum if noise is None else noise
+
+    def cost_of_known_noise(log_ratio: float) -> float:
+        squares, determinant, degrees = fit(float(np.exp(log_ratio)))
         return float(squares / level**2 + degrees * np.log(level**2) + determinant)
 
-    if noise is None:
-        ratio = _minimum(free)
-        squares, _, degrees = fits(ratio)
-        found = float(np.sqrt(squares / degrees))
-        if found >= least:
-            return _Column(motion, found, ratio)
-        noise = least
-    level = noise
-    return _Column(motion, level, _minimum(lambda log_ratio: fixed(log_ratio, level)))
+    return _Column(motion, level, _minimize(cost_of_known_noise, settings))
 
 
-def _blocks(motion: Motion) -> list[Motion]:
+def _blocks(motion: IntegratedNoise, settings: VelocitySettings) -> list[IntegratedNoise]:
     """The motion, or evenly spread pieces of a long one."""
     n = len(motion.time)
-    if n <= BLOCKS * BLOCK:
+    rows = settings.block_rows
+    if n <= settings.blocks * rows:
         return [motion]
-    starts = np.linspace(0, n - BLOCK, BLOCKS).astype(int)
-    return [_piece(motion, slice(start, start + BLOCK)) for start in starts]
+    starts = np.linspace(0, n - rows, settings.blocks).astype(int)
+    return [_piece(motion, slice(start, start + rows)) for start in starts]
 
 
-def _piece(motion: Motion, rows: slice) -> Motion:
+def _piece(motion: IntegratedNoise, rows: slice) -> IntegratedNoise:
+    """Some rows of a motion, with the jumps in them."""
     inside = motion.jumps[(motion.jumps > rows.start) & (motion.jumps < rows.stop)] - rows.start
     return replace(motion, time=motion.time[rows], measured=motion.measured[rows], jumps=inside)
 
 
-def _minimum(function: Callable[[float], float]) -> float:
-    """Exp of where a function of log q / r is smallest, within the bounds: a grid, then Brent's
-    method.
-    """
+def _minimize(cost: Callable[[float], float], settings: VelocitySettings) -> float:
+    """The ratio where a function of its logarithm is smallest: a grid, then Brent's method."""
 
     def guarded(x: float) -> float:
         try:
-            return function(x)
+            return cost(x)
         except np.linalg.LinAlgError:  # so stiff that rounding wins
             return np.inf
 
-    grid = np.arange(LEAST, LARGEST + GRID / 2, GRID)
+    step = settings.grid_step
+    grid = np.arange(settings.lowest, settings.highest + step / 2, step)
     best = grid[int(np.argmin([guarded(float(x)) for x in grid]))]
-    bounds = (max(LEAST, best - GRID), min(LARGEST, best + GRID))
-    return float(
-        np.exp(minimize_scalar(guarded, bounds=bounds, method="bounded", options={"xatol": 0.02}).x)
+    bounds = (max(settings.lowest, best - step), min(settings.highest, best + step))
+    found = minimize_scalar(
+        guarded, bounds=bounds, method="bounded", options={"xatol": settings.tolerance}
     )
+    return float(np.exp(found.x))
 
 
-def _jumps(column: _Column) -> Ints:
-    """Rows before which the velocity jumps: steps that stand out from all and from their
-    surroundings, more than the acceleration does.
+# Jumps
 
-    A jump of the acceleration, as under a switched command, shows first in the acceleration's own
+
+def _find_jumps(column: _Column, settings: VelocitySettings) -> Ints:
+    """Rows before which the velocity jumps.
+
+    Such steps stand out from all and from their surroundings, more than the acceleration does: a
+    jump of the acceleration, as under a switched command, shows first in the acceleration's own
     scores.
     """
     scores = np.abs(column.motion.scores(column.ratio))
     scores[column.motion.jumps - 1] = 0.0
     scores = scores[:, 1:] / deviation(scores[:, 1:])  # (n - 1, 2) of velocity and acceleration
-    width = max(
-        2 * ORDER, int(3 * column.ratio ** (-0.5 / ORDER))
-    )  # steps over which the smoother reaches
+    velocity = scores[:, 0]
+    acceleration = scores[:, 1]
+    width = max(2 * ORDER, int(3 * column.ratio ** (-0.5 / ORDER)))  # steps of the smoother
     taken = [0, *(column.motion.jumps - 1).tolist(), len(scores)]
     found: list[int] = []
-    for k in np.argsort(-scores[:, 0])[: len(scores) // width].tolist():
-        if scores[k, 0] <= GATE:
+    for k in np.argsort(-velocity)[: len(scores) // width].tolist():
+        if velocity[k] <= settings.jump_score:
             break
         if min(abs(k - other) for other in taken) <= width:
             continue
-        around = np.concatenate(
-            [
-                scores[max(0, k - 10 * width) : k - width + 1, 0],
-                scores[k + width : k + 10 * width, 0],
-            ]
-        )
-        here = scores[k - width : k + width, 1].max()
         taken.append(k)
-        if scores[k, 0] > ABOVE * np.sqrt(np.mean(around**2)) and here < BELOW * scores[k, 0]:
+        before = velocity[max(0, k - 10 * width) : k - width + 1]
+        behind = velocity[k + width : k + 10 * width]
+        around = np.concatenate([before, behind])
+        stands_out = velocity[k] > settings.jump_contrast * np.sqrt(np.mean(around**2))
+        largest_acceleration = acceleration[k - width : k + width].max()
+        if stands_out and largest_acceleration < settings.jump_sharpness * velocity[k]:
             found.append(k)
-    return np.array(sorted(_placed(column, k + 1, width) for k in found), dtype=np.int64)
+    return np.array(sorted(_place_jump(column, k + 1, width) for k in found), dtype=np.int64)
 
 
-def _placed(column: _Column, row: int, width: int) -> int:
+def _place_jump(column: _Column, row: int, width: int) -> int:
     """The row, of those beside, at which the motion begins anew with the largest likelihood."""
     first = max(0, row - 10 * width)
-    piece = replace(_piece(column.motion, slice(first, row + 10 * width)), jumps=NOTHING)
+    piece = replace(_piece(column.motion, slice(first, row + 10 * width)), jumps=NO_JUMPS)
     options = [row, row - 1, row + 1, row - 2, row + 2]
-    fits = [
-        replace(piece, jumps=np.array([option - first])).fit(column.ratio) for option in options
-    ]
-    return options[
-        int(
-            np.argmin([squares / column.noise**2 + determinant for squares, determinant, _ in fits])
-        )
-    ]
+    costs = []
+    for option in options:
+        fit = replace(piece, jumps=np.array([option - first])).fit(column.ratio)
+        squares, determinant, _ = fit
+        costs.append(squares / column.noise**2 + determinant)
+    return options[int(np.argmin(costs))]

@@ -17,11 +17,11 @@ def read_data(
 
     Parameters
     ----------
-    file
+    file : FileContent[ProblemFile]
         The problem file.
-    simulator
+    simulator : MujocoSimulator
         Its simulator, which says how many columns the data have.
-    input
+    input : str or None
         Which of several logged commands are the actions.
 
     Returns
@@ -52,9 +52,9 @@ def read_states(file: FileContent[ProblemFile], simulator: MujocoSimulator) -> T
 
     Parameters
     ----------
-    file
+    file : FileContent[ProblemFile]
         The problem file.
-    simulator
+    simulator : MujocoSimulator
         Its simulator, which says how many columns the data have.
 
     Returns
@@ -75,9 +75,9 @@ def locate_data(file: FileContent[ProblemFile], named: str | list[str]) -> dict[
 
     Parameters
     ----------
-    file
+    file : FileContent[ProblemFile]
         The problem file, whose folder paths are relative to.
-    named
+    named : str or list of str
         One or several of them.
 
     Returns

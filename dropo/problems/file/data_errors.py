@@ -2,7 +2,7 @@
 
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Trajectories
-from dropo.data.checks.check import verdict
+from dropo.data.checks.check import find_error
 
 WAY_OUT = "If they are right all the same: --unchecked, or load(..., checked=False)."
 
@@ -12,9 +12,9 @@ def find_data_error(trajectories: Trajectories | None, simulator: Simulator) -> 
 
     Parameters
     ----------
-    trajectories
+    trajectories : Trajectories or None
         The data; None where there are none.
-    simulator
+    simulator : Simulator
         The simulator that they are compared with.
 
     Returns
@@ -22,7 +22,7 @@ def find_data_error(trajectories: Trajectories | None, simulator: Simulator) -> 
     str or None
         The error, what to do, and how to go on all the same; None where there is no error.
     """
-    finding = None if trajectories is None else verdict(trajectories, simulator)
+    finding = None if trajectories is None else find_error(trajectories, simulator)
     if finding is None:
         return None
     text = f"{finding.signal}: {finding.sentence} {finding.advice}".strip()

@@ -21,9 +21,9 @@ def read_effects(
 
     Parameters
     ----------
-    file
+    file : FileContent[ProblemFile]
         The problem file.
-    robot
+    robot : EffectContext
         What the effects may belong to.
 
     Returns
@@ -56,9 +56,9 @@ def make_effect_entry(instance: EffectInstance, sizes: Array | None = None) -> E
 
     Parameters
     ----------
-    atom
+    instance : EffectInstance
         The effect at its place.
-    sizes
+    sizes : Array or None
         Its sizes; by default it is to be fitted within the bounds of its quantities.
 
     Returns

@@ -1,6 +1,4 @@
-"""Problems whose data hold positions alone: velocities estimated from them, with their errors as
-noise.
-"""
+"""Problems whose data hold positions alone: velocities estimated from them, with their errors."""
 
 from dataclasses import replace
 
@@ -15,88 +13,97 @@ from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
 def with_velocities(problem: Problem) -> Problem:
-    """The problem with velocities of the hinges and slides whose positions alone are observed,
-    estimated by a smoother, not causal.
+    """Add velocities of the hinges and slides whose positions alone are observed.
 
-    They are compared like any other signal, and their noise is carried into what starts from them.
-    A problem that observes them all, starts its segments otherwise than from measurements, or has
-    no motion to take them from, stays as it is.
+    Parameters
+    ----------
+    problem : Problem
+        Any problem.
+
+    Returns
+    -------
+    Problem
+        With velocities estimated by a smoother, which is not causal. They are compared like any
+        other signal, and their noise is carried into what starts from them. The same problem where
+        all are observed, segments start otherwise than from measurements, or there is no motion to
+        take velocities from.
     """
     simulator = problem.simulator
     if not isinstance(simulator, MujocoSimulator) or problem.reset != "transition":
         return problem
-    places = unmeasured(simulator)
-    sides = [side for side in (problem.trajectories, problem.held_out) if side is not None]
-    if not places or not all(_continuous(side) for side in sides):
+    unmeasured = _unmeasured_velocities(simulator)
+    held_out = problem.held_out
+    parts = [problem.trajectories] if held_out is None else [problem.trajectories, held_out]
+    if not unmeasured or not all(_is_continuous(part) for part in parts):
         return problem
-    found = [_estimated(side, list(places), simulator.control_step) for side in sides]
-    seen = simulator.observing(
-        [*simulator.observation, *(f"qvel[{dof}]" for dof in places.values())]
-    )
-    names = [signal.name for signal in seen.signals[-len(places) :]]
-    warning = (
-        f"{', '.join(names)}: estimated from the positions before and after, since not measured."
-    )
+    columns = list(unmeasured)
+    step = simulator.control_step
+    trajectories, variance = _add_velocities(problem.trajectories, columns, step)
+    if held_out is not None:
+        held_out, _ = _add_velocities(held_out, columns, step)
+    items = [f"qvel[{dof}]" for dof in unmeasured.values()]
+    observing = simulator.observing([*simulator.observation, *items])
+    names = ", ".join(signal.name for signal in observing.signals[-len(items) :])
+    warning = f"{names}: estimated from the positions before and after, since not measured."
     return replace(
         problem,
-        simulator=seen,
-        trajectories=found[0][0],
-        held_out=found[1][0] if len(found) > 1 else None,
+        simulator=observing,
+        trajectories=trajectories,
+        held_out=held_out,
         start_noise=True,
-        epsilon=_with_theirs(problem, found[0][1]),
+        epsilon=_all_variances(problem, variance),
         warnings=(*problem.warnings, warning),
     )
 
 
-def unmeasured(simulator: MujocoSimulator) -> dict[int, int]:
-    """Column of each observed position -> its degree of freedom, of the joints whose velocity is
-    not observed.
-    """
+def _unmeasured_velocities(simulator: MujocoSimulator) -> dict[int, int]:
+    """By column of an observed position, the degree of freedom whose velocity is not observed."""
     columns = [(column.field, column.place) for column in simulator.layout.columns]
-    straight = [joint for joint in all_joints(simulator.model) if joint.kind in ("slide", "hinge")]
-    pairs = [(("qpos", joint.qpos), ("qvel", joint.qvel)) for joint in straight]
-    return {
-        columns.index(position): velocity[1]
-        for position, velocity in pairs
-        if position in columns and velocity not in columns
-    }
+    found = {}
+    for joint in all_joints(simulator.model):
+        position = ("qpos", joint.qpos)
+        observed = position in columns and ("qvel", joint.qvel) not in columns
+        if joint.kind in ("slide", "hinge") and observed:
+            found[columns.index(position)] = joint.qvel
+    return found
 
 
-def _continuous(data: Trajectories) -> bool:
-    """Whether every trajectory is a motion of enough rows, each transition ending where the next
-    one begins.
-    """
-    goes_on = all(
-        np.array_equal(data.next_observations[a : b - 1], data.observations[a + 1 : b])
-        for a, b in data.spans
-    )
-    return goes_on and all(b - a >= 2 * ORDER for a, b in data.spans)
+def _is_continuous(data: Trajectories) -> bool:
+    """Whether each trajectory has enough rows, of which each ends where the next one begins."""
+    for start, stop in data.spans:
+        if stop - start < 2 * ORDER:
+            return False
+        ends = data.next_observations[start : stop - 1]
+        if not np.array_equal(ends, data.observations[start + 1 : stop]):
+            return False
+    return True
 
 
-def _estimated(data: Trajectories, columns: list[int], step: float) -> tuple[Trajectories, Array]:
-    """The data with the velocities behind their columns, and the variance of these."""
-    motions = [_motion(data, a, b, columns, step) for a, b in data.spans]
-    before, after = (
-        np.concatenate([motion.velocities[part] for motion in motions])
-        for part in (slice(None, -1), slice(1, None))
-    )
-    weights = np.array([b - a for a, b in data.spans])
-    variance = np.average([motion.velocity_noise**2 for motion in motions], axis=0, weights=weights)
-    rows = (
-        np.concatenate([data.observations, before], axis=1),
-        np.concatenate([data.next_observations, after], axis=1),
-    )
-    return replace(data, observations=rows[0], next_observations=rows[1]), variance
+def _add_velocities(
+    data: Trajectories, columns: list[int], step: float
+) -> tuple[Trajectories, Array]:
+    """The data with the velocities of some columns behind the others, and the variance of these."""
+    motions = [_smooth(data, start, stop, columns, step) for start, stop in data.spans]
+    before = np.concatenate([motion.velocities[:-1] for motion in motions])
+    after = np.concatenate([motion.velocities[1:] for motion in motions])
+    observations = np.concatenate([data.observations, before], axis=1)
+    following = np.concatenate([data.next_observations, after], axis=1)
+    weights = np.array([stop - start for start, stop in data.spans])
+    variances = [motion.velocity_noise**2 for motion in motions]
+    variance = np.average(variances, axis=0, weights=weights)
+    return replace(data, observations=observations, next_observations=following), variance
 
 
-def _motion(data: Trajectories, a: int, b: int, columns: list[int], step: float) -> Velocities:
-    positions = np.concatenate(
-        [data.observations[a:b, columns], data.next_observations[b - 1 : b, columns]]
-    )
+def _smooth(
+    data: Trajectories, start: int, stop: int, columns: list[int], step: float
+) -> Velocities:
+    """The motion of some columns in one trajectory."""
+    last = data.next_observations[stop - 1 : stop, columns]
+    positions = np.concatenate([data.observations[start:stop, columns], last])
     return estimate_velocities(step * np.arange(len(positions)), positions)
 
 
-def _with_theirs(problem: Problem, variance: Array) -> Array | None:
+def _all_variances(problem: Problem, variance: Array) -> Array | None:
     """The stated noise variances, where there are such, and those of the velocities."""
     if problem.epsilon is None:
         return None

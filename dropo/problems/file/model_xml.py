@@ -15,7 +15,7 @@ def format_model(simulator: MujocoSimulator) -> str:
 
     Parameters
     ----------
-    simulator
+    simulator : MujocoSimulator
         Its fixed effects are written in, where they are numbers of the model.
 
     Returns
@@ -40,7 +40,7 @@ def is_in_model(instance: EffectInstance) -> bool:
 
     Parameters
     ----------
-    instance
+    instance : EffectInstance
         The effect at its place.
 
     Returns

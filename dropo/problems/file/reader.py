@@ -36,9 +36,9 @@ def read_problem(
 
     Parameters
     ----------
-    path
+    path : Path
         The problem file.
-    threads, checked, input
+    threads, checked, input : int, bool, str or None
         As in `dropo.load`.
 
     Returns
@@ -85,7 +85,7 @@ def read_inputs(path: Path) -> tuple[str, ...]:
 
     Parameters
     ----------
-    path
+    path : Path
         The problem file.
 
     Returns
@@ -108,9 +108,9 @@ def read_motion(path: Path, *, threads: int = 0) -> Problem:
 
     Parameters
     ----------
-    path
+    path : Path
         The problem file; its data need not hold actions.
-    threads
+    threads : int
         Of the simulator, 0 for all cores.
 
     Returns

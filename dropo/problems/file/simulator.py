@@ -34,9 +34,9 @@ def make_simulator(file: FileContent[ProblemFile], threads: int) -> MujocoSimula
 
     Parameters
     ----------
-    file
+    file : FileContent[ProblemFile]
         The problem file.
-    threads
+    threads : int
         Of the simulator, 0 for all cores.
 
     Returns

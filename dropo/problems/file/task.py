@@ -24,11 +24,11 @@ def make_task(
 
     Parameters
     ----------
-    file
+    file : FileContent[ProblemFile]
         The problem file.
-    simulator
+    simulator : MujocoSimulator
         Its simulator.
-    data
+    data : Trajectories
         Its recordings, in whose start states episodes begin where the file names no others.
 
     Returns
@@ -62,9 +62,9 @@ def start_as_measured(
 
     Parameters
     ----------
-    simulator
+    simulator : MujocoSimulator
         Its model has nq positions and nv velocities.
-    data
+    data : Trajectories
         The recordings.
 
     Returns

@@ -25,9 +25,9 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
 
     Parameters
     ----------
-    problem
+    problem : Problem
         A problem whose simulator is a `MujocoSimulator`.
-    folder
+    folder : str or Path
         Made where it is missing.
 
     Returns
@@ -118,9 +118,9 @@ def write_data(data: Trajectories, path: Path) -> None:
 
     Parameters
     ----------
-    data
+    data : Trajectories
         The transitions; their groups and times are written where they have such.
-    path
+    path : Path
         The .npz file.
     """
     arrays: dict[str, Any] = {

@@ -20,7 +20,7 @@ from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, float_array, require
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, TRUTH, hopper_model
-from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
+from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 
 Masses = Callable[[Generator, int], ArrayLike]
 """Draws the four masses [kg] of a number of blocks, (blocks, 4): masses(rng, blocks)."""
@@ -206,8 +206,8 @@ class _Hopper:
     hold: int
     threads: int
 
-    def run(self, n: int, steps: int, rng: Generator) -> tuple[Runs, Array]:
-        """Runs n trajectories of up to `steps` control steps; with the masses of their blocks.
+    def run(self, n: int, steps: int, rng: Generator) -> tuple[Rollouts, Array]:
+        """Rollouts n trajectories of up to `steps` control steps; with the masses of their blocks.
 
         The masses have the shape (n, B, 4), with B blocks a trajectory.
         """
@@ -293,7 +293,7 @@ def _collect(hopper: _Hopper, steps: int, total: int, rng: Generator) -> tuple[T
     return data, masses[: group[total - 1] + 1]
 
 
-def _trajectory(runs: Runs, masses: Array, i: int, hold: int) -> _Trajectory:
+def _trajectory(runs: Rollouts, masses: Array, i: int, hold: int) -> _Trajectory:
     """The i-th run, as far as it lasted, with the masses of the blocks it saw."""
     length = runs.lengths[i]
     block = np.arange(length) // hold

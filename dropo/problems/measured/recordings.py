@@ -13,7 +13,7 @@ from dropo.core.services.validation import Array
 from dropo.logs.grids import ON_GRID, held_means
 from dropo.logs.readers.archives import RunsLog
 from dropo.logs.signals.resampling import resample
-from dropo.logs.signals.stamps import going_on
+from dropo.logs.signals.stamps import increasing
 from dropo.problems.measured.external_data import find_data, missing
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -133,7 +133,7 @@ def gridded(
         Commands, each held until the next row.
     """
     stamps = np.asarray(run["time"], dtype=float)
-    keep = going_on(stamps)
+    keep = increasing(stamps)
     stamps = stamps[keep] - stamps[0]
     time = np.minimum(step * np.arange(int(stamps[-1] / step + ON_GRID) + 1), stamps[-1])
     is_on_grid = len(time) == len(stamps) and bool(np.abs(time - stamps).max() < ON_GRID * step)
@@ -228,8 +228,8 @@ def measured(
         Whose fit takes a log-normal family by default.
     """
     every = settings.held_out_every
-    fitted = []
-    held_out = []
+    fitted: list[Channels] = []
+    held_out: list[Channels] = []
     for i, run in enumerate(runs.channels):
         side = held_out if i % every == every - 1 else fitted
         side.append(run)

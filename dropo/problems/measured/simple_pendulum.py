@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
-from dropo.logs.signals.stamps import going_on
+from dropo.logs.signals.stamps import increasing
 from dropo.logs.signals.velocities import estimate_velocities
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.measured.recordings import Channels, Runs, find_runs, measured
@@ -55,8 +55,7 @@ def simple_pendulum(threads: int = 0, input: str = "current") -> Problem:
 
 
 def _smoothed(run: Channels) -> Channels:
-    """A run with smoothed positions, and the velocities that belong to them."""
-    keep = going_on(np.asarray(run["time"], dtype=float))
+    keep = increasing(np.asarray(run["time"], dtype=float))
     found = estimate_velocities(run["time"][keep], run["qpos"][keep].reshape(-1, 1))
     commands = {column: run[column][keep] for column in COMMANDS.values()}
     return {

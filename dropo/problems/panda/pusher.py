@@ -10,7 +10,7 @@ import numpy as np
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.problems.panda.reaching import joint_path
-from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
+from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 
 HEIGHT = 0.04  # [m] of the pin's tip above the table
 FIRST = np.array([0.1, 0.2, -0.1, -2.6, 0.0, 2.8, 0.0])
@@ -181,8 +181,8 @@ def drive(
     noise: float = 0.0,
     fields: Mapping[str, Array] | None = None,
     rng: np.random.Generator,
-) -> Runs:
-    """Runs n arms under a pushing policy.
+) -> Rollouts:
+    """Rollouts n arms under a pushing policy.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def drive(
 
     Returns
     -------
-    Runs
+    Rollouts
         Their actions are the joint angles commanded [rad].
     """
     arms = Arms(model, len(boxes), frame_skip * float(model.opt.timestep))

@@ -10,7 +10,7 @@ from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
-from dropo.simulators.mujoco.layers import lateness, sensed
+from dropo.simulators.mujoco.layers import measured_signals, total_delays
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 Controller = Callable[[Array, Array], Array]
@@ -156,12 +156,12 @@ class _Sensors:
         steady = [(replace(instance, start=None), magnitudes) for instance, magnitudes in effects]
         self.simulator = simulator.with_effects((), steady)
         self.values = values
-        delay = lateness(self.simulator.fixed, len(simulator.signals)).max()
+        delay = total_delays(self.simulator.fixed, len(simulator.signals)).max()
         self.horizon = 1 + int(np.ceil(delay / simulator.control_step))
 
     def at_rest(self, starts: Array) -> Array:
         """What sensors show (n, p) of robots that have stood still at `starts` (n, p)."""
-        return sensed(starts, self.simulator.fixed)
+        return measured_signals(starts, self.simulator.fixed)
 
     def measure(self, past: Trajectories, rows: Ints, t: int) -> Array:
         """What sensors show (n, p) a control step behind the rows, the t-th of each trajectory."""

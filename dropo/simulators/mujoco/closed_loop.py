@@ -1,6 +1,4 @@
-"""A policy in closed loop with MuJoCo: many simulations at once, whose model fields may change as
-they go.
-"""
+"""A policy in closed loop with MuJoCo: many simulations at once, with models that may change."""
 
 from collections.abc import Callable, Mapping
 from copy import copy
@@ -13,21 +11,25 @@ from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array, check_shape, require
-from dropo.simulators.mujoco.simulator import HUGE
-from dropo.simulators.mujoco.warnings import quiet
+from dropo.simulators.mujoco.simulator import MAX_STATE
+from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 
-Policy = Callable[[Array, Ints, int], Array]
-"""Actions (m, nu) at a control step, from the states (m, nq + nv) of the simulations `ids` (m,):
-policy(states, ids, step).
-"""
+BatchPolicy = Callable[[Array, Ints, int], Array]
+"""policy(states (m, nq + nv), ids (m,), step) -> actions (m, nu) of the simulations `ids`."""
 
 
 @dataclass(frozen=True, eq=False)
-class Runs:
-    """n simulations of up to T control steps; NaN behind a simulation's end.
+class Rollouts:
+    """n simulations of up to T control steps; NaN behind the end of a simulation.
 
-    states: (n, T + 1, nq + nv), qpos then qvel; actions: (n, T, nu); lengths: (n,) control steps
-    made.
+    Attributes
+    ----------
+    states : (n, T + 1, nq + nv) array
+        Positions, then velocities.
+    actions : (n, T, nu) array
+        Commands.
+    lengths : (n,) array of int
+        Control steps made.
     """
 
     states: Array
@@ -37,7 +39,7 @@ class Runs:
 
 def closed_loop(
     model: mujoco.MjModel,
-    policy: Policy,
+    policy: BatchPolicy,
     starts: Array,
     steps: int,
     *,
@@ -46,16 +48,42 @@ def closed_loop(
     fields: Mapping[str, Array] | None = None,
     hold: int = 1,
     threads: int = 1,
-) -> Runs:
-    """Runs n simulations for up to `steps` control steps, each of `frame_skip` physics steps under
-    one action.
+) -> Rollouts:
+    """Simulate a policy in closed loop with MuJoCo, many simulations at once.
 
-    starts: (n, nq + nv). alive: states (m, nq + nv) -> (m,) bool; a simulation ends with the step
-    after which it is False, or before the step in which it diverges. fields: array fields of the
-    model by MjModel's names, (n, B, ...);
-    row b holds during control steps b * hold to (b + 1) * hold - 1, and constants derived from it
-    stay as they are. `model` itself is not changed. The numbers are the same for any number of
-    threads.
+    The numbers are the same for any number of threads.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model, which is not changed.
+    policy : callable
+        policy(states (m, nq + nv), ids (m,), step) -> commands (m, nu).
+    starts : (n, nq + nv) array
+        Start states: positions, then velocities.
+    steps : int
+        The largest number of control steps.
+    frame_skip : int
+        Physics steps under one action.
+    alive : callable, optional
+        alive(states (m, nq + nv)) -> (m,) bool. A simulation ends with the step after which it is
+        False, or before the step in which it diverges.
+    fields : mapping of str to (n, B, ...) array, optional
+        Array fields of the model by MjModel's names. Row b holds during the control steps b * hold
+        to (b + 1) * hold - 1; constants derived from a field stay as they are.
+    hold : int
+        Control steps for which the rows of `fields` hold.
+    threads : int
+        The number of threads.
+
+    Returns
+    -------
+    Rollouts
+
+    Raises
+    ------
+    BadArgument
+        If `steps`, `frame_skip` or `hold` is below 1, or an array has another shape.
     """
     require(
         min(steps, frame_skip, hold) >= 1,
@@ -66,60 +94,73 @@ def closed_loop(
     )
     check_shape("starts", starts, (None, model.nq + model.nv), "closed_loop")
     batch = Batch(_without_autoreset(model), len(starts), threads)
-    changing = [
-        _expanded(batch, name, values, -(-steps // hold)) for name, values in (fields or {}).items()
-    ]
+    blocks = -(-steps // hold)
+    changing = [_expand(batch, name, rows, blocks) for name, rows in (fields or {}).items()]
     qpos, qvel, ctrl = (batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
     qpos[:], qvel[:] = np.split(starts, [model.nq], axis=1)
-    runs = _empty(starts, steps, model.nu)
-    ids = np.arange(len(starts))
+    rollouts = _empty(starts, steps, model.nu)
+    ids = np.arange(len(starts))  # the simulations that go on
     for t in range(steps):
-        for live, values in changing if t % hold == 0 else ():
-            live[:] = values[:, t // hold]
-        command = policy(runs.states[ids, t], ids, t)
-        ctrl[ids] = command
+        if t % hold == 0:
+            for live, rows in changing:
+                live[:] = rows[:, t // hold]
+        commands = policy(rollouts.states[ids, t], ids, t)
+        ctrl[ids] = commands
         failed = advance(batch, ids, frame_skip)
         after = np.hstack([qpos[ids], qvel[ids]])
-        sound = ~failed & (np.abs(after) < HUGE).all(axis=1)  # also False for NaN
-        ids = ids[sound]
-        runs.states[ids, t + 1] = after[sound]
-        runs.actions[ids, t] = command[sound]
-        runs.lengths[ids] = t + 1
-        ids = ids if alive is None else ids[alive(runs.states[ids, t + 1])]
+        valid = ~failed & (np.abs(after) < MAX_STATE).all(axis=1)  # also False for NaN
+        ids = ids[valid]
+        rollouts.states[ids, t + 1] = after[valid]
+        rollouts.actions[ids, t] = commands[valid]
+        rollouts.lengths[ids] = t + 1
+        if alive is not None:
+            ids = ids[alive(rollouts.states[ids, t + 1])]
         if not len(ids):
             break
-    return runs
+    return rollouts
 
 
-def _empty(starts: Array, steps: int, n_controls: int) -> Runs:
+def _empty(starts: Array, steps: int, n_controls: int) -> Rollouts:
+    """Simulations of which only the start is known."""
     n, size = starts.shape
     states = np.full((n, steps + 1, size), np.nan)
     states[:, 0] = starts
-    return Runs(states, np.full((n, steps, n_controls), np.nan), np.zeros(n, dtype=np.int64))
+    return Rollouts(states, np.full((n, steps, n_controls), np.nan), np.zeros(n, dtype=np.int64))
 
 
-def _expanded(batch: Batch, name: str, values: Array, blocks: int) -> tuple[Array, Array]:
-    """The batch's live values of a field, (n, ...), and what they are to become, (n, B, ...)."""
+def _expand(batch: Batch, name: str, rows: Array, blocks: int) -> tuple[Array, Array]:
+    """The batch's own values of a field, (n, ...), and what they become, (n, B, ...)."""
     live = batch.expand(name)
-    check_shape(name, values, (len(live), blocks, *live.shape[1:]), "closed_loop")
-    return live, values
+    check_shape(name, rows, (len(live), blocks, *live.shape[1:]), "closed_loop")
+    return live, rows
 
 
 def _without_autoreset(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy in which a divergent simulation stays so: MuJoCo else puts it back to its initial
-    state and goes on.
-    """
+    """A copy in which a diverged simulation stays so; else MuJoCo starts it anew and goes on."""
     model = copy(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model
 
 
 def advance(batch: Batch, ids: Ints, steps: int) -> NDArray[np.bool_]:
-    """Makes so many physics steps in some simulations; (m,) in which of them MuJoCo gave up with an
-    error.
+    """Advance some simulations of a batch by physics steps.
+
+    Parameters
+    ----------
+    batch : Batch
+        The simulations.
+    ids : (m,) array of int
+        Those that are advanced.
+    steps : int
+        The number of physics steps.
+
+    Returns
+    -------
+    (m,) array of bool
+        Which of them MuJoCo ended with an error.
     """
     try:
-        with quiet():
+        with suppress_mujoco_warnings():
             batch.step(ids, steps)
     except SimulationError:
         failed: NDArray[np.bool_] = batch.status[ids] != 0

@@ -1,92 +1,168 @@
-"""Actions where only motion was recorded: by inverse dynamics, or by taking the robot's own
-controllers as ideal.
-"""
+"""Actions where only motion was recorded: by inverse dynamics, or for ideal controllers."""
 
 import copy
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dropo.core.contracts.simulator import describe_failures
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, float_array
+from dropo.simulators.mujoco.layers import control_ranges
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
-ROUNDS = 20  # corrections by what the simulator itself does with the actions found
+
+@dataclass(frozen=True)
+class InverseDynamicsSettings:
+    """How actions are inferred by inverse dynamics.
+
+    Attributes
+    ----------
+    iterations : int
+        Corrections by what the simulator itself does with the actions found.
+    """
+
+    iterations: int = 20
 
 
 @dataclass(frozen=True, eq=False)
 class InferredActions:
-    """The trajectories with the actions (N, q) that were inferred.
+    """Trajectories with the actions that were inferred.
 
-    unexplained: (N, nv) the generalised force [N, N m] that the motion needs and that no action
-    gives: the model is wrong there, something pushed, or the command range is too small. 0 where
-    controllers are taken as ideal.
+    Attributes
+    ----------
+    trajectories : Trajectories
+        The given ones, with the inferred actions (N, q).
+    unexplained : (N, nv) array
+        The generalised force that the motion needs and that no action gives [N, N m]: the model is
+        wrong there, an external force acted, or the command range is too small. 0 where
+        controllers are taken as ideal.
     """
 
     trajectories: Trajectories
     unexplained: Array
 
 
-def by_inverse_dynamics(
-    simulator: MujocoSimulator, trajectories: Trajectories, values: ArrayLike | None = None
-) -> InferredActions:
-    """The actions under which the model, with these parameter values (d,), moves as was measured;
-    whole states must be observed.
+@dataclass(frozen=True, eq=False)
+class _Balance:
+    """Forces at the middle of each of N transitions."""
 
-    The force that each transition's mean acceleration needs half way through it (mj_inverse),
-    shared out over the actuators by least squares, then corrected by what the simulator makes of
-    it, so that a command that is held for several steps is found too. Actions stay within the
-    control ranges; those in the given trajectories do not count.
+    needed: Array  # (N, nv) by the measured motion
+    masses: Array  # (N, nv, nv) mass matrix; damping over a step counts as mass
+    per_command: Array  # (N, nv, nu) given by a unit of each command
+    without_command: Array  # (N, nv) given by the actuators without a command
+
+
+def by_inverse_dynamics(
+    simulator: MujocoSimulator,
+    trajectories: Trajectories,
+    values: ArrayLike | None = None,
+    settings: InverseDynamicsSettings | None = None,
+) -> InferredActions:
+    """Infer the actions under which the model moves as was measured.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The model; whole states must be observed.
+    trajectories : Trajectories
+        N transitions, whose actions are not used.
+    values : (d,) array_like, optional
+        The simulator's parameters; by default their nominal values.
+    settings : InverseDynamicsSettings, optional
+        The number of corrections.
+
+    Returns
+    -------
+    InferredActions
+        Actions stay within the control ranges.
+
+    Raises
+    ------
+    BadArgument
+        If the values have another shape or are not finite.
+    Incompatible
+        If a position or velocity is not observed, or an actuator has a state of its own or another
+        gain or bias than a constant or affine one.
+    SimulationFailed
+        If a simulation under the actions found diverges.
+
+    Notes
+    -----
+    The force that the mean acceleration of each transition needs half way through it (mj_inverse)
+    is distributed over the actuators by least squares. Then it is corrected by what the simulator
+    makes of it, so that a command that is held for several physics steps is found too; a
+    transition's correction is halved where it does not help.
     """
+    chosen = settings or InverseDynamicsSettings()
     nominal = np.zeros(len(simulator.space)) if simulator.nominal is None else simulator.nominal
-    value = float_array(
-        "values",
-        nominal if values is None else values,
-        (len(simulator.space),),
-        "by_inverse_dynamics",
-    )
+    given = nominal if values is None else values
+    value = float_array("values", given, (len(simulator.space),), "by_inverse_dynamics")
     before = _states(simulator, trajectories.observations)
     after = _states(simulator, trajectories.next_observations)
-    needs, masses, shares, idle = _needed(simulator, value, before, after)
+    balance = _force_balance(simulator, value, before, after)
     columns = simulator.controls
-    low, high = _ranges(simulator.model)
-    inverse = np.linalg.pinv(shares[:, :, columns])
-    actions = np.clip(np.einsum("nqv,nv->nq", inverse, needs - idle), low[columns], high[columns])
+    ranges = control_ranges(simulator.model)
+    low = ranges[0][columns]
+    high = ranges[1][columns]
+    inverse = np.linalg.pinv(balance.per_command[:, :, columns])
 
-    def left(actions: Array) -> tuple[Array, Array]:
-        """The force that is missing with these actions, (N, nv), and the actions that would give
-        it.
-        """
-        gap = _gap(simulator, value, replace(trajectories, actions=actions))
-        force = np.einsum("nvw,nw->nv", masses, gap)
-        return force, np.einsum("nqv,nv->nq", inverse, force)
+    def actions_for(forces: Array) -> Array:
+        """(N, q) the actions that give generalised forces (N, nv)."""
+        return np.asarray(np.einsum("nqv,nv->nq", inverse, forces))
 
-    rest, change = left(actions)
-    share = np.ones(len(actions))
-    for _ in range(ROUNDS):
-        tried = np.clip(actions + share[:, None] * change, low[columns], high[columns])
-        now_rest, now_change = left(tried)
-        better = np.linalg.norm(now_change, axis=1) < np.linalg.norm(change, axis=1)
-        actions, rest, change = (
-            np.where(better[:, None], *pair)
-            for pair in ((tried, actions), (now_rest, rest), (now_change, change))
-        )
-        share = np.where(better, share, share / 2)
-    return InferredActions(replace(trajectories, actions=actions), rest)
+    def missing_force(actions: Array) -> Array:
+        """(N, nv) the force that is missing with these actions, as the simulator shows it."""
+        gap = _acceleration_gap(simulator, value, replace(trajectories, actions=actions))
+        return np.asarray(np.einsum("nvw,nw->nv", balance.masses, gap))
+
+    actions = np.clip(actions_for(balance.needed - balance.without_command), low, high)
+    missing = missing_force(actions)
+    change = actions_for(missing)
+    fraction = np.ones(len(actions))
+    for _ in range(chosen.iterations):
+        tried = np.clip(actions + fraction[:, None] * change, low, high)
+        tried_missing = missing_force(tried)
+        tried_change = actions_for(tried_missing)
+        better = np.linalg.norm(tried_change, axis=1) < np.linalg.norm(change, axis=1)
+        actions = np.where(better[:, None], tried, actions)
+        missing = np.where(better[:, None], tried_missing, missing)
+        change = np.where(better[:, None], tried_change, change)
+        fraction = np.where(better, fraction, fraction / 2)
+    return InferredActions(replace(trajectories, actions=actions), missing)
 
 
 def by_ideal_controllers(simulator: MujocoSimulator, trajectories: Trajectories) -> InferredActions:
-    """The actions of position and velocity actuators whose set point is taken as reached at the end
-    of each step (thesis, chapter 5).
+    """Infer the actions of controllers whose set point is reached at the end of each step.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        A model with position and velocity actuators; whole states must be observed.
+    trajectories : Trajectories
+        N transitions, whose actions are not used.
+
+    Returns
+    -------
+    InferredActions
+
+    Raises
+    ------
+    Incompatible
+        If an actuator is no position or velocity controller, a position or velocity is not
+        observed, or an actuator has a state of its own.
+
+    References
+    ----------
+    Thesis, chapter 5.
     """
     model = simulator.model
     data = mujoco.MjData(simulator.model)
     after = _states(simulator, trajectories.next_observations)
-    kinds = [(int(i), controlled(model, int(i))) for i in simulator.controls]
+    kinds = [(int(i), _controller_kind(model, int(i))) for i in simulator.controls]
     none = [model.actuator(i).name or f"ctrl[{i}]" for i, kind in kinds if kind is None]
     if none:
         raise Incompatible(
@@ -99,49 +175,38 @@ def by_ideal_controllers(simulator: MujocoSimulator, trajectories: Trajectories)
         data.qpos, data.qvel = np.split(state, [model.nq])
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
-        actions[row] = [
-            (data.actuator_length if kind == "position" else data.actuator_velocity)[i]
-            for i, kind in kinds
-        ]
+        for column, (i, kind) in enumerate(kinds):
+            reached = data.actuator_length if kind == "position" else data.actuator_velocity
+            actions[row, column] = reached[i]
     return InferredActions(replace(trajectories, actions=actions), np.zeros((len(after), model.nv)))
 
 
-def controlled(model: mujoco.MjModel, actuator: int) -> str | None:
-    """ "position" or "velocity" where the actuator pulls its transmission to the command, else None."""
+def _controller_kind(model: mujoco.MjModel, actuator: int) -> str | None:
+    """The kind "position" or "velocity" of a controller; None of another actuator."""
     gain = model.actuator_gainprm[actuator]
     bias = model.actuator_biasprm[actuator]
-    plain = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED and gain[0] > 0
-    if (
-        not plain
-        or model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE
-        or bias[0] != 0
-    ):
+    fixed_gain = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED and gain[0] > 0
+    affine_bias = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+    if not fixed_gain or not affine_bias or bias[0] != 0:
         return None
-    return (
-        "position"
-        if bias[1] == -gain[0]
-        else "velocity"
-        if bias[1] == 0 and bias[2] == -gain[0]
-        else None
-    )
+    if bias[1] == -gain[0]:
+        return "position"
+    if bias[1] == 0 and bias[2] == -gain[0]:
+        return "velocity"
+    return None
 
 
 def _states(simulator: MujocoSimulator, rows: Array) -> Array:
     """(N, nq + nv) whole states of observation rows."""
     model = simulator.model
     layout = simulator.layout
-    seen = {(column.field, column.place) for column in layout.columns}
-    missing = [
-        f"{f}[{i}]"
-        for f, n in (("qpos", model.nq), ("qvel", model.nv))
-        for i in range(n)
-        if (f, i) not in seen
-    ]
+    observed = {(column.field, column.place) for column in layout.columns}
+    whole = [("qpos", i) for i in range(model.nq)] + [("qvel", i) for i in range(model.nv)]
+    missing = [f"{field}[{i}]" for field, i in whole if (field, i) not in observed]
     if missing:
         raise Incompatible(
             f"Actions are inferred from whole states, and {missing[0]} is not observed. "
-            "Estimate velocities first, or"
-            " name a model without that joint."
+            "Estimate velocities first, or name a model without that joint."
         )
     if model.na:
         raise Incompatible(
@@ -153,100 +218,95 @@ def _states(simulator: MujocoSimulator, rows: Array) -> Array:
     return states[:, 1 : 1 + model.nq + model.nv]
 
 
-def _needed(
+def _force_balance(
     simulator: MujocoSimulator, value: Array, before: Array, after: Array
-) -> tuple[Array, Array, Array, Array]:
-    """At the middle of each transition: the force needed (N, nv), the mass matrix with damping (N,
-    nv, nv), the force of a unit of each command (N, nv, nu), and what the actuators give without
-    one (N, nv).
-    """
+) -> _Balance:
+    """The forces at the middle of each transition between whole states (N, nq + nv)."""
     model = copy.copy(simulator.model)
     for binding, number in zip(simulator.bindings, value[: len(simulator.bindings)], strict=True):
         binding.set(model, float(number))
     data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
     nq = model.nq
     nv = model.nv
     step = simulator.control_step
-    mujoco.mj_setConst(model, data)
-    needs = np.empty((len(before), nv))
-    masses = np.empty((len(before), nv, nv))
-    shares = np.empty((len(before), nv, model.nu))
-    idle = np.empty((len(before), nv))
-    moved = np.empty(nv)
-    step_state = np.zeros((model.nu, nv))
+    balance = _Balance(
+        np.empty((len(before), nv)),
+        np.empty((len(before), nv, nv)),
+        np.empty((len(before), nv, model.nu)),
+        np.empty((len(before), nv)),
+    )
+    # over a step, the feedback of controllers resists acceleration as so much mass
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     stiffness = np.where(affine, -model.actuator_biasprm[:, 1], 0.0)
     damping = np.where(affine, -model.actuator_biasprm[:, 2], 0.0)
     resistance = stiffness * step**2 / 6 + damping * step / 2
+    velocity = np.empty(nv)
+    moment = np.zeros((model.nu, nv))
     for row, (start, end) in enumerate(zip(before, after, strict=True)):
+        # the state half way, with the mean acceleration
         data.qpos = start[:nq]
-        mujoco.mj_differentiatePos(model, moved, step, start[:nq], end[:nq])
-        mujoco.mj_integratePos(model, data.qpos, moved, step / 2)
+        mujoco.mj_differentiatePos(model, velocity, step, start[:nq], end[:nq])
+        mujoco.mj_integratePos(model, data.qpos, velocity, step / 2)
         data.qvel = (start[nq:] + end[nq:]) / 2
         data.qacc = (end[nq:] - start[nq:]) / step
         mujoco.mj_inverse(model, data)
-        needs[row] = data.qfrc_inverse
-        mujoco.mj_fullM(model, data, masses[row])
-        masses[row] += (
-            np.diag(model.dof_damping) * step / 2
-        )  # over a step, damping resists as so much mass
+        balance.needed[row] = data.qfrc_inverse
+        # the mass matrix, with what resists as so much mass over a step
+        mujoco.mj_fullM(model, data, balance.masses[row])
+        balance.masses[row] += np.diag(model.dof_damping) * step / 2
         mujoco.mju_sparse2dense(
-            step_state,
+            moment,
             data.actuator_moment,
             data.moment_rownnz,
             data.moment_rowadr,
             data.moment_colind,
         )
-        masses[row] += step_state.T @ (resistance[:, None] * step_state)  # and so do controllers
-        gain, bias = _distributions(model, data.actuator_length, data.actuator_velocity)
-        shares[row], idle[row] = step_state.T * gain, step_state.T @ bias
-    return needs, masses, shares, idle
+        balance.masses[row] += moment.T @ (resistance[:, None] * moment)
+        # what the actuators give
+        gain, bias = _gains_and_biases(model, data.actuator_length, data.actuator_velocity)
+        balance.per_command[row] = moment.T * gain
+        balance.without_command[row] = moment.T @ bias
+    return balance
 
 
-def _distributions(model: mujoco.MjModel, length: Array, velocity: Array) -> tuple[Array, Array]:
-    """(nu,) the force of a unit of each command, and without one."""
-    state = np.stack([np.ones(model.nu), length, velocity], axis=1)
-    affine = (
-        (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE),
-        (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE),
-    )
-    for name, types, valid in (
-        ("gain", model.actuator_gaintype, affine[0]),
-        ("bias", model.actuator_biastype, affine[1]),
-    ):
-        if not np.isin(types, valid).all():
-            raise Incompatible(
-                f"Actions are inferred for actuators of constant or affine {name}, and one "
-                "has another: a muscle, say."
-            )
-    varying = (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_AFFINE)[:, None] * np.array(
-        [0, 1, 1]
-    ) + np.array([1, 0, 0])
-    biased = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE)[:, None]
-    gain = np.sum(model.actuator_gainprm[:, :3] * varying * state, axis=1)
-    return gain, np.sum(model.actuator_biasprm[:, :3] * biased * state, axis=1)
+def _gains_and_biases(model: mujoco.MjModel, length: Array, velocity: Array) -> tuple[Array, Array]:
+    """(nu,) the force of a unit of each command, and the force without one."""
+    gains = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE)
+    biases = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
+    _require_affine("gain", np.isin(model.actuator_gaintype, gains))
+    _require_affine("bias", np.isin(model.actuator_biastype, biases))
+    terms = np.stack([np.ones(model.nu), length, velocity], axis=1)
+    affine_gain = (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_AFFINE)[:, None]
+    affine_bias = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE)[:, None]
+    used = affine_gain * np.array([0, 1, 1]) + np.array([1, 0, 0])  # of the gain's three terms
+    gain = np.sum(model.actuator_gainprm[:, :3] * used * terms, axis=1)
+    bias = np.sum(model.actuator_biasprm[:, :3] * affine_bias * terms, axis=1)
+    return gain, bias
 
 
-def _ranges(model: mujoco.MjModel) -> tuple[Array, Array]:
-    limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
-    low, high = model.actuator_ctrlrange.T
-    return np.where(limited, low, -np.inf), np.where(limited, high, np.inf)
+def _require_affine(name: str, valid: NDArray[np.bool_]) -> None:
+    """Refuses actuators whose gain or bias is not constant or affine."""
+    if not valid.all():
+        raise Incompatible(
+            f"Actions are inferred for actuators of constant or affine {name}, and one "
+            "has another: a muscle, say."
+        )
 
 
-def _gap(simulator: MujocoSimulator, value: Array, trajectories: Trajectories) -> Array:
+def _acceleration_gap(
+    simulator: MujocoSimulator, value: Array, trajectories: Trajectories
+) -> Array:
     """(N, nv) the measured accelerations less the simulated ones, mean over each transition."""
     segments = trajectories.segments(1)
     names = [signal.name for signal in simulator.signals]
-    predicted = simulator.predict(value[None], segments)
+    predicted = simulator.predict(value[None], segments)[0]
     if not np.isfinite(predicted).all():
-        raise SimulationFailed(
-            describe_failures(
-                predicted[0], value[None].repeat(len(predicted[0]), axis=0), simulator.space
-            )
-        )
+        values = value[None].repeat(len(predicted), axis=0)
+        raise SimulationFailed(describe_failures(predicted, values, simulator.space))
     layout = simulator.layout
     gap = np.zeros((len(trajectories), simulator.model.nv))
-    error = simulator.targets(segments) - predicted[0]
+    error = simulator.targets(segments) - predicted
     for column, name in zip(layout.columns, layout.names, strict=True):
         if column.field == "qvel":
             gap[:, column.place] = error[:, names.index(name)] / simulator.control_step

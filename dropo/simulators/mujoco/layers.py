@@ -1,6 +1,4 @@
-"""What effects do outside of the physics: to the commands on their way in, and to the measurements
-on their way out.
-"""
+"""What effects do outside of the physics: to commands before it, to measurements behind it."""
 
 import mujoco
 import numpy as np
@@ -10,48 +8,66 @@ from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.mjmodel.observation import Layout
-from dropo.simulators.mujoco.worker import clamps_itself
+from dropo.simulators.mujoco.worker import acts_after_clamp
 
 
-def by_time_profile(
+def split_by_time_profile(
     active: ActiveEffects, segments: Segments, part: Ints
 ) -> list[tuple[Ints, ActiveEffects]]:
-    """A part of the segments in sets that have the same effects, with the sizes that hold there."""
-    if all(instance.time_profile is None for instance, _ in active):
+    """Split a part of the segments into sets that have the same effects.
+
+    Parameters
+    ----------
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+    segments : Segments
+        All segments.
+    part : (n,) array of int
+        The segments that are split.
+
+    Returns
+    -------
+    list of (array of int, sequence of (EffectInstance, (q,) array))
+        The segments of each set, and the effects there, with the magnitudes that hold there.
+
+    Raises
+    ------
+    Incompatible
+        If an effect changes from segment to segment while segments go on where others ended.
+    """
+    profiled = [instance for instance, _ in active if instance.time_profile is not None]
+    if not profiled:
         return [(part, active)]
     if len(segments.levels) > 1:
-        chained = next(
-            instance.label for instance, _ in active if instance.time_profile is not None
-        )
         raise Incompatible(
-            f"{chained} changes from segment to segment, and with reset='partial' one goes "
-            "on where another ended."
-            " Use reset='transition' or 'start'."
+            f"{profiled[0].label} changes from segment to segment, and with reset='partial' one "
+            "goes on where another ended. Use reset='transition' or 'start'."
         )
-    shares = np.ones((len(part), len(active)))
+    factors = np.ones((len(part), len(active)))
     for i, (instance, magnitudes) in enumerate(active):
         if instance.time_profile is not None:
-            shares[:, i] = instance.time_profile(segments, magnitudes)[part]
-    rows, which = np.unique(shares, axis=0, return_inverse=True)
-    sets = [
-        [
-            (instance, share * magnitudes)
-            for (instance, magnitudes), share in zip(active, row, strict=True)
-            if share != 0
+            factors[:, i] = instance.time_profile(segments, magnitudes)[part]
+    rows, set_of = np.unique(factors, axis=0, return_inverse=True)
+    sets: list[tuple[Ints, ActiveEffects]] = []
+    for i, row in enumerate(rows):
+        present = [
+            (instance, factor * magnitudes)
+            for (instance, magnitudes), factor in zip(active, row, strict=True)
+            if factor != 0
         ]
-        for row in rows
-    ]
-    return [(part[which.ravel() == i], those) for i, those in enumerate(sets)]
+        sets.append((part[set_of.ravel() == i], present))
+    return sets
 
 
 def declared_values(values: Array, active: ActiveEffects) -> Array:
-    """The declared parameters' values (d,) as the effects leave them."""
+    """Change the values (d,) of the declared parameters as the effects do."""
     for instance, magnitudes in active:
-        values = values if instance.declared is None else instance.declared(values, magnitudes)
+        if instance.declared is not None:
+            values = instance.declared(values, magnitudes)
     return values
 
 
-def commands_of(
+def commands_per_physics_step(
     segments: Segments,
     part: Ints,
     actions: Array,
@@ -59,142 +75,222 @@ def commands_of(
     frame_skip: int,
     active: ActiveEffects,
 ) -> Array:
-    """(N, L frame_skip, nu) commands, one a physics step, as the effects leave them, 0 in
-    trajectories that the part is not of.
+    """Compute the commands of every physics step, as the effects change them.
 
-    actions (T, nu) of all transitions. Effects see a trajectory's commands from its beginning, so
-    that delays, lags and play know what came before a segment.
+    Effects see the commands of a trajectory from its beginning, so that delays, lags and play know
+    what came before a segment.
+
+    Parameters
+    ----------
+    segments : Segments
+        N segments of up to L control steps.
+    part : (n,) array of int
+        The segments whose trajectories are computed.
+    actions : (T, nu) array
+        The commands of all transitions of the data.
+    model : MjModel
+        The compiled model.
+    frame_skip : int
+        Physics steps in a control step.
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+
+    Returns
+    -------
+    (N, L frame_skip, nu) array
+        0 in other trajectories than those of the part.
     """
-    whole = np.zeros((len(actions), frame_skip, model.nu))
     data = segments.trajectories
-    for first, last in (data.spans[i] for i in np.unique(data.trajectory[segments.steps[part, 0]])):
-        whole[first:last] = changed(actions[first:last], model, frame_skip, active).reshape(
-            last - first, frame_skip, model.nu
-        )
-    chosen = np.where(
-        segments.steps >= 0, segments.steps, segments.steps.max(axis=1, keepdims=True)
-    )
+    whole = np.zeros((len(actions), frame_skip, model.nu))
+    for i in np.unique(data.trajectory[segments.steps[part, 0]]):
+        first, last = data.spans[i]
+        commands = change_commands(actions[first:last], model, frame_skip, active)
+        whole[first:last] = commands.reshape(last - first, frame_skip, model.nu)
+    # behind its end, a segment repeats its last step
+    last_step = segments.steps.max(axis=1, keepdims=True)
+    chosen = np.where(segments.steps >= 0, segments.steps, last_step)
     return whole[chosen].reshape(len(segments), -1, model.nu)
 
 
-def changed(
+def change_commands(
     commands: Array, model: mujoco.MjModel, frame_skip: int, active: ActiveEffects
 ) -> Array:
-    """(T frame_skip, nu) a trajectory's commands, one a physics step, as the effects leave them;
-    commands (T, nu) from its beginning.
+    """Change the commands of a trajectory as the effects do.
+
+    Parameters
+    ----------
+    commands : (T, nu) array
+        One a control step, from the trajectory's beginning.
+    model : MjModel
+        The compiled model.
+    frame_skip : int
+        Physics steps in a control step.
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+
+    Returns
+    -------
+    (T frame_skip, nu) array
+        One a physics step.
     """
-    step = float(model.opt.timestep)
     for instance, magnitudes in active:
-        commands = commands if instance.command is None else instance.command(commands, magnitudes)
-    if clamps_itself(active):
+        if instance.command is not None:
+            commands = instance.command(commands, magnitudes)
+    if acts_after_clamp(active):
         commands = clamp(commands, model)
     commands = np.repeat(commands, frame_skip, axis=0)
+    step = float(model.opt.timestep)
     for instance, magnitudes in active:
-        commands = (
-            commands
-            if instance.actuation is None
-            else instance.actuation(commands, step, magnitudes)
-        )
+        if instance.actuation is not None:
+            commands = instance.actuation(commands, step, magnitudes)
     return commands
 
 
 def clamp(commands: Array, model: mujoco.MjModel) -> Array:
-    """Commands (T, nu) within the actuators' control ranges, as MuJoCo does it itself."""
-    limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
-    low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
-    high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
+    """Clamp commands (T, nu) to the actuators' control ranges, as MuJoCo does itself."""
+    low, high = control_ranges(model)
     return np.clip(commands, low, high)
 
 
+def control_ranges(model: mujoco.MjModel) -> tuple[Array, Array]:
+    """Read the lower and upper ends (nu,) of the control ranges; infinite where there is none."""
+    limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
+    low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
+    high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
+    return low, high
+
+
 def changes_commands(active: ActiveEffects) -> bool:
-    """Whether an effect changes commands that do not depend on the state."""
+    """Whether an effect changes commands independently of the state."""
     return any(
         instance.command is not None or instance.actuation is not None for instance, _ in active
     )
 
 
-def true_starts(rows: Array, slopes: Array, layout: Layout, active: ActiveEffects) -> Array:
-    """Start observations (n, P) as they were, from measured ones; slopes (n, p) of the signals
-    [1/s].
+def true_starts(rows: Array, speeds: Array, layout: Layout, active: ActiveEffects) -> Array:
+    """Correct measured start observations for the effects of the sensors.
+
+    Parameters
+    ----------
+    rows : (n, P) array
+        Measured start observations.
+    speeds : (n, p) array
+        The speeds of the measured signals [1/s].
+    layout : Layout
+        The columns of observations.
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+
+    Returns
+    -------
+    (n, P) array
+        The true start observations.
     """
-    hooks = [
-        (instance.start, magnitudes)
-        for instance, magnitudes in active
-        if instance.start is not None
-    ]
-    for start, magnitudes in hooks:
-        rows = layout.move(rows, start(layout.coordinates(rows, rows), slopes, magnitudes))
+    for instance, magnitudes in active:
+        if instance.start is not None:
+            offsets = instance.start(layout.coordinates(rows, rows), speeds, magnitudes)
+            rows = layout.move(rows, offsets)
     return rows
 
 
-def sensed(signals: Array, active: ActiveEffects) -> Array:
-    """Signals (..., p) as the sensors give them."""
+def measured_signals(signals: Array, active: ActiveEffects) -> Array:
+    """Turn true signals (..., p) into those that the sensors measure, delays aside."""
     for instance, magnitudes in active:
-        signals = (
-            signals if instance.measurement is None else instance.measurement(signals, magnitudes)
-        )
+        if instance.measurement is not None:
+            signals = instance.measurement(signals, magnitudes)
     return signals
 
 
-def lateness(active: ActiveEffects, p: int) -> Array:
-    """(p,) how late each signal is seen [s]."""
-    return sum(
-        (
-            instance.sensor_delay(magnitudes)
-            for instance, magnitudes in active
-            if instance.sensor_delay is not None
-        ),
-        start=np.zeros(p),
-    )
+def total_delays(active: ActiveEffects, p: int) -> Array:
+    """Add up the delays of each signal: (p,) [s]."""
+    total = np.zeros(p)
+    for instance, magnitudes in active:
+        if instance.sensor_delay is not None:
+            total = total + instance.sensor_delay(magnitudes)
+    return total
 
 
-def slopes_of(segments: Segments, layout: Layout, control_step: float) -> Array:
-    """(N, p) how fast the measured signals move at each segment's start [1/s]: central differences
-    within its trajectory.
+def start_speeds(segments: Segments, layout: Layout, control_step: float) -> Array:
+    """Estimate the speeds of the measured signals at the starts of segments.
+
+    Parameters
+    ----------
+    segments : Segments
+        N segments.
+    layout : Layout
+        The columns of observations.
+    control_step : float
+        [s]
+
+    Returns
+    -------
+    (N, p) array
+        Central differences within the trajectory, one-sided at its beginning [1/s].
     """
     data = segments.trajectories
     at = segments.steps[:, 0]
     first = np.array([span[0] for span in data.spans])[data.trajectory[at]]
     before = np.maximum(at - 1, first)
     rows = data.observations[at]
-    after = data.next_observations[at]
-    ahead = layout.coordinates(after, rows)
+    ahead = layout.coordinates(data.next_observations[at], rows)
     behind = layout.coordinates(data.observations[before], rows)
     return (ahead - behind) / ((1 + at - before)[:, None] * control_step)
 
 
-def curvatures_of(segments: Segments, layout: Layout, control_step: float) -> Array:
-    """(N, p) by how much the speed of each measured signal changes from step to step around each
-    segment's start [1/s]: the root mean square of three second differences, fewer at the ends of
-    its trajectory.
+def start_curvatures(segments: Segments, layout: Layout, control_step: float) -> Array:
+    """Estimate by how much the speeds of the measured signals change from step to step.
+
+    Parameters
+    ----------
+    segments : Segments
+        N segments.
+    layout : Layout
+        The columns of observations.
+    control_step : float
+        [s]
+
+    Returns
+    -------
+    (N, p) array
+        The root mean square of three second differences around each start, of fewer at the ends of
+        its trajectory [1/s].
     """
     data = segments.trajectories
     at = segments.steps[:, 0]
     first, last = np.array(data.spans)[data.trajectory[at]].T
     here = data.observations[at]
-    moves = [
-        layout.coordinates(data.next_observations[k], here)
-        - layout.coordinates(data.observations[k], here)
-        for k in (np.clip(at + shift, first, last - 1) for shift in (-2, -1, 0, 1))
-    ]
-    apart = np.diff(moves, axis=0) / control_step
-    counted = np.sum(
-        [(at + shift >= first) & (at + shift < last - 1) for shift in (-2, -1, 0)], axis=0
-    )
-    return np.asarray(np.sqrt((apart**2).sum(axis=0) / np.maximum(counted, 1)[:, None]))
+    moves = []
+    for shift in (-2, -1, 0, 1):
+        k = np.clip(at + shift, first, last - 1)
+        after = layout.coordinates(data.next_observations[k], here)
+        moves.append(after - layout.coordinates(data.observations[k], here))
+    changes = np.diff(moves, axis=0) / control_step
+    inside = [(at + shift >= first) & (at + shift < last - 1) for shift in (-2, -1, 0)]
+    counts = np.maximum(np.sum(inside, axis=0), 1)
+    return np.asarray(np.sqrt((changes**2).sum(axis=0) / counts[:, None]))
 
 
-def seen_late(trace: Array, delays: Array) -> Array:
-    """Columns (n, J, c) of a trace (n, 1 + steps, c), one value a physics step, J evenly spaced
-    steps late by so many steps (c,).
+def delay_columns(trace: Array, delays: Array) -> Array:
+    """Delay each column of a trace, by linear interpolation between its steps.
 
-    What lies before the start is continued backwards from its first step.
+    Parameters
+    ----------
+    trace : (n, 1 + J, c) array
+        The start, then one value a physics step.
+    delays : (c,) array
+        In physics steps.
+
+    Returns
+    -------
+    (n, J, c) array
+        The delayed values of the J steps. What lies before the start is continued backwards from
+        the first step.
     """
     steps = trace.shape[1] - 1
     out = np.empty((len(trace), steps, trace.shape[2]))
     for column, delay in enumerate(delays):
         place = np.arange(1, steps + 1) - delay
         low = np.clip(np.floor(place).astype(int), 0, steps - 1)
-        share = place - low
-        out[:, :, column] = (1 - share) * trace[:, low, column] + share * trace[:, low + 1, column]
+        part = place - low
+        out[:, :, column] = (1 - part) * trace[:, low, column] + part * trace[:, low + 1, column]
     return out

@@ -26,35 +26,75 @@ from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.simulators.mujoco.layers import (
-    by_time_profile,
     changes_commands,
-    commands_of,
-    curvatures_of,
+    commands_per_physics_step,
     declared_values,
-    lateness,
-    seen_late,
-    sensed,
-    slopes_of,
+    delay_columns,
+    measured_signals,
+    split_by_time_profile,
+    start_curvatures,
+    start_speeds,
+    total_delays,
     true_starts,
 )
-from dropo.simulators.mujoco.warnings import quiet
-from dropo.simulators.mujoco.worker import Worker, clamps_itself
+from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
+from dropo.simulators.mujoco.worker import Worker, acts_after_clamp
 
-BUFFER = 1 << 25  # bytes of states that one call into C may return
-HUGE = 1e10  # mjMAXVAL: beyond it MuJoCo itself calls a state divergent
+MAX_BYTES = 1 << 25
+"""The bytes of states that one call into C may return; no result depends on it."""
+MAX_STATE = 1e10
+"""mjMAXVAL: beyond it MuJoCo itself calls a state divergent."""
 
 
 class MujocoSimulator(RobotSimulator):
-    """Replays segments in MuJoCo, one C call for each parameter vector and block of segments, on
-    Python threads.
+    """Replays segments in MuJoCo.
 
-    model: the path of an MJCF file, an MjSpec or an MjModel; parameters: FieldParameters;
-    observation, action: the columns of the data's rows as slices of MuJoCo's fields; frame_skip:
-    physics steps for which an action is held; threads: 0 for all cores; effects: what the model may
-    lack, whose sizes are parameters behind the fields; fixed: effects that it has, with their
-    sizes. State components that are not observed start at the model's qpos0 or zero. Results do not
-    depend on the number of threads, bit for bit. Warm starts are off, since they make a result
-    depend on what ran before it.
+    State components that are not observed start at the model's qpos0 or zero. Results do not depend
+    on the number of threads, bit for bit. Warm starts are off, since they make a result depend on
+    what ran before it.
+
+    Parameters
+    ----------
+    model : str, Path, MjSpec or MjModel
+        The path of an MJCF file, a specification or a compiled model.
+    parameters : sequence of FieldParameter
+        The declared parameters.
+    observation : sequence of str
+        The columns of observation rows, as slices or elements of qpos, qvel, act and sensordata.
+    action : sequence of str
+        The columns of action rows, as slices or elements of ctrl.
+    frame_skip : int
+        Physics steps for which an action is held.
+    threads : int
+        The number of threads; 0 for all cores.
+    effects : sequence of EffectInstance
+        What the model may lack: the magnitudes are parameters, behind the declared ones.
+    fixed : sequence of (EffectInstance, (q,) array)
+        Effects that the simulation has, with their magnitudes.
+
+    Attributes
+    ----------
+    observation, action : tuple of str
+        As given.
+    threads : int
+        The number of threads in use.
+
+    Raises
+    ------
+    BadArgument
+        If `frame_skip` or `threads` is out of its range, an item of `observation` or `action` is
+        outside of its field, an actuator is named twice, or a parameter needs an index or element.
+    UnknownName
+        If there is no such field or element; with the nearest valid name.
+    BadFile
+        If there is no such file, or the model does not compile.
+    Incompatible
+        If an effect needs bodies to be compiled anew, and a compiled model is given.
+
+    Notes
+    -----
+    One C call is made for each parameter vector and block of segments, on Python threads: MuJoCo
+    releases the interpreter's lock.
     """
 
     def __init__(
@@ -70,64 +110,89 @@ class MujocoSimulator(RobotSimulator):
         fixed: ActiveEffects = (),
     ):
         require(frame_skip >= 1, "frame_skip", "at least 1", frame_skip, "MujocoSimulator")
-        require(
-            threads >= 0,
-            "threads",
-            "0 (all cores) or a number of threads",
-            threads,
-            "MujocoSimulator",
-        )
+        rule = "0 (all cores) or a number of threads"
+        require(threads >= 0, "threads", rule, threads, "MujocoSimulator")
         self._source = model
         self.observation = tuple(observation)
         self.action = tuple(action)
         self.model = load_model(model, [p.field for p in parameters])
         self.bindings = [Binding(p, self.model) for p in parameters]
-        self._take(effects, fixed)
+        self._set_effects(effects, fixed)
         self.layout = Layout(self.model, observation)
         self.signals = self.layout.signals
         self.controls = action_columns(self.model, action)
         self.frame_skip = self.steps_per_action = frame_skip
         self.control_step = float(self.model.opt.timestep) * frame_skip
         self.threads = threads or os.cpu_count() or 1
-        self._hire()
+        self._start_threads()
 
-    def _take(self, effects: Sequence[EffectInstance], fixed: ActiveEffects) -> None:
+    def _set_effects(self, effects: Sequence[EffectInstance], fixed: ActiveEffects) -> None:
+        """Takes the effects, and makes the space of all parameters and their nominal values."""
         self.effects = tuple(effects)
         self.fixed = tuple(fixed)
-        tied = [
-            instance.label
-            for instance in (*effects, *(instance for instance, _ in fixed))
-            if instance.general
-        ]
-        if tied and self.general is None:
+        every = [*effects, *(instance for instance, _ in fixed)]
+        need_general = [instance.label for instance in every if instance.general]
+        if need_general and self.general is None:
             raise Incompatible(
-                f"{tied[0]} needs a model whose bodies are compiled with simple='false', "
+                f"{need_general[0]} needs a model whose bodies are compiled with simple='false', "
                 "and a compiled MjModel was given."
                 " Make the simulator from an MJCF file or an MjSpec, or leave that effect out."
             )
-        own = [binding.parameter for binding in self.bindings]
-        self.space = ParameterSpace(
-            (*own, *(p for instance in effects for p in instance.parameters))
-        )
-        self.nominal = np.concatenate(
-            [[b.nominal() for b in self.bindings], np.zeros(len(self.space) - len(own))]
-        )
+        declared = [binding.parameter for binding in self.bindings]
+        magnitudes = [parameter for instance in effects for parameter in instance.parameters]
+        self.space = ParameterSpace((*declared, *magnitudes))
+        nominal = [binding.nominal() for binding in self.bindings]
+        self.nominal = np.concatenate([nominal, np.zeros(len(magnitudes))])
 
     def with_effects(
         self, effects: Sequence[EffectInstance] = (), fixed: ActiveEffects = ()
     ) -> "MujocoSimulator":
-        """The same simulator with more effects beside those it has: free ones, whose sizes are
-        parameters, and fixed ones.
+        """Make the same simulator with more effects beside those it has.
+
+        Parameters
+        ----------
+        effects : sequence of EffectInstance
+            Free effects, whose magnitudes are parameters behind those there are.
+        fixed : sequence of (EffectInstance, (q,) array)
+            Fixed effects, with their magnitudes.
+
+        Returns
+        -------
+        MujocoSimulator
+            A new one, whose counts of steps and failures begin at 0.
+
+        Raises
+        ------
+        Incompatible
+            If an effect needs bodies to be compiled anew, and the model was given compiled.
         """
         out = copy.copy(self)
         out._source = self._source
         out.steps = 0
         out.failures = 0
-        out._take((*self.effects, *effects), (*self.fixed, *fixed))
+        out._set_effects((*self.effects, *effects), (*self.fixed, *fixed))
         return out
 
     def observing(self, observation: Sequence[str]) -> "MujocoSimulator":
-        """The same simulator of data with other observed columns."""
+        """Make the same simulator for data with other observed columns.
+
+        Parameters
+        ----------
+        observation : sequence of str
+            The columns of observation rows.
+
+        Returns
+        -------
+        MujocoSimulator
+            A new one, whose counts of steps and failures begin at 0.
+
+        Raises
+        ------
+        BadArgument
+            If an item is outside of its field.
+        UnknownName
+            If there is no such field or element.
+        """
         out = copy.copy(self)
         out.observation = tuple(observation)
         out.layout = Layout(self.model, observation)
@@ -137,33 +202,36 @@ class MujocoSimulator(RobotSimulator):
         return out
 
     def spec(self) -> mujoco.MjSpec:
-        """The model as an editable specification, without parameters and effects written into it."""
+        """Make an editable specification of the model, without its parameters and effects.
+
+        Raises
+        ------
+        BadArgument
+            If the model was given compiled.
+        """
         return specification(self._source)
 
-    def _hire(self) -> None:
-        """What lives in one process alone: threads, their own copies of the model, and commands
-        already made.
-        """
+    def _start_threads(self) -> None:
+        """Makes what one process alone has: threads, their copies of the model, cached arrays."""
         self._workers: tuple[queue.SimpleQueue[Worker], ...] = (
             queue.SimpleQueue(),
             queue.SimpleQueue(),
         )
         self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="mujoco")
         self._commands: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
-        self._bends: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
+        self._curvatures: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
 
     @cached_property
     def general(self) -> mujoco.MjModel | None:
-        """The model for effects that need bodies compiled as not simple; None where that takes a
-        source which is not there.
+        """The model for effects that need bodies compiled with simple="false".
+
+        None where that takes the source of a model that was given compiled.
         """
         if not self.model.body_simple[1:].any():
             return self.model
-        return (
-            None
-            if isinstance(self._source, mujoco.MjModel)
-            else load_model(self.spec(), MOVES_FRAMES)
-        )
+        if isinstance(self._source, mujoco.MjModel):
+            return None
+        return load_model(self.spec(), MOVES_FRAMES)
 
     def _worker(self, general: bool) -> Worker:
         """A worker that is free, else a new one; there are never more of them than threads."""
@@ -174,54 +242,60 @@ class MujocoSimulator(RobotSimulator):
 
     def __getstate__(self) -> dict[str, Any]:
         self.general  # noqa: B018 - compiled while the source is at hand
-        return {
-            name: value
-            for name, value in vars(self).items()
-            if name not in ("_workers", "_pool", "_commands", "_bends", "_source")
-        }
+        of_process = ("_workers", "_pool", "_commands", "_curvatures", "_source")
+        return {name: value for name, value in vars(self).items() if name not in of_process}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._source = self.model
-        self._hire()
+        self._start_threads()
 
     def targets(self, segments: Segments) -> Array:
+        """(R, p) the measured signals at every compared row; rotations are 0."""
         return self.layout.coordinates(segments.targets, segments.targets)
 
     def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
         """(N,) whether bodies overlap in each segment's measured start."""
-        return touching(
-            self.model, self._start_states(segments, np.arange(len(segments)), segments.starts, {})
-        )
+        everything = np.arange(len(segments))
+        states = self._start_states(segments, everything, segments.starts, {})
+        return touching(self.model, states)
 
     def extra_start_sd(self, value: Array, segments: Segments) -> Array:
-        """(N, p) under the value (d,): of signals seen late, half of how far a change of speed from
-        one step to the next takes them in that time; over more than a step, how far a change
-        that goes on does.
+        """Estimate how far off true starts may be because signals are measured late.
+
+        Parameters
+        ----------
+        value : (d,) array
+            The parameters.
+        segments : Segments
+            N segments.
+
+        Returns
+        -------
+        (N, p) array
+            Half of how far a change of speed from one step to the next takes a signal in the time
+            of its delay; over more than a step, how far a change that goes on does.
         """
-        late = lateness(
-            [*self.fixed, *magnitudes_of(self.effects, value[len(self.bindings) :])],
-            len(self.signals),
-        )
-        if not late.any():
+        magnitudes = value[len(self.bindings) :]
+        active = [*self.fixed, *magnitudes_of(self.effects, magnitudes)]
+        delay = total_delays(active, len(self.signals))
+        if not delay.any():
             return super().extra_start_sd(value, segments)
-        if segments not in self._bends:
-            self._bends[segments] = curvatures_of(segments, self.layout, self.control_step)
-        return np.asarray(
-            0.5 * late * np.maximum(1.0, late / self.control_step) * self._bends[segments]
-        )
+        if segments not in self._curvatures:
+            curvatures = start_curvatures(segments, self.layout, self.control_step)
+            self._curvatures[segments] = curvatures
+        steps = np.maximum(1.0, delay / self.control_step)
+        return np.asarray(0.5 * delay * steps * self._curvatures[segments])
 
     @property
     def effect_context(self) -> EffectContext:
-        """What effects are offered for."""
-        signals = tuple((signal.name, signal.unit) for signal in self.signals)
-        source = not isinstance(self._source, mujoco.MjModel) or self.general is not None
+        """The robot for which effects are offered."""
         return EffectContext(
             self.model,
-            signals,
+            tuple((signal.name, signal.unit) for signal in self.signals),
             self.control_step,
-            tuple(b.parameter for b in self.bindings),
-            source,
+            tuple(binding.parameter for binding in self.bindings),
+            not isinstance(self._source, mujoco.MjModel) or self.general is not None,
         )
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
@@ -233,95 +307,74 @@ class MujocoSimulator(RobotSimulator):
             "MujocoSimulator.predict",
         )
         out = np.empty((len(values), len(segments.rows[0]), len(self.signals)))
-        held = self._command(segments)
+        held = self._held_commands(segments)
         targets = segments.targets
-        slopes = (
-            slopes_of(segments, self.layout, self.control_step)
-            if self.effects or self.fixed
-            else None
-        )
-        row_of = np.concatenate(
-            [[0], np.cumsum(np.bincount(segments.rows[0], minlength=len(segments)))]
-        )
+        speeds = None
+        if self.effects or self.fixed:
+            speeds = start_speeds(segments, self.layout, self.control_step)
+        counts = np.bincount(segments.rows[0], minlength=len(segments))
+        first_row = np.concatenate([[0], np.cumsum(counts)])
         fields = len(self.bindings)
 
-        def job(k: int, part: Ints, active: ActiveEffects) -> None:
+        def simulate(k: int, part: Ints, active: ActiveEffects) -> None:
+            """Writes the predictions of one parameter vector for a part of the segments."""
             starts = segments.starts[part]
             if offsets is not None:
                 starts = self.layout.move(starts, offsets[k, part])
-            if slopes is not None:
-                starts = true_starts(starts, slopes[part], self.layout, active)
-            commands = (
-                self._changed_commands(segments, part, active)
-                if changes_commands(active) or clamps_itself(active)
-                else held
-            )
-            observed = self._replay(
-                declared_values(values[k, :fields], active),
-                active,
-                segments,
-                part,
-                starts,
-                commands,
-            )  # one row a compared row of the part
-            rows = (
-                np.concatenate([np.arange(row_of[i], row_of[i + 1]) for i in part])
-                if segments.every_step
-                else part
-            )
-            out[k, rows] = sensed(self.layout.coordinates(observed, targets[rows]), active)
+            if speeds is not None:
+                starts = true_starts(starts, speeds[part], self.layout, active)
+            commands = held
+            if changes_commands(active) or acts_after_clamp(active):
+                commands = self._changed_commands(segments, part, active)
+            value = declared_values(values[k, :fields], active)
+            observed = self._replay(value, active, segments, part, starts, commands)
+            rows = part
+            if segments.every_step:
+                rows = np.concatenate([np.arange(first_row[i], first_row[i + 1]) for i in part])
+            signals = self.layout.coordinates(observed, targets[rows])
+            out[k, rows] = measured_signals(signals, active)
 
-        there = [[*self.fixed, *magnitudes_of(self.effects, value[fields:])] for value in values]
         parts = self._parts(segments, len(values))
-        tasks = [
-            (k, own, now)
-            for k in range(len(values))
-            for part in parts
-            for own, now in by_time_profile(there[k], segments, part)
-        ]
-        with quiet():
-            for _ in self._pool.map(lambda task: job(*task), tasks):
+        tasks = []
+        for k, value in enumerate(values):
+            active = [*self.fixed, *magnitudes_of(self.effects, value[fields:])]
+            for part in parts:
+                for own, present in split_by_time_profile(active, segments, part):
+                    tasks.append((k, own, present))
+        with suppress_mujoco_warnings():
+            for _ in self._pool.map(lambda task: simulate(*task), tasks):
                 pass
         return out
 
     def _parts(self, segments: Segments, draws: int) -> list[Ints]:
-        """Blocks of segments for one C call each: small enough for memory, enough of them to keep
-        the threads busy.
+        """Blocks of segments for one C call each.
+
+        They are small enough for memory, and enough to keep the threads busy.
         """
         everything = np.arange(len(segments))
         if len(segments.levels) > 1:  # chains stay together
             return [everything]
-        per_segment = (
-            int(segments.lengths.max())
-            * self.frame_skip
-            * 8
-            * (1 + self.model.nq + self.model.nv + self.model.na)
-        )
-        blocks = max(
-            1,
-            -(-len(segments) * per_segment // BUFFER),
-            -(-2 * self.threads // draws) if draws < 2 * self.threads else 1,
-        )
+        numbers = 1 + self.model.nq + self.model.nv + self.model.na
+        per_segment = int(segments.lengths.max()) * self.frame_skip * 8 * numbers
+        for_memory = -(-len(segments) * per_segment // MAX_BYTES)
+        for_threads = -(-2 * self.threads // draws) if draws < 2 * self.threads else 1
+        blocks = max(1, for_memory, for_threads)
         return np.array_split(everything, min(blocks, len(segments)))
 
-    def _command(self, segments: Segments) -> Array:
-        """(N, L, nu) commands, made once for each set of segments."""
+    def _held_commands(self, segments: Segments) -> Array:
+        """(N, L, nu) commands without effects, made once for each set of segments."""
         if segments not in self._commands:
-            self._commands[segments] = self._controls(segments.actions)
+            self._commands[segments] = self._commands_of(segments.actions)
         return self._commands[segments]
 
     def _changed_commands(self, segments: Segments, part: Ints, active: ActiveEffects) -> Array:
-        """(N, L frame_skip, nu) commands as the effects leave them, for a part of the segments."""
-        return commands_of(
-            segments,
-            part,
-            self._controls(segments.trajectories.actions),
-            self.model,
-            self.frame_skip,
-            active,
+        """(N, L frame_skip, nu) commands as the effects change them, for a part of the segments."""
+        commands = self._commands_of(segments.trajectories.actions)
+        return commands_per_physics_step(
+            segments, part, commands, self.model, self.frame_skip, active
         )
 
-    def _controls(self, actions: Array) -> Array:
+    def _commands_of(self, actions: Array) -> Array:
         """Commands (..., nu) from actions (..., q)."""
         require(
             actions.shape[-1] == len(self.controls),
@@ -343,30 +396,28 @@ class MujocoSimulator(RobotSimulator):
         starts: Array,
         commands: Array,
     ) -> Array:
-        """Observations at the compared rows of a part of the segments, in their order; commands (N,
-        L or L frame_skip, nu).
+        """Observations at the compared rows of a part of the segments, in their order.
+
+        The commands are (N, L or L frame_skip, nu).
         """
         general = any(instance.general for instance, _ in active)
-        worker = self._worker(general)
+        chained = len(segments.levels) > 1
         per_action = commands.shape[1] // segments.steps.shape[1]
+        worker = self._worker(general)
         try:
             worker.set(value, active)
-            ends: dict[int, Array] = {}
+            ends: dict[int, Array] = {}  # last states, from which chained segments go on
             found: dict[int, Array] = {}
-            for level in segments.levels if len(segments.levels) > 1 else [part]:
+            for level in segments.levels if chained else [part]:
                 for length in np.unique(segments.lengths[level]):
                     block = level[segments.lengths[level] == length]
-                    states = self._start_states(
-                        segments, block, starts[np.searchsorted(part, block)], ends
-                    )
-                    held = np.repeat(
-                        commands[block, : length * per_action],
-                        self.frame_skip // per_action,
-                        axis=1,
-                    )
+                    own_starts = starts[np.searchsorted(part, block)]
+                    states = self._start_states(segments, block, own_starts, ends)
+                    own = commands[block, : length * per_action]
+                    held = np.repeat(own, self.frame_skip // per_action, axis=1)
                     observed, last = self._roll(worker, active, states, held, segments.every_step)
                     found.update(zip(block.tolist(), observed, strict=True))
-                    if len(segments.levels) > 1:
+                    if chained:
                         ends.update(zip(block.tolist(), last, strict=True))
         finally:
             self._workers[general].put(worker)
@@ -375,82 +426,93 @@ class MujocoSimulator(RobotSimulator):
     def _start_states(
         self, segments: Segments, block: Ints, starts: Array, ends: dict[int, Array]
     ) -> Array:
-        states = np.zeros(
-            (len(block), mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-        )
+        """Full physics states at the starts of a block of segments, chained ones from `ends`."""
+        size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        states = np.zeros((len(block), size))
         states[:, 1 : 1 + self.model.nq] = self.model.qpos0
-        every = np.ones(len(self.layout), dtype=bool)
+        chosen = np.ones(len(self.layout), dtype=bool)
         before = segments.previous[block]
         if ends and before[0] >= 0:
             states[:] = np.stack([ends[i] for i in before.tolist()])
             states[:, 0] = 0.0
-            every = segments.set_columns
-        self.layout.write_start(states, starts, every, self.model)
+            chosen = segments.set_columns
+        self.layout.write_start(states, starts, chosen, self.model)
         return states
 
     def _roll(
         self, worker: Worker, active: ActiveEffects, states: Array, commands: Array, every: bool
     ) -> tuple[Array, Array]:
-        """Observations (n, L or 1, P) after every action or the last, and the last states (n, s);
-        NaN where MuJoCo stopped early.
+        """Observations (n, L or 1, P) after every action or the last one, and last states (n, s).
 
-        commands: (n, L frame_skip, nu), one a physics step.
+        The commands are (n, L frame_skip, nu), one a physics step. NaN where MuJoCo stopped early.
         """
         trace, _ = worker.roll(states, commands, active)
-        actions = commands.shape[1] // self.frame_skip
+        skip = self.frame_skip
+        actions = commands.shape[1] // skip
         first = 0 if every else actions - 1
-        after = trace[:, self.frame_skip - 1 :: self.frame_skip][:, first:]
-        sensors = (
-            self._sensors(worker, active, after, commands[:, :: self.frame_skip][:, first:])
-            if self.layout.needs_sensors
-            else None
-        )
-        observed = self.layout.observe(after, sensors, self.model)
-        late = (
-            self.layout.by_column(lateness(active, len(self.signals))) / worker.model.opt.timestep
-        )
-        if late.any():
+        after = trace[:, skip - 1 :: skip][:, first:]
+        observed = self._observe(worker, active, after, commands[:, ::skip][:, first:])
+        delays = self.layout.by_column(total_delays(active, len(self.signals)))
+        delays = delays / worker.model.opt.timestep  # physics steps
+        if delays.any():
+            late = delays > 0
             whole = np.concatenate([states[:, None], trace], axis=1)
             held = np.concatenate([commands[:, :1], commands], axis=1)
-            sensors = (
-                self._sensors(worker, active, whole, held) if self.layout.needs_sensors else None
-            )
-            whole = self.layout.observe(whole, sensors, self.model)[:, :, late > 0]
-            observed[:, :, late > 0] = seen_late(whole, late[late > 0])[
-                :, self.frame_skip - 1 :: self.frame_skip
-            ][:, first:]
-        # MuJoCo halts a rollout at its first warning and repeats the state: its clock stands still.
-        stopped = (
-            after[:, :, 0]
-            < (np.arange(first + 1, actions + 1) * self.frame_skip - 0.5)
-            * worker.model.opt.timestep
-        )
-        bad = stopped | ~(np.abs(after) < HUGE).all(axis=2)
+            signals = self._observe(worker, active, whole, held)[:, :, late]
+            delayed = delay_columns(signals, delays[late])
+            observed[:, :, late] = delayed[:, skip - 1 :: skip][:, first:]
+        # MuJoCo halts a rollout at its first warning and repeats the state: its clock stands still
+        clock = (np.arange(first + 1, actions + 1) * skip - 0.5) * worker.model.opt.timestep
+        stopped = after[:, :, 0] < clock
+        bad = stopped | ~(np.abs(after) < MAX_STATE).all(axis=2)
         observed[bad] = np.nan
         last = after[:, -1].copy()
         last[bad[:, -1]] = np.nan
         return observed, last
 
-    def _sensors(
-        self, worker: Worker, active: ActiveEffects, after: Array, commands: Array
+    def _observe(
+        self, worker: Worker, active: ActiveEffects, states: Array, commands: Array
     ) -> Array:
-        """Sensor data (n, J, m) of the states after an action, still under it: a step reports those
-        of the state before it.
+        """Observation rows (n, J, P) of states (n, J, s) under commands (n, J, nu).
+
+        Sensor data are computed by one more step each: a step reports those of the state before it.
         """
-        states = after.reshape(-1, after.shape[2])
-        return worker.roll(states, commands.reshape(len(states), 1, self.model.nu), active)[
-            1
-        ].reshape(*after.shape[:2], -1)
+        sensors = None
+        if self.layout.needs_sensors:
+            flat = states.reshape(-1, states.shape[2])
+            held = commands.reshape(len(flat), 1, self.model.nu)
+            _, found = worker.roll(flat, held, active)
+            sensors = found.reshape(*states.shape[:2], -1)
+        return self.layout.observe(states, sensors, self.model)
 
 
 def action_columns(model: mujoco.MjModel, items: Sequence[str]) -> NDArray[np.int64]:
-    """(q,) the place in ctrl of each action column."""
+    """Find the place in ctrl of each action column.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    items : sequence of str
+        Slices or elements of ctrl.
+
+    Returns
+    -------
+    (q,) array of int
+        Empty for a model without actuators.
+
+    Raises
+    ------
+    BadArgument
+        If an item is outside of ctrl, or an actuator is named twice.
+    UnknownName
+        If there is no such field or actuator; with the nearest valid name.
+    """
     names = {"ctrl": {name: (i, 1) for name, i in element_names(model, "actuator").items()}}
-    places = (
-        [i for item in items for i in item_columns(item, {"ctrl": model.nu}, names)[1]]
-        if model.nu
-        else []
-    )
+    places: list[int] = []
+    if model.nu:
+        for item in items:
+            places += item_columns(item, {"ctrl": model.nu}, names)[1]
     if len(set(places)) < len(places):
         raise BadArgument(f"The action items {list(items)} name an actuator twice.")
     return np.array(places, dtype=np.int64)

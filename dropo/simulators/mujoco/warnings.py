@@ -8,18 +8,20 @@ from typing import Any
 import mujoco
 
 _LOCK = threading.Lock()
-_handlers: list[
-    Any
-] = []  # what was set when each `quiet` now open began; the first is the user's own
+# the handlers that were set when each context now open began; the first is the user's own
+_handlers: list[Any] = []
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT into the working directory; failures are found in
-    the states.
+def suppress_mujoco_warnings() -> Iterator[None]:
+    """Keep MuJoCo from writing MUJOCO_LOG.TXT into the working directory.
 
-    The handler is the whole process's: of overlapping ones on several threads, the last to end puts
-    the user's own back.
+    Failures are found in the states instead. The handler belongs to the whole process: of
+    overlapping contexts on several threads, the last to end puts the user's own back.
+
+    Yields
+    ------
+    None
     """
     with _LOCK:
         _handlers.append(mujoco.get_mju_user_warning())

@@ -7,15 +7,27 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from dropo.core.contracts.effect import ActiveEffects, StepState
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance, StepState
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import Binding
 
 
 class Worker:
-    """A copy of the model and its data.
+    """A copy of a model and its data, for one thread.
 
     Without effects it computes bit for bit what the model alone does.
+
+    Parameters
+    ----------
+    model : MjModel
+        The model, which stays as it is.
+    bindings : sequence of Binding
+        The d declared parameters.
+
+    Attributes
+    ----------
+    model : MjModel
+        The copy, with parameters and effects written into it.
     """
 
     def __init__(self, model: mujoco.MjModel, bindings: Sequence[Binding]):
@@ -26,134 +38,177 @@ class Worker:
         self._changed = False
 
     def set(self, value: Array, active: ActiveEffects = ()) -> None:
-        """Writes a parameter vector (d,) and the effects; mj_setConst follows those that want it,
-        and leaves the others as written.
+        """Write parameters and effects into the model.
+
+        mj_setConst follows where a parameter or effect changes derived constants, and leaves the
+        other parameters as written.
+
+        Parameters
+        ----------
+        value : (d,) array
+            The declared parameters.
+        active : sequence of (EffectInstance, (q,) array)
+            The effects with their magnitudes.
         """
         if self._changed:
             self.model = copy.copy(self.base)
-        changes = [
-            (instance.model, magnitudes)
-            for instance, magnitudes in active
-            if instance.model is not None
-        ]
-        follow = [(b, v) for b, v in zip(self.bindings, value, strict=True) if b.parameter.derived]
-        keep = [
-            (b, v) for b, v in zip(self.bindings, value, strict=True) if not b.parameter.derived
-        ]
-        for (
-            binding,
-            _,
-        ) in keep:  # else derived constants would depend on what this copy simulated before
+        changes = [(one.model, magnitudes) for one, magnitudes in active if one.model is not None]
+        pairs = list(zip(self.bindings, value, strict=True))
+        before = [pair for pair in pairs if pair[0].parameter.derived]
+        after = [pair for pair in pairs if not pair[0].parameter.derived]
+        # else derived constants would depend on what this copy simulated before
+        for binding, _ in after:
             binding.set(self.model, binding.nominal())
-        for binding, number in follow:
+        for binding, number in before:
             binding.set(self.model, number)
         for change, magnitudes in changes:
             change(self.model, magnitudes)
-        if follow or changes:
+        if before or changes:
             mujoco.mj_setConst(self.model, self.data)
-        for binding, number in keep:
+        for binding, number in after:
             binding.set(self.model, number)
-        if clamps_itself(active):
+        if acts_after_clamp(active):
             self.model.actuator_ctrllimited[:] = 0
         self._changed = bool(active)
 
     def roll(
         self, states: Array, controls: Array, active: ActiveEffects = ()
     ) -> tuple[Array, Array]:
-        """States (n, steps, s) and sensor data (n, steps, m) from start states (n, s) under
-        commands (n, steps, nu), one a physics step.
+        """Simulate from start states under commands.
+
+        Parameters
+        ----------
+        states : (n, s) array
+            Full physics states.
+        controls : (n, steps, nu) array
+            Commands, one a physics step.
+        active : sequence of (EffectInstance, (q,) array)
+            The effects with their magnitudes, as written with `set`.
+
+        Returns
+        -------
+        states : (n, steps, s) array
+            After every physics step.
+        sensors : (n, steps, m) array
+            Sensor data of every physics step.
         """
-        acting = [
-            (instance, magnitudes)
-            for instance, magnitudes in active
-            if instance.command_feedback is not None or instance.force is not None
-        ]
-        if not acting and all(
-            instance.wrench is None and instance.applied_force is None for instance, _ in active
-        ):
+        reacting = reacting_effects(active)
+        known_forces = any(
+            one.wrench is not None or one.applied_force is not None for one, _ in active
+        )
+        if not reacting and not known_forces:
             control = controls if self.model.nu else None
             return mujoco.rollout.rollout(
                 self.model, [self.data], states, control, nstep=controls.shape[1]
             )
         inputs, spec = self._inputs(controls, active)
-        if not acting:
+        if not reacting:
             return mujoco.rollout.rollout(
                 self.model, [self.data], states, inputs, control_spec=spec
             )
-        trace = np.empty((*controls.shape[:2], states.shape[1]))
-        sensors = np.empty((*controls.shape[:2], self.model.nsensordata))
-        now = states
-        one = np.empty((len(states), 1, inputs.shape[2]))
+        return self._roll_stepwise(states, inputs, spec, reacting)
+
+    def _roll_stepwise(
+        self, states: Array, inputs: Array, spec: int, reacting: ActiveEffects
+    ) -> tuple[Array, Array]:
+        """As `roll`, one physics step at a time, with effects that depend on the state."""
         nu = self.model.nu
         nv = self.model.nv
-        for step in range(controls.shape[1]):
-            one[:, 0] = inputs[:, step]
-            one[:, 0, :nu], forces = self.reaction(now, controls[:, step], step, acting)
-            one[:, 0, nu : nu + nv] += forces
+        steps = inputs.shape[1]
+        trace = np.empty((len(states), steps, states.shape[1]))
+        sensors = np.empty((len(states), steps, self.model.nsensordata))
+        now = states
+        given = np.empty((len(states), 1, inputs.shape[2]))
+        for step in range(steps):
+            given[:, 0] = inputs[:, step]
+            commands, forces = self.react(now, inputs[:, step, :nu], step, reacting)
+            given[:, 0, :nu] = commands
+            given[:, 0, nu : nu + nv] += forces
             state, sensor = mujoco.rollout.rollout(
-                self.model, [self.data], now, one, control_spec=spec
+                self.model, [self.data], now, given, control_spec=spec
             )
-            now = trace[:, step] = state[:, 0]
+            trace[:, step] = state[:, 0]
             sensors[:, step] = sensor[:, 0]
+            now = trace[:, step]
         return trace, sensors
 
     def _inputs(self, controls: Array, active: ActiveEffects) -> tuple[Array, int]:
-        """What MuJoCo is given at every step (n, steps, nu + nv + 6 nbody): commands, pushes and
-        wrenches.
+        """What MuJoCo is given at every step, (n, steps, nu + nv + 6 nbody), and its specification.
+
+        They are commands, forces known beforehand, and constant wrenches.
         """
-        push = np.zeros((self.model.nbody, 6))
-        for body, wrench in (
-            instance.wrench(magnitudes)
-            for instance, magnitudes in active
-            if instance.wrench is not None
-        ):
-            push[body] += wrench
         steps = controls.shape[1]
-        forces = sum(
-            (
-                instance.applied_force(steps, magnitudes)
-                for instance, magnitudes in active
-                if instance.applied_force is not None
-            ),
-            start=np.zeros((steps, self.model.nv)),
-        )
-        outside = np.concatenate(
-            [forces, np.broadcast_to(push.ravel(), (steps, push.size))], axis=1
-        )
+        wrenches = constant_wrenches(active, self.model.nbody)
+        forces = np.zeros((steps, self.model.nv))
+        for instance, magnitudes in active:
+            if instance.applied_force is not None:
+                forces = forces + instance.applied_force(steps, magnitudes)
+        repeated = np.broadcast_to(wrenches.ravel(), (steps, wrenches.size))
+        applied = np.concatenate([forces, repeated], axis=1)
+        for_all = np.broadcast_to(applied, (len(controls), *applied.shape))
         spec = (
             mujoco.mjtState.mjSTATE_CTRL
             | mujoco.mjtState.mjSTATE_QFRC_APPLIED
             | mujoco.mjtState.mjSTATE_XFRC_APPLIED
         )
-        return np.concatenate(
-            [controls, np.broadcast_to(outside, (len(controls), *outside.shape))], axis=2
-        ), int(spec)
+        return np.concatenate([controls, for_all], axis=2), int(spec)
 
-    def reaction(
-        self, states: Array, commands: Array, step: int, acting: ActiveEffects
+    def react(
+        self, states: Array, commands: Array, step: int, reacting: ActiveEffects
     ) -> tuple[Array, Array]:
-        """Commands (n, nu) and generalised forces (n, nv) that follow from the states."""
-        qpos, qvel, act = np.split(
-            states[:, 1 : 1 + self.model.nq + self.model.nv + self.model.na],
-            np.cumsum([self.model.nq, self.model.nv]),
-            axis=1,
-        )
+        """Evaluate the effects that depend on the state.
+
+        Parameters
+        ----------
+        states : (n, s) array
+            Full physics states at the beginning of a physics step.
+        commands : (n, nu) array
+            The commands of that step.
+        step : int
+            Physics steps since the start.
+        reacting : sequence of (EffectInstance, (q,) array)
+            The effects, see `reacting_effects`.
+
+        Returns
+        -------
+        commands : (n, nu) array
+        forces : (n, nv) array
+            Generalised forces [N, N m].
+        """
+        sizes = [self.model.nq, self.model.nv, self.model.na]
+        whole = states[:, 1 : 1 + sum(sizes)]
+        qpos, qvel, act = np.split(whole, np.cumsum(sizes[:2]), axis=1)
         forces = np.zeros((len(states), self.model.nv))
-        for instance, magnitudes in acting:
-            step_state = StepState(qpos, qvel, commands, step, act, self.model)
-            commands = (
-                commands
-                if instance.command_feedback is None
-                else instance.command_feedback(step_state, magnitudes)
-            )
-            forces += 0.0 if instance.force is None else instance.force(step_state, magnitudes)
+        for instance, magnitudes in reacting:
+            state = StepState(qpos, qvel, commands, step, act, self.model)
+            if instance.command_feedback is not None:
+                commands = instance.command_feedback(state, magnitudes)
+            if instance.force is not None:
+                forces += instance.force(state, magnitudes)
         return commands, forces
 
 
-def clamps_itself(active: ActiveEffects) -> bool:
-    """Whether commands are changed after they were clamped, so that MuJoCo must not clamp them
-    again.
-    """
+def reacting_effects(active: ActiveEffects) -> list[tuple[EffectInstance, Array]]:
+    """Select the effects that depend on the state of every physics step."""
+    found = []
+    for instance, magnitudes in active:
+        if instance.command_feedback is not None or instance.force is not None:
+            found.append((instance, magnitudes))
+    return found
+
+
+def constant_wrenches(active: ActiveEffects, nbody: int) -> Array:
+    """Add up the constant forces and torques of the effects: (nbody, 6) [N, N m]."""
+    total = np.zeros((nbody, 6))
+    for instance, magnitudes in active:
+        if instance.wrench is not None:
+            body, wrench = instance.wrench(magnitudes)
+            total[body] += wrench
+    return total
+
+
+def acts_after_clamp(active: ActiveEffects) -> bool:
+    """Whether commands are changed after they were clamped, so that MuJoCo must not clamp again."""
     return any(
         instance.actuation is not None or instance.command_feedback is not None
         for instance, _ in active

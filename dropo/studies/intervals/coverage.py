@@ -161,11 +161,11 @@ def coverage(
         each = inside.mean(axis=0)
         errors = np.sqrt(each * (1 - each) / count)
         shown = ", ".join(f"{c:.0%} ± {e:.0%}" for c, e in zip(each, errors, strict=True))
-        size = f"{trajectories} x {steps}"
+        extent = f"{trajectories} x {steps}"
         rows.append(
-            (f"{robot}, {noise}", size, method, shown, f"{inside.mean():.1%}", f"{flagged:.0%}")
+            (f"{robot}, {noise}", extent, method, shown, f"{inside.mean():.1%}", f"{flagged:.0%}")
         )
-        name = f"{robot}, {noise}, {method}, {size}"
+        name = f"{robot}, {noise}, {method}, {extent}"
         sentences = {sentence for answer in own for sentence in answer["sentences"]}
         data[name] = {"coverage": each, "flagged": flagged, "sentences": sorted(sentences)}
         if noise != "dry friction" and not low <= inside.mean() <= high:

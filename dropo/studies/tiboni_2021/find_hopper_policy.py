@@ -23,7 +23,7 @@ from dropo.core.services.atomic_write import write_text
 from dropo.core.services.validation import Array
 from dropo.problems.hopper.data import LinearPolicy, healthy, observe, start_states
 from dropo.problems.hopper.model import FRAME_SKIP, hopper_model
-from dropo.simulators.mujoco.closed_loop import Runs, closed_loop
+from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 from dropo.training.ars import ARS, Search
 
 
@@ -53,8 +53,8 @@ SETTINGS = Settings()
 ALGORITHM = ARS(updates=300, directions=16, best=8, step=0.02, size=0.03, trials=100, every=10)
 
 
-def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> Runs:
-    """N trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
+def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> Rollouts:
+    """n trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
     trajectory.
     """
     noise = rng.standard_normal((n, SETTINGS.steps, model.nu))
@@ -67,7 +67,7 @@ def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> 
     return closed_loop(model, act, starts, SETTINGS.steps, frame_skip=FRAME_SKIP, alive=healthy)
 
 
-def returns(model: mujoco.MjModel, runs: Runs) -> Array:
+def returns(model: mujoco.MjModel, runs: Rollouts) -> Array:
     """(n,) Gymnasium's return without the bonus for being alive: distance per second, less 0.001 of
     the squared actions.
     """

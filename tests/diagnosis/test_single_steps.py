@@ -6,7 +6,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis.search import selection as search
 from dropo.diagnosis.search.single_steps import size_in_single_steps
-from tests.diagnosis.toy import DT, GAIN, instances, selection
+from tests.models.linear_mass import DT, GAIN, instances, selection
 
 # sd of the random forces [m/s^2]
 RUNS = 12
@@ -46,7 +46,7 @@ def test_answers_to_chance_are_not_named(monkeypatch):
     steps, one is in some of them.
     """
     assert sum(bool(named(closed_loop(seed))) for seed in range(RUNS)) == 0
-    monkeypatch.setattr(search, "only_over_windows", lambda *_: False)
+    monkeypatch.setattr(search, "absent_in_single_steps", lambda *_: False)
     assert sum(bool(named(closed_loop(seed))) for seed in range(RUNS)) >= 3
 
 
@@ -56,7 +56,7 @@ def test_a_true_gain_is_named_beside_random_forces(seed):
     finder, first = selection(closed_loop(seed, gain=1.3 * GAIN, force=0.05 * FORCE), length=10)
     found = finder.run(first, first, instances())
     assert [instance.effect for instance in found.accepted] == ["gain"]
-    share, error = size_in_single_steps(
+    share, error = magnitude_in_single_steps(
         finder.library, (found.train, found.test), found.accepted[0], finder.floor
     )
     assert share == pytest.approx(1.0, abs=0.1)

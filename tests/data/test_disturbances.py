@@ -35,7 +35,7 @@ def simulator():
 
 
 def recorded(simulator, pushes, spikes=0, seed=0):
-    """Three runs of 8 s under random commands, with noise, and where wanted some wild velocities."""
+    """Three runs of 8 s under random commands, with noise, and if asked some wild velocities."""
     rng = np.random.default_rng(seed)
     model = simulator.model
     rows = 800

@@ -16,7 +16,7 @@ from dropo.data.outliers.without_disturbances import (
     without_disturbances,
 )
 from dropo.problems.file.writer import write_problem
-from tests.analysis.test_disturbances import PUSHES, recorded, simulator  # noqa: F401 - a fixture
+from tests.data.test_disturbances import PUSHES, recorded, simulator  # noqa: F401 - a fixture
 
 
 @pytest.fixture(scope="module")

@@ -17,14 +17,19 @@ PENDULUM = """<mujoco><option timestep="0.01"/><worldbody>
 </worldbody><actuator><motor name="torque" joint="pivot"/></actuator></mujoco>"""
 
 CART = """<mujoco><option timestep="0.01" integrator="RK4"/><worldbody>
-  <body name="cart" pos="0 0 1"><joint name="rail" type="slide" axis="1 0 0" damping="0.5" ref="0.2" range="-0.5 0.5" limited="true"/>
+  <body name="cart" pos="0 0 1">
+    <joint name="rail" type="slide" axis="1 0 0" damping="0.5" ref="0.2" range="-0.5 0.5"
+    limited="true"/>
     <geom type="box" size="0.1 0.05 0.05" mass="1"/>
-    <body name="pole"><joint name="hinge" axis="0 1 0"/><geom type="capsule" size="0.02" fromto="0 0 0 0 0 0.6" mass="0.2"/></body></body>
+    <body name="pole"><joint name="hinge" axis="0 1 0"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0 0 0.6" mass="0.2"/></body></body>
 </worldbody><actuator><motor joint="rail" gear="5"/><motor joint="hinge"/></actuator></mujoco>"""
 
 BOX = """<mujoco><option timestep="0.005"/><worldbody><geom name="floor" type="plane" size="2 2 1"/>
-  <body name="box" pos="0 0 0.11"><freejoint/><geom name="shell" type="box" size="0.1 0.08 0.1" mass="1"/>
-    <body name="flap" pos="0 0 0.1"><joint name="lid" axis="0 1 0" range="-30 30" limited="true" frictionloss="0.02"/>
+  <body name="box" pos="0 0 0.11"><freejoint/>
+    <geom name="shell" type="box" size="0.1 0.08 0.1" mass="1"/>
+    <body name="flap" pos="0 0 0.1">
+      <joint name="lid" axis="0 1 0" range="-30 30" limited="true" frictionloss="0.02"/>
       <geom type="capsule" size="0.03" fromto="0 0 0 0.2 0 0.1" mass="0.3"/></body></body>
 </worldbody></mujoco>"""
 
@@ -39,7 +44,8 @@ VALVE = """<mujoco><option timestep="0.01"/><worldbody>
   <body name="spool"><joint name="slide" type="slide" axis="1 0 0" stiffness="4"/>
     <geom type="sphere" size="0.1" mass="0.5"/></body>
 </worldbody><actuator><general name="direct" joint="slide"/>
-  <general name="lag" joint="slide" dyntype="filter" dynprm="0.1" gainprm="3"/></actuator></mujoco>"""
+  <general name="lag" joint="slide" dyntype="filter" dynprm="0.1" gainprm="3"/></actuator>
+    </mujoco>"""
 
 SENSED = """<mujoco><option timestep="0.01"/><worldbody>
   <body name="rod" pos="0 0 1"><joint name="pivot" axis="0 1 0" damping="0.1"/>

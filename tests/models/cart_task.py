@@ -12,13 +12,11 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """<mujoco><option timestep="0.01"/><worldbody>
-  <body name="cart">
-    <joint name="rail" type="slide" axis="1 0 0" damping="0.5"/>
-    <geom name="box" size="0.1" mass="2"/>
-  </body>
+  <body name="cart"><joint name="rail" type="slide" axis="1 0 0" damping="0.5"/>
+    <geom name="box" size="0.1" mass="2"/></body>
 </worldbody><actuator>
-  <motor name="push" joint="rail" gear="4" ctrllimited="true" ctrlrange="-1 1"/>
-</actuator></mujoco>"""
+  <motor name="push" joint="rail" gear="4" ctrllimited="true" ctrlrange="-1 1"/></actuator>
+  </mujoco>"""
 STEPS = 30
 
 

@@ -15,7 +15,7 @@ import pytest
 from dropo.core.services.errors import BadFile
 from dropo.logs.mapping import read_mapping
 from dropo.logs.readers.reader import open_log
-from dropo.logs.recordings import Run, read_runs
+from dropo.logs.recordings import LogRun, read_runs
 from dropo.mjmodel.joints import load_model_joints
 
 Columns = dict[str, Any]
@@ -33,7 +33,7 @@ def columns(arm: Any) -> Columns:
     return log
 
 
-def runs(folder: Path, log: Path, text: str) -> list[Run]:
+def runs(folder: Path, log: Path, text: str) -> list[LogRun]:
     """The runs of a log by the mapping in a text."""
     (folder / "map.yaml").write_text(text)
     return read_runs(
@@ -55,7 +55,7 @@ def mapped(place: Callable[[str, int], str], more: str = "") -> str:
     return "\n".join([*lines, more])
 
 
-def same(run: Run, columns: Columns, rows: slice = slice(None), start: float = 0.0) -> None:
+def same(run: LogRun, columns: Columns, rows: slice = slice(None), start: float = 0.0) -> None:
     """The run holds the columns' numbers, all of them, bit for bit; stamps to a nanosecond."""
     keys = {"qpos": "q", "qvel": "dq", "ctrl": "tau"}
     assert len(run.series) == 6

@@ -9,7 +9,7 @@ import pytest
 
 from dropo.core.services.errors import BadArgument
 from dropo.data.outliers.input_choice import choose_input
-from tests.analysis.test_disturbances import STEP, recorded, simulator  # noqa: F401 - a fixture
+from tests.data.test_disturbances import STEP, recorded, simulator  # noqa: F401 - a fixture
 
 
 def test_the_input_that_acted_is_chosen(simulator):  # noqa: F811

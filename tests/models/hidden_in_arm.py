@@ -30,7 +30,7 @@ def problem(
     episodes=None,
     steps=None,
 ):
-    """Data of an arm with effects hidden (label -> sizes, or atoms with sizes), under true
+    """Data of an arm with effects hidden, (label or instance, magnitudes) each, under true
     parameters, with noise on every sensor.
     """
     arm = simulated_robot(name, parameters)

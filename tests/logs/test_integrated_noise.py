@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dropo.logs.signals.integrated_noise import Motion, filtered
+from dropo.logs.signals.integrated_noise import IntegratedNoise, filter_motions
 
 PATH = Path(__file__).parents[1] / "reference" / "kalman_smoother.py"
 SPEC = importlib.util.spec_from_file_location("kalman_smoother", PATH)
@@ -22,7 +22,7 @@ R = 0.04
 def motion(order, seed=0):
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.uniform(0.05, 0.3, 60))
-    return Motion(time, np.sin(time) + 0.2 * rng.normal(size=60), order, NONE, unit=0.1)
+    return IntegratedNoise(time, np.sin(time) + 0.2 * rng.normal(size=60), order, NONE, unit=0.1)
 
 
 def ratio(one, q=Q):
@@ -41,7 +41,7 @@ def test_smoothed_and_filtered_states_are_the_kalman_smoothers(order):
         one.smoothed(ratio(one), one.measured[:, None])[:, :, 0], smoothed, rtol=1e-4, atol=1e-5
     )
     np.testing.assert_allclose(
-        filtered([one], np.array([ratio(one)]))[0][5:], past[5:], rtol=1e-4, atol=1e-4
+        filter_motions([one], np.array([ratio(one)]))[0][5:], past[5:], rtol=1e-4, atol=1e-4
     )
 
 

@@ -13,34 +13,47 @@ from dropo.problems.hopper.problem import hopper_simulator
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 ARM = """<mujoco><compiler angle="radian"/><option timestep="0.004"/><worldbody>
-  <body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="0.3" armature="0.02" frictionloss="0.1"/>
+  <body name="upper" pos="0 0 1">
+    <joint name="shoulder" axis="0 1 0" damping="0.3" armature="0.02" frictionloss="0.1"/>
     <geom type="capsule" size="0.03" fromto="0 0 0 0.4 0 -0.1" mass="1.2"/>
-    <body name="lower" pos="0.4 0 -0.1"><joint name="elbow" axis="0 1 0" range="-0.2 0.1" limited="true" stiffness="2" springref="0.1"/>
+    <body name="lower" pos="0.4 0 -0.1">
+      <joint name="elbow" axis="0 1 0" range="-0.2 0.1" limited="true" stiffness="2"
+      springref="0.1"/>
       <geom type="capsule" size="0.02" fromto="0 0 0 0.1 0.05 -0.3" mass="0.5"/></body></body>
 </worldbody><actuator>
   <motor name="push" joint="shoulder" gear="20" ctrllimited="true" ctrlrange="-1 1"/>
-  <position name="servo" joint="elbow" gear="1.5" kp="12" kv="0.4" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+  <position name="servo" joint="elbow" gear="1.5" kp="12" kv="0.4" ctrllimited="true"
+    ctrlrange="-1 1"/></actuator></mujoco>"""
 
-CUBE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="2 2 1" friction="0.3"/>
-  <body name="cube" pos="0 0 0.1"><freejoint/><geom name="shell" type="box" size="0.1 0.1 0.1" mass="1" friction="0.6"/></body>
+CUBE = """<mujoco><option timestep="0.004"/><worldbody>
+  <geom name="floor" type="plane" size="2 2 1" friction="0.3"/>
+  <body name="cube" pos="0 0 0.1"><freejoint/>
+    <geom name="shell" type="box" size="0.1 0.1 0.1" mass="1" friction="0.6"/></body>
 </worldbody></mujoco>"""
 
 CART = """<mujoco><option timestep="0.005"/><worldbody>
-  <body name="cart" pos="0 0 1"><joint name="rail" type="slide" axis="1 0 0"/><geom type="box" size="0.1 0.05 0.05" mass="1"/>
-    <body name="pole"><joint axis="0 1 0"/><geom type="capsule" size="0.02" fromto="0 0 0 0.05 0 0.6" mass="0.2"/></body></body>
+  <body name="cart" pos="0 0 1"><joint name="rail" type="slide" axis="1 0 0"/>
+    <geom type="box" size="0.1 0.05 0.05" mass="1"/>
+    <body name="pole"><joint axis="0 1 0"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.05 0 0.6" mass="0.2"/></body></body>
 </worldbody><actuator><motor joint="rail" gear="10"/></actuator></mujoco>"""
 
-STRANGE = """<mujoco><option timestep="0.005" integrator="RK4" density="1.2" viscosity="2e-5"/><worldbody>
+STRANGE = """<mujoco><option timestep="0.005" integrator="RK4" density="1.2" viscosity="2e-5"/>
+  <worldbody>
   <geom name="post" type="box" size="0.1 0.1 0.1" pos="0 0 3" mass="5"/>
   <body name="ball" pos="0 0 1"><joint name="socket" type="ball" damping="0.05"/>
     <geom type="capsule" size="0.03" fromto="0 0 0 0.4 0 -0.1" mass="0.5"/>
-    <body pos="0.4 0 -0.1"><joint axis="0 1 0"/><joint axis="1 0 0"/><geom type="box" pos="0.1 0 0.02" size="0.1 0.02 0.03" mass="0.2"/>
+    <body pos="0.4 0 -0.1"><joint axis="0 1 0"/><joint axis="1 0 0"/>
+      <geom type="box" pos="0.1 0 0.02" size="0.1 0.02 0.03" mass="0.2"/>
       <site name="tip" pos="0.2 0 0"/></body></body>
-  <body name="slider" pos="1 0 1"><joint name="track" type="slide" axis="0 0 1"/><geom type="sphere" size="0.05" mass="0.3"/>
+  <body name="slider" pos="1 0 1"><joint name="track" type="slide" axis="0 0 1"/>
+    <geom type="sphere" size="0.05" mass="0.3"/>
     <site name="eye"/></body>
 </worldbody><tendon><fixed name="string"><joint joint="track" coef="2"/></fixed></tendon><actuator>
-  <motor tendon="string"/><motor site="tip" gear="0 0 1 0 0 0"/><motor joint="socket" gear="0.1 0 0"/>
-  <general joint="track" dyntype="filter" dynprm="0.05" gainprm="3"/><velocity name="speed" joint="track" kv="2"/></actuator>
+  <motor tendon="string"/><motor site="tip" gear="0 0 1 0 0 0"/>
+    <motor joint="socket" gear="0.1 0 0"/>
+  <general joint="track" dyntype="filter" dynprm="0.05" gainprm="3"/>
+    <velocity name="speed" joint="track" kv="2"/></actuator>
 <sensor><gyro name="gyro" site="tip"/><jointpos name="height" joint="track"/></sensor></mujoco>"""
 
 
@@ -67,14 +80,14 @@ def simulator(xml, frame_skip=4, threads=1, parameters=(), observation=("qpos", 
     )
 
 
-def trajectories(own, row, reach, length=6, count=3, seed=0):
-    """Unrelated states (row(rng) gives one) under smooth commands within the reach."""
+def trajectories(own, row, largest, length=6, count=3, seed=0):
+    """Unrelated states (row(rng) gives one) under smooth commands up to the largest."""
     rng = np.random.default_rng(seed)
     n = length * count
     rows = np.array([row(rng) for _ in range(n)])
     steps = rng.normal(size=(n, own.model.nu))
     ends = np.arange(n) % length == length - 1
-    return Trajectories(rows, reach * np.tanh(steps), np.roll(rows, -1, axis=0), ends)
+    return Trajectories(rows, largest * np.tanh(steps), np.roll(rows, -1, axis=0), ends)
 
 
 def around(model, data, rng, spread, speed):

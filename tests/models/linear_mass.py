@@ -1,6 +1,4 @@
-"""A line of masses on which everything is linear, and what may be hidden in it: fast enough for
-many data sets.
-"""
+"""A mass on a line whose effects are linear in their magnitudes: fast enough for many data sets."""
 
 import numpy as np
 
@@ -24,11 +22,11 @@ EFFECTS = {
     "friction": lambda x, v, u: -np.tanh(v / 0.05),
     "drag": lambda x, v, u: -v * np.abs(v),
 }
-"""Accelerations that a size is multiplied with."""
+"""Accelerations by which a magnitude is multiplied."""
 
 
 class Mass(Simulator):
-    """x'' = gain u + sum of sizes times EFFECTS, by Euler's method; the gain is declared or not."""
+    """x'' = gain u + sum of magnitudes times EFFECTS, by Euler's method, the gain declared or not."""
 
     def __init__(self, declared=False, effects=tuple(EFFECTS)):
         own = [Parameter("gain of the motor", 1.0, 4.0)] if declared else []
@@ -60,7 +58,7 @@ class Mass(Simulator):
 
 
 def instances(effects=tuple(EFFECTS)):
-    """One atom an effect, found between -20 and 20."""
+    """One instance an effect, found between -20 and 20."""
     return [
         EffectInstance(name, "mass", (Quantity("size", "1", -20.0, 20.0, (-0.1, 0.1)),))
         for name in effects
@@ -68,8 +66,8 @@ def instances(effects=tuple(EFFECTS)):
 
 
 def measured(hidden, sigma=1e-3, seed=0, episodes=20, steps=40, shake=0.0):
-    """Data of the mass with sizes hidden, by name; shake: the sd of a random acceleration in each
-    step.
+    """Data of the mass with magnitudes hidden, by name; shake: the sd of a random acceleration in
+    each step.
     """
     rng = np.random.default_rng(seed)
     force = np.repeat(rng.normal(size=(episodes, -(-steps // 4))), 4, axis=1)[:, :steps]

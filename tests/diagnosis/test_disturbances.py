@@ -11,8 +11,8 @@ from dropo import Diagnose
 from dropo.core.contracts.problem import Problem
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.analysis import test_odd_runs as payloads
-from tests.analysis.test_disturbances import PUSHES, STEP, XML, recorded
+from tests.data import test_outlier_runs as payloads
+from tests.data.test_disturbances import PUSHES, STEP, XML, recorded
 
 EFFECTS = ("joint_friction", "joint_damping")
 STRONG = {span: 2 * torque for span, torque in PUSHES.items()}

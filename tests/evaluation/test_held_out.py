@@ -23,7 +23,7 @@ from dropo.evaluation.held_out import (
 from dropo.evaluation.predictions import predict
 from dropo.problems.simulated.slide import NOISE
 from dropo.simulators.toy import SlidingBlock, simulate
-from tests.diagnosis.arms import problem as arm
+from tests.models.hidden_in_arm import problem as arm
 
 TRUTH = np.array([1.5, 0.8])
 
@@ -96,7 +96,7 @@ def test_a_diagnosis_figures_agree():
 @pytest.mark.parametrize("count", [1, 3, 8])
 @pytest.mark.parametrize("horizon", [1, 7, 40])
 def test_no_row_that_was_fitted_is_held_out(count, horizon):
-    """At no horizon, with few trajectories or with many; windows of a horizon are always the same."""
+    """At no horizon, with few trajectories or many; windows of a horizon are always the same."""
     one = block(held_out=None)
     one = replace(one, trajectories=data(count, 600 // count))
     fitted = held_out_part(one, 5, held_out=False)

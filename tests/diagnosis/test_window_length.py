@@ -6,26 +6,26 @@ import pytest
 
 from dropo.diagnosis.search import window_length as length
 from dropo.diagnosis.search.window_length import LENGTHS, SHORTEST, choose_length
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 
 @pytest.mark.parametrize(
     ("size", "sigma", "expected"),
-    [(0.05, 1e-4, {5}), (0.003, 5e-3, {10, 20, 50}), (0.0, 1e-3, {SHORTEST})],
+    [(0.05, 1e-4, {5}), (0.003, 5e-3, {10, 20, 50}), (0.0, 1e-3, {SETTINGS.shortest})],
 )
 def test_small_effects_in_much_noise_need_longer_windows(size, sigma, expected):
     """Damping that stands out at once, one that must add up over several steps, and none at all,
     for which nothing is gained by waiting.
     """
     hidden = [("joint_damping:elbow", [size])] if size else []
-    assert choose_length(problem(hidden, sigma=sigma, episodes=40, steps=110), 96) in expected
+    assert choose_length(problem(hidden, sigma=sigma, episodes=40, steps=110)) in expected
 
 
 def test_the_problems_own_horizon_comes_first():
-    """As stated, but at least SHORTEST."""
+    """As stated, but at least the shortest."""
     known = problem([("joint_damping:elbow", [0.003])], steps=40)
-    assert [choose_length(replace(known, length=steps), 96) for steps in (2, 7, 12)] == [
-        SHORTEST,
+    assert [choose_length(replace(known, length=steps)) for steps in (2, 7, 12)] == [
+        SETTINGS.shortest,
         7,
         12,
     ]
@@ -36,14 +36,13 @@ def test_as_few_data_as_there_are():
     needs more gets the shortest.
     """
     few = problem([("joint_damping:elbow", [0.003])], sigma=5e-3, episodes=8, steps=24)
-    assert choose_length(few, 96) == SHORTEST < LENGTHS[1]
+    assert choose_length(few) == SETTINGS.shortest < SETTINGS.horizons[1]
 
 
-def test_windows_end_before_the_noise_of_their_start_bends(monkeypatch):
+def test_windows_end_before_the_noise_of_their_start_bends():
     """What would stand out after 50 steps is not waited for where the start's noise bends before;
     an arm's does not, and a limit far below what its does stops it.
     """
     slow = problem([("joint_damping:elbow", [0.01])], sigma=0.03, episodes=40, steps=110)
-    assert choose_length(slow, 96) == 50
-    monkeypatch.setattr(length, "CURVED", 0.01)
-    assert choose_length(slow, 96) == SHORTEST
+    assert choose_length(slow) == 50
+    assert choose_length(slow, WindowLengthSettings(curved=0.01)) == SETTINGS.shortest

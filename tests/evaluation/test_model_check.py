@@ -87,7 +87,7 @@ def test_epsilon_that_is_too_small_is_told():
 
 
 def test_noise_far_above_the_stated_one_is_told():
-    """Stated at a fifth of what it is; at half of it, within the allowance of 3.5, nothing is said."""
+    """Stated at a fifth of what it is; at half, within the allowance of 3.5, nothing is said."""
     loud, fine = (fitted("independent", 0, epsilon=2.5e-5 / factor**2)[0] for factor in (5, 2))
     assert any("times the stated noise" in text for text in loud.warnings)
     assert fine.trusted

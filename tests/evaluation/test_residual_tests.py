@@ -1,4 +1,4 @@
-"""The regression that sees whether residuals can be predicted: loud with structure, silent without."""
+"""The regression that tests whether residuals can be predicted: with structure and without."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ BLOCK = 20
 
 
 def rows_of(seed, effect):
-    """State, residuals that follow its square by so much, blocks, and the two halves as one fold."""
+    """State, residuals that follow its square, blocks, and the two halves as one fold."""
     rng = np.random.default_rng(seed)
     state = rng.standard_normal((ROWS, 2))
     residuals = rng.standard_normal((ROWS, 2))

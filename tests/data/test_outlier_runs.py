@@ -7,7 +7,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.data.outliers.outlier_runs import compare_runs
-from tests.analysis.test_disturbances import NOISE, STEP, XML, simulator  # noqa: F401 - a fixture
+from tests.data.test_disturbances import NOISE, STEP, XML, simulator  # noqa: F401 - a fixture
 
 
 def recorded(payloads, seed=0):
@@ -40,10 +40,10 @@ def test_another_payload_is_named(simulator):  # noqa: F811
     heavy = compare_runs(
         simulator, recorded([0.6, 0.6, 0.6, 0.8, 0.6, 0.6]), simulator.nominal, STEP
     )
-    assert [one.run for one in heavy.odd] == [3]
-    assert heavy.odd[0].parameter == "mass"
+    assert [one.run for one in heavy.outliers] == [3]
+    assert heavy.outliers[0].parameter == "mass"
     assert "run 3 disagrees" in str(heavy)
-    assert compare_runs(simulator, recorded([0.6] * 6), simulator.nominal, STEP).odd == ()
+    assert compare_runs(simulator, recorded([0.6] * 6), simulator.nominal, STEP).outliers == ()
 
 
 def test_runs_that_all_differ_have_no_odd_one(simulator):  # noqa: F811
@@ -51,7 +51,7 @@ def test_runs_that_all_differ_have_no_odd_one(simulator):  # noqa: F811
     assert (
         compare_runs(
             simulator, recorded([0.5, 0.55, 0.6, 0.65, 0.7, 0.62]), simulator.nominal, STEP
-        ).odd
+        ).outliers
         == ()
     )
 

@@ -9,12 +9,18 @@ from dropo import diagnose
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.registry import find
-from dropo.diagnosis.search.linearization import Library, linearize, moved, noise_of, whitener
+from dropo.diagnosis.search.linearization import (
+    Library,
+    estimate_noise,
+    linearize,
+    shift_linearization,
+    whitener,
+)
 from dropo.diagnosis.search.whitening import Whitener
 from dropo.diagnosis.search.windows import split
 from dropo.problems.simulated.robots import simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.diagnosis.arms import problem
+from tests.models.hidden_in_arm import problem
 
 NOISE = 1e-4
 
@@ -41,17 +47,19 @@ def test_starts_of_a_late_velocity_are_in_doubt():
     library, windows = late_arm()
     theta = np.array([0.002])
     sigma = np.full(4, NOISE)
-    seen = linearize(library, windows, theta, sigma)
-    length = np.median(seen.whiten.distances(seen.residuals)) / seen.residuals.shape[1]
+    linearized = linearize(library, windows, theta, sigma)
+    length = (
+        np.median(linearized.whiten.distances(linearized.residuals)) / linearized.residuals.shape[1]
+    )
     certain = whitener(
         Library(simulated_robot("torque-arm").simulator, (), 0),
         windows,
         np.zeros(0),
         sigma,
-        seen.loadings,
+        linearized.loadings,
     )
     assert 0.5 < length < 2
-    assert np.median(certain.distances(seen.residuals)) / seen.residuals.shape[1] > 100
+    assert np.median(certain.distances(linearized.residuals)) / linearized.residuals.shape[1] > 100
 
 
 def test_doubt_follows_theta():
@@ -61,14 +69,15 @@ def test_doubt_follows_theta():
     library, windows = late_arm()
     sigma = np.full(4, NOISE)
     prompt = linearize(library, windows, np.zeros(1), sigma)
-    there = moved(library, prompt, np.array([0.002]), sigma)
+    there = shift_linearization(library, prompt, np.array([0.002]), sigma)
     doubt = library.simulator.extra_start_sd(np.array([0.002]), windows.segments)
-    assert prompt.doubts.shape[2] == 0
+    assert prompt.extra_loadings.shape[2] == 0
     np.testing.assert_allclose(
-        there.doubts[..., 0], there.loadings[..., 3] * doubt[:, 3:], rtol=1e-12
+        there.extra_loadings[..., 0], there.loadings[..., 3] * doubt[:, 3:], rtol=1e-12
     )
     assert np.array_equal(
-        moved(library, there, np.zeros(1), sigma).log_likelihood, prompt.log_likelihood
+        shift_linearization(library, there, np.zeros(1), sigma).log_likelihood,
+        prompt.log_likelihood,
     )
 
 
@@ -78,11 +87,11 @@ def test_noise_is_learned_beside_doubt():
     """
     library, windows = late_arm()
     wrong = np.full(4, 3 * NOISE)
-    seen = linearize(library, windows, np.array([0.002]), wrong)
-    found = noise_of(seen, wrong, np.full(4, 1e-9))
+    linearized = linearize(library, windows, np.array([0.002]), wrong)
+    found = estimate_noise(linearized, wrong, np.full(4, 1e-9))
     assert np.all(np.abs(found / NOISE - 1) < [0.1, 0.1, 0.1, 1 / 3])
-    certain = noise_of(
-        replace(seen, whiten=Whitener(seen.loadings, np.tile(wrong, 2), wrong)),
+    certain = estimate_noise(
+        replace(linearized, whiten=Whitener(linearized.loadings, np.tile(wrong, 2), wrong)),
         wrong,
         np.full(4, 1e-9),
     )

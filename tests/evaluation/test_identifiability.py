@@ -17,7 +17,8 @@ from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.toy import LinearSimulator, simulate
 from tests.reference.pushes import pushes
 
-ARM = """<mujoco><option timestep="0.01"/><worldbody><body name="arm" pos="0 0 1"><joint name="hinge" axis="0 1 0"/>
+ARM = """<mujoco><option timestep="0.01"/><worldbody>
+  <body name="arm" pos="0 0 1"><joint name="hinge" axis="0 1 0"/>
   <inertial pos="0 0 0" mass="1" diaginertia="0.05 0.05 0.05"/>{bob}</body></worldbody>
   <actuator><motor name="motor" joint="hinge" gear="2"/></actuator></mujoco>"""
 BOB = """<body name="bob" pos="0.3 0 0"><geom type="sphere" size="0.03" mass="0.5"/></body>"""
