@@ -228,8 +228,8 @@ def measured(
         Whose fit takes a log-normal family by default.
     """
     every = settings.held_out_every
-    fitted = []
-    held_out = []
+    fitted: list[Channels] = []
+    held_out: list[Channels] = []
     for i, run in enumerate(runs.channels):
         side = held_out if i % every == every - 1 else fitted
         side.append(run)

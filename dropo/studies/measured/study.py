@@ -200,7 +200,7 @@ def _errors(result: Result) -> tuple[str, ...]:
 
 def _causes(result: Result) -> list[tuple[str, ...]]:
     """A row for each cause."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for cause, sentence in zip(result["causes"], result["sentences"], strict=True):
         others = []
         for other in cause["confused_with"]:
