@@ -147,8 +147,8 @@ def coverage(
     count = settings.replications if seeds is None else seeds
     require(count >= 2, "seeds", "at least 2", count, "coverage")
     items = []
-    for robot, noise, method, size in cases:
-        items += [[robot, noise, method, list(size), seed] for seed in range(count)]
+    for robot, noise, method, shape in cases:
+        items += [[robot, noise, method, list(shape), seed] for seed in range(count)]
     answers = work.map(replication, items)
     rows = []
     data = {}
