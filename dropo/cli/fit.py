@@ -213,7 +213,7 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
         )
     problem = problem.using(
         transitions=arguments.transitions,
-        length=None if arguments.length == AUTO else arguments.length,
+        horizon=None if arguments.length == AUTO else arguments.length,
     )
     return replace(
         problem,

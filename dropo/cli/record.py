@@ -84,7 +84,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "parameters": [plain(asdict(parameter)) for parameter in problem.space],
         "signals": [signal.name for signal in simulator.signals],
         "steps_per_action": simulator.steps_per_action,
-        "lambda": problem.length,
+        "lambda": problem.horizon,
         "reset": problem.reset,
         "set_columns": plain(problem.set_columns),
         "every_step": problem.every_step,

@@ -184,7 +184,7 @@ def _pieces(problem: Problem) -> tuple[list[Ints], str]:
         groups = np.unique(data.group)
         if len(groups) >= MANY:
             return [np.flatnonzero(data.group == group) for group in groups], "groups"
-    length = max(problem.length, int(np.ceil(5 * len(data) ** (1 / 3))))
+    length = max(problem.horizon, int(np.ceil(5 * len(data) ** (1 / 3))))
     blocks = []
     for start, stop in data.spans:
         last = max(start + 1, stop - length + 1)

@@ -404,7 +404,7 @@ def compared_segments(problem: Problem, part: DataPart) -> Segments:
         If lambda is longer than every trajectory.
     """
     if problem.reset != "start":
-        segments = horizon_segments(problem, part, problem.length)
+        segments = horizon_segments(problem, part, problem.horizon)
         if len(segments):
             return segments
     return problem.cut(part.trajectories)  # all of "start"; else refuses such a lambda

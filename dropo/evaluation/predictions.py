@@ -98,7 +98,7 @@ def predict(
         The windows, errors by horizon and by signal, and the calibration.
     """
     generator = np.random.default_rng(rng)
-    problem = problem.using(length=_horizon(fit))
+    problem = problem.using(horizon=_horizon(fit))
     simulator = problem.simulator
     name, value = _known_before(problem)
     box = problem.space.from_unit(generator.random((settings.draws, len(problem.space))))

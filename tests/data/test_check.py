@@ -152,7 +152,7 @@ def test_short_trajectories(simulator: MujocoSimulator, clean: Trajectories) -> 
     data = spoilt(clean, terminals=put(2, True))
     assert said(data) == [("warning", "", "1 of 3 trajectories have fewer than 5 transitions: 0.")]
     sentence = "1 of 3 trajectories are shorter than lambda = 6 and are left out."
-    assert ("warning", "", sentence) in said(data, Problem("short", simulator, data, length=6))
+    assert ("warning", "", sentence) in said(data, Problem("short", simulator, data, horizon=6))
 
 
 def test_time_must_go_on(clean: Trajectories) -> None:

@@ -81,9 +81,9 @@ def test_a_fit_of_a_log_lists_and_leaves_out(pushed, tmp_path, capsys):
     """
     stamped = replace(pushed.trajectories, time=np.tile(0.01 * np.arange(800.0), 3))
     log = write_problem(
-        replace(pushed, trajectories=stamped, held_out=None, length=10), tmp_path / "log"
+        replace(pushed, trajectories=stamped, held_out=None, horizon=10), tmp_path / "log"
     )
-    plain = write_problem(replace(pushed, held_out=None, length=10), tmp_path / "plain")
+    plain = write_problem(replace(pushed, held_out=None, horizon=10), tmp_path / "plain")
     told = []
     for path, more in ((log, []), (log, ["--disturbances", "off"]), (plain, [])):
         assert (

@@ -27,7 +27,7 @@ def test_small_effects_in_much_noise_need_longer_windows(size, sigma, expected):
 def test_the_problems_own_horizon_comes_first():
     """As stated, but at least the shortest."""
     known = problem([("joint_damping:elbow", [0.003])], steps=40)
-    assert [choose_length(replace(known, length=steps)) for steps in (2, 7, 12)] == [
+    assert [choose_length(replace(known, horizon=steps)) for steps in (2, 7, 12)] == [
         SETTINGS.shortest,
         7,
         12,

@@ -34,7 +34,7 @@ def test_place_in_data():
     np.testing.assert_allclose(
         place_in_data(short.segments()), [0, 0.25, *(0.5 + np.arange(6) / 12)]
     )
-    np.testing.assert_allclose(place_in_data(data.segments(length=3)), np.arange(6) / 6)
+    np.testing.assert_allclose(place_in_data(data.segments(horizon=3)), np.arange(6) / 6)
 
 
 @pytest.mark.parametrize(("shift", "first"), [(-0.25, 5), (0.0, 9), (0.3, 15)])
@@ -99,7 +99,7 @@ def test_parts_and_order_do_not_matter():
     simulator = robot.simulator.with_effects(
         (), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))]
     )
-    segments = robot.data.segments(length=3, every_step=True)
+    segments = robot.data.segments(horizon=3, every_step=True)
     nominal = robot.simulator.nominal[None]
     whole = simulator.predict(nominal, segments)[0].reshape(6, 3, -1)
     some = simulator.predict(nominal, segments.take([1, 4, 5]))[0].reshape(3, 3, -1)
@@ -112,7 +112,7 @@ def test_chained_segments_are_refused():
     simulator = robot.simulator.with_effects(
         (), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))]
     )
-    chained = robot.data.segments(length=2, reset="partial", set_columns=[True, True, False, False])
+    chained = robot.data.segments(horizon=2, reset="partial", set_columns=[True, True, False, False])
     with pytest.raises(Incompatible, match="reset='partial'"):
         simulator.predict(robot.simulator.nominal[None], chained)
 

@@ -58,14 +58,14 @@ def test_slide_is_recovered(length):
     """Means and sds within 4.5 standard errors at lambda 1 and 5; data of 1.7 kg, and of twice the
     sd, are rejected.
     """
-    fit = DROPO().fit(slide().using(length=length))
+    fit = DROPO().fit(slide().using(horizon=length))
     assert fit.status is Status.CONVERGED, fit.message
     assert (np.abs(z_of_mean(fit, MEAN)) < 4.5).all()
     assert (np.abs(z_of_sd(fit, SD)) < 4.5).all()
     assert (fit.mean_se < 0.025 * MEAN).all()
     np.testing.assert_allclose(fit.sd, CUT_SD * fit.scale, rtol=1e-12)
-    other = DROPO().fit(pushes(50, mean=np.array([1.7, 0.8]), epsilon=1e-6).using(length=length))
-    wider = DROPO().fit(pushes(50, sd=np.array([0.2, 0.05]), epsilon=1e-6).using(length=length))
+    other = DROPO().fit(pushes(50, mean=np.array([1.7, 0.8]), epsilon=1e-6).using(horizon=length))
+    wider = DROPO().fit(pushes(50, sd=np.array([0.2, 0.05]), epsilon=1e-6).using(horizon=length))
     assert abs(z_of_mean(other, MEAN)[0]) > 4.5
     assert abs(z_of_sd(wider, SD)[0]) > 4.5
 
@@ -501,7 +501,7 @@ def test_a_simulator_that_explodes_in_its_box_is_fitted(dt):
         noise_variance=1e-6,
         rng=rng,
     )
-    problem = Problem("drag", simulator, data, length=10)
+    problem = Problem("drag", simulator, data, horizon=10)
     middle = (
         simulator.predict([(simulator.space.low + simulator.space.high) / 2], problem.segments)[0]
         - problem.segments.targets

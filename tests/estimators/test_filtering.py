@@ -122,7 +122,7 @@ def test_innovations_are_white(length):
 
     240 / length rows: a correlation has the standard error 1 / sqrt(240 / length).
     """
-    problem = oscillator(5).using(length=length)
+    problem = oscillator(5).using(horizon=length)
     seen, added, states = filter_starts(
         problem, Run(problem, np.random.default_rng(0)), TRUTH, np.zeros((2, 2)), EPSILON
     )

@@ -56,7 +56,7 @@ def test_the_fit_is_that_of_the_lambda_on_all_data():
     """Found by the same method on everything; the log-likelihood within 0.01 nat."""
     table = chosen().horizon_choice.trials
     length = next(row.horizon for row in table if row.chosen)
-    again = DROPO().fit(measured_pushes().using(length=length))
+    again = DROPO().fit(measured_pushes().using(horizon=length))
     assert chosen().log_likelihood == pytest.approx(again.log_likelihood, abs=0.01)
     assert chosen().transitions == again.transitions
 

@@ -69,7 +69,7 @@ class Robot:
         """Windows of three steps, the first behind two steps of its trajectory, every step
         compared.
         """
-        return self.data.segments(length=3, every_step=True).take([1, 3, 5])
+        return self.data.segments(horizon=3, every_step=True).take([1, 3, 5])
 
 
 def simulator(xml, frame_skip=4, threads=1, parameters=(), observation=("qpos", "qvel")):

@@ -129,7 +129,7 @@ def test_the_problem(problem):
     """One trajectory of 1050 transitions in chains of ten; the box alone is reset; noise as stated;
     the same seed, the same data.
     """
-    assert (problem.reset, problem.length, len(problem.segments)) == (
+    assert (problem.reset, problem.horizon, len(problem.segments)) == (
         "partial",
         HORIZON,
         STEPS // HORIZON,

@@ -108,7 +108,7 @@ def test_a_file_is_read_as_written(folder: Path) -> None:
     problem = load(folder / "problem.yaml", threads=1)
     assert problem.name == "problem"
     assert problem.space.names == ("cart_mass", "damping")
-    assert problem.length == 1
+    assert problem.horizon == 1
     assert isinstance(problem.simulator, MujocoSimulator)
     assert problem.simulator.frame_skip == 2
     assert [s.name for s in problem.simulator.signals] == [
@@ -134,7 +134,7 @@ def test_further_keys(folder: Path) -> None:
     keys = "epsilon: 1e-8\nlambda: 5\nheld_out: [2]\ntransitions: 25\nreset: {set: [qpos]}\n"
     problem = load(written(folder, new=keys), threads=1)
     assert problem.epsilon == 1e-8
-    assert problem.length == 5
+    assert problem.horizon == 5
     assert problem.reset == "partial"
     assert len(problem.trajectories) == 25
     assert problem.held_out is not None
@@ -728,7 +728,7 @@ def test_files_of_earlier_versions_are_read(folder: Path) -> None:
     """As they were written then, with blocks, null and whole numbers."""
     (folder / "problem.yaml").write_text(FORMER)
     problem = load(folder / "problem.yaml", threads=1)
-    assert problem.length == 5
+    assert problem.horizon == 5
     assert problem.start_noise
     np.testing.assert_array_equal(problem.epsilon, [1e-8, 1e-8, 1e-6, 1e-6])
     assert problem.space["cart_mass"].low == 1

@@ -53,10 +53,10 @@ def test_everything_comes_back(arm, tmp_path):
     assert [b.parameter for b in back.simulator.bindings] == [
         b.parameter for b in arm.simulator.bindings
     ]
-    assert (back.epsilon, back.start_noise, back.length) == (
+    assert (back.epsilon, back.start_noise, back.horizon) == (
         arm.epsilon,
         arm.start_noise,
-        arm.length,
+        arm.horizon,
     )
     np.testing.assert_allclose(predicted(back), predicted(arm), rtol=DIGITS, atol=DIGITS)
 
@@ -172,7 +172,7 @@ def test_effects_are_fitted_as_parameters(tmp_path):
         "joint_friction:elbow/frictionloss",
         "actuator_delay:shoulder_motor/delay",
     )
-    found = fit(arm.using(length=5))
+    found = fit(arm.using(horizon=5))
     assert np.all(np.abs(found.mean - [1.0, 0.6, 0.12, 0.008]) < 4 * found.mean_se)
     assert np.all(found.mean_se < [1e-3, 1e-3, 1e-3, 1e-4])
     again = read_yaml(write_problem(arm, tmp_path / "again"), "a problem file")

@@ -209,7 +209,7 @@ def test_least_squares_on_exact_jacobians(name):
     """Data without noise give the true parameters to 1e-9 of the box."""
     simulator = robot(name, **FAST[name])
     data = simulated(simulator, np.tile(TRUTH[name], (10, 1)), steps=3)
-    fit = LeastSquares().fit(Problem(name, simulator, data, length=3))
+    fit = LeastSquares().fit(Problem(name, simulator, data, horizon=3))
     np.testing.assert_allclose(fit.mean, TRUTH[name], rtol=0, atol=1e-9)
 
 

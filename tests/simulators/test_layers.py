@@ -49,7 +49,7 @@ def test_commands_in_order():
     trajectory from its beginning.
     """
     rows = data()
-    segments = rows.segments(length=2)
+    segments = rows.segments(horizon=2)
     found = commands_per_physics_step(
         segments, np.arange(2), rows.actions, MODEL, 2, [(SUM, ONE), (DOUBLE, ONE)]
     )
@@ -110,7 +110,7 @@ def test_by_time_profile():
     with pytest.raises(Incompatible, match="half changes from segment to segment"):
         split_by_time_profile(
             [(half, ONE)],
-            data((4, 2)).segments(length=2, reset="partial", set_columns=[False]),
+            data((4, 2)).segments(horizon=2, reset="partial", set_columns=[False]),
             np.arange(3),
         )
 

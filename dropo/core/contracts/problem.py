@@ -31,7 +31,7 @@ class Problem:
         Its d parameters are those of the problem.
     trajectories : Trajectories
         The data that are fitted.
-    length : int
+    horizon : int
         The horizon of a segment in control steps, the thesis' lambda.
     reset : {"transition", "start", "partial"}
         Where segments start, as in `Trajectories.segments`.
@@ -65,7 +65,7 @@ class Problem:
     UnknownName
         If `truth` or `priors` names a parameter that does not exist.
     BadArgument
-        If a prior, `noise_degrees` or the shape of the data is not valid, or if `length` exceeds
+        If a prior, `noise_degrees` or the shape of the data is not valid, or if `horizon` exceeds
         the trajectories.
     """
 
@@ -73,7 +73,7 @@ class Problem:
     simulator: Simulator
     trajectories: Trajectories
     _: KW_ONLY
-    length: int = 1
+    horizon: int = 1
     reset: Reset = "transition"
     set_columns: NDArray[np.bool_] | None = None
     every_step: bool = False
@@ -132,14 +132,14 @@ class Problem:
         """
         every = self.every_step if every_step is None else every_step
         return trajectories.segments(
-            self.length, reset=self.reset, set_columns=self.set_columns, every_step=every
+            self.horizon, reset=self.reset, set_columns=self.set_columns, every_step=every
         )
 
     def using(
         self,
         *,
         transitions: int | None = None,
-        length: int | None = None,
+        horizon: int | None = None,
         executor: Executor | None = None,
     ) -> "Problem":
         """Make the same problem with fewer data, another horizon, or parallel simulations.
@@ -148,7 +148,7 @@ class Problem:
         ----------
         transitions : int, optional
             Fit the first so many transitions.
-        length : int, optional
+        horizon : int, optional
             The horizon of a segment [control steps].
         executor : concurrent.futures.Executor, optional
             Any executor, on whose workers simulations run; the results are the same, bit for bit.
@@ -171,5 +171,5 @@ class Problem:
         simulator = self.simulator
         if executor is not None:
             simulator = ParallelSimulator(simulator, executor)
-        horizon = self.length if length is None else length
-        return replace(self, simulator=simulator, trajectories=trajectories, length=horizon)
+        chosen = self.horizon if horizon is None else horizon
+        return replace(self, simulator=simulator, trajectories=trajectories, horizon=chosen)

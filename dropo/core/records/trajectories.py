@@ -186,7 +186,7 @@ class Trajectories:
 
     def segments(
         self,
-        length: int = 1,
+        horizon: int = 1,
         *,
         reset: Reset = "transition",
         set_columns: ArrayLike | None = None,
@@ -198,7 +198,7 @@ class Trajectories:
 
         Parameters
         ----------
-        length : int
+        horizon : int
             The horizon of a segment in control steps, the thesis' lambda.
         reset : {"transition", "start", "partial"}
             Where segments start. "transition": each from its own measured observation. "start":
@@ -220,11 +220,11 @@ class Trajectories:
         UnknownName
             If `reset` is another word.
         BadArgument
-            If the length is less than 1 or longer than all trajectories (with partial resets, than
+            If the horizon is less than 1 or longer than all trajectories (with partial resets, than
             any trajectory), or `set_columns` has another shape.
         """
         known("reset mode", reset, ("transition", "start", "partial"))
-        require(length >= 1, "lambda", "at least 1", length, "Trajectories.segments")
+        require(horizon >= 1, "lambda", "at least 1", horizon, "Trajectories.segments")
         p = self.observations.shape[1]
         columns = np.ones(p, dtype=bool)
         if set_columns is not None:
@@ -234,24 +234,24 @@ class Trajectories:
             steps, previous = _whole_trajectories(self.spans)
             return Segments(self, steps, previous, set_columns=columns, every_step=True)
         sizes = [stop - start for start, stop in self.spans]
-        short = [i for i, size in enumerate(sizes) if size < length]
+        short = [i for i, size in enumerate(sizes) if size < horizon]
         if len(short) == len(self.spans) or (short and reset == "partial"):
             first = short[0]
             raise BadArgument(
-                f"lambda = {length} is longer than trajectory {first}, which has {sizes[first]} "
+                f"lambda = {horizon} is longer than trajectory {first}, which has {sizes[first]} "
                 "transitions. Choose a smaller lambda, or leave that trajectory out."
             )
-        steps, previous = _windows(self.spans, length, chained=reset == "partial")
+        steps, previous = _windows(self.spans, horizon, chained=reset == "partial")
         return Segments(self, steps, previous, set_columns=columns, every_step=every_step)
 
-    def from_rows(self, first: Ints, length: int = 1, *, every_step: bool = False) -> "Segments":
+    def from_rows(self, first: Ints, horizon: int = 1, *, every_step: bool = False) -> "Segments":
         """Cut segments that begin at given rows, each from its measurement; they may overlap.
 
         Parameters
         ----------
         first : (N,) array of int
             The rows at which segments begin.
-        length : int
+        horizon : int
             The horizon of a segment [control steps].
         every_step : bool
             As of `segments`.
@@ -262,7 +262,7 @@ class Trajectories:
         """
         unchained = np.full(len(first), -1, dtype=np.int64)
         columns = np.ones(self.observations.shape[1], dtype=bool)
-        steps = first[:, None] + np.arange(length)
+        steps = first[:, None] + np.arange(horizon)
         return Segments(self, steps, unchained, columns, every_step=every_step)
 
 
@@ -275,13 +275,13 @@ def _whole_trajectories(spans: list[tuple[int, int]]) -> tuple[Ints, Ints]:
     return steps, np.full(len(spans), -1, dtype=np.int64)
 
 
-def _windows(spans: list[tuple[int, int]], length: int, *, chained: bool) -> tuple[Ints, Ints]:
-    """Steps (N, length) and previous segments (N,) of windows that follow each other."""
+def _windows(spans: list[tuple[int, int]], horizon: int, *, chained: bool) -> tuple[Ints, Ints]:
+    """Steps (N, horizon) and previous segments (N,) of windows that follow each other."""
     starts: list[Ints] = []
     previous: list[Ints] = []
     count = 0
     for start, stop in spans:
-        own = np.arange(start, stop - length + 1, length)
+        own = np.arange(start, stop - horizon + 1, horizon)
         starts.append(own)
         before = np.arange(count, count + len(own)) - 1
         before[:1] = -1
@@ -291,7 +291,7 @@ def _windows(spans: list[tuple[int, int]], length: int, *, chained: bool) -> tup
     follow = np.full(len(begin), -1, dtype=np.int64)
     if chained:
         follow = np.concatenate(previous).astype(np.int64)
-    return begin[:, None] + np.arange(length), follow
+    return begin[:, None] + np.arange(horizon), follow
 
 
 @dataclass(frozen=True, eq=False)

@@ -168,11 +168,11 @@ def shorter_than_lambda(problem: Problem) -> Iterator[Finding]:
         At most one.
     """
     lengths = [stop - start for start, stop in problem.trajectories.spans]
-    short = sum(length < problem.length for length in lengths)
+    short = sum(length < problem.horizon for length in lengths)
     if short and problem.reset == "transition":
         text = (
             f"{short} of {len(lengths)} trajectories are shorter than lambda = "
-            f"{problem.length} and are left out."
+            f"{problem.horizon} and are left out."
         )
         yield Finding("warning", "", text)
 

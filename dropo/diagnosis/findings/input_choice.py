@@ -51,6 +51,6 @@ def choose_problem_input(
     space = simulator.space
     start = np.clip(simulator.nominal, space.low, space.high)
     step = simulator.control_step
-    seconds = max(least_seconds, first.length * step)
+    seconds = max(least_seconds, first.horizon * step)
     data = {name: problem.trajectories for name, problem in problems.items()}
     return choose_input(simulator, data, start, step, seconds=seconds)

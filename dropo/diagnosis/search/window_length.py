@@ -63,8 +63,8 @@ def choose_length(problem: Problem, settings: WindowLengthSettings = SETTINGS) -
         the shortest if it is at none. That is so where the data are too few, or where the start's
         noise grows so fast (impacts, chaos) that no linearization in it holds.
     """
-    if problem.length > 1:
-        return max(settings.shortest, problem.length)
+    if problem.horizon > 1:
+        return max(settings.shortest, problem.horizon)
     space = problem.space
     library = Library(problem.simulator, (), len(space))
     nominal = np.asarray(problem.simulator.nominal, dtype=float)

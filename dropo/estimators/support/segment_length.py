@@ -112,7 +112,7 @@ class ChooseHorizon(Estimator):
 
         candidates: list[Candidate] = []
         for i, horizon in enumerate(horizons):
-            part = training.using(length=horizon)
+            part = training.using(horizon=horizon)
             fit = self._fit_part(part, run, seed, i / parts, f"lambda {horizon}")
             if fit.status is Status.INTERRUPTED:
                 note = (
@@ -125,7 +125,7 @@ class ChooseHorizon(Estimator):
             candidates.append(Candidate(horizon, fit, scores))
 
         best, choice = choose(candidates)
-        whole = problem.using(length=best.horizon)
+        whole = problem.using(horizon=best.horizon)
         text = f"lambda {best.horizon}, all data"
         fit = self._fit_part(whole, run, seed, len(horizons) / parts, text)
         tried = ", ".join(map(str, horizons))
@@ -223,8 +223,8 @@ def held_out_scores(
     scores = np.zeros(int(units.max()) + 1)
     try:
         for horizon in horizons:
-            fitted = training.using(length=horizon)
-            new = replace(training, trajectories=unseen, length=horizon)
+            fitted = training.using(horizon=horizon)
+            new = replace(training, trajectories=unseen, horizon=horizon)
             variance = _error_variance(fitted, fit, settings)
             residuals, spread = _predict(new, fit)
             density = _log_normal(residuals, spread + np.diag(variance))

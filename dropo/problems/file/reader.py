@@ -66,7 +66,7 @@ def read_problem(
             path.stem,
             simulator,
             fitted,
-            length=content.horizon,
+            horizon=content.horizon,
             reset=reset,
             set_columns=set_columns,
             epsilon=epsilon,

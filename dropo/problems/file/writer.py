@@ -66,7 +66,7 @@ def _make_content(problem: Problem, simulator: MujocoSimulator) -> ProblemFile:
         "observation": list(simulator.observation),
         "action": list(simulator.action),
         "parameters": {b.parameter.name: _make_parameter(b.parameter) for b in simulator.bindings},
-        "lambda": problem.length,
+        "lambda": problem.horizon,
     }
     if problem.epsilon is not None:
         content["epsilon"] = np.asarray(problem.epsilon, dtype=float).tolist()

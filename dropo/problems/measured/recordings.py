@@ -238,7 +238,7 @@ def measured(
         name,
         simulator,
         trajectories(fitted, step, command, settings),
-        length=horizon,
+        horizon=horizon,
         held_out=trajectories(held_out, step, command, settings),
         settings={"family": "log_normal"},
     )

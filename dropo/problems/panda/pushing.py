@@ -141,7 +141,7 @@ def pushing(threads: int = 0, seed: int = 0) -> Problem:
         "pushing",
         simulator,
         data,
-        length=HORIZON,
+        horizon=HORIZON,
         reset="partial",
         set_columns=box,
         truth=TRUTH,
