@@ -45,7 +45,9 @@ def test_loop_and_likelihood_are_the_same_number():
         problem.simulator.model, BODIES, masses, problem.trajectories, EPSILON, FRAME_SKIP
     )
     predictions = problem.simulator.predict(masses, problem.segments)
-    rows = MonteCarlo().log_density(predictions, problem.simulator.targets(problem.segments), EPSILON)
+    rows = MonteCarlo().log_density(
+        predictions, problem.simulator.targets(problem.segments), EPSILON
+    )
     assert total == pytest.approx(rows.sum(), rel=1e-9)
     assert steps == problem.simulator.steps == 20 * 40 * FRAME_SKIP
 

@@ -127,7 +127,9 @@ def run(arguments: argparse.Namespace) -> int:
         estimator = ChooseHorizon(estimator)
         record = {**record, "lambda": AUTO}
     check_folder(arguments.out, record)
-    evaluation_log = EvaluationLog(arguments.out / "evaluations.jsonl" if arguments.out else None, record)
+    evaluation_log = EvaluationLog(
+        arguments.out / "evaluations.jsonl" if arguments.out else None, record
+    )
     fit = _fit(arguments, estimator, problem, evaluation_log)
     if spans:
         excluded = tuple(ExcludedSpan.from_json(span.to_json()) for span in spans)

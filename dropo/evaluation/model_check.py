@@ -207,7 +207,8 @@ def _coefficients(jacobian: Array, moments: Array, group: Ints) -> Array:
 
 def _without_draws(white: Array, jacobian: Array, group: Ints) -> Array:
     """The residuals (R, p) without what other parameters in each group would explain: those may
-    vary from draw to draw."""
+    vary from draw to draw.
+    """
     moments = np.einsum("rpd,rp->rd", jacobian, white)[:, :, None]
     fitted = _coefficients(jacobian, moments, group)
     return white - np.einsum("rpd,rd->rp", jacobian, fitted[group, :, 0])

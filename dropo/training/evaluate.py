@@ -161,7 +161,9 @@ def evaluate(
 
     Returns
     -------
+
     Returns
+    -------
         The returns of the episodes.
 
     Raises

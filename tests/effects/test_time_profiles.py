@@ -112,7 +112,9 @@ def test_chained_segments_are_refused():
     simulator = robot.simulator.with_effects(
         (), [(instance(robot, f"{PAYLOAD}.ramp"), np.array([0.4]))]
     )
-    chained = robot.data.segments(horizon=2, reset="partial", set_columns=[True, True, False, False])
+    chained = robot.data.segments(
+        horizon=2, reset="partial", set_columns=[True, True, False, False]
+    )
     with pytest.raises(Incompatible, match="reset='partial'"):
         simulator.predict(robot.simulator.nominal[None], chained)
 

@@ -161,7 +161,9 @@ class Faulty:
     def bind(self, simulator, segments, family, epsilon, rng):
         if self.fault == "learn" and isinstance(epsilon, Noise):
             epsilon = epsilon.variance
-        return _Bound(MonteCarlo(50).bind(simulator, segments, family, epsilon, rng), self.fault, rng)
+        return _Bound(
+            MonteCarlo(50).bind(simulator, segments, family, epsilon, rng), self.fault, rng
+        )
 
 
 @pytest.mark.parametrize(

@@ -303,9 +303,7 @@ def evaluate(case: str, effects: Hidden, found: Diagnosis) -> dict[str, Any]:
     """
     named = {(cause.effect, cause.target) for cause in found.causes}
     ambiguous = {
-        (other.effect, other.target)
-        for cause in found.causes
-        for other in cause.confused_with
+        (other.effect, other.target) for cause in found.causes for other in cause.confused_with
     }
     wanted = [_equivalent(instance) for instance, _ in effects]
     truth: set[tuple[str, str | None]] = set().union(*wanted)
