@@ -1,0 +1,5 @@
+"""The commands of `dropo`, a thin layer over the Python interface that prints the same numbers.
+
+It comes last and may import every room, each inside the function that needs it. Add a command as a
+file with `add(commands)` and `run(arguments)`, and name the file in `main`.
+"""

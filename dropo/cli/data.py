@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Any) -> None:
-    """Adds the command and its own commands to the parser."""
+    """Add the command with its own commands to the parser `commands`."""
     parser = commands.add_parser(
         "data", help="import, describe and check data", description=__doc__, allow_abbrev=False
     )
@@ -73,6 +73,7 @@ def add(commands: Any) -> None:
 
 
 def _add_import(below: Any) -> None:
+    """Add `dropo data import`."""
     text = "turn raw logs into data and a problem file: CSV, Parquet, NPZ, MCAP, ROS bags, episodes"
     parser = _action(below, "import", run_import, text)
     parser.add_argument(
@@ -101,6 +102,7 @@ def _add_import(below: Any) -> None:
 
 
 def _add_actions(below: Any) -> None:
+    """Add `dropo data actions`."""
     text = "the actions that explain a motion whose commands were not recorded, as data"
     parser = _action(below, "actions", run_actions, text, threads="")
     parser.add_argument(
@@ -125,6 +127,7 @@ def _add_actions(below: Any) -> None:
 def _action(
     below: Any, name: str, function: Any, text: str, threads: str = NOTHING
 ) -> argparse.ArgumentParser:
+    """Add an action that a function runs, with the options that all have."""
     parser: argparse.ArgumentParser = below.add_parser(
         name, help=text, description=text, allow_abbrev=False
     )
@@ -135,7 +138,23 @@ def _action(
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Imports logs and prints what was made of them."""
+    """Import logs, and print what was made of them.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    """
     from dropo.logs.importing import import_logs
 
     progress = Progress(silent=arguments.quiet)
@@ -150,7 +169,23 @@ def run_import(arguments: argparse.Namespace) -> int:
 
 
 def run_describe(arguments: argparse.Namespace) -> int:
-    """Prints the table of the data."""
+    """Print the table of the data.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    """
     from dropo.data.describe import columns, controls, describe
 
     trajectories, problem = _target(arguments.target)
@@ -162,7 +197,23 @@ def run_describe(arguments: argparse.Namespace) -> int:
 
 
 def run_inputs(arguments: argparse.Namespace) -> int:
-    """Prints the inputs, best first."""
+    """Print the inputs of a problem, the best first.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    """
     from dropo.core.services.errors import Incompatible
     from dropo.diagnosis.findings.input_choice import choose_problem_input
     from dropo.problems.loading import inputs_of, load
@@ -173,33 +224,61 @@ def run_inputs(arguments: argparse.Namespace) -> int:
             f"{arguments.problem} knows one command alone. An import keeps several: map "
             "them under `inputs`."
         )
-    found = choose_problem_input(
-        {name: load(arguments.problem, threads=arguments.threads, input=name) for name in names}
-    )
+    problems = {
+        name: load(arguments.problem, threads=arguments.threads, input=name) for name in names
+    }
+    found = choose_problem_input(problems)
     show(arguments, found, found.to_json())
     return 0
 
 
 def run_states(arguments: argparse.Namespace) -> int:
-    """Estimates the states under the nominal parameters, writes the problem with them, and prints
-    how well each signal is known.
+    """Estimate states under the nominal parameters, and write the problem with them.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
     """
     from dropo.logs.signals.states import with_states
     from dropo.problems.file.writer import write_problem
     from dropo.problems.loading import load
 
-    problem, found = with_states(
-        load(arguments.problem, threads=arguments.threads),
-        arguments.unmeasured,
-        causal=arguments.causal,
-    )
+    measured = load(arguments.problem, threads=arguments.threads)
+    problem, found = with_states(measured, arguments.unmeasured, causal=arguments.causal)
     write_problem(problem, arguments.out)
     show(arguments, found, found.to_json())
     return 0
 
 
 def run_actions(arguments: argparse.Namespace) -> int:
-    """Infers the actions, writes the data with them, and prints how well they replay."""
+    """Infer the actions, write the data with them, and print how well they replay.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    """
     from dropo.problems.actions import check_place, infer_actions
 
     check_place(arguments.out, arguments.problem)
@@ -210,7 +289,23 @@ def run_actions(arguments: argparse.Namespace) -> int:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Prints what looks odd; 2 where a finding is an error."""
+    """Print what is suspicious in the data.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0, or 2 if a finding is an error.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    """
     from dataclasses import asdict
 
     findings = _findings(arguments)
@@ -220,6 +315,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def _findings(arguments: argparse.Namespace) -> "list[Finding]":
+    """The findings in a problem's data, a data set or raw logs, errors first."""
     from dataclasses import replace
 
     from dropo.core.services.errors import BadArgument
@@ -245,17 +341,17 @@ def _findings(arguments: argparse.Namespace) -> "list[Finding]":
 
 
 def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
+    """The findings in raw logs."""
     from dropo.logs.log_checks import check_runs
     from dropo.logs.mapping import read_mapping
     from dropo.logs.recordings import read_runs
     from dropo.mjmodel.joints import load_model_joints
 
-    machine = load_model_joints(arguments.model)
+    joints = load_model_joints(arguments.model)
     progress = Progress(silent=arguments.quiet)
     try:
-        return check_runs(
-            read_runs(arguments.target, read_mapping(arguments.map, machine), progress), machine
-        )
+        mapping = read_mapping(arguments.map, joints)
+        return check_runs(read_runs(arguments.target, mapping, progress), joints)
     finally:
         progress.close()
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Any) -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser `commands`."""
     parser = commands.add_parser(
         "diagnose",
         help="show what the simulation gets wrong",
@@ -70,7 +70,23 @@ def add(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Diagnoses, prints and saves; 0."""
+    """Diagnose, save and print.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    """
     from dropo.core.services.errors import BadFile
     from dropo.diagnosis.diagnose import Diagnose
 
@@ -100,6 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _problem(arguments: argparse.Namespace) -> "Problem":
+    """The problem that the command names, with effects hidden where it says so."""
     from dropo.problems.loading import load
     from dropo.problems.simulated.hidden import hide
 

@@ -12,7 +12,7 @@ BESIDE = "beside the policy"
 
 
 def add(commands: Any) -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser `commands`."""
     parser = commands.add_parser(
         "evaluate", help="play a policy on a target", description=__doc__, allow_abbrev=False
     )
@@ -59,7 +59,23 @@ def add(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Plays, prints, and draws where asked; 0."""
+    """Evaluate a policy, print its returns, and make a video where asked.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    """
     if arguments.video is not None and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
     from dropo.core.records.fit import Fit
@@ -85,10 +101,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         place = arguments.policy if arguments.policy.is_dir() else arguments.policy.parent
         path = place / "policy.mp4" if arguments.video == Path(BESIDE) else arguments.video
-        video = content["video"] = str(
-            write_motion(
-                *motion(policy, arguments.on, steps=arguments.steps, rng=arguments.seed), path
-            )
-        )
+        shown = motion(policy, arguments.on, steps=arguments.steps, rng=arguments.seed)
+        video = str(write_motion(*shown, path))
+        content["video"] = video
     show(arguments, found if video is None else f"{found}\n{video}", content)
     return 0

@@ -27,7 +27,7 @@ AUTO = "auto"
 
 
 def add(commands: Any) -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser `commands`."""
     parser = commands.add_parser(
         "fit",
         help="fit the distribution of the parameters",
@@ -108,7 +108,23 @@ def add(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fits, prints and saves; 0, or 1 where it was interrupted."""
+    """Fit, save and print.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0, or 1 if the fit was interrupted.
+
+    Raises
+    ------
+    InvalidInput
+        If the problem, a setting or the folder is refused; nothing is written then.
+    """
     from dropo.cli.record import keep_for_report, run_record
     from dropo.core.contracts.fit_by_name import estimator_for
     from dropo.core.records.fit import Status
@@ -117,19 +133,17 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.estimators.support.segment_length import ChooseHorizon
     from dropo.evaluation.predictions import predict
 
-    problem, spans = _undisturbed(arguments, _problem(arguments))
-    given = {
-        name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None
-    }
+    problem, spans = _without_disturbances(arguments, _problem(arguments))
+    options = {name: getattr(arguments, name) for name in SETTINGS}
+    given = {name: value for name, value in options.items() if value is not None}
     estimator = estimator_for(problem, arguments.method, given)
     record = run_record("fit", arguments.method, estimator, problem, arguments.seed)
     if arguments.length == AUTO:
         estimator = ChooseHorizon(estimator)
         record = {**record, "lambda": AUTO}
     check_folder(arguments.out, record)
-    evaluation_log = EvaluationLog(
-        arguments.out / "evaluations.jsonl" if arguments.out else None, record
-    )
+    path = arguments.out / "evaluations.jsonl" if arguments.out else None
+    evaluation_log = EvaluationLog(path, record)
     fit = _fit(arguments, estimator, problem, evaluation_log)
     if spans:
         excluded = tuple(ExcludedSpan.from_json(span.to_json()) for span in spans)
@@ -147,6 +161,7 @@ def _fit(
     problem: "Problem",
     evaluation_log: "EvaluationLog",
 ) -> "Fit":
+    """The fit, with progress; a refused run leaves nothing behind."""
     from dropo.core.services.errors import InvalidInput
 
     folder_is_new = arguments.out is not None and not arguments.out.exists()
@@ -158,14 +173,14 @@ def _fit(
             )
     except InvalidInput:
         if evaluation_log.path is not None and evaluation_log.replayed == 0:
-            _take_away(evaluation_log.path, folder_is_new)
+            _remove(evaluation_log.path, folder_is_new)
         raise
     finally:
         progress.close()
 
 
-def _take_away(evaluation_log: Path, folder_too: bool) -> None:
-    """A refused run leaves nothing behind."""
+def _remove(evaluation_log: Path, folder_too: bool) -> None:
+    """Remove the evaluation log of a refused run, and its folder if that is new and empty."""
     evaluation_log.unlink(missing_ok=True)
     if folder_too and evaluation_log.parent.is_dir() and not any(evaluation_log.parent.iterdir()):
         evaluation_log.parent.rmdir()
@@ -173,7 +188,7 @@ def _take_away(evaluation_log: Path, folder_too: bool) -> None:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Makes SIGTERM end the work inside like Ctrl-C, with the best result so far."""
+    """Let SIGTERM end the work inside a block like Ctrl-C, with the best result so far."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -184,23 +199,22 @@ def terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _undisturbed(
+def _without_disturbances(
     arguments: argparse.Namespace, problem: "Problem"
 ) -> "tuple[Problem, tuple[Span, ...]]":
-    """A log's problem without the spans in which something pushes, of which it warns, and the
-    spans.
-    """
+    """A log's problem without its disturbed spans, of which it warns, and these spans."""
     from dropo.data.outliers.without_disturbances import remove_disturbances
 
     searched = arguments.disturbances == AUTO and problem.trajectories.time is not None
     found = remove_disturbances(problem) if searched else None
     if found is None:
         return problem, ()
-    told = (f"left out, since no command explains it: {span}" for span in found.spans)
-    return replace(found.problem, warnings=(*problem.warnings, *told)), found.spans
+    sentences = [f"left out, since no command explains it: {span}" for span in found.spans]
+    return replace(found.problem, warnings=(*problem.warnings, *sentences)), found.spans
 
 
 def _problem(arguments: argparse.Namespace) -> "Problem":
+    """The problem that the command names, with its options."""
     from dropo.core.services.errors import BadFile, Incompatible
     from dropo.data.checks.check import shorter_than_lambda
     from dropo.problems.loading import load
@@ -213,21 +227,27 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
             "--lambda has no meaning with `reset: start`, where a segment is a whole "
             "trajectory. Leave it out."
         )
-    problem = problem.using(
-        transitions=arguments.transitions,
-        horizon=None if arguments.length == AUTO else arguments.length,
-    )
-    return replace(
-        problem,
-        warnings=(
-            *problem.warnings,
-            *(finding.sentence for finding in shorter_than_lambda(problem)),
-        ),
-    )
+    horizon = None if arguments.length == AUTO else arguments.length
+    problem = problem.using(transitions=arguments.transitions, length=horizon)
+    too_short = [finding.sentence for finding in shorter_than_lambda(problem)]
+    return replace(problem, warnings=(*problem.warnings, *too_short))
 
 
 def check_folder(folder: Path | None, record: dict[str, Any]) -> None:
-    """Refuses a folder that holds another run's result, and a path that is no folder."""
+    """Refuse a folder that holds another run's result.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Where the result is to be written; None: nowhere.
+    record : dict
+        What this run is.
+
+    Raises
+    ------
+    BadFile
+        If the path is no folder, or holds the record of another run.
+    """
     from dropo.core.services.errors import BadFile
 
     if folder is None:
@@ -248,7 +268,7 @@ def check_folder(folder: Path | None, record: dict[str, Any]) -> None:
 
 
 def _save(folder: Path, fit: "Fit", record: dict[str, Any]) -> None:
-    """run.json, then fit.json and fit.npz; each appears whole or not at all."""
+    """Write run.json, then fit.json and fit.npz; each appears whole or not at all."""
     from dropo.core.services.atomic_write import write_json
 
     write_json(folder / "run.json", record)
@@ -256,11 +276,29 @@ def _save(folder: Path, fit: "Fit", record: dict[str, Any]) -> None:
 
 
 def _epsilon(text: str) -> float | str:
+    """A type for argparse: a variance, "tune" or "learn"."""
     return text if text in ("tune", "learn") else variance(text, ", 'tune' or 'learn'")
 
 
 def variance(text: str, words: str = "") -> float:
-    """An argparse type: a number of 0 or more; words: what else could stand there."""
+    """Read a variance, as a type for argparse.
+
+    Parameters
+    ----------
+    text : str
+        What the command line has.
+    words : str
+        What else could stand there, for the message.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is no number of 0 or more.
+    """
     try:
         value = float(text)
     except ValueError:
@@ -271,6 +309,7 @@ def variance(text: str, words: str = "") -> float:
 
 
 def _degrees(text: str) -> float:
+    """A type for argparse: degrees of freedom above 2."""
     try:
         value = float(text)
     except ValueError:
@@ -283,4 +322,5 @@ def _degrees(text: str) -> float:
 
 
 def _length(text: str) -> int | str:
+    """A type for argparse: a number of control steps, or "auto"."""
     return text if text == AUTO else whole(1)(text)

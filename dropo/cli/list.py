@@ -24,7 +24,7 @@ KINDS = (
 
 
 def add(commands: Any) -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser `commands`."""
     parser = commands.add_parser(
         "list", help="what can be named", description=__doc__, allow_abbrev=False
     )
@@ -35,7 +35,23 @@ def add(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints the names and sentences of one kind."""
+    """Print the names of one kind, each with a sentence.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such kind.
+    """
     from dropo.core.services.validation import known
 
     entries = sentences(known("kind", arguments.kind, KINDS))
@@ -46,8 +62,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def sentences(kind: str) -> dict[str, str]:
-    """Every name of a kind, with the first sentence of its docstring; the plug-ins are imported for
-    it.
+    """Find the first sentence of the docstring of each plug-in of a kind, which imports them all.
+
+    Parameters
+    ----------
+    kind : str
+        Such as "methods".
+
+    Returns
+    -------
+    dict of str to str
+        The sentences by name.
     """
     from dropo.core.services.registry import find, names
 
@@ -55,6 +80,7 @@ def sentences(kind: str) -> dict[str, str]:
 
 
 def _sentence(kind: str, name: str, find: Any) -> str:
+    """The first sentence of a plug-in's docstring."""
     try:
         text = inspect.getdoc(find(kind, name)) or ""
     except (ImportError, AttributeError) as error:

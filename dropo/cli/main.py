@@ -28,8 +28,17 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command and returns its exit status: 0 done, 1 failed, 2 refused with nothing
-    written.
+    """Run one command.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The arguments; those of the process by default.
+
+    Returns
+    -------
+    int
+        The exit status: 0 done, 1 failed, 2 refused with nothing written.
     """
     try:
         arguments = _parser().parse_args(argv)
@@ -46,6 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """The parser with all commands."""
     parser = _Parser(prog="dropo", description=dropo.__doc__, allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"dropo {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
@@ -55,6 +65,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _fail(message: str, status: int) -> int:
+    """Print a message on standard error, in one line."""
     print(f"dropo: {' '.join(message.split())}", file=sys.stderr)
     return status
 

@@ -7,14 +7,22 @@ import time
 from collections.abc import Callable
 from typing import Any, TextIO
 
-SOON = 0.02  # of the work: before that, the time left is a guess
+SOON = 0.02
+"""Fraction of the work before which the time left is a guess, and is not shown."""
 
 
 class Progress:
-    """progress(share, text) draws one line on a terminal: a bar, the time spent and left, and the
-    text, which tells the cost.
+    """Shows progress as one line on a terminal: a bar, the time spent and left, and a text.
 
-    Nothing into a pipe, or where it is `silent`.
+    It is called with the fraction of the work that is done and the text. Into a pipe it writes
+    nothing.
+
+    Parameters
+    ----------
+    silent : bool
+        Whether to write nothing on a terminal, too.
+    stream : text file, optional
+        Where to write; standard error by default.
     """
 
     def __init__(self, *, silent: bool = False, stream: TextIO | None = None):
@@ -23,32 +31,47 @@ class Progress:
         self._begun = time.monotonic()
         self._bar: Any = None
 
-    def __call__(self, share: float, text: str) -> None:
+    def __call__(self, fraction: float, text: str) -> None:
+        """Show the `fraction` that is done, with a `text`."""
         if self.silent:
             return
         if self._bar is None:
             self._bar = _bar(self.stream)
             self._bar.start()
             self._bar.add_task(text, total=1.0, left="")
-        share = min(max(share, 0.0), 1.0)
-        left = time_left(share, time.monotonic() - self._begun)
-        self._bar.update(self._bar.task_ids[0], completed=share, description=text, left=left)
+        fraction = min(max(fraction, 0.0), 1.0)
+        left = time_left(fraction, time.monotonic() - self._begun)
+        self._bar.update(self._bar.task_ids[0], completed=fraction, description=text, left=left)
 
     def close(self) -> None:
-        """Takes the line away."""
+        """Remove the line."""
         if self._bar is not None:
             self._bar.stop()
 
 
-def time_left(share: float, spent: float) -> str:
-    """ "about 0:01:30 left", where the rest goes on as what was done so far in `spent` seconds."""
-    if share < SOON:
+def time_left(fraction: float, spent: float) -> str:
+    """Estimate the time left, if the rest goes on as before.
+
+    Parameters
+    ----------
+    fraction : float
+        Of the work that is done.
+    spent : float
+        Time for it [s].
+
+    Returns
+    -------
+    str
+        Such as "about 0:01:30 left"; empty at the beginning.
+    """
+    if fraction < SOON:
         return ""
-    minutes, seconds = divmod(round(spent * (1 - share) / share), 60)
+    minutes, seconds = divmod(round(spent * (1 - fraction) / fraction), 60)
     return f"about {minutes // 60}:{minutes % 60:02}:{seconds:02} left"
 
 
 def _bar(stream: TextIO) -> Any:
+    """The line of rich."""
     from rich.console import Console
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
@@ -70,8 +93,16 @@ def _bar(stream: TextIO) -> Any:
 
 
 def show(arguments: argparse.Namespace, result: object, content: Any) -> None:
-    """The result on standard output: as JSON with --json, else as text, with drawn tables on a
-    terminal; nothing with --quiet.
+    """Print a result: as JSON with --json, nothing with --quiet, else as text.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With `json` and `quiet`.
+    result : object
+        What is printed as text; the tables of a `Report` are drawn on a terminal.
+    content : Any
+        What is printed as JSON.
     """
     if arguments.json:
         print(json.dumps(content, indent=1, allow_nan=False))
@@ -83,15 +114,14 @@ def show(arguments: argparse.Namespace, result: object, content: Any) -> None:
 
 
 def _draw(result: object) -> None:
-    """The parts of a result on a terminal: tables drawn, warnings in colour, the other text as it
-    is.
-    """
+    """Print the parts of a result on a terminal: tables drawn, warnings in colour."""
     from rich.console import Console
 
     from dropo.core.services.tables import Report, Table
 
     console = Console(file=sys.stdout)
-    for part in result.parts() if isinstance(result, Report) else str(result).splitlines():
+    parts = result.parts() if isinstance(result, Report) else str(result).splitlines()
+    for part in parts:
         if isinstance(part, Table):
             console.print(_rich(part))
         else:
@@ -100,6 +130,7 @@ def _draw(result: object) -> None:
 
 
 def _rich(table: Any) -> Any:
+    """A table of rich."""
     from rich import box
     from rich.table import Table as Drawn
     from rich.text import Text
@@ -113,7 +144,7 @@ def _rich(table: Any) -> Any:
 
 
 def printing_options(parser: argparse.ArgumentParser) -> None:
-    """--json and --quiet, which every command has."""
+    """Add --json and --quiet to a `parser`; every command has them."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="print neither progress nor the table")
 
@@ -121,8 +152,14 @@ def printing_options(parser: argparse.ArgumentParser) -> None:
 def computing_options(
     parser: argparse.ArgumentParser, *, seed: str = "0 by default", threads: str = ""
 ) -> None:
-    """--seed and --threads, which every command has too; the texts say what they do where that is
-    not the usual.
+    """Add --seed and --threads to a parser; every command has them.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    seed, threads : str
+        Help texts, where the options do not do the usual.
     """
     usual = "0, the default: all cores; results do not depend on it"
     parser.add_argument("--seed", type=whole(0), default=0, metavar="S", help=seed)
@@ -133,17 +170,17 @@ NOTHING = "taken by every command; without effect here"
 """What an option does where there is nothing to decide."""
 
 
-def whole(least: int) -> Callable[[str], int]:
-    """An argparse type: a whole number of at least so much."""
+def whole(minimum: int) -> Callable[[str], int]:
+    """Make a type for argparse: a whole number of at least the `minimum`."""
 
     def convert(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
-            value = least - 1
-        if value < least:
+            value = minimum - 1
+        if value < minimum:
             raise argparse.ArgumentTypeError(
-                f"expected a whole number of at least {least}, got {text!r}"
+                f"expected a whole number of at least {minimum}, got {text!r}"
             )
         return value
 

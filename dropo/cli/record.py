@@ -1,5 +1,6 @@
-"""What a run is: everything that decides its result, as JSON; the number of threads is not among
-it.
+"""The record of a run: everything that decides its result, as JSON.
+
+The number of threads is not in it, since results do not depend on it.
 """
 
 import argparse
@@ -27,8 +28,25 @@ from dropo.mjmodel.robot_simulator import RobotSimulator
 def run_record(
     command: str, method: str, estimator: Estimator, problem: Problem, seed: int
 ) -> dict[str, Any]:
-    """The header of an evaluation log and the content of run.json."""
-    settings = {field.name: plain(getattr(estimator, field.name)) for field in fields(estimator)}  # type: ignore[arg-type]
+    """Make the header of an evaluation log, which is the content of run.json.
+
+    Parameters
+    ----------
+    command, method : str
+        Their names.
+    estimator : Estimator
+        The method with its settings.
+    problem : Problem
+        What is fitted.
+    seed : int
+        Of the run.
+
+    Returns
+    -------
+    dict
+    """
+    names = [field.name for field in fields(estimator)]  # type: ignore[arg-type]
+    settings = {name: plain(getattr(estimator, name)) for name in names}
     return {
         "command": command,
         "method": method,
@@ -40,11 +58,21 @@ def run_record(
 
 
 def diagnosis_record(arguments: argparse.Namespace, problem: Problem) -> dict[str, Any]:
-    """The content of a diagnosis' run.json."""
-    settings = {
-        name: plain(getattr(arguments, name))
-        for name in ("effects", "hide", "steps", "disturbances")
-    }
+    """Make the content of a diagnosis' run.json.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+    problem : Problem
+        What is diagnosed.
+
+    Returns
+    -------
+    dict
+    """
+    options = ("effects", "hide", "steps", "disturbances")
+    settings = {name: plain(getattr(arguments, name)) for name in options}
     return {
         "command": "diagnose",
         "settings": settings,
@@ -55,8 +83,14 @@ def diagnosis_record(arguments: argparse.Namespace, problem: Problem) -> dict[st
 
 
 def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | None) -> None:
-    """What a report says and shows beside the result: predictions.npz, and in made.json the command
-    and the versions behind it.
+    """Write what a report shows beside the result: predictions.npz and made.json.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With `out`, the folder, and the command, which made.json keeps with the versions behind it.
+    predictions : Predictions or None
+        What the model predicts; None where the result keeps it.
     """
     if predictions is not None:
         predictions.save(arguments.out)
@@ -75,7 +109,7 @@ def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | No
 
 
 def problem_record(problem: Problem) -> dict[str, Any]:
-    """The problem's settings, with SHA-256 sums of its data and model."""
+    """Make a dict of the settings of a `problem`, with SHA-256 sums of its data and model."""
     simulator = problem.simulator
     model = simulator.model if isinstance(simulator, RobotSimulator) else None
     return {
@@ -99,7 +133,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
 
 
 def data_sum(trajectories: Trajectories) -> str:
-    """SHA-256 of all arrays, with their names and shapes."""
+    """Compute the SHA-256 of all arrays of `trajectories`, with their names and shapes."""
     digest = hashlib.sha256()
     for field in fields(trajectories):
         array = getattr(trajectories, field.name)
@@ -110,14 +144,14 @@ def data_sum(trajectories: Trajectories) -> str:
 
 
 def model_sum(model: mujoco.MjModel) -> str:
-    """SHA-256 of the compiled model, as MuJoCo writes it."""
+    """Compute the SHA-256 of the compiled `model`, as MuJoCo writes it."""
     buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return hashlib.sha256(buffer.tobytes()).hexdigest()
 
 
 def plain(value: Any) -> Any:
-    """A setting as strict JSON: numbers that are not finite become null, objects their repr."""
+    """Make a `value` strict JSON: numbers that are not finite are null, objects their repr."""
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, dict):

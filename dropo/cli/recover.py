@@ -9,7 +9,7 @@ from dropo.cli.output import Progress, computing_options, printing_options, show
 
 
 def add(commands: Any) -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser `commands`."""
     parser = commands.add_parser(
         "recover", help="run a recovery study", description=__doc__, allow_abbrev=False
     )
@@ -46,7 +46,25 @@ def add(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Runs the study, prints and saves it; 0, or 1 where it was interrupted."""
+    """Run a study, save and print it.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    DropoError
+        If the study was interrupted.
+    """
     from dropo.core.services.errors import DropoError
     from dropo.studies.engine.recover import recover
 
@@ -63,11 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
                 progress=progress,
             )
     except KeyboardInterrupt:
-        kept = (
-            "Interrupted: the same command goes on from here."
-            if arguments.out
-            else "Interrupted: with --out, a study can be resumed."
-        )
+        kept = "Interrupted: with --out, a study can be resumed."
+        if arguments.out:
+            kept = "Interrupted: the same command goes on from here."
         raise DropoError(kept) from None
     finally:
         progress.close()

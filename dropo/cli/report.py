@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Any) -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser `commands`."""
     parser = commands.add_parser(
         "report",
         help="make a page of a fit or a diagnosis",
@@ -38,7 +38,23 @@ def add(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes the page, and the video where asked; 0."""
+    """Write the page, and the video where asked.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    """
     from dropo.report.build import write_page
     from dropo.report.folder import read_result
 
@@ -57,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _simulator(result: "Result") -> "RobotSimulator":
-    """The problem's own, where model and motion are still those of the run."""
+    """The problem's simulator, if its model is still that of the run."""
     from dropo.cli.record import model_sum
     from dropo.core.services.errors import Incompatible
     from dropo.mjmodel.robot_simulator import RobotSimulator

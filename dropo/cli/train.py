@@ -22,7 +22,7 @@ ALGORITHMS = {
 
 
 def add(commands: Any) -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser `commands`."""
     parser = commands.add_parser(
         "train",
         help="train a policy under a fitted distribution",
@@ -82,7 +82,25 @@ def add(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Trains, evaluates under the distribution and on the target, prints and saves; 0."""
+    """Train a policy, evaluate it under the distribution and on the target, save and print.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    DropoError
+        If training was interrupted.
+    """
     from dropo.core.services.errors import DropoError, InvalidInput
     from dropo.training.environments import resolve
     from dropo.training.evaluate import Compared, broken, evaluate
@@ -125,15 +143,11 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         progress.close()
     path = None if arguments.out is None else policy.save(arguments.out)
-    found = (
-        {
-            "under the fit": evaluate(
-                policy, target, distribution=distribution, rng=arguments.seed, **options
-            )
-        }
-        if distribution is not None
-        else {}
-    )
+    found = {}
+    if distribution is not None:
+        found["under the fit"] = evaluate(
+            policy, target, distribution=distribution, rng=arguments.seed, **options
+        )
     found["as it is"] = evaluate(policy, target, rng=arguments.seed, **(options | {"noise": 0.0}))
     content = {
         "policy": path and str(path),
@@ -141,31 +155,28 @@ def run(arguments: argparse.Namespace) -> int:
         "returns": {name: value.to_json() for name, value in found.items()},
     }
     failures = policy.about["failed_simulations"]
-    show(
-        arguments, Compared(found, (f"training: {broken(failures)}",) if failures else ()), content
-    )
+    remarks = (f"training: {broken(failures)}",) if failures else ()
+    show(arguments, Compared(found, remarks), content)
     return 0
 
 
 def _algorithm(arguments: argparse.Namespace) -> "Algorithm":
+    """The algorithm that the command names, with its budget."""
     from importlib import import_module
 
     from dropo.core.services.optional_dependencies import need
 
     if arguments.algorithm != "ars":
         need("torch", "stable_baselines3", extra="rl", caller=f"--algorithm {arguments.algorithm}")
-    (module, name), budget = (
-        ALGORITHMS[arguments.algorithm][0].split(":"),
-        ALGORITHMS[arguments.algorithm][1],
-    )
-    made: Algorithm = getattr(import_module(module), name)(
-        **({} if arguments.budget is None else {budget: arguments.budget})
-    )
-    return made
+    place, budget = ALGORITHMS[arguments.algorithm]
+    module, name = place.split(":")
+    given = {} if arguments.budget is None else {budget: arguments.budget}
+    algorithm: Algorithm = getattr(import_module(module), name)(**given)
+    return algorithm
 
 
 def _distribution(arguments: argparse.Namespace, target: Any) -> "ParameterDistribution | None":
-    """The fit, where it is one of the target's model."""
+    """The fitted distribution, if it is one of the target's model."""
     from dropo.core.records.fit import Fit
     from dropo.core.services.errors import BadArgument
     from dropo.training.distributions import Curriculum
@@ -180,7 +191,7 @@ def _distribution(arguments: argparse.Namespace, target: Any) -> "ParameterDistr
 
 
 def _refuse_other_model(folder: Path, target: Any) -> None:
-    """A fit says little about a model that it was not made with."""
+    """Refuse a fit of another model: it says little about this one."""
     from dropo.cli.record import model_sum
     from dropo.core.contracts.problem import Problem
     from dropo.core.services.errors import Incompatible
@@ -194,8 +205,7 @@ def _refuse_other_model(folder: Path, target: Any) -> None:
     if before.get("model_sha256") not in (None, model_sum(target.simulator.model)):
         raise Incompatible(
             f"The fit in {folder} is of another model, that of {before.get('problem')!r}: "
-            f"not that of {target.name!r}."
-            " Train on the problem that was fitted, or fit this one."
+            f"not that of {target.name!r}. Train on the problem that was fitted, or fit this one."
         )
 
 
@@ -206,11 +216,12 @@ def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") 
     from dropo.core.contracts.problem import Problem
     from dropo.training.train import settings
 
-    fit = (
-        None
-        if arguments.fit is None
-        else hashlib.sha256((arguments.fit / "fit.json").read_bytes()).hexdigest()
-    )
+    fit = None
+    if arguments.fit is not None:
+        fit = hashlib.sha256((arguments.fit / "fit.json").read_bytes()).hexdigest()
+    of_target = {"problem": arguments.problem}
+    if isinstance(target, Problem):
+        of_target = problem_record(target)
     return {
         "command": "train",
         "algorithm": algorithm.name,
@@ -221,17 +232,14 @@ def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") 
         "episode": arguments.steps,
         "seed": arguments.seed,
         "version": __version__,
-        **(
-            problem_record(target)
-            if isinstance(target, Problem)
-            else {"problem": arguments.problem}
-        ),
+        **of_target,
     }
 
 
 def _keep(folder: Path | None, record: dict[str, Any]) -> list[Path]:
-    """Writes run.json, without which an interrupted training could be gone on with by another; what
-    is new, the folder last.
+    """Write run.json, so that no other training resumes this one; return what is new.
+
+    The folder comes last.
     """
     from dropo.core.services.atomic_write import write_json
 

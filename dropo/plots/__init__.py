@@ -1,8 +1,11 @@
 """Figures of fits and diagnoses with matplotlib: one function a figure, axes in and out.
 
 Each function draws into `ax` where one is given, else into a figure of its own, and returns the
-Axes. Nothing but the figure is changed: no global style. Colours are Okabe and Ito's, told apart by
-all kinds of sight: orange is the model before, blue after, dark what was measured.
+Axes. Nothing but the figure is changed: no global style. Colours are Okabe and Ito's, which all
+kinds of sight distinguish: orange is the model before, blue after, dark what was measured.
+
+The room imports core alone. Add a figure as a function with `ax=None` that takes its axes from
+`axes_of`, and list it here.
 """
 
 from dropo.plots.causes import candidates, changes, forces, residuals, similarity, sizes

@@ -1,6 +1,4 @@
-"""The pictures of a diagnosis: what was tried, what was found, what it cannot be told from, and
-what is left.
-"""
+"""Figures of a diagnosis: what was tried, what was found, how sure it is, and what is left."""
 
 from typing import Any
 
@@ -24,31 +22,54 @@ from dropo.plots.style import (
     with_unit,
 )
 
-BRIDGE = 1.36  # the largest departure of a Brownian bridge, exceeded once in twenty (Kolmogorov)
+BRIDGE = 1.36
+"""The largest departure of a Brownian bridge, exceeded once in twenty (Kolmogorov)."""
 BINS = 8
+"""Parts of the data whose mean errors are drawn."""
 
 
 def figure_data_of(result: Any) -> FigureData:
-    """Figure data themselves, or those of a diagnosis."""
+    """Take the figure data of a diagnosis.
+
+    Parameters
+    ----------
+    result : Diagnosis or FigureData
+        The diagnosis, or its figure data themselves.
+
+    Returns
+    -------
+    FigureData
+
+    Raises
+    ------
+    BadArgument
+        If it has none.
+    """
     found = getattr(result, "figures", result)
-    require(
-        isinstance(found, FigureData),
-        "result",
-        "FigureData, or a Diagnosis that has such",
-        type(result).__name__,
-        "dropo.plots",
-    )
+    rule = "FigureData, or a Diagnosis that has such"
+    valid = isinstance(found, FigureData)
+    require(valid, "result", rule, type(result).__name__, "dropo.plots")
     return found
 
 
 def words(label: str) -> str:
-    """ "joint_stiffness:knee.rest" as "joint stiffness at knee (rest)", "parameter_drift:mass.ramp"
-    as "drift of mass (ramp)".
+    """Write an effect's label in words.
+
+    Parameters
+    ----------
+    label : str
+        Such as "joint_stiffness:knee.rest" or "parameter_drift:mass.ramp".
+
+    Returns
+    -------
+    str
+        Such as "joint stiffness at knee (rest)" or "drift of mass (ramp)".
     """
     effect, _, place = label.partition(":")
-    start, _, form = (
-        ("", "", "") if effect.startswith("sensor_") else label.rpartition(".")
-    )  # of sensors, the dot is in the signal's name
+    start = ""
+    form = ""
+    if not effect.startswith("sensor_"):  # there, the dot is in the signal's name
+        start, _, form = label.rpartition(".")
     if start:
         return f"{words(start)} ({form})"
     if effect == "parameter_drift":
@@ -57,11 +78,28 @@ def words(label: str) -> str:
 
 
 def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
-    """The effects that were fitted in one round of the search, by the nats they gain on data held
-    out, with standard errors.
+    """Draw what the effects of one round of the search gain on held-out data, with errors.
 
-    The accepted one is blue; a bracket joins it with those that the data cannot tell from it.
-    found: the round, 0 for the first cause.
+    The accepted one is blue; a bracket joins it with those that the data cannot distinguish from
+    it.
+
+    Parameters
+    ----------
+    result : Diagnosis or FigureData
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+    found : int
+        The round, 0 for the first cause.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     data = figure_data_of(result)
     ax = axes_of(ax)
@@ -80,22 +118,17 @@ def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
         )
         if bar.gain is not None and bar.error:
             ax.hlines(y - 0.2, bar.gain - bar.error, bar.gain + bar.error, color=INK, lw=1)
-    ax.vlines(
-        np.zeros(len(bars)), place - 0.4, place, color=INK, lw=0.8
-    )  # beside the bars alone, so that no word is crossed out
+    # Lines beside the bars alone, so that no word is crossed out.
+    ax.vlines(np.zeros(len(bars)), place - 0.4, place, color=INK, lw=0.8)
     ax.vlines(
         np.full(len(bars), data.needed), place - 0.4, place, color=GREY, lw=0.9, ls=(0, (2, 2))
     )
     left, right = ax.get_xlim()
     indent = left + 0.012 * (right - left)
     for y, bar in zip(place, bars, strict=True):
-        size = (
-            "same response"
-            if bar.gain is None
-            else f"{bar.gain:+,.0f}"
-            if abs(bar.gain) >= 100
-            else f"{bar.gain:+.3g}"
-        )
+        gain = "same response"
+        if bar.gain is not None:
+            gain = f"{bar.gain:+,.0f}" if abs(bar.gain) >= 100 else f"{bar.gain:+.3g}"
         weight = "bold" if bar.accepted else "normal"
         ax.text(
             indent,
@@ -110,7 +143,7 @@ def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
         ax.text(
             right,
             y + 0.2,
-            size,
+            gain,
             ha="right",
             fontsize=FONT - 1,
             color=INK,
@@ -129,14 +162,26 @@ def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
 
 
 def in_order(bars: tuple[Bar, ...]) -> list[Bar]:
-    """The accepted one, those that cannot be told from it, the rest; each by what it gains."""
-    return sorted(
-        bars,
-        key=lambda bar: (not bar.accepted, bar.told, np.inf if bar.gain is None else -bar.gain),
-    )
+    """Sort effects: the accepted one, those confused with it, the rest; each part by gain.
+
+    Parameters
+    ----------
+    bars : tuple of Bar
+        The effects of one round.
+
+    Returns
+    -------
+    list of Bar
+    """
+
+    def rank(bar: Bar) -> tuple[bool, bool, float]:
+        return not bar.accepted, bar.told, np.inf if bar.gain is None else -bar.gain
+
+    return sorted(bars, key=rank)
 
 
 def _bracket(ax: Axes, bars: list[Bar], x: float) -> None:
+    """Join the accepted effect with those that the data cannot distinguish from it."""
     together = [i for i, bar in enumerate(bars) if bar.accepted or not bar.told]
     if len(together) > 1:
         width = 0.015 * np.diff(ax.get_xlim())[0]
@@ -152,8 +197,27 @@ def _bracket(ax: Axes, bars: list[Bar], x: float) -> None:
 
 
 def residuals(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
-    """The errors at the end of each window held out over what the effect acts on, without the
-    effect and with it; means of eighths of the data with 95 % intervals.
+    """Draw errors at the end of held-out windows over the quantity that an effect depends on.
+
+    Without the effect and with it; means of eighths of the data have 95 % intervals.
+
+    Parameters
+    ----------
+    result : Diagnosis or FigureData
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+    found : int
+        The cause, 0 for the first.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     data = figure_data_of(result)
     ax = axes_of(ax)
@@ -185,18 +249,40 @@ def residuals(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
 
 def _means(x: Array, y: Array, inside: Ints) -> tuple[Array, Array, Array]:
     """By bin: median of x, mean of y, half of its 95 % interval."""
-    rows = [
-        (np.median(x[mask]), y[mask].mean(), 1.96 * y[mask].std(ddof=1) / np.sqrt(mask.sum()))
-        for mask in (inside == b for b in np.unique(inside))
-        if mask.sum() > 1
-    ]
-    return tuple(np.array(rows).reshape(-1, 3).T)  # type: ignore[return-value]
+    rows = []
+    for b in np.unique(inside):
+        own = y[inside == b]
+        if len(own) > 1:
+            half = 1.96 * own.std(ddof=1) / np.sqrt(len(own))
+            rows.append((np.median(x[inside == b]), own.mean(), half))
+    centre, mean, half = np.array(rows).reshape(-1, 3).T
+    return centre, mean, half
 
 
 def sizes(result: Any, ax: Axes | None = None, *, found: int = 0, unit: str = "") -> Axes:
-    """A cause's size, estimated anew in quarters of the data, with 95 % intervals: level for a true
-    cause, sloped for what only acts like it. found: which of the pictures' `sizes`; unit: of the
-    variable by which these are quarters, for the axis.
+    """Draw a cause's magnitude, estimated anew in quarters of the data, with 95 % intervals.
+
+    It is level for a true cause, and sloped for what only acts like it.
+
+    Parameters
+    ----------
+    result : Diagnosis or FigureData
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+    found : int
+        Which of the figure data's `sizes`.
+    unit : str
+        Of the variable by which the data are divided, for the axis.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     data = figure_data_of(result)
     ax = axes_of(ax)
@@ -230,8 +316,25 @@ def sizes(result: Any, ax: Axes | None = None, *, found: int = 0, unit: str = ""
 
 
 def forces(result: Any, ax: Axes | None = None) -> Axes:
-    """The random forces that would explain what is left at each degree of freedom, before and
-    after; open where they may be nothing.
+    """Draw the random forces at each degree of freedom that would explain what is left.
+
+    Before and after; open bars where they are not significant.
+
+    Parameters
+    ----------
+    result : Diagnosis or FigureData
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     shown = figure_data_of(result).forces
     ax = axes_of(ax)
@@ -258,19 +361,54 @@ def forces(result: Any, ax: Axes | None = None) -> Axes:
 
 
 def similarity(result: Any, ax: Axes | None = None) -> Axes:
-    """|cosine| between the responses of the effects that looked most likely at first: near 1 the
-    data cannot tell them apart.
+    """Draw |cosine| between the responses of the effects that were most likely at first.
+
+    Near 1 the data cannot distinguish them.
+
+    Parameters
+    ----------
+    result : Diagnosis or FigureData
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     shown = figure_data_of(result).similarity
     names = tuple(words(label) for label in shown.labels)
-    return squares(
-        np.array(shown.cosines), names, axes_of(ax), "Fewer than two effects move the predictions."
-    )
+    otherwise = "Fewer than two effects move the predictions."
+    return squares(np.array(shown.cosines), names, axes_of(ax), otherwise)
 
 
 def changes(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
-    """A cause's scores summed over the data held out, in order: a peak beyond the dashed lines is a
-    size that changes there.
+    """Draw a cause's cumulative scores over the held-out data, in order.
+
+    A peak beyond the dashed lines is a magnitude that changes there.
+
+    Parameters
+    ----------
+    result : Diagnosis or FigureData
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+    found : int
+        Which of the figure data's `sums`.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     data = figure_data_of(result)
     ax = axes_of(ax)
@@ -283,6 +421,6 @@ def changes(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
     for sign in (-1, 1):
         ax.axhline(sign * BRIDGE, color=GREY, lw=1, ls=(0, (2, 2)))
     ax.set(xlim=(0, 100), xlabel="data held out, in order [%]", ylabel="summed score")
-    reach = 1.1 * max(BRIDGE, float(np.abs(shown.score).max(initial=0.0)))
-    ax.set_ylim(-reach, reach)
+    limit = 1.1 * max(BRIDGE, float(np.abs(shown.score).max(initial=0.0)))
+    ax.set_ylim(-limit, limit)
     return ax

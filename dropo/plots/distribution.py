@@ -1,4 +1,4 @@
-"""The fitted parameters: intervals against bounds and priors, the joint distribution, correlations."""
+"""Figures of the fitted parameters: their intervals, joint distribution and correlations."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -26,33 +26,44 @@ from dropo.plots.style import (
     with_unit,
 )
 
-MOST = 6  # parameters in a corner plot
+MOST = 6
+"""Parameters in a corner plot at most."""
 DRAWS = 4000
-NARROW = 5e-3  # of its mean: a distribution's sd below which differences from the mean are shown
-CHARACTER = 0.0019  # the width of a letter in a figure's, by points of its size
-SHARES = (0.9, 0.5)  # of the draws, inside the contours
+"""Draws from a fitted distribution, for a corner plot."""
+NARROW = 5e-3
+"""A distribution whose sd is less than this fraction of its mean is drawn about its mean."""
+CHARACTER = 0.0019
+"""Width of a letter as a fraction of a figure's, for each point of its size."""
+INSIDE = (0.9, 0.5)
+"""Fractions of the draws inside the contours."""
 
 
 def parameters(fit: Fit, ax: Axes | None = None, *, priors: dict[str, Prior] | None = None) -> Axes:
-    """Every parameter on its own search interval: the mean's 95 % interval, the distribution's mean
-    +- 2 sd, the truth where it is known.
+    """Draw every parameter on its own search interval.
 
-    priors: drawn as heights above the interval.
+    The 95 % interval of the mean, the distribution's mean +- 2 sd, and the truth where it is known.
+
+    Parameters
+    ----------
+    fit : Fit
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+    priors : dict of str to Prior, optional
+        Priors by parameter, drawn as heights above the interval.
+
+    Returns
+    -------
+    Axes
     """
     ax = axes_of(ax, size=(4.2, 0.6 + 0.38 * len(fit.space)))
     place = np.arange(len(fit.space))[::-1]
-    spread = fit.space.to_unit(
-        np.clip(
-            np.stack([fit.mean - 2 * fit.sd, fit.mean, fit.mean + 2 * fit.sd]),
-            fit.space.low,
-            fit.space.high,
-        )
-    )
+    ends = np.stack([fit.mean - 2 * fit.sd, fit.mean, fit.mean + 2 * fit.sd])
+    spread = fit.space.to_unit(np.clip(ends, fit.space.low, fit.space.high))
     interval = fit.space.to_unit(fit.interval().T)
     ax.barh(place, 1, height=0.44, color=LIGHT, label="searched")
-    for i, prior in (
-        (fit.space.names.index(name), prior) for name, prior in (priors or {}).items()
-    ):
+    for name, prior in (priors or {}).items():
+        i = fit.space.names.index(name)
         _draw_prior(ax, fit.space, i, prior, place[i])
     ax.barh(
         place,
@@ -84,6 +95,7 @@ def parameters(fit: Fit, ax: Axes | None = None, *, priors: dict[str, Prior] | N
 
 
 def _draw_prior(ax: Axes, space: ParameterSpace, i: int, prior: Prior, base: float) -> None:
+    """Draw the prior of parameter i as heights above its bar."""
     unit = np.linspace(0, 1, 121)
     values = space.from_unit(np.repeat(unit[:, None], len(space), axis=1))[:, i]
     density = np.nan_to_num(read_prior(prior, space[i]).pdf(values), posinf=0.0)
@@ -92,7 +104,18 @@ def _draw_prior(ax: Axes, space: ParameterSpace, i: int, prior: Prior, base: flo
 
 
 def draws_of(fit: Fit) -> Array:
-    """(K, d) the draws of a posterior over the parameters, else draws from the fitted distribution."""
+    """Take the draws of a posterior, or draw from the fitted distribution.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+
+    Returns
+    -------
+    (K, d) array
+        In the parameters' units.
+    """
     if fit.posterior is not None and fit.parameters_are_constant:
         chain = fit.posterior.chain
         return np.asarray(chain.reshape(-1, chain.shape[2])[:, : len(fit.space)])
@@ -100,10 +123,21 @@ def draws_of(fit: Fit) -> Array:
 
 
 def corner(fit: Fit, axes: Any = None) -> Any:
-    """The joint distribution of the parameters, two by two: contours that hold half and 90 % of the
-    draws; of up to six, those that vary most beside their search interval.
+    """Draw the joint distribution of the parameters, two by two.
 
-    axes: (d, d) Axes, or None for a figure of its own. Returns them.
+    Contours hold half and 90 % of the draws. Of more than six parameters, those are drawn that vary
+    most relative to their search interval.
+
+    Parameters
+    ----------
+    fit : Fit
+        What to draw.
+    axes : (d, d) array of Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    (d, d) array of Axes
     """
     draws = draws_of(fit)
     order = np.argsort(-draws.std(axis=0) / (fit.space.high - fit.space.low), kind="stable")
@@ -117,9 +151,9 @@ def corner(fit: Fit, axes: Any = None) -> Any:
             len(chosen), len(chosen), figsize=(side, side), layout="constrained", squeeze=False
         )[1]
     units = [_near(fit, i) for i in range(len(fit.space))]
-    draws = (draws - np.array([unit.base for unit in units])) / np.array(
-        [unit.scale for unit in units]
-    )
+    base = np.array([unit.base for unit in units])
+    scale = np.array([unit.scale for unit in units])
+    draws = (draws - base) / scale
     for row, i in enumerate(chosen):
         for column, j in enumerate(chosen):
             _cell(axes[row][column], units, draws, int(i), int(j), row, column, len(chosen))
@@ -128,7 +162,7 @@ def corner(fit: Fit, axes: Any = None) -> Any:
 
 @dataclass(frozen=True)
 class _Unit:
-    """How a parameter is written on its axis: (value - base) / scale, with that said in the label."""
+    """How a parameter is written on its axis: (value - base) / scale, as the label says."""
 
     label: str
     base: float
@@ -137,8 +171,10 @@ class _Unit:
 
 
 def _near(fit: Fit, i: int) -> _Unit:
-    """As it is; in a power of ten where it is very small or large; where the distribution is narrow
-    beside its mean, as a difference.
+    """Choose how a parameter is written.
+
+    As it is; in a power of ten where it is very small or large; as a difference where its
+    distribution is narrow relative to its mean.
     """
     parameter = fit.space[i]
     mean = float(fit.mean[i])
@@ -161,6 +197,7 @@ def _near(fit: Fit, i: int) -> _Unit:
 def _cell(
     ax: Axes, units: list[_Unit], draws: Array, i: int, j: int, row: int, column: int, count: int
 ) -> None:
+    """Draw parameter i over parameter j, or the histogram of one."""
     if column > row:
         ax.set_axis_off()
         return
@@ -186,13 +223,14 @@ def _cell(
 
 
 def _few_ticks(intervals: int) -> Any:
+    """A locator of a few ticks."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(intervals)
 
 
 def _contours(ax: Axes, x: Array, y: Array) -> None:
-    """Of a smoothed histogram; dots where a parameter has one value alone."""
+    """Draw contours of a smoothed histogram; a dot where a parameter has one value alone."""
     from scipy.ndimage import gaussian_filter
 
     if np.ptp(x) <= 0 or np.ptp(y) <= 0:
@@ -202,7 +240,7 @@ def _contours(ax: Axes, x: Array, y: Array) -> None:
     smooth = gaussian_filter(np.pad(counts, 3), 1.6)
     ranked = np.sort(smooth.ravel())[::-1]
     shares = np.cumsum(ranked) / ranked.sum()
-    levels = [float(ranked[np.searchsorted(shares, share)]) for share in SHARES]
+    levels = [float(ranked[np.searchsorted(shares, share)]) for share in INSIDE]
     centres = [_padded((edges[:-1] + edges[1:]) / 2) for edges in (across, up)]
     ax.contourf(
         *centres,
@@ -215,23 +253,49 @@ def _contours(ax: Axes, x: Array, y: Array) -> None:
 
 
 def _padded(centres: Array) -> Array:
+    """Centres of bins with three more at each end."""
     step = centres[1] - centres[0]
-    return np.concatenate(
-        [centres[0] - step * np.arange(3, 0, -1), centres, centres[-1] + step * np.arange(1, 4)]
-    )
+    before = centres[0] - step * np.arange(3, 0, -1)
+    after = centres[-1] + step * np.arange(1, 4)
+    return np.concatenate([before, centres, after])
 
 
 def correlation(fit: Fit, ax: Axes | None = None) -> Axes:
-    """The correlations between the parameters, as numbers on squares: blue above 0, orange below."""
+    """Draw the correlations between parameters as numbers on squares: blue above 0, orange below.
+
+    Parameters
+    ----------
+    fit : Fit
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+    """
     matrix = np.corrcoef(draws_of(fit).T) if fit.parameters_are_constant else fit.correlation
-    return squares(
-        np.atleast_2d(matrix), fit.space.names, axes_of(ax), "Only one parameter was fitted."
-    )
+    otherwise = "Only one parameter was fitted."
+    return squares(np.atleast_2d(matrix), fit.space.names, axes_of(ax), otherwise)
 
 
 def squares(matrix: Array, names: tuple[str, ...], ax: Axes, otherwise: str) -> Axes:
-    """A symmetric matrix of numbers in [-1, 1], the lower half of it, with the names along its
-    diagonal.
+    """Draw the lower half of a symmetric matrix, with names along its diagonal.
+
+    Parameters
+    ----------
+    matrix : (n, n) array
+        Numbers in [-1, 1].
+    names : tuple of str
+        Of the n rows.
+    ax : Axes
+        Where to draw.
+    otherwise : str
+        What to write where there are fewer than two rows.
+
+    Returns
+    -------
+    Axes
     """
     count = len(names)
     if count < 2:

@@ -20,25 +20,49 @@ from dropo.plots.style import (
     with_unit,
 )
 
-BINS = 10  # of probabilities
-TOLD = 2.576  # standard errors of a bin's count: beyond it once in a hundred
+BINS = 10
+"""Bins of probabilities."""
+Z_99 = 2.576
+"""Standard errors that a bin's count exceeds once in a hundred."""
 
 
 def predictions_of(result: Any) -> Predictions:
-    """Predictions themselves, or those of a diagnosis."""
+    """Take the predictions of a diagnosis.
+
+    Parameters
+    ----------
+    result : Predictions or Diagnosis
+        The predictions themselves, or a diagnosis.
+
+    Returns
+    -------
+    Predictions
+
+    Raises
+    ------
+    BadArgument
+        If it has none.
+    """
     found = getattr(result, "motion", result)
-    require(
-        isinstance(found, Predictions),
-        "result",
-        "Predictions, or a Diagnosis that has such",
-        type(result).__name__,
-        "dropo.plots",
-    )
+    rule = "Predictions, or a Diagnosis that has such"
+    valid = isinstance(found, Predictions)
+    require(valid, "result", rule, type(result).__name__, "dropo.plots")
     return found
 
 
 def sides(found: Predictions) -> list[tuple[Side, str, Any, str]]:
-    """(side, colour, line, mark) of before and after; of after alone where nothing was changed."""
+    """List the models to draw, each with its colour, line and mark.
+
+    Parameters
+    ----------
+    found : Predictions
+        What to draw.
+
+    Returns
+    -------
+    list of (Side, str, line style, str)
+        Before and after; after alone where there is one model.
+    """
     both: list[tuple[Side, str, Any, str]] = [
         (found.before, BEFORE, (0, (4, 2)), "o"),
         (found.after, AFTER, "-", "s"),
@@ -47,33 +71,59 @@ def sides(found: Predictions) -> list[tuple[Side, str, Any, str]]:
 
 
 def changed(found: Predictions) -> bool:
-    """Whether before and after are two models."""
+    """Return whether before and after are two models in `found`."""
     return found.before.name != found.after.name
 
 
-def telling(result: Any, most: int = 6) -> list[str]:
-    """The signals whose squared errors change most beside their spread, most first, without those
-    that never change; where there is one model alone, those that it is off most in.
+def telling(result: Any, maximum: int = 6) -> list[str]:
+    """Choose the signals whose squared errors change most, relative to their variance.
+
+    Parameters
+    ----------
+    result : Predictions or Diagnosis
+        Before and after; where there is one model, the squared errors themselves count.
+    maximum : int
+        How many signals at most.
+
+    Returns
+    -------
+    list of str
+        Their names, the first changes most; without those that do not change.
     """
     found = predictions_of(result)
-    change = (
-        np.abs(found.before.by_signal**2 - found.after.by_signal**2)
-        if changed(found)
-        else found.after.by_signal**2
-    )
-    share = np.nan_to_num(change, nan=np.inf) / np.where(found.spread > 0, found.spread**2, np.inf)
-    share[np.ptp(found.measured, axis=(0, 1)) <= 0] = (
-        0.0  # rotations, which are compared in the chart at the measurement
-    )
-    order = np.argsort(-share, kind="stable")
-    return [found.names[i] for i in order[:most] if share[i] > 0]
+    change = found.after.by_signal**2
+    if changed(found):
+        change = np.abs(found.before.by_signal**2 - found.after.by_signal**2)
+    variance = np.where(found.spread > 0, found.spread**2, np.inf)
+    relative = np.nan_to_num(change, nan=np.inf) / variance
+    # Rotations are compared in the tangent space at the measurement, where they are 0.
+    relative[np.ptp(found.measured, axis=(0, 1)) <= 0] = 0.0
+    order = np.argsort(-relative, kind="stable")
+    return [found.names[i] for i in order[:maximum] if relative[i] > 0]
 
 
 def trajectory(result: Any, signal: str, ax: Axes | None = None) -> Axes:
-    """One signal as measured and as predicted from the measured start of each window, with both
-    models' 90 % bands.
+    """Draw one signal as measured and as predicted from the start of each window, with 90 % bands.
 
-    result: Predictions, or a Diagnosis. signal: its name.
+    Parameters
+    ----------
+    result : Predictions or Diagnosis
+        What to draw.
+    signal : str
+        The signal's name.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no predictions.
+    UnknownName
+        If there is no such signal.
     """
     found = predictions_of(result)
     ax = axes_of(ax)
@@ -99,22 +149,33 @@ def trajectory(result: Any, signal: str, ax: Axes | None = None) -> Axes:
 
 
 def _side_by_side(found: Predictions) -> Array:
-    """Where on the axis the windows begin: as in the data where they follow one another, else one
-    behind the other.
-    """
+    """Where windows begin on the axis: as in the data if they are near there, else in a row."""
     length = found.measured.shape[1]
     begins = found.begins
     in_order = len(begins) < 2 or int(np.diff(begins).min()) >= length
-    return np.asarray(
-        begins
-        if in_order and np.ptp(begins) < 3 * length * len(begins)
-        else np.arange(len(begins)) * (length + 2)
-    )
+    if in_order and np.ptp(begins) < 3 * length * len(begins):
+        return np.asarray(begins)
+    return np.arange(len(begins)) * (length + 2)
 
 
 def horizon(result: Any, ax: Axes | None = None) -> Axes:
-    """Root mean square errors by how far ahead is predicted, all signals together, each in units of
-    its own spread.
+    """Draw root mean square errors by horizon, over all signals, in units of their spread.
+
+    Parameters
+    ----------
+    result : Predictions or Diagnosis
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     found = predictions_of(result)
     ax = axes_of(ax)
@@ -138,8 +199,25 @@ def horizon(result: Any, ax: Axes | None = None) -> Axes:
 
 
 def errors(result: Any, ax: Axes | None = None) -> Axes:
-    """Each signal's root mean square error before and after, in the rows that a fit compares,
-    beside the signal's own spread.
+    """Draw each signal's root mean square error before and after, in units of its spread.
+
+    The errors are those of the rows that a fit compares.
+
+    Parameters
+    ----------
+    result : Predictions or Diagnosis
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     found = predictions_of(result)
     ax = axes_of(ax)
@@ -152,13 +230,8 @@ def errors(result: Any, ax: Axes | None = None) -> Axes:
         ax.plot(before, place, "o", color=BEFORE, ms=4.5, label=found.before.name)
     ax.plot(after, place, "s", color=AFTER, ms=4.2, label=found.after.name)
     ax.set(yticks=place, yticklabels=found.names, ylim=(-0.7, len(found.names) + 1.6))
-    ax.set(
-        xscale="log",
-        xlabel=(
-            f"error after {found.rows_after} step{'s' * (found.rows_after > 1)} [% of the "
-            "signal's spread]"
-        ),
-    )
+    after_steps = f"after {found.rows_after} step{'s' * (found.rows_after > 1)}"
+    ax.set(xscale="log", xlabel=f"error {after_steps} [% of the signal's spread]")
     plain_log(ax)
     ax.tick_params(axis="y", labelsize=FONT - 1)
     legend(ax, loc="upper left", ncols=2, columnspacing=1.0, handletextpad=0.2)
@@ -166,12 +239,27 @@ def errors(result: Any, ax: Axes | None = None) -> Axes:
 
 
 def calibration(result: Any, ax: Axes | None = None) -> Axes:
-    """How often measurements fall where they should: the probabilities that were predicted for what
-    lies below them, counted.
+    """Draw a histogram of the predicted probabilities of values below the measurements.
 
-    Level at 100 % where predictions are calibrated; raised at both ends where they are too sure, in
-    the middle where too cautious; the grey band holds 99 % of the bins of independent calibrated
-    predictions.
+    It is level at 100 % if predictions are calibrated, raised at both ends if they are too sure,
+    and in the middle if they are too cautious. The grey band holds 99 % of the bins of independent
+    calibrated predictions.
+
+    Parameters
+    ----------
+    result : Predictions or Diagnosis
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
     """
     found = predictions_of(result)
     ax = axes_of(ax)
@@ -179,11 +267,11 @@ def calibration(result: Any, ax: Axes | None = None) -> Axes:
     counted = [(side, color, style) for side, color, style, _ in sides(found) if len(side.pit)]
     if not counted:
         return empty(ax, "No simulation came to its end.")
-    half = 100 * TOLD * np.sqrt((BINS - 1) / len(found.after.pit)) if len(found.after.pit) else 0.0
+    half = 100 * Z_99 * np.sqrt((BINS - 1) / len(found.after.pit)) if len(found.after.pit) else 0.0
     ax.axhspan(max(0.0, 100 - half), 100 + half, color=GREY, alpha=0.25, lw=0)
     for side, color, style in counted:
-        share = 100 * BINS * np.histogram(side.pit, edges)[0] / len(side.pit)
-        ax.stairs(share, edges, color=color, lw=1.8, ls=style, label=side.name)
+        percentage = 100 * BINS * np.histogram(side.pit, edges)[0] / len(side.pit)
+        ax.stairs(percentage, edges, color=color, lw=1.8, ls=style, label=side.name)
     ax.set(
         xlim=(0, 1),
         xlabel="predicted probability of less",

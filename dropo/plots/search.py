@@ -20,14 +20,29 @@ from dropo.plots.style import (
     plain_log,
 )
 
-MOST = 6  # lines in a figure
+MOST = 6
+"""Lines in a figure at most."""
 
 
 def convergence(
     simulator_steps: ArrayLike, log_likelihood: ArrayLike, ax: Axes | None = None
 ) -> Axes:
-    """How far below its end the log-likelihood was, over the simulator steps spent: every
-    evaluation, and the best so far.
+    """Draw how far below its end the log-likelihood was, over simulator steps.
+
+    Every evaluation, and the best so far.
+
+    Parameters
+    ----------
+    simulator_steps : (n,) array_like
+        Steps made up to each evaluation.
+    log_likelihood : (n,) array_like
+        Its log-likelihood [nats].
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
     """
     steps = np.asarray(simulator_steps, dtype=float)
     values = np.asarray(log_likelihood, dtype=float)
@@ -51,18 +66,30 @@ def convergence(
 
 
 def moves(after_round: ArrayLike, fit: Fit, ax: Axes | None = None) -> Axes:
-    """How far each mean was from its last value after each round of the search, in shares of its
-    interval. after_round: (n, d).
+    """Draw how far each mean was from its last value, by outer iteration of the search.
+
+    Parameters
+    ----------
+    after_round : (n, d) array_like
+        The means after each outer iteration, in the parameters' units.
+    fit : Fit
+        The last values, and the search intervals, in fractions of which distances are drawn.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
     """
     means = np.asarray(after_round, dtype=float)
     ax = axes_of(ax)
     if len(means) < 2:
         return empty(ax, "The search took one round.")
-    share = np.abs(means - fit.mean) / (fit.space.high - fit.space.low)
+    distance = np.abs(means - fit.mean) / (fit.space.high - fit.space.low)
     for i, name in enumerate(fit.space.names[:MOST]):
         ax.plot(
             np.arange(1, len(means) + 1),
-            np.where(share[:, i] > 0, share[:, i], np.nan),
+            np.where(distance[:, i] > 0, distance[:, i], np.nan),
             marker="os^vDP"[i],
             ms=4,
             lw=1.2,
@@ -76,7 +103,19 @@ def moves(after_round: ArrayLike, fit: Fit, ax: Axes | None = None) -> Axes:
 
 
 def trace(fit: Fit, ax: Axes | None = None) -> Axes:
-    """The log density of a posterior's walkers, step by step: level and alike where they agree."""
+    """Draw the log density of a posterior's walkers by step: level and alike where they agree.
+
+    Parameters
+    ----------
+    fit : Fit
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+    """
     ax = axes_of(ax)
     if fit.posterior is None:
         return empty(ax, "Nothing was drawn.")
@@ -93,8 +132,22 @@ def trace(fit: Fit, ax: Axes | None = None) -> Axes:
 
 
 def tuning(fit: Fit, ax: Axes | None = None) -> Axes:
-    """The sweep over epsilon (Tiboni 2021, figure 6.4): mean squared error and the variance of the
-    distribution, with the one chosen.
+    """Draw the sweep over epsilon: mean squared error and total variance, with the one chosen.
+
+    Parameters
+    ----------
+    fit : Fit
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+
+    References
+    ----------
+    Tiboni (2021), figure 6.4.
     """
     ax = axes_of(ax)
     if fit.noise_tuning is None:
@@ -114,8 +167,20 @@ def tuning(fit: Fit, ax: Axes | None = None) -> Axes:
 
 
 def noise(fit: Fit, predictions: Predictions, ax: Axes | None = None) -> Axes:
-    """The standard deviation of the noise that the fit gives or takes for each signal, beside the
-    errors that are left.
+    """Draw the noise of each signal, as the fit has it, beside the errors that are left.
+
+    Parameters
+    ----------
+    fit : Fit
+        What to draw.
+    predictions : Predictions
+        The errors.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
     """
     ax = axes_of(ax)
     place = np.arange(len(predictions.names))[::-1]

@@ -11,17 +11,36 @@ Axes = Any
 INK = "#222222"
 GREY = "#8A8A8A"
 LIGHT = "#DDDDDD"
-# of Okabe and Ito's palette
+# Of Okabe and Ito's palette.
 BEFORE = "#D55E00"
 AFTER = "#0072B2"
 OTHER = "#009E73"
 PURPLE = "#CC79A7"
-SIZE = (4.2, 2.9)  # [in] of one figure
-FONT = 8.5  # [pt]
+SIZE = (4.2, 2.9)
+"""Size of one figure [in]."""
+FONT = 8.5
+"""Size of its letters [pt]."""
 
 
 def axes_of(ax: Axes | None, *, size: tuple[float, float] = SIZE) -> Axes:
-    """`ax`, or the axes of a new figure; without the frame's upper and right side."""
+    """Take axes to draw into, without the frame's upper and right side.
+
+    Parameters
+    ----------
+    ax : Axes or None
+        The axes; None: those of a new figure.
+    size : (float, float)
+        Of a new figure [in].
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    MissingPackage
+        If matplotlib is not installed (extra `plots`).
+    """
     if ax is None:
         need("matplotlib", extra="plots", caller="A figure")
         import matplotlib.pyplot as plt
@@ -32,7 +51,7 @@ def axes_of(ax: Axes | None, *, size: tuple[float, float] = SIZE) -> Axes:
 
 
 def empty(ax: Axes, sentence: str) -> Axes:
-    """The axes with a sentence in place of a figure that nothing can be drawn in."""
+    """Write a `sentence` into the axes `ax`, where there is nothing to draw."""
     ax.set_axis_off()
     ax.text(
         0.5,
@@ -49,7 +68,7 @@ def empty(ax: Axes, sentence: str) -> Axes:
 
 
 def folded(name: str, width: int = 14) -> str:
-    """A name on several lines, broken behind "_" or "." where they would be longer than `width`."""
+    """Break a `name` behind "_" or "." into lines of at most `width` letters, where it can be."""
     lines = [""]
     for piece in re.findall(r"[^_.]*[_.]?", name):
         if lines[-1] and len(lines[-1] + piece) > width:
@@ -59,12 +78,12 @@ def folded(name: str, width: int = 14) -> str:
 
 
 def with_unit(name: str, unit: str) -> str:
-    """ "qvel.leg_joint [rad/s]"."""
+    """Put a `unit` behind a `name`, as in "qvel.leg_joint [rad/s]"."""
     return f"{name} [{unit}]" if unit else name
 
 
 def plain_log(ax: Axes) -> None:
-    """Few ticks, in plain numbers, on a logarithmic x axis of less than two decades."""
+    """Give the logarithmic x axis of `ax` plain numbers where it spans less than two decades."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = ax.get_xlim()
@@ -75,8 +94,16 @@ def plain_log(ax: Axes) -> None:
 
 
 def legend(ax: Axes, *, room: float = 0.0, **where: Any) -> None:
-    """A legend without a frame. room: the share of the axes' height that is added above the data
-    for it.
+    """Add a legend without a frame.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    room : float
+        Height to add above the data for it, as a fraction of the axes' height.
+    **where
+        As of matplotlib's `legend`.
     """
     low, high = ax.get_ylim()
     if room and ax.get_yscale() == "log":

@@ -14,7 +14,8 @@ XML = """
 <mujoco>
   <option timestep="0.01"/>
   <worldbody>
-    <body name="cart"><joint name="slide" type="slide" axis="1 0 0" damping="0.5"/><geom name="box" size="0.1" mass="2"/></body>
+    <body name="cart"><joint name="slide" type="slide" axis="1 0 0" damping="0.5"/>
+      <geom name="box" size="0.1" mass="2"/></body>
   </worldbody>
   <actuator><motor name="push" joint="slide" ctrllimited="true" ctrlrange="-1 1"/></actuator>
 </mujoco>

@@ -85,8 +85,10 @@ def test_held_out_data_are_checked_too(problem: Path, capsys: pytest.CaptureFixt
 
 
 ARM = """
-<mujoco><option timestep="0.01" integrator="implicitfast"/><worldbody><body name="link"><joint name="hinge" axis="0 -1 0"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1" contype="0" conaffinity="0"/></body></worldbody>
+<mujoco><option timestep="0.01" integrator="implicitfast"/><worldbody><body name="link">
+<joint name="hinge" axis="0 -1 0"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1" contype="0" conaffinity="0"/>
+</body></worldbody>
 <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>
 """
 
@@ -166,7 +168,12 @@ def test_unknown_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().err == f"dropo: none.npz: expected {wanted}, got no such file.\n"
 
 
-MAP = "time: {column: t}\nqpos: {slide: {column: x, unit: m}}\nqvel: {slide: {column: v, unit: m/s}}\nctrl: {push: {column: f, unit: N}}\n"
+MAP = (
+    "time: {column: t}\n"
+    "qpos: {slide: {column: x, unit: m}}\n"
+    "qvel: {slide: {column: v, unit: m/s}}\n"
+    "ctrl: {push: {column: f, unit: N}}\n"
+)
 
 
 @pytest.fixture
@@ -300,7 +307,8 @@ def write_swing(folder: Path) -> np.ndarray:
     """A pendulum under random torques, measured with 5 mrad of noise, velocities by differences;
     the true states (299, 2).
     """
-    xml = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
+    xml = """<mujoco><option timestep="0.005"/><worldbody><body>
+      <joint name="hinge" axis="0 1 0" damping="0.05"/>
       <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/></body></worldbody>
       <actuator><motor name="m" joint="hinge"/></actuator></mujoco>"""
     (folder / "swing.xml").write_text(xml)

@@ -425,7 +425,7 @@ def test_a_finished_run_is_replayed(problem: Path, options: tuple[str, ...]) -> 
 
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
 def test_interruption_saves_the_best_so_far(problem: Path, kind: signal.Signals) -> None:
-    """Status 1 and "interrupted"; the same command then goes on to what an undisturbed run gives."""
+    """Status 1 and "interrupted"; the same command then ends as an undisturbed run does."""
     whole = problem.parent / "whole"
     out = problem.parent / "out"
     run = start(problem, *LONG, "--out", str(out))

@@ -32,5 +32,6 @@ def test_text(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(catalogue._registered, "samplers", {"plug": plug})
     assert main(["list", "samplers"]) == 0
     assert capsys.readouterr().out == (
-        "gone  (cannot be imported: No module named 'dropo.none')\nplug  Does a thing (eq. 3) to e.g. a robot.\n"
+        "gone  (cannot be imported: No module named 'dropo.none')\n"
+        "plug  Does a thing (eq. 3) to e.g. a robot.\n"
     )

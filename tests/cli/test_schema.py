@@ -1,4 +1,4 @@
-"""`dropo schema`: the schema takes what the reader takes, and refuses what it refuses for its form."""
+"""`dropo schema`: the schema takes and refuses the same files as the reader, as for their form."""
 
 import json
 import re

@@ -94,7 +94,7 @@ def test_page_in_a_browser(browser, pages, kind):
 
 
 def test_text_can_be_read_in_both_schemes(browser, pages):
-    """Words in pictures and on the page stand out from their ground by 4.5 to 1 (WCAG 2.1, 1.4.3)."""
+    """Words in pictures and on the page have a contrast of 4.5 to 1 (WCAG 2.1, 1.4.3)."""
     for scheme in SCHEMES:
         opened(browser, pages["diagnosis"], 1400, scheme)
         pairs = browser.execute_script(

@@ -38,7 +38,8 @@ def test_a_newer_versions_result(fit_folder, diagnosis_folder, unfinished_folder
         if newer:
             with pytest.raises(
                 BadFile,
-                match=r"fit.json: version: expected .* or older .*pip install -U dropo.*, got 99.0.0",
+                match=r"fit.json: version: expected .* or older .*pip install -U dropo.*, "
+                r"got 99.0.0",
             ):
                 read_result(folder)
         else:

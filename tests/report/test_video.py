@@ -12,7 +12,7 @@ from dropo.cli.main import main
 
 
 def test_both_halves_move(fit_folder, tmp_path):
-    """A frame for each control step; the halves differ, since the left one shows the model before."""
+    """A frame for each control step; the halves differ: the left one shows the model before."""
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     page = tmp_path / "p.html"
     small = (
