@@ -101,7 +101,7 @@ def chain_spec() -> mujoco.MjSpec:
 
 
 def chain_simulator(threads: int) -> MujocoSimulator:
-    """Mass and inertia of every link, damping, armature and stiffness of every joint: 100 factors."""
+    """Mass and inertia of every link, damping, armature, stiffness of every joint: 100 factors."""
     places = (
         ("body_mass", "link"),
         ("body_inertia", "link"),

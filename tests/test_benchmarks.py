@@ -89,7 +89,7 @@ def test_report_has_every_line():
 
 @pytest.mark.parametrize("parameters", cost.PARAMETERS)
 def test_a_cell_of_the_cost_table(parameters):
-    """So many parameters and transitions; steps and simulation time are those of the round alone."""
+    """Many parameters and transitions; steps and simulation time are those of the round alone."""
     problem = problem_with(parameters, 40, 1)
     assert len(problem.space) == parameters
     assert len(problem.trajectories) == 40

@@ -1,4 +1,4 @@
-"""What neither ruff, mypy nor import-linter checks of the house: names by string, start-up, texts."""
+"""What neither ruff nor mypy nor import-linter checks: names by string, start-up, texts."""
 
 import ast
 import importlib

@@ -30,7 +30,7 @@ class Estimate:
     model: float | None = None
 
     def __str__(self) -> str:
-        """ "+0.79 +- 0.01 N m"."""
+        """Such as "+0.79 +- 0.01 N m"."""
         error = "?" if number_or_null(self.se) is None else number(self.se, 2)
         return f"{self.value:+.3g} +- {error} {self.unit}".removesuffix(" 1")
 
@@ -143,7 +143,7 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """ "joint damping at leg_joint, damping +0.79 +- 0.01 N m s/rad"."""
+        """Such as "joint damping at leg_joint, damping +0.79 +- 0.01 N m s/rad"."""
         return ", ".join([self.place, *(f"{name} {e}" for name, e in self.estimate.items())])
 
     def to_json(self, rank: int) -> dict[str, Any]:
@@ -205,7 +205,7 @@ class Suspect:
 
     @property
     def label(self) -> str:
-        """ "joint_damping:elbow"."""
+        """Such as "joint_damping:elbow"."""
         return self.effect + (f":{self.target}" if self.target else "")
 
     def to_json(self) -> dict[str, Any]:

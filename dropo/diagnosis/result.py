@@ -272,5 +272,5 @@ def _cause_sentences(cause: Cause) -> list[str]:
 
 
 def _steps(count: int) -> str:
-    """ "1 step", "20 steps"."""
+    """Write "1 step" or "20 steps"."""
     return f"{count} step{'s' if count > 1 else ''}"

@@ -161,10 +161,7 @@ def evaluate(
 
     Returns
     -------
-
-    Returns
-    -------
-        The returns of the episodes.
+    The returns of the episodes.
 
     Raises
     ------

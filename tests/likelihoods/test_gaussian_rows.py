@@ -606,7 +606,7 @@ def test_a_simulation_that_diverges_around_the_estimate_is_named(kind, monkeypat
     around = LIKELIHOODS[kind].around
     with pytest.raises(
         SimulationFailed,
-        match="^1 of 3 simulated rows diverged, the first at row 7 with x = .* No slopes can be"
+        match=r"^1 of 3 simulated rows diverged, the first at row 7 with x = .* No slopes can be"
         " taken",
     ):
         around(

@@ -84,7 +84,7 @@ class Experiment:
     settings: ExperimentSettings = SETTINGS
 
     def __str__(self) -> str:
-        """ "a square wave on leg_joint, period 0.08 s, at half of the largest command recorded"."""
+        """Such as "a square wave on leg_joint, period 0.08 s, at half of the largest command"."""
         where = self.of or "all actuators"
         command = f"a constant command on {where}"
         if self.period:

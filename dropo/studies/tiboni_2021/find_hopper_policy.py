@@ -129,6 +129,7 @@ def as_json(policy: LinearPolicy, figures: dict[str, float]) -> str:
 
 
 def main() -> None:
+    """Search, and write the best policy as JSON."""
     parser = argparse.ArgumentParser(
         description="Finds the hopper's policy by augmented random search.",
     )
