@@ -108,7 +108,7 @@ def report(transitions: int = 1000) -> tuple[str, list[Row]]:
 def main() -> None:
     """Prints the table, and puts it into the README where it is of full size."""
     parser = argparse.ArgumentParser(
-        description="Prints the cost of each row of tables 6.1 to 6.3 beside the published method's."
+        description="Prints the cost of each row of tables 6.1 to 6.3 beside those published."
     )
     parser.add_argument("--tiny", action="store_true", help="100 transitions")
     tiny = parser.parse_args().tiny

@@ -228,7 +228,7 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
             "trajectory. Leave it out."
         )
     horizon = None if arguments.length == AUTO else arguments.length
-    problem = problem.using(transitions=arguments.transitions, length=horizon)
+    problem = problem.using(transitions=arguments.transitions, horizon=horizon)
     too_short = [finding.sentence for finding in shorter_than_lambda(problem)]
     return replace(problem, warnings=(*problem.warnings, *too_short))
 
