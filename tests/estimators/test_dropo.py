@@ -244,7 +244,7 @@ def test_the_problem_says_what_the_noise_is_like():
 def test_a_likelihood_that_cannot_refuses_long_tails():
     with pytest.raises(
         Incompatible,
-        match="GhuryeOlkin knows no noise with long tails. Leave out degrees = 5, or use"
+        match=r"GhuryeOlkin knows no noise with long tails. Leave out degrees = 5, or use"
         " 'monte-carlo'",
     ):
         DROPO(likelihood="ghurye-olkin", draws=10, degrees=5.0).fit(slide())

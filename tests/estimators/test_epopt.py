@@ -1,4 +1,4 @@
-"""EPOpt's particles against the conjugate posterior, known in closed form for a linear simulator."""
+"""EPOpt's particles against the conjugate posterior, in closed form for a linear simulator."""
 
 import numpy as np
 import pytest

@@ -259,7 +259,7 @@ def test_too_few_groups():
         RandomEffects().fit(one)
     with pytest.raises(
         Incompatible,
-        match="2 groups cannot tell a covariance of 2 parameters: with fewer than 3 .*"
+        match=r"2 groups cannot tell a covariance of 2 parameters: with fewer than 3 .*"
         " 'truncated_gaussian'",
     ):
         RandomEffects(family="full").fit(two)

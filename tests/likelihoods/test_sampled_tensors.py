@@ -195,7 +195,7 @@ def test_refusals():
     rng = np.random.default_rng(0)
     with pytest.raises(
         Incompatible,
-        match="GhuryeOlkin knows no noise with long tails. Leave out degrees = 5, or use"
+        match=r"GhuryeOlkin knows no noise with long tails. Leave out degrees = 5, or use"
         " 'monte-carlo'",
     ):
         GhuryeOlkin().bind(simulator, segments, family, Noise(0.1, degrees=5.0), rng)
