@@ -247,7 +247,7 @@ def test_a_prior_pulls_by_the_right_amount(sampler, away):
 
 
 def test_a_problem_brings_its_priors():
-    """Over parameters as they are, over a distribution on the mean; the estimator's go first."""
+    """Over parameters as they are, over a distribution on the mean; the estimator's own first."""
     one = problem(epsilon=NOISE, priors={"x0": "normal(1.5, 1e-4)"})
     fit = Posterior(sampler=Emcee(steps=200, burn_in=200)).fit(one, rng=1)
     assert fit.mean[0] == pytest.approx(1.5, abs=1e-3)

@@ -213,8 +213,8 @@ def test_memory_does_not_grow_with_rows_times_unknowns(kind, monkeypatch):
             noise_variance=0.01,
             rng=rng,
         )
-        around = LIKELIHOODS[kind].around
-        local = around(
+        linearize_at = LIKELIHOODS[kind].linearize_at
+        local = linearize_at(
             simulator,
             data.segments(),
             family,
@@ -360,11 +360,11 @@ def test_start_noise_has_the_closed_form(kind, length):
     segments = data.segments(length, every_step=length > 1)
     family = FullGaussian(simulator.space)
     epsilon = np.array([0.01, 0.02, 0.05])
-    around = LIKELIHOODS[kind].around
+    linearize_at = LIKELIHOODS[kind].linearize_at
     centre = np.zeros(2)
     width = np.full(2, 0.3)
     noisy, quiet = (
-        around(
+        linearize_at(
             simulator,
             segments,
             family,
@@ -603,13 +603,13 @@ def test_a_simulation_that_diverges_around_the_estimate_is_named(kind, monkeypat
     data = simulate(simulator, np.full((10, 1), 0.9), np.ones((10, 1, 1)), np.zeros(1))
     segments = replace(data, observations=np.arange(10.0)[:, None]).segments()
     family = TruncatedGaussian(simulator.space)
-    around = LIKELIHOODS[kind].around
+    linearize_at = LIKELIHOODS[kind].linearize_at
     with pytest.raises(
         SimulationFailed,
         match=r"^1 of 3 simulated rows diverged, the first at row 7 with x = .* No slopes can be"
         " taken",
     ):
-        around(
+        linearize_at(
             simulator,
             segments,
             family,
@@ -619,7 +619,7 @@ def test_a_simulation_that_diverges_around_the_estimate_is_named(kind, monkeypat
             np.random.default_rng(0),
         )
     assert np.isfinite(
-        around(
+        linearize_at(
             simulator,
             segments,
             family,

@@ -83,7 +83,7 @@ def test_moments_of_logarithms_are_exact():
 
 
 def test_entries_that_do_not_move_cost_nothing():
-    """Families without correlations have d entries of the covariance, those with d (d + 1) / 2."""
+    """Without correlations a family has d entries of its covariance, with them d (d + 1) / 2."""
     simulator = LinearSimulator(np.ones((1, 2, 5)))
     rng = np.random.default_rng(0)
     segments = simulate(simulator, np.zeros((3, 5)), np.ones((3, 1, 1)), np.zeros(2)).segments()
