@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
-from tests.diagnosis.arms import UPPER, problem
+from tests.models.hidden_in_arm import UPPER, problem
 
 from dropo.cli.main import main
 from dropo.core.services.strict_yaml import read_yaml

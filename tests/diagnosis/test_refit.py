@@ -9,7 +9,7 @@ from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.search.linearization import Library, estimate_noise, linearize
 from dropo.diagnosis.search.refit import DEFAULTS, RefitSettings, refit
 from dropo.diagnosis.search.windows import split
-from tests.models import arms
+from tests.models import hidden_in_arm as arms
 
 TRUE = {"contact_stiffness.margin": -0.001, "body_mass:foot": -0.2, "body_inertia:foot": -0.1}
 
