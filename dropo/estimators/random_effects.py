@@ -245,8 +245,8 @@ def _describe_tests(tests: VarianceComponentTests, settings: GroupSettings) -> s
     overall = _describe_p(tests.overall)
     if tests.overall.p_value >= settings.level:
         return f"No difference between recordings is found ({overall})."
-    differ = []
-    same = []
+    differ: list[str] = []
+    same: list[str] = []
     for name, test in tests.parameters.items():
         group = differ if test.p_value < settings.level else same
         group.append(f"{name} ({_describe_p(test)})")
