@@ -66,7 +66,8 @@ class DROPO(Estimator):
     sweep : tuple of float
         The noise variances that "tune" tries.
     mse_threshold : float or None
-        The largest mean squared error that "tune" accepts; None: 1.1 times the least of the sweep.
+        The largest mean squared error that "tune" accepts. None: 1.1 times the smallest one of the
+        sweep.
     start_noise : bool or None
         Whether the measured start states carry the noise too; None: as the problem says.
     starts : {"measured", "filtered"}
@@ -233,8 +234,8 @@ class DROPO(Estimator):
                 search, problem, run, family, noise, objective, found
             )
 
-        # Hold the local model against the simulator at the fit.
-        check, warnings = check_emulator(problem, run, family, objective, found.point, rng)
+        # Compare the local model with the simulator at the fit.
+        checked, warnings = check_emulator(problem, run, family, objective, found.point, rng)
         return self._summarise(
             problem,
             run,
@@ -268,7 +269,7 @@ class DROPO(Estimator):
         found: SearchResult,
         **further: Any,
     ) -> Fit:
-        """The fit at a maximum; further: what else `summarise` takes."""
+        """The fit at a maximum; further: what else `summarize` takes."""
         local = isinstance(objective, LocalLogLikelihood)
         named = isinstance(self.likelihood, str)
         with run.counting():

@@ -1,7 +1,7 @@
 """Fitting with a local likelihood: build it in a trust region, maximise it, move the region there.
 
-A local likelihood is sound near where it was built alone. Each outer iteration builds one in the
-trust region, searches it for its maximum, and centres the next region there, as wide as the
+A local likelihood is sound only near the point where it was built. Each outer iteration builds one
+in the trust region, searches it for its maximum, and centres the next region there, as wide as the
 estimate is uncertain. The iterations end where the region stays as it is.
 """
 
@@ -48,7 +48,7 @@ class TrustRegionSettings:
     ----------
     max_iterations : int
         Outer iterations at most.
-    first_width, least_width : float
+    first_width, minimum_width : float
         The first and largest width of a region, and the least one, as fractions of the search
         interval.
     coarse_segments, coarse_segments_per_parameter : int
@@ -57,11 +57,11 @@ class TrustRegionSettings:
         They end after so many iterations, or once the estimate is settled.
     followed_move : float
         A region is at least as wide as this fraction of the last move of the mean.
-    most_shrink, most_growth : float
+    maximum_shrink, maximum_growth : float
         The factors by which a width changes at most from one iteration to the next.
     settled_width : float
         The estimate is settled when widths change by less than this fraction, and ...
-    settled_sd, settled_error, settled_least : float
+    settled_sd, settled_error, settled_minimum : float
         ... the mean moves by less than these fractions of the distribution's standard deviation,
         or of its own standard error, or of the least width.
     patience : int
@@ -71,28 +71,28 @@ class TrustRegionSettings:
     first_noise, first_scale : float
         The first search begins with this factor of learned noise, and scales of this fraction of
         the width.
-    least_start_scale : float
+    minimum_start_scale : float
         Later searches begin with scales of at least this fraction of the width.
     """
 
     max_iterations: int = 25
     first_width: float = 1 / 6
-    least_width: float = 5e-5
+    minimum_width: float = 5e-5
     coarse_segments: int = 60
     coarse_segments_per_parameter: int = 5
     coarse_iterations: int = 6
     followed_move: float = 0.7
-    most_shrink: float = 20.0
-    most_growth: float = 4.0
+    maximum_shrink: float = 20.0
+    maximum_growth: float = 4.0
     settled_width: float = 0.15
     settled_sd: float = 0.02
     settled_error: float = 0.1
-    settled_least: float = 0.05
+    settled_minimum: float = 0.05
     patience: int = 5
     retries: int = 5
     first_noise: float = 0.1
     first_scale: float = 0.5
-    least_start_scale: float = 0.05
+    minimum_start_scale: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ class OuterIterations:
         return self._likelihood_of(best), found
 
     def _iterate(self, region: TrustRegion, results: list[IterationResult]) -> tuple[Status, str]:
-        """Appends a result for each iteration, and says how they ended."""
+        """Iterate until an end; append a result for each iteration, and return how they ended."""
         while len(results) < self.settings.max_iterations:
             # Build the likelihood in the region, and find its maximum.
             result = self._iteration(region, results[-1].phi if results else None)
@@ -278,13 +278,13 @@ class OuterIterations:
                 np.maximum(scale, self.family.sd(phi)),
                 settings.followed_move * np.abs(mean - result.region.centre),
                 result.errors,
-                settings.least_width * self.box,
+                settings.minimum_width * self.box,
             ]
         )
         before = result.region.width
-        most = np.minimum(settings.most_growth * before, settings.first_width * self.box)
-        width = np.clip(wanted, before / settings.most_shrink, most)
-        width = np.maximum(width, settings.least_width * self.box)
+        largest = np.minimum(settings.maximum_growth * before, settings.first_width * self.box)
+        width = np.clip(wanted, before / settings.maximum_shrink, largest)
+        width = np.maximum(width, settings.minimum_width * self.box)
         return TrustRegion(mean, width, result.region.coarse)
 
     def _is_settled(self, result: IterationResult, following: TrustRegion) -> bool:
@@ -296,7 +296,7 @@ class OuterIterations:
             [
                 settings.settled_sd * self.family.sd(phi),
                 settings.settled_error * result.errors,
-                settings.settled_least * settings.least_width * self.box,
+                settings.settled_minimum * settings.minimum_width * self.box,
             ]
         )
         change = np.abs(following.width / result.region.width - 1)
@@ -391,7 +391,7 @@ class OuterIterations:
             if last is None:
                 start[place] = self.settings.first_scale * width
             else:
-                start[place] = max(start[place], self.settings.least_start_scale * width)
+                start[place] = max(start[place], self.settings.minimum_start_scale * width)
         return np.clip(start, unknowns.low, unknowns.high)
 
     def _maximise(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
