@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
-from tests.models.hidden_in_arm import UPPER, problem
 
 from dropo.cli.main import main
 from dropo.core.services.strict_yaml import read_yaml
 from dropo.problems.file.writer import write_problem
+from tests.models.hidden_in_arm import UPPER, problem
 from tests.problems.test_malformed import MAPPING, PROBLEM
 from tests.problems.test_reader import REFUSALS, TEXT
 
