@@ -235,7 +235,7 @@ class DROPO(Estimator):
             )
 
         # Compare the local model with the simulator at the fit.
-        checked, warnings = check_emulator(problem, run, family, objective, found.point, rng)
+        check, warnings = check_emulator(problem, run, family, objective, found.point, rng)
         return self._summarise(
             problem,
             run,
