@@ -288,7 +288,7 @@ def test_a_distribution_by_nuts_with_learned_noise():
     ).fit(one, rng=2)
     draws = fit.posterior.chain.reshape(-1, 7)
     names = fit.posterior.unknowns
-    assert names[-2:] == ["epsilon[0]", "epsilon[1]"]
+    assert list(names[-2:]) == ["epsilon[0]", "epsilon[1]"]
     true = [*TRUTH, 0.3, 0.3, 0.6]
     assert (np.abs(draws[:, :5].mean(axis=0) - true) < 4.5 * draws[:, :5].std(axis=0)).all()
     assert (

@@ -57,7 +57,7 @@ def test_over_signals_of_a_unit_the_mean_is_taken():
 
 def test_a_fits_figures_agree():
     """fit.json at its lambda, the errors by signal, those by horizon, and a hand-written sum."""
-    one = block(length=5)
+    one = block(horizon=5)
     fit = LeastSquares().fit(one, rng=0)
     found = predict(one, fit)
     errors = fit.details["held_out"]
@@ -79,13 +79,13 @@ def test_a_diagnosis_figures_agree():
         arm([("joint_damping:elbow", [0.05])])
     )
     told = found.to_json()
-    assert told["extended"]["horizons_s"] == [h.seconds for h in found.after]
-    assert list(told["baseline"]["rmse"]) == [str(h.steps) for h in found.before]
-    at = next(h for h in found.after if h.steps == 5)
+    assert told["extended"]["horizons_s"] == [h.seconds for h in found.extended.horizons]
+    assert list(told["baseline"]["rmse"]) == [str(h.steps) for h in found.baseline.horizons]
+    at = next(h for h in found.extended.horizons if h.steps == 5)
     (cause,) = found.causes
     assert cause.rmse_after == pytest.approx(at.rmse, rel=1e-12)
-    assert found.motion.horizons.tolist() == [h.steps for h in found.after]
-    np.testing.assert_array_equal(found.motion.after.by_horizon, [h.rmse for h in found.after])
+    assert found.motion.horizons.tolist() == [h.steps for h in found.extended.horizons]
+    np.testing.assert_array_equal(found.motion.after.by_horizon, [h.rmse for h in found.extended.horizons])
     np.testing.assert_array_equal(found.motion.after.by_signal, at.by_signal)
     units = [signal.unit for signal in found.problem.simulator.signals]
     same = np.array([unit == "rad" for unit in units])
@@ -129,9 +129,9 @@ def test_failed_windows_are_left_out_and_counted():
             good = super()._replay(value, starts, actions)
             return good if value[0] < 2.5 else np.full((*actions.shape[:2], 2), np.nan)
 
-    found = LeastSquares().fit(replace(one, simulator=Fragile()), rng=0).details["held_out"]
-    assert found["rmse_nominal"] == {"m": None, "m/s": None}
-    assert found["rmse"]["m"] > 0
+    found = LeastSquares().fit(replace(one, simulator=Fragile()), rng=0).held_out
+    assert found.to_json()["held_out"]["rmse_nominal"] == {"m": None, "m/s": None}
+    assert found.rmse["m"] > 0
 
 
 def test_starts_are_where_the_state_is_measured():
@@ -144,14 +144,14 @@ def test_starts_are_where_the_state_is_measured():
     assert (len(chained), int(chained.previous.max())) == (12 * 10, 12 * 10 - 2)
     begun = horizon_segments(replace(one, reset="start"), part, 3)
     assert begun.steps[:, 0].tolist() == [start for start, _ in one.held_out.spans]
-    whole = LeastSquares().fit(replace(one, reset="start"), rng=0).details["held_out"]
-    assert (whole["rows"], whole["steps"]) == (12 * 30, 30)
+    whole = LeastSquares().fit(replace(one, reset="start"), rng=0).held_out
+    assert (whole.rows, whole.steps) == (12 * 30, 30)
 
 
 def test_a_lambda_longer_than_what_is_held_out_is_refused():
     """As it is for the data that are fitted."""
     with pytest.raises(BadArgument, match="lambda = 5 is longer than trajectory 0"):
-        LeastSquares().fit(block(length=5, held_out=data(steps=4)), rng=0)
+        LeastSquares().fit(block(horizon=5, held_out=data(steps=4)), rng=0)
 
 
 def test_noise_is_taken_off_the_spread():

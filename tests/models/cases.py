@@ -106,11 +106,11 @@ class Case:
 
 CUTS = {
     "transitions": {},
-    "lambda": {"length": 2},
-    "every step": {"length": 3, "every_step": True},
+    "lambda": {"horizon": 2},
+    "every step": {"horizon": 3, "every_step": True},
     "start": {"reset": "start"},
-    "partial": {"length": 2, "reset": "partial"},
-    "partial, every step": {"length": 2, "reset": "partial", "every_step": True},
+    "partial": {"horizon": 2, "reset": "partial"},
+    "partial, every step": {"horizon": 2, "reset": "partial", "every_step": True},
 }
 
 

@@ -85,7 +85,7 @@ def test_keeps_to_the_contract(name, cut):
     data = Trajectories(
         rng.normal(size=(9, p)), rng.normal(size=(9, ROBOTS[name])), rng.normal(size=(9, p)), ends
     )
-    options = {"length": 2} if cut == "every step" else {}
+    options = {"horizon": 2} if cut == "every step" else {}
     partly = {"set_columns": np.arange(p) % 2 == 0} if "partial" in cut else {}
     check_simulator(simulator, data.segments(**CUTS[cut] | options | partly))
 

@@ -159,9 +159,9 @@ def test_likelihood_passes():
     "cut",
     [
         {},
-        {"length": 2},
+        {"horizon": 2},
         {"reset": "start"},
-        {"length": 2, "reset": "partial", "set_columns": [False]},
+        {"horizon": 2, "reset": "partial", "set_columns": [False]},
     ],
 )
 def test_simulator_passes(cut):

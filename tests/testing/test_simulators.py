@@ -19,10 +19,10 @@ def data():
 
 CUTS = {
     "transitions": {},
-    "lambda": {"length": 2},
-    "every step": {"length": 2, "every_step": True},
+    "lambda": {"horizon": 2},
+    "every step": {"horizon": 2, "every_step": True},
     "start": {"reset": "start"},
-    "partial": {"length": 2, "reset": "partial", "set_columns": [True, False]},
+    "partial": {"horizon": 2, "reset": "partial", "set_columns": [True, False]},
 }
 
 
