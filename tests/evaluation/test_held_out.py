@@ -60,17 +60,17 @@ def test_a_fits_figures_agree():
     one = block(horizon=5)
     fit = LeastSquares().fit(one, rng=0)
     found = predict(one, fit)
-    errors = fit.details["held_out"]
-    assert (errors["steps"], found.rows_after) == (5, 5)
+    errors = fit.held_out
+    assert (errors.steps, found.rows_after) == (5, 5)
     expected = dict(zip(("m", "m/s"), found.after.by_signal.tolist(), strict=True))
-    assert errors["rmse"] == pytest.approx(expected, rel=1e-12)
+    assert errors.rmse == pytest.approx(expected, rel=1e-12)
     at = found.horizons.tolist().index(5)
     overall = np.sqrt(np.mean((found.after.by_signal / found.spread) ** 2))
     assert found.after.by_horizon[at] == pytest.approx(overall, rel=1e-12)
     windows = held_out_windows(whole_part(one.held_out), 5)
-    assert len(windows) == errors["rows"] == 12 * 26
+    assert len(windows) == errors.rows == 12 * 26
     off = one.simulator.targets(windows) - one.simulator.predict(fit.mean[None], windows)[0]
-    assert errors["rmse"]["m"] == pytest.approx(np.sqrt(np.mean(off[:, 0] ** 2)), rel=1e-12)
+    assert errors.rmse["m"] == pytest.approx(np.sqrt(np.mean(off[:, 0] ** 2)), rel=1e-12)
 
 
 def test_a_diagnosis_figures_agree():
