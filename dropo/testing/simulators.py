@@ -240,7 +240,7 @@ def _check_gradients(
     i = int(np.argmax(errors / (scale + 1e-300)))
     assert errors[i] <= rtol * scale[i], (
         f"{name}: the gradient of a weighted sum of predictions by {simulator.space.names[i]} is "
-        f"{gradients[0, i]:.6g}, its sensitivities give {expected[i]:.6g}"
+        f"{gradients[0, i]:.6g}, its Jacobian gives {expected[i]:.6g}"
     )
 
 

@@ -85,7 +85,9 @@ def test_a_diagnosis_figures_agree():
     (cause,) = found.causes
     assert cause.rmse_after == pytest.approx(at.rmse, rel=1e-12)
     assert found.motion.horizons.tolist() == [h.steps for h in found.extended.horizons]
-    np.testing.assert_array_equal(found.motion.after.by_horizon, [h.rmse for h in found.extended.horizons])
+    np.testing.assert_array_equal(
+        found.motion.after.by_horizon, [h.rmse for h in found.extended.horizons]
+    )
     np.testing.assert_array_equal(found.motion.after.by_signal, at.by_signal)
     units = [signal.unit for signal in found.problem.simulator.signals]
     same = np.array([unit == "rad" for unit in units])
