@@ -12,7 +12,7 @@ import pytest
 DURATIONS = Path(__file__).with_name("durations.json")
 """Test -> seconds, of those that took at least RECORDED; written by `--record-durations`."""
 RECORDED = 0.3
-SLOW = 1.0
+SLOW = 0.4
 """Seconds from which a test is slow: what is below it takes two cores less than two minutes."""
 
 
