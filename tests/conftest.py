@@ -11,8 +11,8 @@ import pytest
 
 DURATIONS = Path(__file__).with_name("durations.json")
 """Test -> seconds, of those that took at least RECORDED; written by `--record-durations`."""
-RECORDED = 0.3
-SLOW = 0.4
+RECORDED = 0.2
+SLOW = 0.25
 """Seconds from which a test is slow: what is below it takes two cores less than two minutes."""
 
 
@@ -49,5 +49,5 @@ class Recorder:
         self.seconds[report.nodeid] += report.duration
 
     def pytest_sessionfinish(self):
-        long = {name: round(s, 1) for name, s in sorted(self.seconds.items()) if s >= RECORDED}
+        long = {name: round(s, 2) for name, s in sorted(self.seconds.items()) if s >= RECORDED}
         DURATIONS.write_text(json.dumps(long, indent=0) + "\n")
