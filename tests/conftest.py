@@ -13,7 +13,7 @@ DURATIONS = Path(__file__).with_name("durations.json")
 """Test -> seconds, of those that took at least RECORDED; written by `--record-durations`."""
 RECORDED = 0.2
 SLOW = 0.25
-"""Seconds from which a test is slow: what is below it takes two cores less than two minutes."""
+"""Seconds from which a test is slow: what is below it takes two cores about two minutes."""
 
 
 def pytest_addoption(parser):
