@@ -14,6 +14,16 @@ from dropo.problems.hopper.problem import hopper
 from dropo.problems.simulated.slide import slide
 
 
+class Late(type(slide().simulator)):
+    """Its starts are off by its first parameter, and its first segment begins in a contact."""
+
+    def extra_start_sd(self, value, segments):
+        return np.full((len(segments), len(self.signals)), value[0])
+
+    def in_contact(self, segments):
+        return np.arange(len(segments)) == 0
+
+
 @pytest.fixture(scope="module")
 def processes():
     """Two processes of their own, spawned: nothing is shared by accident."""
@@ -72,6 +82,16 @@ def test_threads_and_a_pickled_problem():
         ]
     np.testing.assert_array_equal(ways[0], ways[1])
     np.testing.assert_array_equal(ways[0], ways[2])
+
+
+def test_what_is_asked_of_the_simulator_itself():
+    """What needs no simulation is answered by the simulator, not by the contract's default."""
+
+    segments = slide().segments
+    with ThreadPoolExecutor(1) as pool:
+        parallel = ParallelSimulator(Late(), pool)
+        assert np.all(parallel.extra_start_sd(np.array([0.25]), segments) == 0.25)
+        assert parallel.in_contact(segments).sum() == 1
 
 
 def test_refusals():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dropo.core.records.trajectories import Trajectories
+from dropo.data.outliers import disturbances
 from dropo.data.outliers.disturbances import find_disturbances, robust_values
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -103,3 +104,13 @@ def test_a_model_that_lacks_something_is_called_so(simulator):
     assert "rather a model" not in str(wrong)
     many = replace(wrong, spans=tuple(replace(span, first=0, last=700) for span in wrong.spans))
     assert "rather a model" in str(many)
+
+
+def test_rows_around_a_contact_are_left_out_on_both_sides(simulator, monkeypatch):
+    """A contact in one row takes as many rows before it as after it."""
+    trajectories = recorded(simulator, {})
+    touching = np.zeros(len(trajectories), dtype=bool)
+    touching[100] = True
+    monkeypatch.setattr(simulator, "in_contact", lambda segments: touching)
+    free = disturbances._away_from_contacts(simulator, trajectories, 2)
+    assert list(np.flatnonzero(~free)) == [98, 99, 100, 101, 102]

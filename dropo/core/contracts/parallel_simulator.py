@@ -69,6 +69,10 @@ class ParallelSimulator(Simulator):
         """Whether bodies overlap in the measured start of each of the segments, (N,)."""
         return self.simulator.in_contact(segments)
 
+    def extra_start_sd(self, value: Array, segments: Segments) -> Array:
+        """Standard deviations (N, p) of true starts about the measured ones, beside the noise."""
+        return self.simulator.extra_start_sd(value, segments)
+
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         pickled_segments = self._pickle_segments(segments)
         futures = []

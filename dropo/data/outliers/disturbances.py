@@ -387,8 +387,8 @@ def _away_from_contacts(
     touching = np.array(simulator.in_contact(trajectories.segments(1)))
     for _ in range(around):
         either = touching[1:] | touching[:-1]
-        touching[1:] = either
-        touching[:-1] = either
+        touching[1:] |= either
+        touching[:-1] |= either
     return ~touching
 
 
