@@ -1,8 +1,9 @@
 """Steps of the Kalman filter and of the Rauch-Tung-Striebel smoother: arrays in, arrays out.
 
-A state x of m numbers follows x' = A x + b + w with w ~ N(0, Q), and some of its components are
-measured, each with independent noise. An extended filter passes A and b of its linearization.
-Every array may have leading axes, such as one of trajectories, which broadcast.
+A state x of m numbers follows x' = A x + b + w with w ~ N(0, Q), and s of its components are
+measured: y = H x + v with v ~ N(0, R), where H selects these components and R is diagonal. An
+extended filter passes A and b of its linearization. Every array may have leading axes, such as one
+of trajectories, which broadcast. Covariances are in the products of the components' units.
 
 References
 ----------
@@ -26,11 +27,11 @@ class Sensors:
     Attributes
     ----------
     columns : (s,) int array or slice
-        The components that are measured.
+        H: the components that are measured.
     variance : (s,) array
         Variances of their noise, in their squared units.
     covariance : (s, s) array
-        The same as a diagonal matrix.
+        R: the same as a diagonal matrix.
     """
 
     columns: NDArray[np.int64] | slice
@@ -44,18 +45,22 @@ class Sensors:
         Parameters
         ----------
         variance : (m,) array
-            Variance of the noise of each component; infinite where it was not measured.
+            Variance of the noise of each component; infinite where it was not measured. At least
+            one must be finite.
 
         Returns
         -------
         Sensors
         """
         columns = np.flatnonzero(np.isfinite(variance))
-        known = variance[columns]
+        measured_variance = variance[columns]
+        covariance = np.diag(measured_variance)
+        # Neighbouring columns are a slice, which numpy takes without a copy.
         first = int(columns[0])
-        contiguous = len(columns) == int(columns[-1]) + 1 - first
-        index = slice(first, first + len(columns)) if contiguous else columns
-        return Sensors(index, known, np.diag(known))
+        end = int(columns[-1]) + 1
+        if end - first == len(columns):
+            return Sensors(slice(first, end), measured_variance, covariance)
+        return Sensors(columns, measured_variance, covariance)
 
 
 class Update(NamedTuple):
@@ -68,11 +73,11 @@ class Update(NamedTuple):
     covariance : (..., m, m) array
         Covariance given the measurement.
     gain : (..., m, s) array
-        Share of the innovation by which the state was corrected.
+        K, the Kalman gain: the state was corrected by K times the innovation.
     innovation : (..., s) array
         Measurement less what was predicted for it.
     innovation_covariance : (..., s, s) array
-        Covariance of the innovation.
+        S, the covariance of the innovation.
     """
 
     state: Array
@@ -83,7 +88,7 @@ class Update(NamedTuple):
 
     @property
     def squared_distance(self) -> Array:
-        """(...,) squared Mahalanobis length of the innovation: chi-squared with s degrees."""
+        """(...,) squared Mahalanobis length of the innovation, chi-squared of s degrees."""
         column = self.innovation[..., None]
         weighted = np.linalg.solve(self.innovation_covariance, column)
         return np.asarray((column.swapaxes(-1, -2) @ weighted)[..., 0, 0])
@@ -109,7 +114,7 @@ def predict(
     transition : (..., m, m) array
         A, the linear map of one step.
     process : (..., m, m) array
-        Q, the covariance of what the map misses.
+        Q, the covariance of the process noise: of what the map misses.
     drift : (..., m) array or float
         b, what one step adds whatever the state.
 
@@ -119,7 +124,8 @@ def predict(
         Mean (..., m) and covariance (..., m, m) after the step.
     """
     mean = (transition @ state[..., None])[..., 0] + drift
-    return mean, transition @ covariance @ transition.swapaxes(-1, -2) + process
+    predicted_covariance = transition @ covariance @ transition.swapaxes(-1, -2) + process
+    return mean, predicted_covariance
 
 
 def update(state: Array, covariance: Array, measured: Array, sensors: Sensors) -> Update:
@@ -142,24 +148,26 @@ def update(state: Array, covariance: Array, measured: Array, sensors: Sensors) -
         The corrected state, and how it was corrected.
     """
     columns = sensors.columns
-    cross = covariance[..., columns, :]
-    innovation_covariance = cross[..., columns] + sensors.covariance
+    cross = covariance[..., columns, :]  # H P
+    innovation_covariance = cross[..., columns] + sensors.covariance  # S = H P H' + R
     innovation = measured - state[..., columns]
     if len(sensors.variance) == 1:
         # One measured component needs no solver. P - P H' S^-1 H P takes H P and P H' as they are:
         # so rounding that makes P unsymmetric dies out.
         gain = covariance[..., columns] / innovation_covariance
         corrected = state + gain[..., 0] * innovation
-        return Update(corrected, covariance - gain * cross, gain, innovation, innovation_covariance)
-    solved = np.linalg.solve(innovation_covariance, cross)
-    gain = np.asarray(solved.swapaxes(-1, -2), dtype=float)
-    corrected = state + (gain @ innovation[..., None])[..., 0]
-    # Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive.
-    rest = np.broadcast_to(np.eye(state.shape[-1]), covariance.shape).copy()
-    rest[..., columns] -= gain
-    spread = rest @ covariance @ rest.swapaxes(-1, -2)
-    spread += (gain * sensors.variance) @ gain.swapaxes(-1, -2)
-    return Update(corrected, spread, gain, innovation, innovation_covariance)
+        corrected_covariance = covariance - gain * cross
+    else:
+        # K = P H' S^-1, by its transpose S^-1 H P.
+        transposed_gain = np.linalg.solve(innovation_covariance, cross)
+        gain = np.asarray(transposed_gain.swapaxes(-1, -2), dtype=float)
+        corrected = state + (gain @ innovation[..., None])[..., 0]
+        # Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive definite.
+        remaining = np.broadcast_to(np.eye(state.shape[-1]), covariance.shape).copy()  # I - K H
+        remaining[..., columns] -= gain
+        corrected_covariance = remaining @ covariance @ remaining.swapaxes(-1, -2)
+        corrected_covariance += (gain * sensors.variance) @ gain.swapaxes(-1, -2)
+    return Update(corrected, corrected_covariance, gain, innovation, innovation_covariance)
 
 
 def smooth(
@@ -184,12 +192,17 @@ def smooth(
     Returns
     -------
     tuple of arrays
-        Mean (..., m), covariance (..., m, m), and the covariance (..., m, m) of the next state
-        with this one, all given all measurements.
+        Mean (..., m), covariance (..., m, m), and the lag-one covariance (..., m, m) of the next
+        state with this one, all given all measurements.
     """
-    state, covariance = filtered
-    gain = np.linalg.solve(predicted[1], transition @ covariance).swapaxes(-1, -2)
-    mean = state + (gain @ (following[0] - predicted[0])[..., None])[..., 0]
-    spread = covariance + gain @ (following[1] - predicted[1]) @ gain.swapaxes(-1, -2)
-    lagged = following[1] @ gain.swapaxes(-1, -2)
-    return mean, spread, lagged
+    mean, covariance = filtered
+    predicted_mean, predicted_covariance = predicted
+    next_mean, next_covariance = following
+    # The smoother's gain, by its transpose: covariance A' predicted_covariance^-1.
+    transposed_gain = np.linalg.solve(predicted_covariance, transition @ covariance)
+    gain = transposed_gain.swapaxes(-1, -2)
+    smoothed_mean = mean + (gain @ (next_mean - predicted_mean)[..., None])[..., 0]
+    covariance_change = next_covariance - predicted_covariance
+    smoothed_covariance = covariance + gain @ covariance_change @ gain.swapaxes(-1, -2)
+    lag_one_covariance = next_covariance @ gain.swapaxes(-1, -2)
+    return smoothed_mean, smoothed_covariance, lag_one_covariance

@@ -40,7 +40,8 @@ class SmootherSettings:
     initial_variance : float
         First guess of both noises, as a fraction of each signal's variance.
     minimum_noise, minimum_process : float
-        Least variance of measurement and process noise, as fractions of each signal's variance.
+        Lower bounds of the variances of measurement and process noise, as fractions of each
+        signal's variance.
     minimum_step, maximum_step : float
         Bounds of the half widths of differences, as fractions of each signal's standard deviation.
     unmeasured_start_sd : float
@@ -66,7 +67,8 @@ SMALLEST_SPREAD = 1e-9  # stands for the standard deviation of a signal that doe
 
 
 # Every trajectory has one state more than transitions: below, M is the number of all states, N the
-# number of transitions, and `states` (M, p) holds trajectory after trajectory.
+# number of transitions, and `states` (M, p) holds trajectory after trajectory. So the state before
+# transition k, in trajectory i, is states[k + i], and the state after it is in the next row.
 
 
 def places_before(trajectories: Trajectories) -> NDArray[np.int64]:
@@ -80,6 +82,7 @@ def places_before(trajectories: Trajectories) -> NDArray[np.int64]:
     Returns
     -------
     (N,) int array
+        Rows of `states` (M, p); the state after the transition is in the row behind.
     """
     return np.arange(len(trajectories)) + trajectories.trajectory
 
@@ -106,15 +109,25 @@ def _measured_states(trajectories: Trajectories) -> Array:
     """(M, p) every state as measured: as a start where there is one, else as an end."""
     before = places_before(trajectories)
     count = len(trajectories) + len(trajectories.spans)
-    out = np.empty((count, trajectories.observations.shape[1]))
-    out[before + 1] = trajectories.next_observations
-    out[before] = trajectories.observations
-    return out
+    states = np.empty((count, trajectories.observations.shape[1]))
+    states[before + 1] = trajectories.next_observations
+    states[before] = trajectories.observations
+    return states
 
 
 @dataclass(frozen=True, eq=False)
 class _Linearization:
-    """x' = predicted + jacobian (x - at): `at` (M, p), `predicted` (N, p), `jacobian` (N, p, p)."""
+    """Every transition as x' = predicted + jacobian (x - at).
+
+    Attributes
+    ----------
+    at : (M, p) array
+        The states at which it is linearized.
+    predicted : (N, p) array
+        The state after each transition, simulated from `at`.
+    jacobian : (N, p, p) array
+        Its derivatives by the state before.
+    """
 
     at: Array
     predicted: Array
@@ -123,14 +136,14 @@ class _Linearization:
 
 @dataclass(frozen=True, eq=False)
 class StateSpaceModel:
-    """The simulator at fixed parameters along trajectories.
+    """The simulator at fixed parameters along trajectories, of N transitions and M states.
 
     Attributes
     ----------
     simulator : Simulator
         Must observe whole states of p numbers, without rotations.
     value : (d,) array
-        Its parameters.
+        Its parameters, in their units.
     trajectories : Trajectories
         The measured transitions.
     measured : (p,) bool array
@@ -153,7 +166,8 @@ class StateSpaceModel:
         states : (M, p) array
             Every state once.
         noise : (p,) array
-            Variances of the measurements: differences are as wide as their standard deviations.
+            Variances of the measurements, in squared signal units: differences are as wide as
+            their standard deviations.
 
         Returns
         -------
@@ -167,17 +181,21 @@ class StateSpaceModel:
         step = self._difference_steps(states, noise)
         segments = replace_states(self.trajectories, states).segments(1)
         try:
-            found = self.simulator.linearize_starts(self.value, segments, step=step)
+            predicted, jacobian = self.simulator.linearize_starts(self.value, segments, step=step)
         except SimulationFailed as error:
             raise SimulationFailed(f"While states were estimated, {error}") from None
-        return _Linearization(states, *found)
+        return _Linearization(states, predicted, jacobian)
 
     def _difference_steps(self, states: Array, noise: Array) -> Array:
-        """(p,) the noise's standard deviation, or the maximum, within bounds."""
-        spread = _spread(states)
-        minimum = self.settings.minimum_step * spread
-        maximum = self.settings.maximum_step * spread
-        return np.clip(np.where(self.measured, np.sqrt(noise), maximum), minimum, maximum)
+        """(p,) half widths: the noise's standard deviation, within bounds.
+
+        The upper bound is taken where nothing was measured.
+        """
+        signal_sd = _signal_sd(states)
+        minimum = self.settings.minimum_step * signal_sd
+        maximum = self.settings.maximum_step * signal_sd
+        wanted = np.where(self.measured, np.sqrt(noise), maximum)
+        return np.clip(wanted, minimum, maximum)
 
     def first_state(self, measured: Array, at: Array) -> Array:
         """Return a trajectory's first state (p,): as measured, or else where it is linearized."""
@@ -185,12 +203,12 @@ class StateSpaceModel:
 
     def first_covariance(self, states: Array, noise: Array) -> Array:
         """Return the covariance (p, p) of a first state: wide where it was not measured."""
-        wide = (self.settings.unmeasured_start_sd * _spread(states)) ** 2
-        return np.diag(np.where(self.measured, noise, wide))
+        unmeasured_variance = (self.settings.unmeasured_start_sd * _signal_sd(states)) ** 2
+        return np.diag(np.where(self.measured, noise, unmeasured_variance))
 
 
-def _spread(states: Array) -> Array:
-    """(p,) standard deviation of each column of states (M, p)."""
+def _signal_sd(states: Array) -> Array:
+    """(p,) standard deviation of each column of states (M, p), above 0."""
     return np.maximum(states.std(axis=0), SMALLEST_SPREAD)
 
 
@@ -204,18 +222,19 @@ def estimate_along(
     model : StateSpaceModel
         The simulator and the measured transitions.
     noise : (p,) array
-        Variances of the measurements.
+        Variances of the measurements, in squared signal units.
     process : (p, p) array
-        Covariance of what the model misses in a step.
+        Covariance of the process noise: of what the model misses in a step.
     causal : bool
-        Whether by the measurements up to each state alone.
+        Whether each state is estimated from the measurements up to it alone (the filter), or from
+        all (the smoother).
 
     Returns
     -------
     states : (M, p) array
-        Every state once.
+        Every state once, in the signals' units.
     covariance : (M, p, p) array
-        Of each.
+        Covariance of the error of each state.
 
     Raises
     ------
@@ -224,11 +243,11 @@ def estimate_along(
     """
     states = _measured_states(model.trajectories)
     for _ in range(model.settings.passes):
-        found = _smooth(model, model.linearize(states, noise), noise, process)
-        states = found.states
+        smoothed = _smooth(model, model.linearize(states, noise), noise, process)
+        states = smoothed.states
     if causal:
-        return found.filtered.states, found.filtered.covariance
-    return found.states, found.covariance
+        return smoothed.filtered.states, smoothed.filtered.covariance
+    return smoothed.states, smoothed.covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +261,7 @@ class _Filtered:
     predicted, predicted_covariance : (N, p) and (N, p, p) array
         Of the state after each transition, by the measurements before it.
     log_likelihood : float
-        Of the innovations, up to a constant.
+        Of the innovations, up to a constant [nats].
     """
 
     states: Array
@@ -262,14 +281,14 @@ class _Smoothed:
         What the filter found before.
     states, covariance : (M, p) and (M, p, p) array
         Of every state.
-    lagged : (N, p, p) array
+    lag_one_covariance : (N, p, p) array
         Covariance of the state after each transition with the one before it.
     """
 
     filtered: _Filtered
     states: Array
     covariance: Array
-    lagged: Array
+    lag_one_covariance: Array
 
 
 def _filter(
@@ -279,6 +298,7 @@ def _filter(
     data = model.trajectories
     measured = _measured_states(data)
     count, p = measured.shape
+    # An infinite variance says that a column was not measured.
     sensors = Sensors.of(np.where(model.measured, noise, np.inf))
     first_covariance = model.first_covariance(linear.at, noise)
     states = np.empty((count, p))
@@ -287,22 +307,22 @@ def _filter(
     predicted_covariance = np.empty((len(data), p, p))
     log_likelihood = 0.0
     for trajectory, (start, stop) in enumerate(data.spans):
-        # The trajectories before have one state more each: that before transition k is in this row.
         first = start + trajectory
         states[first] = model.first_state(measured[first], linear.at[first])
         covariance[first] = first_covariance
         log_likelihoods = []
         for k in range(start, stop):
-            row = k + trajectory
-            deviation = states[row] - linear.at[row]
+            before = k + trajectory
+            after = before + 1
+            deviation = states[before] - linear.at[before]
             predicted[k], predicted_covariance[k] = predict(
-                deviation, covariance[row], linear.jacobian[k], process, linear.predicted[k]
+                deviation, covariance[before], linear.jacobian[k], process, linear.predicted[k]
             )
-            observation = measured[row + 1, sensors.columns]
-            found = update(predicted[k], predicted_covariance[k], observation, sensors)
-            states[row + 1] = found.state
-            covariance[row + 1] = found.covariance
-            log_likelihoods.append(float(found.log_likelihood))
+            observation = measured[after, sensors.columns]
+            corrected = update(predicted[k], predicted_covariance[k], observation, sensors)
+            states[after] = corrected.state
+            covariance[after] = corrected.covariance
+            log_likelihoods.append(float(corrected.log_likelihood))
         log_likelihood += sum(log_likelihoods)
     return _Filtered(states, covariance, predicted, predicted_covariance, log_likelihood)
 
@@ -316,17 +336,18 @@ def _smooth(
     # The last state of a trajectory is filtered by all measurements already.
     states = filtered.states.copy()
     covariance = filtered.covariance.copy()
-    lagged = np.empty_like(linear.jacobian)
+    lag_one_covariance = np.empty_like(linear.jacobian)
     for trajectory, (start, stop) in enumerate(data.spans):
         for k in reversed(range(start, stop)):
-            row = k + trajectory
-            states[row], covariance[row], lagged[k] = smooth(
-                (filtered.states[row], filtered.covariance[row]),
+            before = k + trajectory
+            after = before + 1
+            states[before], covariance[before], lag_one_covariance[k] = smooth(
+                (filtered.states[before], filtered.covariance[before]),
                 linear.jacobian[k],
                 (filtered.predicted[k], filtered.predicted_covariance[k]),
-                (states[row + 1], covariance[row + 1]),
+                (states[after], covariance[after]),
             )
-    return _Smoothed(filtered, states, covariance, lagged)
+    return _Smoothed(filtered, states, covariance, lag_one_covariance)
 
 
 def learn_noise(model: StateSpaceModel, noise: Array | None) -> tuple[Array, Array]:
@@ -337,14 +358,14 @@ def learn_noise(model: StateSpaceModel, noise: Array | None) -> tuple[Array, Arr
     model : StateSpaceModel
         The simulator and the transitions to learn from.
     noise : (p,) array or None
-        Variances of the measurements, where they are known.
+        Variances of the measurements, in squared signal units; None to learn them too.
 
     Returns
     -------
     noise : (p,) array
-        Variances of the measurements.
+        Variances of the measurements. Those of columns that were not measured mean nothing.
     process : (p, p) array
-        Covariance of what the model misses in a step.
+        Covariance of the process noise: of what the model misses in a step.
 
     Raises
     ------
@@ -357,32 +378,35 @@ def learn_noise(model: StateSpaceModel, noise: Array | None) -> tuple[Array, Arr
     """
     settings = model.settings
     measured = _measured_states(model.trajectories)
-    scale = np.maximum(measured.var(axis=0), SMALLEST_SPREAD**2)
-    floor = np.diag(settings.minimum_process * scale)
+    signal_variance = np.maximum(measured.var(axis=0), SMALLEST_SPREAD**2)
+    minimum_process = np.diag(settings.minimum_process * signal_variance)
+    # The process noise acts on some columns alone; their covariances with the others are 0.
     forced = _forced_columns(model.simulator.signals)
-    allowed = np.outer(forced, forced)
+    both_forced = np.outer(forced, forced)
     # First guesses.
-    variance = settings.initial_variance * scale if noise is None else noise
-    process = np.diag(np.where(forced, settings.initial_variance, 0) * scale) + floor
+    variance = settings.initial_variance * signal_variance if noise is None else noise
+    first_process = np.where(forced, settings.initial_variance, 0) * signal_variance
+    process = np.diag(first_process) + minimum_process
     states = measured
     factors = settings.process_factors
     for _ in range(settings.learning_rounds):
         linear = model.linearize(states, variance)
-        # Expectation-maximization: what the smoother leaves is what the noises are.
+        # Expectation-maximization: the noises become the expected squares of what they stand for.
         for _ in range(settings.em_steps):
-            found = _smooth(model, linear, variance, process)
-            missed = _expected_process(model.trajectories, linear, found)
-            process = np.where(allowed, missed, 0.0) + floor
+            smoothed = _smooth(model, linear, variance, process)
+            missed = _expected_process(model.trajectories, linear, smoothed)
+            process = np.where(both_forced, missed, 0.0) + minimum_process
             if noise is None:
-                errors = _expected_noise(measured, found)
-                errors = np.maximum(errors, settings.minimum_noise * scale)
-                variance = np.where(model.measured, errors, variance)
+                squares = _expected_noise(measured, smoothed)
+                squares = np.maximum(squares, settings.minimum_noise * signal_variance)
+                variance = np.where(model.measured, squares, variance)
         # A line search along the process noise.
         tried = [_smooth(model, linear, variance, factor * process) for factor in factors]
-        likelihoods = np.array([one.filtered.log_likelihood for one in tried])
+        likelihoods = np.array([candidate.filtered.log_likelihood for candidate in tried])
         best = int(np.argmax(likelihoods))
         states = tried[best].states
         process = factors[best] * process
+    # The factors are in descending order: the first of the likely ones is the largest.
     likely = likelihoods >= likelihoods.max() - settings.likelihood_tolerance
     largest = int(np.flatnonzero(likely)[0])
     return variance, process * factors[largest] / factors[best]
@@ -394,21 +418,24 @@ def _forced_columns(signals: Sequence[Signal]) -> NDArray[np.bool_]:
     return velocities if velocities.any() else ~velocities
 
 
-def _expected_noise(measured: Array, found: _Smoothed) -> Array:
+def _expected_noise(measured: Array, smoothed: _Smoothed) -> Array:
     """(p,) expected squares of the measurements' errors."""
-    spread = np.diagonal(found.covariance, axis1=1, axis2=2)
-    return np.asarray(np.mean((measured - found.states) ** 2 + spread, axis=0))
+    state_variance = np.diagonal(smoothed.covariance, axis1=1, axis2=2)
+    return np.asarray(np.mean((measured - smoothed.states) ** 2 + state_variance, axis=0))
 
 
 def _expected_process(
-    trajectories: Trajectories, linear: _Linearization, found: _Smoothed
+    trajectories: Trajectories, linear: _Linearization, smoothed: _Smoothed
 ) -> Array:
     """(p, p) expected outer product of what the linear model misses in a step."""
     before = places_before(trajectories)
+    after = before + 1
     a = linear.jacobian
-    deviation = found.states[before] - linear.at[before]
-    missed = found.states[before + 1] - linear.predicted - np.einsum("nij,nj->ni", a, deviation)
-    carried = a @ found.covariance[before] @ a.swapaxes(1, 2)
-    crossed = a @ found.lagged.swapaxes(1, 2)
-    spread = found.covariance[before + 1] + carried - crossed - crossed.swapaxes(1, 2)
-    return np.asarray(missed.T @ missed / len(missed) + spread.mean(axis=0))
+    # The mean of x' - predicted - A (x - at), where x and x' are known with errors ...
+    deviation = smoothed.states[before] - linear.at[before]
+    missed = smoothed.states[after] - linear.predicted - np.einsum("nij,nj->ni", a, deviation)
+    # ... and its covariance: that of x' and of A x, less the covariance of both with each other.
+    of_start = a @ smoothed.covariance[before] @ a.swapaxes(1, 2)
+    of_both = a @ smoothed.lag_one_covariance.swapaxes(1, 2)
+    covariance = smoothed.covariance[after] + of_start - of_both - of_both.swapaxes(1, 2)
+    return np.asarray(missed.T @ missed / len(missed) + covariance.mean(axis=0))

@@ -33,18 +33,19 @@ from dropo.logs.signals.state_space import (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateEstimate(Report):
-    """Trajectories with estimated states in place of measured ones, and how well they are known.
+    """Trajectories of estimated states in place of measured ones, and how well they are known.
 
     Attributes
     ----------
     trajectories : Trajectories
         The N transitions between estimated states.
     covariance : (N, p, p) array
-        Covariance of the state before each transition.
+        Covariance of the error of the state before each transition.
     noise : (p,) array
-        Variance of the measurements; infinite where a column was not measured.
+        Variance of the measurements, in squared signal units; infinite where a column was not
+        measured.
     process : (p, p) array
-        Covariance of what the model misses in each control step.
+        Covariance of the process noise: of what the model misses in each control step.
     causal : bool
         Whether a state was estimated from the measurements up to it alone (a filter), or from all
         (a smoother).
@@ -61,7 +62,7 @@ class StateEstimate(Report):
 
     @property
     def start_variance(self) -> Array:
-        """(p,) mean variance of the states, for the epsilon of a fit that starts from them."""
+        """(p,) mean variance of the states' errors, for the epsilon of a fit from these states."""
         return np.asarray(np.mean(np.diagonal(self.covariance, axis1=1, axis2=2), axis=0))
 
     def to_json(self) -> dict[str, Any]:
@@ -73,15 +74,15 @@ class StateEstimate(Report):
             "causal", and by signal its unit and the standard deviations of its measurement (None
             where there was none), of its state, and of what the model misses of it in a step.
         """
-        measured = np.sqrt(self.noise)
-        state = np.sqrt(self.start_variance)
-        missed = np.sqrt(np.diagonal(self.process))
+        measured_sd = np.sqrt(self.noise)
+        state_sd = np.sqrt(self.start_variance)
+        missed_sd = np.sqrt(np.diagonal(self.process))
         signals = {}
         for i, signal in enumerate(self.signals):
             signals[signal.name] = {
-                "measured_sd": float(measured[i]) if np.isfinite(measured[i]) else None,
-                "state_sd": float(state[i]),
-                "missed_a_step_sd": float(missed[i]),
+                "measured_sd": float(measured_sd[i]) if np.isfinite(measured_sd[i]) else None,
+                "state_sd": float(state_sd[i]),
+                "missed_a_step_sd": float(missed_sd[i]),
                 "unit": signal.unit,
             }
         return {"causal": self.causal, "signals": signals}
@@ -95,8 +96,8 @@ class StateEstimate(Report):
         """
         rows = []
         for name, summary in self.to_json()["signals"].items():
-            numbers = [summary[key] for key in ("measured_sd", "state_sd", "missed_a_step_sd")]
-            cells = ["-" if x is None else format_number(x) for x in numbers]
+            sds = [summary[key] for key in ("measured_sd", "state_sd", "missed_a_step_sd")]
+            cells = ["-" if sd is None else format_number(sd) for sd in sds]
             rows.append((name, summary["unit"], *cells))
         header = ("signal", "unit", "noise sd", "state sd", "missed in a step")
         if self.causal:
@@ -120,8 +121,8 @@ def estimate_states(
     """Estimate the states of measured trajectories with the simulator.
 
     What the model misses is always learned, by expectation-maximization, so that a poor model is
-    trusted little. The smoother is the Rauch-Tung-Striebel recursion on central differences at the
-    states of the last pass.
+    trusted little. The smoother is the Rauch-Tung-Striebel recursion; each pass is linearized by
+    central differences at the states of the pass before.
 
     Parameters
     ----------
@@ -130,7 +131,7 @@ def estimate_states(
     trajectories : Trajectories
         The measured transitions, with p columns.
     values : (d,) array_like
-        The simulator's parameters.
+        The simulator's parameters, in their units.
     measured : (p,) array_like of bool, optional
         Which columns were measured; by default all. The others hold a first guess, such as
         `estimate_velocities` gives, which only says where to linearize.
@@ -169,19 +170,19 @@ def estimate_states(
             f" {columns} columns were given."
         )
     value = float_array("values", values, (len(simulator.space),), caller)
-    mask = np.ones(p, dtype=bool) if measured is None else np.array(measured, dtype=bool)
-    complete = mask.shape == (p,) and bool(mask.any())
-    require(complete, "measured", f"({p},) with at least one True", measured, caller)
-    given = None if noise is None else float_array("noise", noise, (p,), caller) ** 2
+    is_measured = np.ones(p, dtype=bool) if measured is None else np.array(measured, dtype=bool)
+    valid = is_measured.shape == (p,) and bool(is_measured.any())
+    require(valid, "measured", f"({p},) with at least one True", measured, caller)
+    known_variance = None if noise is None else float_array("noise", noise, (p,), caller) ** 2
 
-    model = StateSpaceModel(simulator, value, trajectories, mask, settings)
+    model = StateSpaceModel(simulator, value, trajectories, is_measured, settings)
     first_rows = trajectories.head(min(settings.learning_rows, len(trajectories)))
-    variance, process = learn_noise(replace(model, trajectories=first_rows), given)
+    variance, process = learn_noise(replace(model, trajectories=first_rows), known_variance)
     states, covariance = estimate_along(model, variance, process, causal)
     return StateEstimate(
         trajectories=replace_states(trajectories, states),
         covariance=covariance[places_before(trajectories)],
-        noise=np.where(mask, variance, np.inf),
+        noise=np.where(is_measured, variance, np.inf),
         process=process,
         causal=causal,
         signals=tuple(simulator.signals),
@@ -196,9 +197,9 @@ def with_states(
     Parameters
     ----------
     problem : Problem
-        The problem; data held out are estimated by themselves.
+        The problem. Data held out are estimated by themselves, with noise learned on them.
     unmeasured : sequence of str
-        Signals whose data are a guess.
+        Names of the signals whose data are a guess.
     causal : bool
         As of `estimate_states`.
 
@@ -207,7 +208,7 @@ def with_states(
     problem : Problem
         The problem with estimated states.
     estimate : StateEstimate
-        Of the data to fit.
+        Of its data to fit.
 
     Raises
     ------
@@ -228,10 +229,12 @@ def with_states(
     def estimate(data: Trajectories) -> StateEstimate:
         return estimate_states(simulator, data, nominal, measured=measured, causal=causal)
 
-    found = estimate(problem.trajectories)
+    estimated = estimate(problem.trajectories)
     held_out = problem.held_out
     if held_out is not None:
         held_out = estimate(held_out).trajectories
-    trajectories = found.trajectories
-    new = replace(problem, trajectories=trajectories, held_out=held_out, everything=None)
-    return new, found
+    # `everything`, of which the trajectories are the first part, holds measured states.
+    with_estimates = replace(
+        problem, trajectories=estimated.trajectories, held_out=held_out, everything=None
+    )
+    return with_estimates, estimated
