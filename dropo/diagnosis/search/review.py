@@ -30,11 +30,12 @@ class Review:
     Attributes
     ----------
     without : State
-        The model without the effect.
+        The model without the effect, fitted to the end.
     origin : Round or None
-        The batch that it was accepted from; None where it was not accepted in one.
+        The batch of candidates that it was accepted from; None where there is none, as of an effect
+        that replaced several and that no batch had tried.
     alternatives : sequence of Trial
-        Others of that batch, tried in its place.
+        Other candidates of that batch, tried in its place.
     """
 
     without: State
@@ -64,11 +65,11 @@ def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]
     """
     reviews = {}
     for instance in state.accepted:
-        found = _review_effect(selection, state, instance)
-        better = _better(selection, state, found)
+        reviewed = _review_effect(selection, state, instance)
+        better = _better(selection, state, reviewed)
         if better is not None:
             return review(selection, better)
-        reviews[instance.label] = found
+        reviews[instance.label] = reviewed
     return state, reviews
 
 
@@ -76,7 +77,7 @@ def _review_effect(selection: Selection, state: State, instance: EffectInstance)
     """One effect beside its alternatives."""
     origin = selection.origins.get(instance.label)
     if origin is not None and len(state.accepted) == 1 and not origin.before.accepted:
-        # The only effect: the batch itself says what the others do in its place.
+        # The only effect: its batch began without any, and has tried the others in its place.
         others = [
             trial for trial in origin.trials if trial.candidate.instance.label != instance.label
         ]
@@ -94,42 +95,46 @@ def _candidates_instead(
 ) -> list[Candidate]:
     """The best other candidates of an effect's batch, with the magnitudes fitted there.
 
-    Those count that gained nearly as much and are not in the model.
+    Those count that gained enough beside it and are not in the model.
     """
     accepted = {other.label for other in state.accepted}
-    own = next(t for t in origin.trials if t.candidate.instance.label == instance.label)
-    least_gain = settings.alternative * own.penalized_gain
+    own_trial = next(
+        trial for trial in origin.trials if trial.candidate.instance.label == instance.label
+    )
+    needed_gain = settings.alternative * own_trial.penalized_gain
     others = []
     for trial in origin.trials:
-        absent = trial.candidate.instance.label not in accepted
-        if absent and trial.penalized_gain > least_gain:
+        is_absent = trial.candidate.instance.label not in accepted
+        if is_absent and trial.penalized_gain > needed_gain:
             others.append(trial.sized)
     return others[: settings.alternatives]
 
 
-def _better(selection: Selection, state: State, found: Review) -> State | None:
+def _better(selection: Selection, state: State, reviewed: Review) -> State | None:
     """The model without the effect, or with an alternative in its place; None if neither is better.
 
     A single effect stays.
     """
     settings = selection.settings
-    origin = found.origin
+    origin = reviewed.origin
     if len(state.accepted) == 1:
         return None
-    if gain_of(found.without.test, state.test)[0] < settings.deficit:
-        return found.without
+    held_out_gain, _ = gain_of(reviewed.without.test, state.test)
+    if held_out_gain < settings.deficit:
+        return reviewed.without
     if origin is None:
         return None
-    present = penalized_log_likelihood(state)
-    without = penalized_log_likelihood(found.without)
-    for trial in found.alternatives:
+    with_effect = penalized_log_likelihood(state)
+    without = penalized_log_likelihood(reviewed.without)
+    effect_gain = with_effect - without
+    for trial in reviewed.alternatives:
         # As it is, the alternative must gain nearly as much as the effect.
-        gain = penalized_log_likelihood(trial.state) - without
-        if not gain > settings.nearly * (present - without):
+        alternative_gain = penalized_log_likelihood(trial.state) - without
+        if not alternative_gain > settings.nearly * effect_gain:
             continue
         # Fitted to the end, it must gain more, and windows held out must confirm that.
         polished = selection.polish(trial.state)
-        if not penalized_log_likelihood(polished) > present + settings.deficit:
+        if not penalized_log_likelihood(polished) > with_effect + settings.deficit:
             continue
         if is_confirmed(state.test, polished.test, settings.deficit, settings):
             selection.origins[trial.candidate.instance.label] = origin
@@ -161,7 +166,11 @@ def penalized_log_likelihood(state: State) -> float:
 
 
 def _without_effect(selection: Selection, state: State, instance: EffectInstance) -> State:
-    """The model without one of its effects, the rest as it was; its windows held out are old."""
+    """The model without one of its effects, theta and noise else as they were.
+
+    Its windows held out are still those with the effect: to try candidates, only their order by
+    gain is needed, and `Selection.polish` renews them.
+    """
     library = selection.library
     place = library.places[instance.label]
     theta = state.theta.copy()
@@ -189,7 +198,8 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
         With the one effect if its fewer magnitudes outweigh the loss by BIC, else `state` itself.
     """
     for whole in instances:
-        if whole.target is not None or len(whole.quantities) != 1:
+        is_everywhere = whole.target is None
+        if not is_everywhere or len(whole.quantities) != 1:
             continue
         parts = [
             instance
@@ -199,10 +209,10 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
         if len(parts) < 2 or whole in state.accepted:
             continue
         merged = _merged(selection, state, parts, whole)
-        loss = -gain_of(state.train, merged.train)[0]
+        gain, _ = gain_of(state.train, merged.train)
         magnitudes = sum(len(part.quantities) for part in parts)
-        penalty = 0.5 * (magnitudes - 1) * np.log(state.train.windows.steps)
-        if loss < penalty:
+        saved_penalty = 0.5 * (magnitudes - 1) * np.log(state.train.windows.steps)
+        if -gain < saved_penalty:
             _remember_origin(selection, whole)
             return merged
     return state
@@ -215,10 +225,11 @@ def _merged(
     library = selection.library
     places = library.places
     theta = state.theta.copy()
+    # It begins with the mean of the parts' first magnitudes, and takes their place.
     theta[places[whole.label]] = np.mean([theta[places[part.label][0]] for part in parts])
-    gone = np.concatenate([places[part.label] for part in parts])
-    theta[gone] = 0.0
-    free = np.append(np.setdiff1d(state.free, gone), places[whole.label])
+    replaced = np.concatenate([places[part.label] for part in parts])
+    theta[replaced] = 0.0
+    free = np.append(np.setdiff1d(state.free, replaced), places[whole.label])
     train = shift_linearization(library, state.train, theta, state.train.whiten.sigma)
     kept = tuple(instance for instance in state.accepted if instance not in parts)
     start = replace(state, train=train, free=free, accepted=(*kept, whole))
@@ -236,7 +247,7 @@ def _remember_origin(selection: Selection, whole: EffectInstance) -> None:
 def ambiguity(
     state: State,
     instance: EffectInstance,
-    found: Review,
+    reviewed: Review,
     settings: SelectionSettings = SETTINGS,
 ) -> list[tuple[Candidate, Candidate, str]]:
     """List the effects that the data cannot distinguish from an accepted one.
@@ -250,8 +261,8 @@ def ambiguity(
         Where the search ended.
     instance : EffectInstance
         One of its effects.
-    found : Review
-        Of that effect.
+    reviewed : Review
+        That effect beside its alternatives.
     settings : SelectionSettings
         When two effects cannot be distinguished.
 
@@ -260,32 +271,30 @@ def ambiguity(
     list of tuple
         For each, the candidate of the accepted effect, the candidate of the other, and why.
     """
-    if found.origin is None:
+    if reviewed.origin is None:
         return []
-    own = None
-    for candidate in found.origin.screened:
-        if candidate.instance.label == instance.label:
-            own = candidate
-            break
+    screened = reviewed.origin.screened
+    own = next((one for one in screened if one.instance.label == instance.label), None)
     if own is None:
         return []
 
+    # By label, each effect with the reason; the effect itself is among them as yet.
     others: dict[str, tuple[Candidate, str]] = {}
-    for candidate in found.origin.screened:
+    for candidate in screened:
         cosine = abs(float(candidate.signature @ own.signature))
         if cosine > settings.similarity:
             others[candidate.instance.label] = candidate, f"similarity {cosine:.3f}"
-    for trial in found.alternatives:
+    for trial in reviewed.alternatives:
         label = trial.candidate.instance.label
         deficit, z = gain_of(trial.state.test, state.test)
-        close = z < settings.indistinguishable_z or deficit < settings.deficit
-        if close and label not in others:
+        is_close = z < settings.indistinguishable_z or deficit < settings.deficit
+        if is_close and label not in others:
             why = f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
             others[label] = trial.sized, why
 
     listed = []
     for candidate, why in others.values():
-        # An effect with a time profile has the label of the one without as its target.
+        # The target of an effect with a time profile is the label of the one without.
         other = candidate.instance
         if instance.label not in (other.label, other.target):
             listed.append((own, candidate, why))

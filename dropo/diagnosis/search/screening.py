@@ -2,7 +2,9 @@
 fitted anyway projected out.
 
 Each effect is simulated at a few magnitudes (its probes). How far the residuals follow the change
-of the predictions gives the gain in log-likelihood that the effect promises.
+of the predictions gives the gain in log-likelihood that the effect promises. Below there are W
+windows of n measurements of p signals each, and theta (m,) holds the declared parameters, then the
+magnitudes of all effects.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,10 +23,14 @@ from dropo.diagnosis.search.linearization import (
 
 Probe = tuple[tuple[float, ...], ...]
 """t vectors of magnitudes (q,) along which the score test is made together."""
-Trial = tuple[EffectInstance, Probe]
+ProbedEffect = tuple[EffectInstance, Probe]
 """An effect and one of its probes."""
 Responses = dict[tuple[str, Probe], Array]
 """By an effect's label and the probe, the change (t, W, n) of the predictions."""
+
+SMALLEST_LENGTH = 1e-300  # stands for the length of a response that is 0
+NEGLIGIBLE_RESPONSE = 1e-9  # length of a response, in that of the residuals, that counts as none
+RANK_TOLERANCE = 1e-8  # relative singular value below which responses count as dependent
 
 
 @dataclass(frozen=True)
@@ -37,23 +43,23 @@ class ScreeningSettings:
         Probes that are simulated at once.
     finalists : int
         Effects that are screened on all windows, after a first choice on some.
-    coarse : int
+    coarse_stride : int
         A first choice takes one window of so many ...
-    fewest : int
+    coarse_windows : int
         ... if at least so many windows are left.
     noise_rounds : int
         Iterations in which the noise is learned for one promise.
-    least_variance : float
+    minimum_variance : float
         Lower bound of the whitened residuals' variance, which is about 1 unless the noise is at its
         lower bound.
     """
 
     batch: int = 64
     finalists: int = 18
-    coarse: int = 4
-    fewest: int = 12
+    coarse_stride: int = 4
+    coarse_windows: int = 12
     noise_rounds: int = 4
-    least_variance: float = 0.5
+    minimum_variance: float = 0.5
 
 
 SETTINGS = ScreeningSettings()
@@ -71,8 +77,9 @@ class Candidate:
         The magnitudes that the residuals suggest, in the units of its quantities.
     gain : float
         In the windows' log-likelihood [nats].
-    signature : (W (n + m),) array
-        The change of the predictions, whitened and weighted, of length 1.
+    signature : (W (n + r),) array
+        The change of the predictions, whitened and weighted as by `LinearizedWindows.flat`, of
+        length 1.
     """
 
     instance: EffectInstance
@@ -90,7 +97,7 @@ class Screening:
     library : Library
         The simulator with every effect.
     floor : (p,) array
-        Lower bound of the noise.
+        Lower bound of the noise's standard deviations, in the signals' units.
     settings : ScreeningSettings
         How effects are screened.
     remembered : dict
@@ -125,42 +132,40 @@ class Screening:
         """
         settings = self.settings
         count = len(linearized.windows)
-        if len(instances) > settings.finalists and count >= settings.coarse * settings.fewest:
-            some = linearized.take(np.arange(0, count, settings.coarse))
-            trials = [
+        enough_windows = count >= settings.coarse_stride * settings.coarse_windows
+        if len(instances) > settings.finalists and enough_windows:
+            some = linearized.take(np.arange(0, count, settings.coarse_stride))
+            probed = [
                 (instance, probe) for instance in instances for probe in coarse_probes(instance)
             ]
-            chosen = self._score_all(some, free, trials, self.remembered)
-            instances = [candidate.instance for candidate in chosen[: settings.finalists]]
-        trials = [(instance, probe) for instance in instances for probe in all_probes(instance)]
-        return self._score_all(linearized, free, trials, {})
+            ranked = self._score_all(some, free, probed, self.remembered)
+            instances = [candidate.instance for candidate in ranked[: settings.finalists]]
+        probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
+        return self._score_all(linearized, free, probed, {})
 
     def _score_all(
         self,
         linearized: LinearizedWindows,
         free: np.ndarray,
-        trials: Sequence[Trial],
+        probed: Sequence[ProbedEffect],
         responses: Responses,
     ) -> list[Candidate]:
         """The best candidate of each effect to which the windows respond, the best effect first."""
         library = self.library
-        free = _inside_bounds(library, linearized.theta, free)
+        theta = linearized.theta
         # Whatever the free numbers of theta explain is no evidence of an effect.
-        basis: Array | None = None
-        if len(free):
-            jacobian = library.jacobian(linearized.theta, free, linearized.windows)
-            basis = np.linalg.qr(linearized.flat(jacobian).T)[0]
+        basis = self._explained_by(linearized, free)
         residuals = _without(linearized.flat(linearized.residuals), basis)
-        count = max(linearized.residuals[~linearized.lost].size, 1)
-        variance = max(float(residuals @ residuals) / count, self.settings.least_variance)
+        measurements = max(linearized.residuals[~linearized.lost].size, 1)
+        mean_square = float(residuals @ residuals) / measurements
+        variance = max(mean_square, self.settings.minimum_variance)
 
         best: dict[str, Candidate] = {}
-        for (instance, probe), response in self._responses(linearized, trials, responses):
-            whitened = _without(linearized.flat(response), basis)
-            theta = linearized.theta
-            found = [_score(library, theta, instance, probe, whitened, residuals, variance)]
+        for (instance, probe), changes in self._responses(linearized, probed, responses):
+            response = _without(linearized.flat(changes), basis)
+            found = [_score(library, theta, instance, probe, response, residuals, variance)]
             if instance.sensor_delay is not None:
-                for magnitudes, change in zip(probe, response, strict=True):
+                for magnitudes, change in zip(probe, changes, strict=True):
                     found.append(self._with_new_noise(linearized, instance, magnitudes, change))
             for candidate in found:
                 if candidate is None:
@@ -170,15 +175,28 @@ class Screening:
                     best[instance.label] = candidate
         return sorted(best.values(), key=lambda candidate: -candidate.gain)
 
+    def _explained_by(self, linearized: LinearizedWindows, free: np.ndarray) -> Array | None:
+        """An orthonormal basis (N, f) of what the free numbers of theta explain; None if nothing.
+
+        The rows are those of `LinearizedWindows.flat`; numbers on a bound are left out.
+        """
+        library = self.library
+        free = _inside_bounds(library, linearized.theta, free)
+        if not len(free):
+            return None
+        jacobian = library.jacobian(linearized.theta, free, linearized.windows)
+        return np.asarray(np.linalg.qr(linearized.flat(jacobian).T)[0])
+
     def _with_new_noise(
         self,
         linearized: LinearizedWindows,
         instance: EffectInstance,
         magnitudes: Sequence[float],
-        response: Array,
+        change: Array,
     ) -> Candidate:
-        """A delay of a sensor with the noise learned anew, since without the delay, noise stands
-        for it.
+        """A delay of a sensor, with the noise learned anew: without the delay, noise stands for it.
+
+        change: (W, n) of the predictions under the magnitudes (q,).
         """
         library = self.library
         windows = linearized.windows
@@ -189,54 +207,60 @@ class Screening:
         place = library.places[instance.label]
         theta[place] += np.array(magnitudes)
         whiten = whitener(library, windows, theta, sigma, loadings)
-        delayed = replace(linearized, residuals=linearized.residuals - response, whiten=whiten)
+        delayed = replace(linearized, residuals=linearized.residuals - change, whiten=whiten)
         # The same under the noise that is then left.
         sigma = estimate_noise(delayed, sigma, self.floor, rounds=self.settings.noise_rounds)
         whiten = whitener(library, windows, theta, sigma, loadings)
         learned = replace(delayed, whiten=whiten)
         gains = learned.log_likelihood - linearized.log_likelihood
-        change = linearized.flat(response)
-        signature = change / max(float(np.linalg.norm(change)), 1e-300)
-        return Candidate(instance, theta[place], float(gains[~linearized.lost].sum()), signature)
+        gain = float(gains[~linearized.lost].sum())
+        response = linearized.flat(change)
+        signature = response / max(float(np.linalg.norm(response)), SMALLEST_LENGTH)
+        return Candidate(instance, theta[place], gain, signature)
 
     def _responses(
-        self, linearized: LinearizedWindows, trials: Sequence[Trial], responses: Responses
-    ) -> Iterator[tuple[Trial, Array]]:
-        """Each trial with the change (t, W, n) of the predictions under its probe.
+        self,
+        linearized: LinearizedWindows,
+        probed: Sequence[ProbedEffect],
+        responses: Responses,
+    ) -> Iterator[tuple[ProbedEffect, Array]]:
+        """Each probed effect with the change (t, W, n) of the predictions under its probe.
 
         Responses that are there already are taken; the others are simulated and added.
         """
         missing = []
-        for instance, probe in trials:
+        for instance, probe in probed:
             if (instance.label, probe) not in responses:
                 missing.append((instance, probe))
         for first in range(0, len(missing), self.settings.batch):
             batch = missing[first : first + self.settings.batch]
             predicted = self._predictions(linearized, batch)
+            # A window whose simulation diverges counts as one without response.
             changes = np.nan_to_num(predicted - linearized.predicted)
+            # The rows of all probes stand behind each other: cut them apart.
             ends = np.cumsum([len(probe) for _, probe in batch])
             parts = np.split(changes, ends[:-1])
-            for (instance, probe), change in zip(batch, parts, strict=True):
-                responses[instance.label, probe] = change
-        for instance, probe in trials:
+            for (instance, probe), part in zip(batch, parts, strict=True):
+                responses[instance.label, probe] = part
+        for instance, probe in probed:
             yield (instance, probe), responses[instance.label, probe]
 
-    def _predictions(self, linearized: LinearizedWindows, trials: Sequence[Trial]) -> Array:
+    def _predictions(self, linearized: LinearizedWindows, probed: Sequence[ProbedEffect]) -> Array:
         """(T, W, n) the predictions under each of the T vectors of magnitudes of the probes."""
         space = self.library.simulator.space
         thetas = []
-        for instance, probe in trials:
+        for instance, probe in probed:
             place = self.library.places[instance.label]
             for magnitudes in probe:
                 theta = linearized.theta.copy()
                 theta[place] += magnitudes
                 thetas.append(theta)
-        within = np.clip(np.stack(thetas), space.low, space.high)
-        return self.library.predict(within, linearized.windows)
+        within_bounds = np.clip(np.stack(thetas), space.low, space.high)
+        return self.library.predict(within_bounds, linearized.windows)
 
 
 def _inside_bounds(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:
-    """The free numbers that are on none of their bounds; the others cannot make room."""
+    """The free numbers (f,) of theta that are on none of their bounds: the others cannot move."""
     space = library.simulator.space
     inside = (theta[free] > space.low[free]) & (theta[free] < space.high[free])
     return free[inside]
@@ -263,13 +287,14 @@ def coarse_probes(instance: EffectInstance) -> list[Probe]:
         # Each is evaluated with the noise learned anew, so that none stands for another.
         return probes
     if instance.time_profile is not None:
-        # The largest magnitude, from each time on at which the effect may set in.
+        # The three largest, or all of an effect that grows.
         return probes[-3:]
     upwards = [probe for probe in probes if probe[0][0] > 0]
     downwards = [probe for probe in probes if probe[0][0] < 0]
     if upwards and downwards:
         return [upwards[-1], downwards[-1]]
-    return probes[1::2] or probes
+    every_second = probes[1::2]
+    return every_second or probes
 
 
 def all_probes(instance: EffectInstance) -> list[Probe]:
@@ -291,7 +316,7 @@ def all_probes(instance: EffectInstance) -> list[Probe]:
 
 
 def _size(probe: Probe) -> float:
-    """The sum of a probe's absolute magnitudes."""
+    """The sum of a probe's absolute magnitudes, whatever their units: it only orders probes."""
     return float(np.abs(probe).sum())
 
 
@@ -311,17 +336,18 @@ def _score(
     residuals: Array,
     variance: float,
 ) -> Candidate | None:
-    """The score test of residuals (N,) along the responses (t, N) to a probe.
+    """The score test of residuals (N,) along the responses (t, N) to a probe, all whitened.
 
     None where the windows do not respond, or where the residuals ask for magnitudes out of bounds.
     """
     lengths = np.linalg.norm(responses, axis=1)
-    negligible = 1e-9 * np.sqrt(variance * len(residuals))
+    negligible = NEGLIGIBLE_RESPONSE * np.sqrt(variance * len(residuals))
     if not np.all(lengths > negligible):
         return None
     # The multiples of the probe's vectors that explain the residuals best.
-    multiples = np.linalg.lstsq(responses.T, residuals, rcond=1e-8)[0]
+    multiples = np.linalg.lstsq(responses.T, residuals, rcond=RANK_TOLERANCE)[0]
     wanted = multiples @ np.array(probe)
+    # The magnitudes that come nearest to these within the bounds.
     place = library.places[instance.label]
     space = library.simulator.space
     sizes = np.clip(theta[place] + wanted, space.low[place], space.high[place])
@@ -330,7 +356,8 @@ def _score(
         return None
     fitted = multiples @ responses
     gain = float(fitted @ residuals) / (2 * variance)
-    return Candidate(instance, sizes, gain, fitted / np.linalg.norm(fitted))
+    signature = fitted / np.linalg.norm(fitted)
+    return Candidate(instance, sizes, gain, signature)
 
 
 def shortlist(
@@ -358,11 +385,12 @@ def shortlist(
     chosen: list[Candidate] = []
     for candidate in candidates:
         instance = candidate.instance
-        same = sum(other.instance.effect == instance.effect for other in chosen)
+        if len(chosen) >= maximum or not candidate.gain > least_gain:
+            continue
+        of_this_effect = sum(other.instance.effect == instance.effect for other in chosen)
         # The target of an effect with a time profile is the label of the one without.
-        constant = any(other.instance.label == instance.target for other in chosen)
-        enough = candidate.gain > least_gain
-        if enough and same < each and len(chosen) < maximum and not constant:
+        constant_is_chosen = any(other.instance.label == instance.target for other in chosen)
+        if of_this_effect < each and not constant_is_chosen:
             chosen.append(candidate)
     return chosen
 
@@ -390,8 +418,10 @@ def with_constant(
     by_label = {instance.label: instance for instance in instances}
     chosen: dict[str, Candidate] = {}
     for candidate in candidates:
+        # The target of an effect with a time profile is the label of the one without.
         constant = by_label.get(str(candidate.instance.target))
         if constant is not None and candidate.instance.time_profile is not None:
+            # Its magnitudes come first, those of the time profile behind them.
             sizes = candidate.sizes[: len(constant.quantities)]
             first = replace(candidate, instance=constant, sizes=sizes)
             chosen.setdefault(constant.label, first)
