@@ -33,7 +33,8 @@ from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
 from dropo.evaluation.emulator_check import check_emulator, parameters_without_spread
 
-SWEEP = tuple(10.0**k for k in range(-8, -1))  # figure 6.4
+SWEEP = tuple(10.0**k for k in range(-8, -1))
+"""Noise variances of figure 6.4: 1e-8, 1e-7, ..., 1e-2 [signal unit^2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +65,7 @@ class DROPO(Estimator):
         The first mean: the middle of the box, a least-squares estimate, or drawn from the box
         (uniformly, in logarithms where a parameter is searched so).
     sweep : tuple of float
-        The noise variances that "tune" tries.
+        The noise variances that "tune" tries [signal unit^2].
     mse_threshold : float or None
         The largest mean squared error that "tune" accepts. None: 1.1 times the smallest one of the
         sweep.
@@ -102,15 +103,11 @@ class DROPO(Estimator):
         if isinstance(self.epsilon, str):
             known("epsilon", self.epsilon, ("learn", "tune"))
         require(self.budget >= 1, "budget", "at least 1", self.budget, "DROPO")
-        tails = self.degrees is None or self.degrees > 2
-        require(tails, "degrees", "above 2, to have a variance", self.degrees, "DROPO")
-        require(
-            self.draws is None or isinstance(self.likelihood, str),
-            "draws",
-            "left out where the likelihood brings its own",
-            self.draws,
-            "DROPO",
-        )
+        has_variance = self.degrees is None or self.degrees > 2
+        require(has_variance, "degrees", "above 2, to have a variance", self.degrees, "DROPO")
+        draws_are_free = self.draws is None or isinstance(self.likelihood, str)
+        rule = "left out where the likelihood brings its own"
+        require(draws_are_free, "draws", rule, self.draws, "DROPO")
         self._make_likelihood()  # so that a wrong name is refused at once
 
     # --- what is fitted: the likelihood, the noise, the first mean
@@ -133,17 +130,18 @@ class DROPO(Estimator):
         self, problem: Problem, variance: Any, learned: Literal["factor", "each"] | None = None
     ) -> Noise:
         """The noise of that variance, or of learned factors on it."""
-        start = problem.start_noise if self.start_noise is None else self.start_noise
+        start_noise = problem.start_noise if self.start_noise is None else self.start_noise
         degrees = problem.noise_degrees if self.degrees is None else self.degrees
         return Noise(
             np.asarray(variance, dtype=float),
             learned,
-            start=start or self.starts == "filtered",
+            # Filtered starts begin with a fit whose measured starts carry noise.
+            start=start_noise or self.starts == "filtered",
             degrees=degrees,
         )
 
     def _first_mean(self, problem: Problem, run: Run, rng: np.random.Generator) -> Array:
-        """(d,) where the search begins."""
+        """(d,) means where the search begins, in the parameters' units."""
         space = problem.space
         if self.start == "least-squares":
             return estimate(problem, run).value
@@ -155,6 +153,7 @@ class DROPO(Estimator):
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """With the noise that the settings ask for: swept, given, or learned with the rest."""
+        # Every fit of a sweep draws alike, so that fits differ by their noise alone.
         seeds = run.rng.integers(2**63, size=3)
         if self.epsilon == "tune":
 
@@ -174,8 +173,10 @@ class DROPO(Estimator):
         return self._fit_with_noise(problem, run, noise, seeds)
 
     def _fit_with_noise(self, problem: Problem, run: Run, noise: Noise, seeds: Ints) -> Fit:
-        """One fit; seeds: of the likelihood, of the optimizer, of a random start."""
-        likelihood_rng, optimizer_rng, start_rng = (np.random.default_rng(int(s)) for s in seeds)
+        """One fit; seeds (3,): of the likelihood, of the optimizer, of a random start."""
+        likelihood_rng, optimizer_rng, start_rng = (
+            np.random.default_rng(int(seed)) for seed in seeds
+        )
         family = find("families", self.family)(problem.space)
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)
@@ -193,9 +194,11 @@ class DROPO(Estimator):
         )
         start = first_member(family, objective.unknowns, mean)
         check_start(problem, run, family, start)
-        unit = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
+        # Rounding may carry a start on a bound out of the unit box. The first steps of "cma-es" are
+        # a quarter of that box: the thesis' 1 in [0, 4].
+        unit_start = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
         kind = find("optimizers", self.optimizer or "cma-es")
-        optimizer = kind(len(unit), optimizer_rng, start=unit, budget=self.budget)
+        optimizer = kind(len(unit_start), optimizer_rng, start=unit_start, budget=self.budget)
         found = maximize(objective, objective.unknowns, optimizer, run)
         return self._summarise(problem, run, family, objective, found)
 
@@ -270,8 +273,9 @@ class DROPO(Estimator):
         **further: Any,
     ) -> Fit:
         """The fit at a maximum; further: what else `summarize` takes."""
-        local = isinstance(objective, LocalLogLikelihood)
-        named = isinstance(self.likelihood, str)
+        is_local = isinstance(objective, LocalLogLikelihood)
+        default_optimizer = "fisher-scoring" if is_local else "cma-es"
+        own_likelihood = type(self.likelihood).__name__
         with run.counting():
             mean_prediction = objective.mean(found.point)
         return summarize(
@@ -287,8 +291,8 @@ class DROPO(Estimator):
             status=found.status,
             message=found.reason,
             objective=objective,
-            likelihood=self.likelihood if named else type(self.likelihood).__name__,
-            optimizer=self.optimizer or ("fisher-scoring" if local else "cma-es"),
+            likelihood=self.likelihood if isinstance(self.likelihood, str) else own_likelihood,
+            optimizer=self.optimizer or default_optimizer,
             **further,
         )
 
@@ -299,15 +303,17 @@ def first_member(family: Family, unknowns: ParameterSpace, mean: Array) -> Array
     Parameters
     ----------
     family : Family
+        The distributions.
     unknowns : ParameterSpace
         The family's, and behind them the likelihood's own.
     mean : (d,) array
+        The means, in the parameters' units.
 
     Returns
     -------
     (m,) array
-        phi of that mean, the rest in its middle. The first steps are the optimizer's own, a
-        quarter of the unit box (the thesis' 1 in [0, 4]).
+        The family's phi of that mean; the likelihood's own unknowns are in the middle of their
+        bounds.
     """
     start = unknowns.from_unit(np.full(len(unknowns), 0.5))
     start[: len(family.unknowns)] = family.phi(mean)
@@ -320,8 +326,11 @@ def check_start(problem: Problem, run: Run, family: Family, phi: Array) -> None:
     Parameters
     ----------
     problem : Problem
+        The segments and their simulator.
     run : Run
+        Counts the simulations.
     family : Family
+        The distributions.
     phi : (m,) array
         The member where the search would begin.
 

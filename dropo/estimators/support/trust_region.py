@@ -102,7 +102,7 @@ class TrustRegion:
     Attributes
     ----------
     centre, width : (d,) array
-        In the parameters' units.
+        Means are near the centre and scales at most about the width, in the parameters' units.
     coarse : bool
         Whether some of the segments are enough.
     """
@@ -121,11 +121,11 @@ class IterationResult:
     region : TrustRegion
         Where the likelihood was built.
     phi : (m,) array
-        The maximum.
+        The maximum: the family's unknowns, then the likelihood's own.
     value : float
         The log-likelihood there [nats].
     errors : (d,) array
-        The standard errors of the means.
+        The standard errors of the means, in the parameters' units.
     converged : bool
         Whether the search within the iteration came to its own end.
     """
@@ -218,10 +218,12 @@ class OuterIterations:
         """Iterate until an end; append a result for each iteration, and return how they ended."""
         while len(results) < self.settings.max_iterations:
             # Build the likelihood in the region, and find its maximum.
-            result = self._iteration(region, results[-1].phi if results else None)
+            last_maximum = results[-1].phi if results else None
+            result = self._iteration(region, last_maximum)
             results.append(result)
             count = len(results)
             text = f"round {count}, log-likelihood {result.value:.6g}"
+            # How many iterations there will be is not known: progress is shown as if it were eight.
             self.run.progress(min(0.95, count / 8), text)
 
             # End where nothing moves, or where the likelihood no longer rises.
@@ -234,23 +236,26 @@ class OuterIterations:
 
             # Move there; once the estimate is settled on some segments, see all of them.
             early = count < self.settings.coarse_iterations
-            region = replace(following, coarse=result.region.coarse and early and not settled)
+            stays_coarse = result.region.coarse and early and not settled
+            region = replace(following, coarse=stays_coarse)
         return Status.OUT_OF_BUDGET, UNSETTLED.format(self.settings.max_iterations)
 
     def _iteration(self, region: TrustRegion, last: Array | None) -> IterationResult:
         """One iteration, or its record in the evaluation log, from the last maximum (m,).
 
-        A record holds the width that was used, the errors, the value, whether the search
-        converged, and phi.
+        A record (2 d + 2 + m,) holds the width that was used (d,), the errors (d,), the value,
+        whether the search converged (0 or 1), and phi (m,).
         """
 
         def evaluate(_: Array) -> Array:
             used, local = self._build(region)
             phi, converged = self._maximise(local, self._search_start(local, used, last))
             errors = self._standard_errors(local, phi)
-            return np.concatenate([used.width, errors, [local(phi), converged], phi])[None]
+            record = np.concatenate([used.width, errors, [local(phi), converged], phi])
+            return record[None]
 
         d = len(self.box)
+        # The evaluation log knows an iteration by its region.
         point = np.concatenate([region.centre, region.width])[None]
         record = self.run.evaluate(point, evaluate)[0]
         width, errors, (value, converged), phi = np.split(record, [d, 2 * d, 2 * d + 2])
@@ -268,39 +273,45 @@ class OuterIterations:
     def _next_region(self, result: IterationResult) -> TrustRegion:
         """The region around the found mean, as wide as spread, last move and error ask for."""
         settings = self.settings
-        phi = result.phi[: len(self.family.unknowns)]
+        phi = self._of_family(result.phi)
         mean = self.family.mean(phi)
         scale = self.family.scale(phi)
         if self.family.logarithmic:
+            # A scale of the logarithms is relative to the mean.
             scale = scale * mean
+        minimum_width = settings.minimum_width * self.box
         wanted = np.maximum.reduce(
             [
                 np.maximum(scale, self.family.sd(phi)),
                 settings.followed_move * np.abs(mean - result.region.centre),
                 result.errors,
-                settings.minimum_width * self.box,
+                minimum_width,
             ]
         )
         before = result.region.width
+        smallest = before / settings.maximum_shrink
         largest = np.minimum(settings.maximum_growth * before, settings.first_width * self.box)
-        width = np.clip(wanted, before / settings.maximum_shrink, largest)
-        width = np.maximum(width, settings.minimum_width * self.box)
+        width = np.maximum(np.clip(wanted, smallest, largest), minimum_width)
         return TrustRegion(mean, width, result.region.coarse)
 
     def _is_settled(self, result: IterationResult, following: TrustRegion) -> bool:
         """Whether neither the mean nor the widths moved."""
         settings = self.settings
-        phi = result.phi[: len(self.family.unknowns)]
-        move = np.abs(self.family.mean(phi) - result.region.centre)
-        small = np.maximum.reduce(
+        phi = self._of_family(result.phi)
+        move = np.abs(following.centre - result.region.centre)
+        small_move = np.maximum.reduce(
             [
                 settings.settled_sd * self.family.sd(phi),
                 settings.settled_error * result.errors,
                 settings.settled_minimum * settings.minimum_width * self.box,
             ]
         )
-        change = np.abs(following.width / result.region.width - 1)
-        return bool(np.all(move < small) and np.all(change < settings.settled_width))
+        width_change = np.abs(following.width / result.region.width - 1)
+        return bool(np.all(move < small_move) and np.all(width_change < settings.settled_width))
+
+    def _of_family(self, phi: Array) -> Array:
+        """The family's part of phi (m,), without the likelihood's own unknowns behind it."""
+        return phi[: len(self.family.unknowns)]
 
     def _is_stalled(self, results: list[IterationResult]) -> bool:
         """Whether the last iterations on all segments brought no better likelihood."""
@@ -312,8 +323,9 @@ class OuterIterations:
         """The last result; of a search that stalled, that of the highest likelihood."""
         if not self._is_stalled(results):
             return results[-1]
-        full = [result for result in results if not result.region.coarse]
-        return max(full, key=lambda result: result.value)
+        # Log-likelihoods of some segments do not compare with those of all.
+        on_all_segments = [result for result in results if not result.region.coarse]
+        return max(on_all_segments, key=lambda result: result.value)
 
     # --- the likelihood in a region
 
@@ -338,27 +350,28 @@ class OuterIterations:
             else:
                 self._last_built = (region, local)
                 return self._last_built
-        raise AssertionError
+        raise AssertionError("the last attempt returns or raises")
 
     def _segments(self, coarse: bool) -> Segments:
         """All segments, or some from all over the data."""
         every = self.problem.segments
+        if not coarse:
+            return every
         settings = self.settings
-        count = max(
-            settings.coarse_segments, settings.coarse_segments_per_parameter * len(self.box)
-        )
-        chosen = every.thin(count)
-        return every.take(chosen) if coarse and len(chosen) < len(every) else every
+        per_parameter = settings.coarse_segments_per_parameter * len(self.box)
+        chosen = every.thin(max(settings.coarse_segments, per_parameter))
+        return every.take(chosen) if len(chosen) < len(every) else every
 
     def _likelihood_of(self, result: IterationResult) -> LocalLogLikelihood:
         """The likelihood that a result came from.
 
         It is built again, not counted, where it was read from the log or left behind.
         """
-        built = self._last_built
-        if built is None or not np.array_equal(built[0].centre, result.region.centre):
-            built = self._build(result.region)
-        return built[1]
+        if self._last_built is not None:
+            region, local = self._last_built
+            if np.array_equal(region.centre, result.region.centre):
+                return local
+        return self._build(result.region)[1]
 
     def _on_all_segments(self, result: IterationResult) -> IterationResult:
         """The same maximum in a likelihood of all segments, after an early interruption."""
@@ -387,6 +400,7 @@ class OuterIterations:
             place = unknowns.names.index(f"scale.{name}")
             width = region.width[i]
             if self.family.logarithmic:
+                # A scale of the logarithms is relative to the mean.
                 width = width / region.centre[i]
             if last is None:
                 start[place] = self.settings.first_scale * width
@@ -397,8 +411,8 @@ class OuterIterations:
     def _maximise(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
         """The local maximum (m,), and whether the search came to its own end."""
         if self.make_optimizer is None:
-            scored = maximize_locally(local, start)
-            return scored.phi, scored.converged
+            maximum = maximize_locally(local, start)
+            return maximum.phi, maximum.converged
         unit = _unit_point(local.unknowns, start)
         optimizer = self.make_optimizer(len(start), unit)
         # The evaluations of a local model are cheap: they are neither logged nor shown.
@@ -415,6 +429,7 @@ class OuterIterations:
         iterations end in narrow regions.
         """
         d = len(self.box)
+        # The first d unknowns are the means; scores have a row for each row or group of data.
         _, scores, information = local.value_score_information(phi)
         inverse = np.linalg.pinv(information[:d, :d], hermitian=True)
         return np.sqrt(np.sum((scores[:, :d] @ inverse) ** 2, axis=0))
