@@ -88,7 +88,7 @@ class Update(NamedTuple):
 
     @property
     def squared_distance(self) -> Array:
-        """(...,) squared Mahalanobis length of the innovation, chi-squared of s degrees."""
+        """(...,) squared Mahalanobis distance: chi-squared with s degrees of freedom."""
         column = self.innovation[..., None]
         weighted = np.linalg.solve(self.innovation_covariance, column)
         return np.asarray((column.swapaxes(-1, -2) @ weighted)[..., 0, 0])
@@ -162,7 +162,7 @@ def update(state: Array, covariance: Array, measured: Array, sensors: Sensors) -
         transposed_gain = np.linalg.solve(innovation_covariance, cross)
         gain = np.asarray(transposed_gain.swapaxes(-1, -2), dtype=float)
         corrected = state + (gain @ innovation[..., None])[..., 0]
-        # Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive definite.
+        # Joseph's form, (I - K H) P (I - K H)' + K R K', stays positive semidefinite.
         remaining = np.broadcast_to(np.eye(state.shape[-1]), covariance.shape).copy()  # I - K H
         remaining[..., columns] -= gain
         corrected_covariance = remaining @ covariance @ remaining.swapaxes(-1, -2)

@@ -86,9 +86,9 @@ class IntegratedNoise:
     def _precisions(self) -> Array:
         """(n - 1, m, m) of the noise in each step, at q = h = 1; 0 where the motion begins anew."""
         precision = np.linalg.inv(transition(self.order)[1])
-        out = np.repeat(precision[None], len(self.time) - 1, axis=0)
-        out[self.jumps - 1] = 0.0
-        return out
+        precisions = np.repeat(precision[None], len(self.time) - 1, axis=0)
+        precisions[self.jumps - 1] = 0.0
+        return precisions
 
     def _factor(self, ratio: float) -> Array:
         """The banded Cholesky factor (2 m, n m) of the states' precision in units of 1 / r."""
@@ -144,10 +144,10 @@ class IntegratedNoise:
         noise = self._noise(states)
         squares = np.sum((self.measured - states[:, 0]) ** 2)
         squares += np.einsum("ni,nij,nj->", noise, self._precisions, noise) / ratio
-        within = np.ones(len(self.time) - 1, dtype=bool)
-        within[self.jumps - 1] = False
-        determinant = 2 * np.log(factor[0]).sum() + 2 * np.log(self.scale[within]).sum()
-        determinant += within.sum() * np.linalg.slogdet(ratio * transition(self.order)[1])[1]
+        no_jump = np.ones(len(self.time) - 1, dtype=bool)
+        no_jump[self.jumps - 1] = False
+        determinant = 2 * np.log(factor[0]).sum() + 2 * np.log(self.scale[no_jump]).sum()
+        determinant += no_jump.sum() * np.linalg.slogdet(ratio * transition(self.order)[1])[1]
         degrees = len(self.time) - self.order * (1 + len(self.jumps))
         return float(squares), float(determinant), degrees
 
@@ -215,13 +215,14 @@ def filter_motions(motions: Sequence[IntegratedNoise], ratios: Array) -> Array:
     sensors = Sensors.of(np.array([1.0, *[np.inf] * (order - 1)]))
     start = np.diag([1.0, *[FREE] * (order - 1)])
     covariance = np.repeat(start[None], len(motions), axis=0)
-    out = np.zeros((len(measured), len(motions), order))
-    out[0, :, 0] = measured[0, :, 0]
-    state = out[0]
+    states = np.zeros((len(measured), len(motions), order))
+    states[0, :, 0] = measured[0, :, 0]
+    state = states[0]
     for k, (a, q) in enumerate(zip(transitions, processes, strict=True)):
         state, covariance = predict(state, covariance, a, ratios[:, None, None] * q)
-        found = update(state, covariance, measured[k + 1], sensors)
-        state = found.state
-        covariance = found.covariance
-        out[k + 1] = state
-    return out.transpose(1, 0, 2) / first.unit ** np.arange(order)
+        corrected = update(state, covariance, measured[k + 1], sensors)
+        state = corrected.state
+        covariance = corrected.covariance
+        states[k + 1] = state
+    # From derivatives by the inner unit of time to derivatives by seconds.
+    return states.transpose(1, 0, 2) / first.unit ** np.arange(order)

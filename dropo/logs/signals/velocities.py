@@ -156,17 +156,17 @@ def estimate_velocities(
     columns = []
     for measured, level in zip(rows.T, levels, strict=True):
         columns.append(_fit_column(stamps, measured, level, settings))
-    smooth = [_smooth(column, settings) for column in columns]
-    estimates = np.stack([states for states, _ in smooth], axis=2)  # (n, 2, p)
-    errors = np.stack([deviations for _, deviations in smooth], axis=1)  # (2, p)
+    smoothed = [_smooth(column, settings) for column in columns]
+    estimates = np.stack([states for states, _ in smoothed], axis=2)  # (n, 2, p)
+    errors = np.stack([deviations for _, deviations in smoothed], axis=1)  # (2, p)
     if causal:
         motions = [column.motion for column in columns]
         ratios = np.array([column.ratio for column in columns])
-        past = np.stack(list(filter_motions(motions, ratios)[:, :, :2]), axis=2)
-        # the smoother's errors, and what the filter is off the smoother
-        late = np.mean((past - estimates)[2 * ORDER :] ** 2, axis=0)
-        errors = np.sqrt(errors**2 + late)
-        estimates = past
+        filtered = np.stack(list(filter_motions(motions, ratios)[:, :, :2]), axis=2)
+        # The smoother's errors, and by how much the filter differs from the smoother.
+        difference = np.mean((filtered - estimates)[2 * ORDER :] ** 2, axis=0)
+        errors = np.sqrt(errors**2 + difference)
+        estimates = filtered
     return Velocities(
         positions=estimates[:, 0],
         velocities=estimates[:, 1],
@@ -196,9 +196,11 @@ def quantum(values: Array) -> float:
         steps = steps[steps > 1e-7 * np.abs(values).max()]  # below, rounding of single precision
     if not len(steps):
         return 0.0
+    # The steps below one and a half of the smallest are single ones; all are whole multiples.
     step = float(np.mean(steps[steps < 1.5 * steps.min()]))
-    whole = np.abs(steps / step - np.round(steps / step)) < 0.05
-    return step if len(steps) > 2 and whole.all() else 0.0
+    multiples = steps / step
+    is_whole = np.abs(multiples - np.round(multiples)) < 0.05
+    return step if len(steps) > 2 and is_whole.all() else 0.0
 
 
 # One position
@@ -206,7 +208,10 @@ def quantum(values: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """One position: its motion, the standard deviation of its noise, and q / r."""
+    """One position: its motion, the standard deviation of its noise, and q / r.
+
+    The noise is in the position's unit, the ratio in the motion's inner unit of time.
+    """
 
     motion: IntegratedNoise
     noise: float
@@ -245,11 +250,12 @@ def _smooth(column: _Column, settings: VelocitySettings) -> tuple[Array, Array]:
     states = motion.smoothed(column.ratio, measured[:, None])[:, :2, 0]
     rng = np.random.default_rng(0)  # always the same: an estimate of a trace
     signs = rng.choice([-1.0, 1.0], size=(len(states), settings.probes))
+    # Smooth its own positions again, and noise of unit variance beside them.
     inputs = np.concatenate([states[:, :1], signs], axis=1)
     outputs = motion.smoothed(column.ratio, inputs)[:, :2]
-    lost = np.mean((outputs[:, :, 0] - states)[ORDER:-ORDER] ** 2, axis=0)
-    passed = np.mean(outputs[:, :, 1:] ** 2, axis=(0, 2))
-    return states, np.sqrt(column.noise**2 * passed + lost)
+    lost_motion = np.mean((outputs[:, :, 0] - states)[ORDER:-ORDER] ** 2, axis=0)
+    passed_noise = np.mean(outputs[:, :, 1:] ** 2, axis=(0, 2))
+    return states, np.sqrt(column.noise**2 * passed_noise + lost_motion)
 
 
 # Noise level and bandwidth
@@ -271,9 +277,9 @@ def _fit_noise(
     if noise is None:
         ratio = _minimize(cost_of_free_noise, settings)
         squares, _, degrees = fit(ratio)
-        found = float(np.sqrt(squares / degrees))
-        if found >= minimum:
-            return _Column(motion, found, ratio)
+        most_likely = float(np.sqrt(squares / degrees))
+        if most_likely >= minimum:
+            return _Column(motion, most_likely, ratio)
     level = minimum if noise is None else noise
 
     def cost_of_known_noise(log_ratio: float) -> float:
@@ -334,22 +340,25 @@ def _find_jumps(column: _Column, settings: VelocitySettings) -> Ints:
     velocity = scores[:, 0]
     acceleration = scores[:, 1]
     width = max(2 * ORDER, int(3 * column.ratio ** (-0.5 / ORDER)))  # steps of the smoother
+    # A step near an end, a known jump or a larger score is not looked at.
     taken = [0, *(column.motion.jumps - 1).tolist(), len(scores)]
     found: list[int] = []
-    for k in np.argsort(-velocity)[: len(scores) // width].tolist():
+    largest_first = np.argsort(-velocity).tolist()
+    for k in largest_first[: len(scores) // width]:
         if velocity[k] <= settings.jump_score:
             break
         if min(abs(k - other) for other in taken) <= width:
             continue
         taken.append(k)
         before = velocity[max(0, k - 10 * width) : k - width + 1]
-        behind = velocity[k + width : k + 10 * width]
-        around = np.concatenate([before, behind])
+        after = velocity[k + width : k + 10 * width]
+        around = np.concatenate([before, after])
         stands_out = velocity[k] > settings.jump_contrast * np.sqrt(np.mean(around**2))
         largest_acceleration = acceleration[k - width : k + width].max()
         if stands_out and largest_acceleration < settings.jump_sharpness * velocity[k]:
             found.append(k)
-    return np.array(sorted(_place_jump(column, k + 1, width) for k in found), dtype=np.int64)
+    rows = sorted(_place_jump(column, k + 1, width) for k in found)
+    return np.array(rows, dtype=np.int64)
 
 
 def _place_jump(column: _Column, row: int, width: int) -> int:
@@ -359,7 +368,7 @@ def _place_jump(column: _Column, row: int, width: int) -> int:
     options = [row, row - 1, row + 1, row - 2, row + 2]
     costs = []
     for option in options:
-        fit = replace(piece, jumps=np.array([option - first])).fit(column.ratio)
-        squares, determinant, _ = fit
+        with_jump = replace(piece, jumps=np.array([option - first]))
+        squares, determinant, _ = with_jump.fit(column.ratio)
         costs.append(squares / column.noise**2 + determinant)
     return options[int(np.argmin(costs))]
