@@ -12,7 +12,6 @@ from importlib.resources import as_file, files
 import mujoco
 
 BODIES = ("torso", "thigh", "leg", "foot")
-PARAMETERS = tuple(f"{body}_mass" for body in BODIES)
 FRAME_SKIP = 4
 """Physics steps (2 ms, RK4) under one action."""
 
