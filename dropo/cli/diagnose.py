@@ -27,6 +27,11 @@ def add(commands: Any) -> None:
         help="a problem file or a built-in name (see `dropo list problems`)",
     )
     parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="by regression over inverse dynamics alone, in a second or a few",
+    )
+    parser.add_argument(
         "--effects",
         nargs="+",
         metavar="NAME",
@@ -92,7 +97,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.out is not None and arguments.out.exists() and not arguments.out.is_dir():
         raise BadFile(arguments.out, "--out", "a folder", "a file")
+    _refuse_with_quick(arguments)
     problem = _problem(arguments)
+    if arguments.quick:
+        return _run_quick(arguments, problem)
     progress = Progress(silent=arguments.quiet)
     try:
         diagnose = Diagnose(
@@ -111,6 +119,33 @@ def run(arguments: argparse.Namespace) -> int:
         found.save(arguments.out)
         write_json(arguments.out / "run.json", diagnosis_record(arguments, problem))
         keep_for_report(arguments, None)
+    show(arguments, found, found.to_json())
+    return 0
+
+
+def _refuse_with_quick(arguments: argparse.Namespace) -> None:
+    """Refuse options of the search by simulation where none is made."""
+    from dropo.core.services.errors import BadArgument
+
+    given = {"--effects": arguments.effects, "--steps": arguments.steps}
+    for option, value in given.items():
+        if arguments.quick and value is not None:
+            raise BadArgument(
+                f"{option} belongs to the search by simulation, which --quick leaves out. Leave "
+                f"out one of the two. Got {option} {value}."
+            )
+
+
+def _run_quick(arguments: argparse.Namespace, problem: "Problem") -> int:
+    """Diagnose by regression alone, save and print."""
+    from dropo.cli.record import diagnosis_record
+    from dropo.core.services.atomic_write import write_json
+    from dropo.diagnosis.regression.quick import QuickDiagnose
+
+    found = QuickDiagnose().run(problem)
+    if arguments.out is not None:
+        found.save(arguments.out)
+        write_json(arguments.out / "run.json", diagnosis_record(arguments, problem))
     show(arguments, found, found.to_json())
     return 0
 

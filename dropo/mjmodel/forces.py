@@ -1,11 +1,14 @@
 """The forces of a model's actuators at its joints."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.effect import StepState
+from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.mjmodel.joints import Joint, actuators
 
@@ -138,3 +141,99 @@ def inverse_forces(
         mujoco.mj_inverse(model, data)
         forces[i] = data.qfrc_inverse
     return forces
+
+
+def position_servos(model: mujoco.MjModel) -> list[tuple[Joint, int]]:
+    """List the slides and hinges that a position servo drives.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of (Joint, int)
+        Each joint with the id of its actuator, which pulls it towards its command.
+    """
+    found = []
+    for joint, ids in motors(model):
+        for i in ids:
+            pull = float(model.actuator_gainprm[i, 0])
+            back = float(model.actuator_biasprm[i, 1])
+            gear = float(model.actuator_gear[i, 0])
+            if pull > 0 and gear > 0 and abs(back * gear + pull) < 1e-6 * pull:
+                found.append((joint, i))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class LinearDrives:
+    """The forces of actuators as they depend on the commands: bias + sum over actuators gain u.
+
+    Attributes
+    ----------
+    bias : (n, nv) array
+        Forces at commands of 0 [N, N m].
+    gains : (n, nu) array
+        Force of each actuator for a command of 1, at the degree of freedom that it drives.
+    dofs : (nu,) int array
+        Which degree of freedom that is.
+    """
+
+    bias: Array
+    gains: Array
+    dofs: NDArray[np.int64]
+
+    def forces(self, commands: Array) -> Array:
+        """(n, nv) the forces for commands (n, nu)."""
+        out = self.bias.copy()
+        for i, dof in enumerate(self.dofs.tolist()):
+            out[:, dof] += self.gains[:, i] * commands[:, i]
+        return out
+
+
+def linear_drives(model: mujoco.MjModel, positions: Array, velocities: Array) -> LinearDrives:
+    """Compute the forces of motors and servos at joints, without their limits.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model, with as many positions as degrees of freedom.
+    positions, velocities : (n, nv) arrays
+        Of hinges and slides.
+
+    Returns
+    -------
+    LinearDrives
+
+    Raises
+    ------
+    Incompatible
+        If an actuator does not drive a hinge or slide, or has another law of force.
+    """
+    known_drives = {i for _, ids in motors(model) for i in ids}
+    n = len(positions)
+    bias = np.zeros((n, model.nv))
+    gains = np.zeros((n, model.nu))
+    dofs = np.zeros(model.nu, dtype=np.int64)
+    for actuator in actuators(model):
+        joint = actuator.joint
+        i = actuator.id
+        if joint is None or i not in known_drives:
+            raise Incompatible(
+                f"The actuator {actuator.name!r} is neither a motor nor a position or velocity "
+                "servo of a hinge or slide, so its force is not known from the state."
+            )
+        gear = float(model.actuator_gear[i, 0])
+        terms = np.stack(
+            [np.ones(n), gear * positions[:, joint.qpos], gear * velocities[:, joint.qvel]]
+        )
+        gain = model.actuator_gainprm[i, :3]
+        if model.actuator_gaintype[i] != AFFINE:
+            gain = gain * (1, 0, 0)
+        constant = model.actuator_biasprm[i, :3] * (model.actuator_biastype[i] == AFFINE_BIAS)
+        gains[:, i] = gear * (gain @ terms)
+        bias[:, joint.qvel] += gear * (constant @ terms)
+        dofs[i] = joint.qvel
+    return LinearDrives(bias, gains, dofs)

@@ -1,0 +1,346 @@
+"""Which terms the equation of motion lacks: chosen on blocks of time that were held out."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dropo.core.services.validation import Array
+from dropo.diagnosis.regression.fit import (
+    GAIN,
+    LEAST_BETA,
+    Fitter,
+    Solution,
+    bounded,
+    root_mean_square,
+)
+from dropo.diagnosis.regression.terms import INERTIAL, LAWS, families_of
+from dropo.diagnosis.search.selection import signed_rank_score
+
+Group = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ChoiceSettings:
+    """When a group of terms is accepted.
+
+    Attributes
+    ----------
+    folds : int
+        Parts of the log, each of which is held out in turn.
+    improvement : float
+        Fraction by which a group must lower the squared error on data held out, ...
+    block_z : float
+        ... the standard errors, by block of time, by which that must be above 0, ...
+    force : float
+        ... and the force that it must explain, as a fraction of the drives' at its joints.
+    wald : float
+        Smallest squared size in squared standard errors.
+    payload : float
+        Fraction by which a payload must lower the spread of what is left at the joints.
+    passes : int
+        How often weights, delay and payload are found in turn before anything is dropped.
+    rounds : int
+        Groups that are accepted one after another, at most.
+    """
+
+    folds: int = 8
+    improvement: float = 0.004
+    block_z: float = 2.0
+    force: float = 0.006
+    wald: float = 16.0
+    payload: float = 0.02
+    passes: int = 4
+    rounds: int = 40
+
+
+SETTINGS = ChoiceSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class BlockTables:
+    """What a linear solve needs of each of B blocks of time.
+
+    The columns are the model's needs, all K terms, and 1 kg of the payload.
+
+    Attributes
+    ----------
+    grams : (B, K + 2, K + 2) array
+        Gram matrices of the weighted columns.
+    moments : (B, K + 2) array
+        Their products with the drives' forces.
+    sizes : (B,) array
+        The squared forces of the drives.
+    """
+
+    grams: Array
+    moments: Array
+    sizes: Array
+
+
+@dataclass(eq=False)
+class Chooser:
+    """Chooses the terms that an equation of motion lacks.
+
+    Attributes
+    ----------
+    fitter : Fitter
+        Fits their sizes.
+    settings : ChoiceSettings
+        When a group is accepted.
+    """
+
+    fitter: Fitter
+    settings: ChoiceSettings = field(default_factory=ChoiceSettings)
+
+    def run(self) -> Solution:
+        """Choose and fit.
+
+        The laws that every machine has come first, all of them at all joints; then what data held
+        out do not ask for is dropped, others are added, and each number must stand on its own.
+        """
+        fitter = self.fitter
+        families = families_of(fitter.terms)
+        groups = [families[name] for name in LAWS if name in families]
+        if fitter.equation.driven.any():
+            groups.append((GAIN,))
+        solution = self._first(tuple(i for group in groups for i in group))
+        solution = self.without_needless(solution, groups)
+        solution = self.with_more(solution, self._candidates(families))
+        solution = self.without_needless(solution, [(i,) for i in solution.chosen])
+        return self.certain(solution)
+
+    def _first(self, chosen: Group) -> Solution:
+        """All the common laws with the payload on that body, or none, that leaves least.
+
+        The bodies are tried one by one: a payload elsewhere may be a local optimum in which gain
+        and masses are all off by one factor.
+        """
+        fitter = self.fitter
+        solution = fitter.start(chosen)
+        for _ in range(self.settings.passes):
+            solution = fitter.delayed(fitter.solve(solution))
+        best = fitter.refined(solution)
+        # A payload has four numbers, one of them not linear: it must earn its place.
+        least = fitter.badness(best) - self.settings.payload * float(fitter.equation.used.sum())
+        for body in range(len(fitter.equation.by_inertia)):
+            loaded = solution
+            for _ in range(2):
+                loaded = fitter.solve(fitter.loaded(loaded, (body,)))
+                loaded = fitter.delayed(loaded)
+            loaded = fitter.refined(loaded)
+            heavy = loaded.payload is None or loaded.payload.mass > fitter.heaviest
+            if not heavy and fitter.badness(loaded) < least:
+                best = loaded
+                least = fitter.badness(loaded)
+        return best
+
+    def _candidates(self, families: dict[str, Group]) -> list[Group]:
+        """Whole families, single terms, and the gain."""
+        whole = [family for family in families.values() if len(family) > 1]
+        return [*whole, *((i,) for i in range(len(self.fitter.terms))), (GAIN,)]
+
+    def without_needless(self, solution: Solution, groups: Sequence[Group]) -> Solution:
+        """Drop the groups, and the payload, that data held out do not ask for, one at a time."""
+        while True:
+            tables = self._tables(solution)
+            present = self._held_out(solution, tables)
+            needless: list[tuple[float, Solution]] = []
+            for group in groups:
+                dropped = [i for i in solution.chosen if i in group]
+                left = tuple(i for i in solution.chosen if i not in group)
+                without = replace(solution, chosen=left)
+                if dropped:
+                    needless += self._if_needless(solution, without, dropped, tables, present)
+            if solution.payload is not None:
+                without = replace(solution, payload=None)
+                needless += self._if_needless(solution, without, (GAIN,), tables, present)
+            if not needless:
+                return solution
+            worst = min(needless, key=lambda one: one[0])[1]
+            solution = self.fitter.refined(self.fitter.solve(worst))
+
+    def _if_needless(
+        self,
+        solution: Solution,
+        without: Solution,
+        dropped: Iterable[int],
+        tables: BlockTables,
+        present: Array,
+    ) -> list[tuple[float, Solution]]:
+        """The solution without some terms, with what they are worth, if that is too little."""
+        errors = self._held_out(without, tables)
+        if self._is_worth(errors, present, self._drive_size(solution, dropped)):
+            return []
+        return [(_worth(errors, present)[0], without)]
+
+    def with_more(self, solution: Solution, groups: Sequence[Group]) -> Solution:
+        """Add the groups that data held out ask for, the one that helps most first."""
+        for _ in range(self.settings.rounds):
+            tables = self._tables(solution)
+            present = self._held_out(solution, tables)
+            best: tuple[float, Solution | None] = (0.0, None)
+            for group in groups:
+                new = tuple(i for i in group if i not in solution.chosen)
+                if not new or self._moves_scale(solution, new):
+                    continue
+                larger = replace(solution, chosen=(*solution.chosen, *new))
+                errors = self._held_out(larger, tables)
+                if self._is_worth(present, errors, self._drive_size(solution, new)):
+                    score = _worth(present, errors)[0] / np.sqrt(len(new))
+                    best = max(best, (score, larger), key=lambda one: one[0])
+            if best[1] is None:
+                return solution
+            solution = self.fitter.refined(self.fitter.solve(best[1]))
+        return solution
+
+    def _moves_scale(self, solution: Solution, new: Group) -> bool:
+        """Whether terms would free the scale of the masses a second time.
+
+        The scale of masses and that of forces are one number: a gain, a payload or a mass fixes it.
+        """
+        inertial = any(i != GAIN and self.fitter.terms[i].family in INERTIAL for i in new)
+        return inertial and (GAIN in solution.chosen or solution.payload is not None)
+
+    def certain(self, solution: Solution) -> Solution:
+        """Drop the terms that are small, or not certain, when all are fitted together."""
+        while True:
+            solution = self.fitter.refined(solution)
+            variance = np.diag(self.fitter.covariance(solution))
+            offset = 1 if GAIN in solution.chosen else 0
+            forces = self.term_forces(solution)
+            kept = []
+            for place, i in enumerate(solution.terms):
+                wald = solution.sizes[i] ** 2 / max(float(variance[offset + place]), 1e-300)
+                large = abs(solution.sizes[i]) > self.fitter.terms[i].least * (1 + solution.gain)
+                strong = forces[i] > self.settings.force
+                if wald > self.settings.wald and large and strong:
+                    kept.append(i)
+            payload = solution.payload
+            if payload is not None:
+                mass = float(variance[offset + len(solution.terms)])
+                if payload.mass**2 < self.settings.wald * mass:
+                    payload = None
+            if len(kept) == len(solution.terms) and payload is solution.payload:
+                return solution
+            sizes = np.zeros(len(solution.sizes))
+            sizes[kept] = solution.sizes[kept]
+            gain = (GAIN,) * offset
+            solution = replace(solution, chosen=(*gain, *kept), sizes=sizes, payload=payload)
+
+    def term_forces(self, solution: Solution) -> Array:
+        """(K,) RMS force of each chosen term, as a fraction of the drive's, where it is largest."""
+        fitter = self.fitter
+        drives = fitter.forces(solution.delay)
+        share = np.zeros(len(fitter.terms))
+        for i in solution.terms:
+            own = solution.beta * solution.sizes[i] * fitter.columns[:, :, i]
+            own = np.where(fitter.equation.used, own, np.nan)
+            share[i] = float(
+                np.max(root_mean_square(own) / np.maximum(root_mean_square(drives), 1e-300))
+            )
+        return share
+
+    # ---- what groups are worth on data held out
+
+    def _tables(self, solution: Solution) -> BlockTables:
+        """The tables of each block, at the solution's weights, delay and payload."""
+        fitter = self.fitter
+        needed = fitter.equation.needed
+        payload = np.zeros_like(needed)
+        if solution.payload is not None:
+            payload = fitter.payload_column(solution.payload)
+        columns = np.concatenate([needed[:, :, None], fitter.columns, payload[:, :, None]], axis=2)
+        columns = columns * solution.weights[:, :, None]
+        target = fitter.drives(solution.delay) * solution.weights
+        grams = []
+        moments = []
+        sizes = []
+        for block in np.unique(fitter.equation.block):
+            rows = fitter.equation.block == block
+            own = columns[rows].reshape(-1, columns.shape[2])
+            aim = target[rows].ravel()
+            grams.append(own.T @ own)
+            moments.append(own.T @ aim)
+            sizes.append(aim @ aim)
+        return BlockTables(np.array(grams), np.array(moments), np.array(sizes))
+
+    def _held_out(self, solution: Solution, tables: BlockTables) -> Array:
+        """(B,) the squared error of each block, fitted without the fold that it belongs to."""
+        terms = self.fitter.terms
+        index = [0 if i == GAIN else i + 1 for i in solution.chosen]
+        lowest = [
+            LEAST_BETA if i == GAIN else solution.beta * terms[i].lowest for i in solution.chosen
+        ]
+        if solution.payload is not None:
+            index.append(len(terms) + 1)
+            lowest.append(0.0)
+        free = np.array(index, dtype=np.int64)
+        count = len(tables.sizes)
+        fold = np.arange(count) * self.settings.folds // count
+        errors = np.empty(count)
+        # The first column stands without a coefficient where the gain is not free.
+        there = np.unique([0, *index])
+        grams = tables.grams[:, there[:, None], there]
+        by_block = tables.moments[:, there]
+        free = np.searchsorted(there, free)
+        gram = grams.sum(axis=0)
+        moments = by_block.sum(axis=0)
+        for number in np.unique(fold):
+            own = fold == number
+            other_gram = gram - grams[own].sum(axis=0)
+            other_moments = moments - by_block[own].sum(axis=0)
+            found = np.zeros(len(gram))
+            if GAIN not in solution.chosen:
+                found[0] = 1.0
+                other_moments = other_moments - other_gram[:, 0]
+            if len(free):
+                square = other_gram[np.ix_(free, free)]
+                found[free] = bounded(square, other_moments[free], np.array(lowest))
+            squares = np.einsum("i,bij,j->b", found, grams[own], found)
+            errors[own] = tables.sizes[own] - 2 * by_block[own] @ found + squares
+        return errors
+
+    def gain(self, solution: Solution, without: Solution) -> tuple[float, float]:
+        """The log-likelihood of held-out rows with a solution over one without; its error [nats].
+
+        Both are refitted without each fold in turn.
+        """
+        present = self._held_out(solution, self._tables(solution))
+        gains = 0.5 * (self._held_out(without, self._tables(without)) - present)
+        return float(gains.sum()), float(gains.std(ddof=1) * np.sqrt(len(gains)))
+
+    def _is_worth(self, without: Array, with_it: Array, size: float) -> bool:
+        """Whether a group lowers the error on data held out by enough, and for certain.
+
+        size: squared force of the drives at its joints, in the units of the error.
+        """
+        fraction, z = _worth(without, with_it)
+        large = float((without - with_it).sum()) > self.settings.force**2 * size
+        return large and fraction > self.settings.improvement and z > self.settings.block_z
+
+    def _drive_size(self, solution: Solution, group: Iterable[int]) -> float:
+        """The squared force of the drives, weighted as errors are, at the joints of a group.
+
+        Of several joints the one with the least: a law may be missing at one of them alone.
+        """
+        drives = np.nan_to_num(self.fitter.forces(solution.delay))
+        by_joint = np.sum((drives * solution.weights) ** 2, axis=0)
+        touched = np.zeros(len(by_joint), dtype=bool)
+        for i in group:
+            touched |= i == GAIN or np.any(self.fitter.columns[:, :, i] != 0, axis=0)
+        there = by_joint[touched & (by_joint > 0)]
+        return float(there.min()) if len(there) else 0.0
+
+
+def _worth(without: Array, with_it: Array) -> tuple[float, float]:
+    """The fraction of the squared error (B,) that a group removes, in standard errors too.
+
+    A few blocks that gain much more than others are no reason to doubt all of them, so the
+    signed-rank score counts where it is larger.
+    """
+    gains = without - with_it
+    error = gains.std(ddof=1) * np.sqrt(len(gains))
+    fraction = float(gains.sum() / max(without.sum(), 1e-300))
+    z = float(gains.sum() / error) if error > 0 else 0.0
+    return fraction, max(z, signed_rank_score(gains)) if fraction > 0 else z

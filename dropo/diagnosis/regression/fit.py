@@ -1,0 +1,431 @@
+"""How large the terms are that the equation of motion lacks: all of them fitted together.
+
+The drives' forces T, with a gain of 1 + g, are what the motion needs by the model, L, and by what
+it lacks, the sum of size times column. Divided by the gain,
+
+    T = beta (L + sum_k size_k X_k),    beta = 1 / (1 + g),
+
+so that the command, the only number without noise, stands on the left with a coefficient of one.
+Otherwise everything could shrink towards nothing together.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from dropo.core.numerics.robust_statistics import deviation
+from dropo.core.services.validation import Array
+from dropo.diagnosis.regression.equation import Equation
+from dropo.diagnosis.regression.terms import Term, point_mass
+
+GAIN = -1
+"""The index that stands for the gain of all drives among the indices of terms."""
+LEAST_BETA = 1e-3
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the numbers are fitted.
+
+    Attributes
+    ----------
+    weight_floor : float
+        No row counts more than if its error were this fraction of its joint's force.
+    huber : float
+        Standard deviations from which an error counts linearly.
+    weightings : int
+        Rounds of weights in a linear solve.
+    steps : int
+        Gauss-Newton steps when all numbers are fitted together.
+    grid : int
+        Places along each axis at which a payload is tried.
+    finer : int
+        Rounds in which that grid closes in on the best place.
+    """
+
+    weight_floor: float = 0.003
+    huber: float = 2.5
+    weightings: int = 3
+    steps: int = 10
+    grid: int = 7
+    finer: int = 5
+
+
+SETTINGS = FitSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """A point mass on a body.
+
+    Attributes
+    ----------
+    body : int
+        Its place among the moving bodies.
+    mass : float
+        [kg].
+    place : (3,) array
+        In the body's frame [m].
+    """
+
+    body: int
+    mass: float
+    place: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The numbers that the equation of motion lacks.
+
+    Attributes
+    ----------
+    chosen : tuple of int
+        The terms that are there; GAIN for the gain of the drives.
+    sizes : (K,) array
+        Of all K terms; 0 where one is not there.
+    gain : float
+        What is added to the gain of all drives, as a fraction of it.
+    delay : float
+        Of the commands [s].
+    payload : Payload or None
+        A mass that is added to a body.
+    weights : (R, nv) array
+        Square roots of the weights of the rows, 0 where a row does not count.
+    spread : (nv,) array
+        Robust standard deviation of what is left [N, N m].
+    """
+
+    chosen: tuple[int, ...]
+    sizes: Array
+    gain: float
+    delay: float
+    payload: Payload | None
+    weights: Array
+    spread: Array
+
+    @property
+    def beta(self) -> float:
+        """One over the factor on the drives' forces."""
+        return 1.0 / (1.0 + self.gain)
+
+    @property
+    def terms(self) -> list[int]:
+        """The chosen terms but for the gain, in the order of the fitted numbers."""
+        return [i for i in self.chosen if i != GAIN]
+
+
+@dataclass(eq=False)
+class Fitter:
+    """Fits numbers to an equation of motion.
+
+    Attributes
+    ----------
+    equation : Equation
+        The equation, R rows of nv degrees of freedom.
+    terms : sequence of Term
+        The K terms that may be missing.
+    reaches : sequence of float
+        How far a payload may be from the origin of each moving body [m].
+    heaviest : float
+        What a payload weighs at most [kg]: one that outweighs the machine is a wrong gain.
+    settings : FitSettings
+        How.
+    """
+
+    equation: Equation
+    terms: Sequence[Term]
+    reaches: Sequence[float]
+    heaviest: float = np.inf
+    settings: FitSettings = SETTINGS
+    columns: Array = field(init=False)
+    _drives: CubicSpline = field(init=False)
+
+    def __post_init__(self) -> None:
+        shape = (*self.equation.needed.shape, 0)
+        columns = [term.column for term in self.terms]
+        self.columns = np.stack(columns, axis=2) if columns else np.zeros(shape)
+        self._drives = CubicSpline(self.equation.delays, self.equation.drives, axis=0)
+
+    def drives(self, delay: float) -> Array:
+        """(R, nv) the drives' forces at a delay of the commands [s]."""
+        return np.asarray(self._drives(delay))
+
+    def forces(self, delay: float) -> Array:
+        """(R, nv) the drives' forces, or where there is none what the motion needs; NaN unused."""
+        there = np.where(self.equation.driven, self.drives(delay), self.equation.needed)
+        return np.where(self.equation.used, there, np.nan)
+
+    @property
+    def own_delay(self) -> float:
+        """The delay that the model's simulation has: it acts half a physics step early."""
+        return float(self.equation.delays[0]) / 2
+
+    def start(self, chosen: tuple[int, ...]) -> Solution:
+        """Nothing is missing yet; rows count by the force of their joint."""
+        spread = np.nan_to_num(root_mean_square(self.forces(self.own_delay)))
+        spread = np.where(spread > 0, spread, np.inf)
+        weights = np.where(self.equation.used, 1.0 / spread, 0.0)
+        sizes = np.zeros(len(self.terms))
+        return Solution(chosen, sizes, 0.0, self.own_delay, None, weights, spread)
+
+    def payload_column(self, payload: Payload) -> Array:
+        """(R, nv) the force that 1 kg at the payload's place needs."""
+        return np.asarray(self.equation.by_inertia[payload.body] @ point_mass(payload.place))
+
+    # ---- linear in everything but the delay and the payload's place
+
+    def solve(self, solution: Solution) -> Solution:
+        """The sizes, the gain and the payload's mass, robustly weighted."""
+        columns, target, lowest = self._system(solution)
+        found = np.zeros(0)
+        for _ in range(self.settings.weightings):
+            gram, moments = _normal_equations(columns, target, solution.weights)
+            found = bounded(gram, moments, lowest)
+            solution = self._reweighted(solution, target - columns @ found)
+        names = list(solution.chosen)
+        beta = max(float(found[names.index(GAIN)]), LEAST_BETA) if GAIN in names else 1.0
+        sizes = np.zeros(len(self.terms))
+        for i, value in zip(names, found, strict=False):
+            if i != GAIN:
+                sizes[i] = max(value / beta, self.terms[i].lowest)
+        payload = solution.payload
+        if payload is not None:
+            payload = replace(payload, mass=float(found[-1] / beta))
+        return replace(solution, sizes=sizes, gain=1.0 / beta - 1.0, payload=payload)
+
+    def _system(self, solution: Solution) -> tuple[Array, Array, Array]:
+        """Columns (R, nv, k), what they explain (R, nv), and lower bounds (k,)."""
+        needed = self.equation.needed
+        columns = []
+        lowest = []
+        for i in solution.chosen:
+            columns.append(needed if i == GAIN else self.columns[:, :, i])
+            lowest.append(LEAST_BETA if i == GAIN else solution.beta * self.terms[i].lowest)
+        if solution.payload is not None:
+            columns.append(self.payload_column(solution.payload))
+            lowest.append(0.0)
+        target = self.drives(solution.delay)
+        if GAIN not in solution.chosen:
+            target = target - needed
+        stacked = np.stack(columns, axis=2) if columns else np.zeros((*needed.shape, 0))
+        return stacked, target, np.array(lowest)
+
+    def _reweighted(self, solution: Solution, residuals: Array) -> Solution:
+        """Weights from what is left: one over each joint's spread, less for outliers."""
+        used = self.equation.used
+        left = np.where(used, residuals, np.nan)
+        floor = self.settings.weight_floor * root_mean_square(self.forces(solution.delay))
+        spread = np.fmax(deviation(left), floor)
+        spread = np.where(spread > 0, spread, np.inf)
+        size = np.maximum(np.abs(residuals) / spread, 1e-12)
+        huber = np.sqrt(np.minimum(1.0, self.settings.huber / size))
+        return replace(solution, weights=np.where(used, huber / spread, 0.0), spread=spread)
+
+    def delayed(self, solution: Solution) -> Solution:
+        """The delay with the least error, by a parabola through the best three of a grid."""
+        delays = self.equation.delays
+        errors = np.empty(len(delays))
+        for k, delay in enumerate(delays.tolist()):
+            columns, target, lowest = self._system(replace(solution, delay=delay))
+            gram, moments = _normal_equations(columns, target, solution.weights)
+            found = bounded(gram, moments, lowest)
+            own = float(np.sum((target * solution.weights) ** 2))
+            errors[k] = own - 2 * moments @ found + found @ gram @ found
+        best = int(np.argmin(errors))
+        if best in (0, len(delays) - 1):
+            return replace(solution, delay=float(delays[best]))
+        before, here, after = errors[best - 1 : best + 2]
+        shift = 0.5 * (before - after) / (before - 2 * here + after)
+        return replace(solution, delay=float(delays[best] + shift * (delays[1] - delays[0])))
+
+    # ---- the payload's place
+
+    def loaded(self, solution: Solution, bodies: Iterable[int]) -> Solution:
+        """The payload on one of some bodies that lowers the error most, at the place where it does.
+
+        With all other numbers projected out, the error depends on a place through ten columns
+        alone, so that a grid of places costs no dynamics.
+        """
+        others, target, _ = self._system(replace(solution, payload=None))
+        gram, moments = _normal_equations(others, target, solution.weights)
+        ridge = 1e-10 * np.diag(np.maximum(np.diag(gram), 1e-300))
+        weights = solution.weights[:, :, None]
+        flat_others = (others * weights).reshape(target.size, others.shape[2])
+        aim = (target * solution.weights).ravel()
+        best: tuple[float, Payload | None] = (0.0, None)
+        for body in bodies:
+            own = (self.equation.by_inertia[body] * weights).reshape(-1, 10)
+            cross = flat_others.T @ own
+            solved = np.linalg.solve(gram + ridge, np.column_stack([cross, moments]))
+            left = own.T @ own - cross.T @ solved[:, :-1]
+            aims = own.T @ aim - cross.T @ solved[:, -1]
+            found = self._best_place(body, left, aims)
+            best = max(best, found, key=lambda one: one[0])
+        return solution if best[1] is None else replace(solution, payload=best[1])
+
+    def _best_place(self, body: int, left: Array, aims: Array) -> tuple[float, Payload | None]:
+        """How much 1 kg at the best place of a body explains, and the payload there."""
+        reach = width = self.reaches[body]
+        best: tuple[float, Payload | None] = (0.0, None)
+        centre = np.zeros(3)
+        for _ in range(self.settings.finer):
+            axis = np.linspace(-width, width, self.settings.grid)
+            offsets = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+            places = np.clip(centre + offsets, -reach, reach)
+            numbers = np.array([point_mass(place) for place in places])
+            along = numbers @ aims
+            size = np.einsum("ij,jk,ik->i", numbers, left, numbers)
+            seen = (along > 0) & (size > 1e-9 * np.trace(left))
+            gains = np.where(seen, along**2 / np.where(seen, size, 1.0), 0.0)
+            k = int(np.argmax(gains))
+            if gains[k] <= best[0]:
+                return best
+            best = float(gains[k]), Payload(body, float(along[k] / size[k]), places[k])
+            centre = places[k]
+            width *= 2.4 / (self.settings.grid - 1)
+        return best
+
+    # ---- all numbers together
+
+    def refined(self, solution: Solution) -> Solution:
+        """All numbers fitted together, the payload's place and the delay too, by Gauss-Newton."""
+        for _ in range(self.settings.steps):
+            jacobian, residuals = self._linearized(solution)
+            solution = self._reweighted(solution, residuals)
+            gram, moments = _normal_equations(jacobian, residuals, solution.weights)
+            solution = self._moved(solution, bounded(gram, moments, self._step_bounds(solution)))
+        return self._reweighted(solution, self._linearized(solution)[1])
+
+    def badness(self, solution: Solution) -> float:
+        """The logarithms of what is left at the joints, added over their rows."""
+        rows = self.equation.used.sum(axis=0)
+        return float(rows @ np.log(np.where(rows > 0, solution.spread, 1.0)))
+
+    def residuals(self, solution: Solution) -> Array:
+        """(R, nv) the drives' forces less what is explained."""
+        return self._linearized(solution)[1]
+
+    def _linearized(self, solution: Solution) -> tuple[Array, Array]:
+        """(R, nv, k) derivatives of what the numbers explain, and the residuals (R, nv).
+
+        The numbers are beta where it is free, the terms' sizes, the payload's mass and place, and
+        the delay, in this order.
+        """
+        columns = self.columns[:, :, solution.terms]
+        needed = self.equation.needed + columns @ solution.sizes[solution.terms]
+        parts = [solution.beta * columns]
+        payload = solution.payload
+        if payload is not None:
+            own = self.payload_column(payload)
+            needed = needed + payload.mass * own
+            parts.append(solution.beta * own[:, :, None])
+            by_inertia = self.equation.by_inertia[payload.body]
+            moved = np.stack([_by_place(payload.place, axis) for axis in np.eye(3)], axis=1)
+            parts.append(solution.beta * payload.mass * (by_inertia @ moved))
+        if GAIN in solution.chosen:
+            parts.insert(0, needed[:, :, None])
+        parts.append(-np.asarray(self._drives(solution.delay, 1))[:, :, None])
+        residuals = self.drives(solution.delay) - solution.beta * needed
+        return np.concatenate(parts, axis=2), residuals
+
+    def _step_bounds(self, solution: Solution) -> Array:
+        """(k,) the lowest steps of the numbers."""
+        lowest = [LEAST_BETA - solution.beta] if GAIN in solution.chosen else []
+        lowest += [self.terms[i].lowest - solution.sizes[i] for i in solution.terms]
+        if solution.payload is not None:
+            longest = 0.2 * self.reaches[solution.payload.body]
+            lowest += [-solution.payload.mass, -longest, -longest, -longest]
+        lowest.append(self.equation.delays[0] - solution.delay)
+        return np.array(lowest)
+
+    def _moved(self, solution: Solution, step: Array) -> Solution:
+        """The solution after a step of its numbers."""
+        values = step.tolist()
+        beta = solution.beta
+        if GAIN in solution.chosen:
+            beta = max(beta + values.pop(0), LEAST_BETA)
+        sizes = solution.sizes.copy()
+        for i in solution.terms:
+            sizes[i] += values.pop(0)
+        payload = solution.payload
+        if payload is not None:
+            reach = self.reaches[payload.body]
+            mass = payload.mass + values.pop(0)
+            moved = payload.place + np.clip(values[:3], -0.2 * reach, 0.2 * reach)
+            payload = Payload(payload.body, mass, np.clip(moved, -reach, reach))
+        delay = float(np.clip(solution.delay + values[-1], *self.equation.delays[[0, -1]]))
+        return replace(solution, gain=1 / beta - 1, sizes=sizes, payload=payload, delay=delay)
+
+    def covariance(self, solution: Solution) -> Array:
+        """(k, k) covariance of the numbers, with errors that depend on each other within a block.
+
+        References
+        ----------
+        .. [1] Liang, Zeger, Longitudinal data analysis using generalized linear models, Biometrika
+           73, 1986.
+        """
+        jacobian, residuals = self._linearized(solution)
+        weighted = jacobian * solution.weights[:, :, None]
+        flat = weighted.reshape(-1, jacobian.shape[2])
+        size = np.sqrt(np.sum(flat**2, axis=0))
+        scale = np.where(size > 1e-100, size, np.inf)
+        gram = (flat.T @ flat) / np.outer(scale, scale) + 1e-10 * np.eye(len(scale))
+        inverse = np.linalg.inv(gram) / np.outer(scale, scale)
+        by_row = np.einsum("rjk,rj->rk", weighted, residuals * solution.weights)
+        blocks = np.unique(self.equation.block, return_inverse=True)[1]
+        count = int(blocks.max()) + 1
+        scores = np.zeros((count, len(scale)))
+        np.add.at(scores, blocks, by_row)
+        middle = scores.T @ scores * count / max(count - 1, 1)
+        return np.asarray(inverse @ middle @ inverse)
+
+
+def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Array, Array]:
+    """(k, k) weighted Gram matrix of the columns (R, nv, k), and products with the target (k,)."""
+    flat = (columns * weights[:, :, None]).reshape(target.size, columns.shape[2])
+    return flat.T @ flat, flat.T @ (target * weights).ravel()
+
+
+def _by_place(place: Array, axis: Array) -> Array:
+    """(10,) derivative of the inertial numbers of 1 kg by its place along an axis."""
+    step = 1e-6
+    return (point_mass(place + step * axis) - point_mass(place - step * axis)) / (2 * step)
+
+
+def root_mean_square(values: Array) -> Array:
+    """Return the root mean square (nv,) of rows (R, nv), NaN left out; 0 where all are NaN."""
+    there = np.isfinite(values)
+    total = np.sum(np.where(there, values, 0.0) ** 2, axis=0)
+    return np.asarray(np.sqrt(total / np.maximum(there.sum(axis=0), 1)))
+
+
+def bounded(gram: Array, moments: Array, lowest: Array) -> Array:
+    """Minimize x' gram x - 2 moments' x with lower bounds, by an active set.
+
+    Parameters
+    ----------
+    gram : (k, k) array
+        Positive semidefinite.
+    moments, lowest : (k,) arrays
+        The linear term, and the bounds; -inf where there is none.
+
+    Returns
+    -------
+    (k,) array
+    """
+    at_bound = np.zeros(len(moments), dtype=bool)
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    while True:
+        free = ~at_bound
+        found = np.where(at_bound, lowest, 0.0)
+        if free.any():
+            own = gram[np.ix_(free, free)] / np.outer(scale[free], scale[free])
+            aim = moments - gram[:, at_bound] @ lowest[at_bound]
+            own += 1e-10 * np.eye(len(own))
+            found[free] = np.linalg.solve(own, aim[free] / scale[free]) / scale[free]
+        below = free & (found < lowest - 1e-12)
+        if not below.any():
+            return found
+        at_bound |= below

@@ -1,0 +1,474 @@
+"""A diagnosis by regression alone: what the forces of a log lack, in a second or two.
+
+Nothing is simulated, so what acts through the simulation alone (play, dead zones, lags, contacts)
+is not looked for, and what is found is a start for a search by simulation.
+"""
+
+import time
+from dataclasses import KW_ONLY, dataclass, field, replace
+
+import numpy as np
+from scipy.stats import t as student
+from threadpoolctl import threadpool_limits
+
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.validation import Array, require
+from dropo.diagnosis.parts import Alternative, Cause, Estimate
+from dropo.diagnosis.regression.choice import ChoiceSettings, Chooser
+from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
+from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
+from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis
+from dropo.diagnosis.regression.terms import Term, reach_of, terms_of
+from dropo.diagnosis.regression.wiring import wiring_faults
+from dropo.diagnosis.search.library import robot_of
+from dropo.mjmodel.bodies import moving_bodies
+from dropo.mjmodel.joints import actuators, joints
+from dropo.mjmodel.robot_simulator import RobotSimulator
+
+
+@dataclass(frozen=True)
+class QuickSettings:
+    """Numbers that decide in a diagnosis by regression.
+
+    Attributes
+    ----------
+    checked : float
+        The fraction of the trajectories, or of each where they are few, that is held out where the
+        problem holds out no data.
+    certain : float
+        Standard errors that a number must be away from 0.
+    bias : float
+        The fraction of every number that is added to its error, for what smoothing does to it.
+    widen : float
+        The factor on the kernels' widths with which all numbers are estimated once more; what
+        changes is part of their standard errors.
+    explained : float
+        The force that is left on data held out, as a fraction of the drives', below which nothing
+        remains to be explained.
+    similarity : float
+        The cosine of two terms' forces, with all others projected out, from which data can not
+        tell them apart.
+    equation : EquationSettings
+        How a log becomes an equation.
+    fit : FitSettings
+        How numbers are fitted.
+    choice : ChoiceSettings
+        When they are accepted.
+    """
+
+    checked: float = 0.2
+    certain: float = 3.0
+    bias: float = 0.01
+    widen: float = 1.4
+    explained: float = 0.1
+    similarity: float = 0.98
+    equation: EquationSettings = field(default_factory=EquationSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+    choice: ChoiceSettings = field(default_factory=ChoiceSettings)
+
+
+@dataclass(frozen=True)
+class QuickDiagnose:
+    """A diagnosis by regression over inverse dynamics.
+
+    Attributes
+    ----------
+    settings : QuickSettings
+        Numbers that decide.
+    """
+
+    _: KW_ONLY
+    settings: QuickSettings = field(default_factory=QuickSettings)
+
+    def run(self, problem: Problem) -> QuickDiagnosis:
+        """Find the forces that a problem's model lacks.
+
+        Parameters
+        ----------
+        problem : Problem
+            Measured joint positions and commands, and a MuJoCo model of hinges and slides.
+
+        Returns
+        -------
+        QuickDiagnosis
+
+        Raises
+        ------
+        Incompatible
+            If the robot is not one of hinges and slides whose positions are all observed and whose
+            drives' forces are known from the state.
+        BadArgument
+            If the problem is none, no trajectory is long enough, or nothing moves.
+        """
+        expected = "a Problem, which dropo.load makes of a name or a file"
+        require(isinstance(problem, Problem), "problem", expected, problem, "QuickDiagnose")
+        begun = time.perf_counter()
+        with threadpool_limits(1, user_api="blas"):
+            found = self._run(problem)
+        return replace(found, wall_time_s=time.perf_counter() - begun)
+
+    def _run(self, problem: Problem) -> QuickDiagnosis:
+        simulator = robot_of(problem)
+        fitted, checked = self._sides(problem)
+        faults = wiring_faults(simulator, fitted)
+        estimate = estimate_missing(problem, fitted, self.settings)
+        causes = [] if faults else self._causes(simulator, estimate)
+        forces = self._forces(problem, checked, estimate, bool(causes))
+        return QuickDiagnosis(
+            name=problem.name,
+            verdict=self._verdict(causes, forces, bool(faults)),
+            causes=tuple(causes),
+            faults=faults,
+            forces=forces,
+            warnings=(*problem.warnings, *_warnings(simulator, estimate)),
+        )
+
+    def _sides(self, problem: Problem) -> tuple[Trajectories, Trajectories]:
+        """The data that are fitted, and those held out.
+
+        Where the problem holds out none, these are some whole runs, or the ends of few runs.
+        """
+        data = problem.trajectories
+        if problem.held_out is not None:
+            return data, problem.held_out
+        every = round(1 / self.settings.checked)
+        checked = np.zeros(len(data), dtype=bool)
+        for number, (start, stop) in enumerate(data.spans):
+            if len(data.spans) < every:
+                checked[stop - round(self.settings.checked * (stop - start)) : stop] = True
+            elif number % every == every - 1:
+                checked[start:stop] = True
+        return data.rows(np.flatnonzero(~checked)), data.rows(np.flatnonzero(checked))
+
+    def _causes(self, simulator: RobotSimulator, estimate: "Missing") -> list[Cause]:
+        """Every number that is missing as a cause, the one that gains most first."""
+        found = []
+        blocks = len(np.unique(estimate.fitter.equation.block))
+        tries = len(estimate.fitter.terms) + 3
+        for number in estimate.numbers(simulator, self.settings.certain):
+            gain, error = estimate.gain_without(number.index)
+            z = abs(number.estimates[0][1].value) / max(number.estimates[0][1].se, 1e-300)
+            found.append(
+                Cause(
+                    effect=number.effect,
+                    target=number.target,
+                    variant=number.variant,
+                    estimate=dict(number.estimates),
+                    p_value=float(min(1.0, tries * 2 * student.sf(z, max(blocks - 1, 1)))),
+                    held_out_gain=gain,
+                    held_out_gain_se=error,
+                    rmse_before=estimate.left_without(number.index),
+                    rmse_after=estimate.left,
+                    confused_with=estimate.alternatives(number.index, self.settings.similarity),
+                )
+            )
+        found.sort(key=lambda cause: -cause.held_out_gain)
+        return found
+
+    def _forces(
+        self, problem: Problem, checked: Trajectories, estimate: "Missing", found: bool
+    ) -> tuple[JointForces, ...]:
+        """What the drives give at each joint, and what is not explained of it on data held out."""
+        try:
+            equation = equation_of(
+                problem, checked, self.settings.equation, width=estimate.fitter.equation.width
+            )
+        except BadArgument:
+            equation = estimate.fitter.equation
+        simulator = robot_of(problem)
+        terms = terms_of(simulator, equation)
+        by_label = {(term.label, term.quantity): i for i, term in enumerate(terms)}
+        fitter = replace(estimate.fitter, equation=equation, terms=terms)
+        solution = estimate.solution
+        sizes = np.zeros(len(terms))
+        chosen = [i for i in solution.chosen if i == GAIN]
+        for i in solution.terms:
+            term = estimate.fitter.terms[i]
+            place = by_label.get((term.label, term.quantity))
+            if place is not None:
+                sizes[place] = solution.sizes[i]
+                chosen.append(place)
+        after = replace(solution, sizes=sizes, chosen=tuple(chosen))
+        nothing = fitter.start(())
+        before = np.where(equation.used, fitter.residuals(nothing), np.nan)
+        left = np.where(equation.used, fitter.residuals(after), np.nan) if found else before
+        force = root_mean_square(fitter.forces(solution.delay))
+        rows = zip(
+            joints(simulator.model),
+            force,
+            root_mean_square(before),
+            root_mean_square(left),
+            equation.used.mean(axis=0),
+            strict=True,
+        )
+        return tuple(
+            JointForces(joint.name, joint.force, float(f), float(b), float(a), float(share))
+            for joint, f, b, a, share in rows
+        )
+
+    def _verdict(self, causes: list[Cause], forces: tuple[JointForces, ...], faulty: bool) -> str:
+        """The finding in a word, by the forces that are left on data held out."""
+        limit = self.settings.explained
+        wrong = faulty or any(joint.after > limit * joint.drive for joint in forces)
+        if causes:
+            return "partly" if wrong else "explained"
+        return "unexplained" if wrong else "consistent"
+
+
+@dataclass(frozen=True, eq=False)
+class Number:
+    """Something that is missing.
+
+    Attributes
+    ----------
+    index : int or str
+        The term's place, GAIN, "delay" or "payload".
+    effect, target, variant : str
+        The effect.
+    estimates : tuple of (str, Estimate)
+        Its quantities.
+    """
+
+    index: int | str
+    effect: str
+    target: str | None
+    variant: str
+    estimates: tuple[tuple[str, Estimate], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """What is missing from an equation of motion, with its errors.
+
+    Attributes
+    ----------
+    fitter : Fitter
+        The equation and its terms.
+    chooser : Chooser
+        How they were chosen.
+    solution : Solution
+        The numbers.
+    errors : (k,) array
+        Standard errors: of the rows, of the kernels' widths, and of the model's physics step.
+    """
+
+    fitter: Fitter
+    chooser: Chooser
+    solution: Solution
+    errors: Array
+
+    @property
+    def left(self) -> float:
+        """RMS of the forces that are left, as a fraction of the drives'."""
+        return self._left(self.solution)
+
+    def _left(self, solution: Solution) -> float:
+        """RMS over joints of what is left, each as a fraction of its drive's force."""
+        equation = self.fitter.equation
+        residuals = np.where(equation.used, self.fitter.residuals(solution), np.nan)
+        drive = np.maximum(root_mean_square(self.fitter.forces(solution.delay)), 1e-300)
+        return float(np.sqrt(np.mean((root_mean_square(residuals) / drive) ** 2)))
+
+    def numbers(self, simulator: RobotSimulator, certain: float) -> list[Number]:
+        """The numbers that are missing, with their errors."""
+        solution = self.solution
+        errors = self.errors.tolist()
+        model = simulator.model
+        drives = actuators(model)
+        everywhere = drives[0].name if len(drives) == 1 else None
+        found = []
+        if GAIN in solution.chosen:
+            gain = Estimate(solution.gain, errors.pop(0) / solution.beta**2, "1", 1.0)
+            found.append(Number(GAIN, "actuator_gain", everywhere, "", (("gain", gain),)))
+        for i in solution.terms:
+            term = self.fitter.terms[i]
+            size = Estimate(float(solution.sizes[i]), errors.pop(0), term.unit, term.model)
+            quantity = ((term.quantity, size),)
+            found.append(Number(i, term.effect, term.target, term.variant, quantity))
+        payload = solution.payload
+        if payload is not None:
+            name = moving_bodies(model)[payload.body][1]
+            mass = Estimate(payload.mass, errors.pop(0), "kg", None)
+            place = [
+                (letter, Estimate(float(value), errors.pop(0), "m", None))
+                for letter, value in zip("xyz", payload.place, strict=True)
+            ]
+            found.append(Number("payload", "payload", name, "", (("mass", mass), *place)))
+        # A simulation of the model acts early by itself: what is to be typed makes up for that.
+        delay = Estimate(solution.delay - self.fitter.own_delay, errors.pop(0), "s", None)
+        if delay.value > max(float(model.opt.timestep), certain * delay.se):
+            found.append(Number("delay", "actuator_delay", everywhere, "", (("delay", delay),)))
+        return found
+
+    def doubtful(self, certain: float) -> int | str | None:
+        """The least certain number, if it is within so many standard errors of 0."""
+        solution = self.solution
+        errors = self.errors.tolist()
+        ratios: dict[int | str, float] = {}
+        if GAIN in solution.chosen:
+            ratios[GAIN] = abs(solution.gain) * solution.beta**2 / errors.pop(0)
+        for i in solution.terms:
+            ratios[i] = abs(float(solution.sizes[i])) / errors.pop(0)
+        if solution.payload is not None:
+            ratios["payload"] = solution.payload.mass / errors.pop(0)
+        least = min(ratios, key=lambda index: ratios[index], default=None)
+        return None if least is None or ratios[least] > certain else least
+
+    def without(self, index: int | str) -> Solution:
+        """The numbers without one of them, the rest as it is."""
+        solution = self.solution
+        if index == "delay":
+            return replace(solution, delay=self.fitter.own_delay)
+        if index == "payload":
+            return replace(solution, payload=None)
+        sizes = solution.sizes.copy()
+        if index != GAIN:
+            sizes[int(index)] = 0.0
+        gain = 0.0 if index == GAIN else solution.gain
+        chosen = tuple(i for i in solution.chosen if i != index)
+        return replace(solution, chosen=chosen, sizes=sizes, gain=gain)
+
+    def gain_without(self, index: int | str) -> tuple[float, float]:
+        """What a number gains on data held out, and its error [nats per row of the equation]."""
+        rows = len(self.fitter.equation)
+        gain, error = self.chooser.gain(self.solution, self.without(index))
+        return gain / rows, error / rows
+
+    def left_without(self, index: int | str) -> float:
+        """What is left without a number, the others fitted again."""
+        return self._left(self.fitter.solve(self.without(index)))
+
+    def alternatives(self, index: int | str, similarity: float) -> tuple[Alternative, ...]:
+        """What has the same forces as a number, with all other numbers projected out."""
+        if index in ("delay", "payload"):
+            return ()
+        fitter = self.fitter
+        chosen = self.solution.chosen
+        count = len(fitter.terms)
+        # The gain's column comes last, so that GAIN is its index too.
+        columns = np.concatenate([fitter.columns, fitter.equation.needed[:, :, None]], axis=2)
+        columns = (columns * self.solution.weights[:, :, None]).reshape(-1, count + 1)
+        others = [i for i in chosen if i != index]
+        basis = np.linalg.qr(columns[:, others])[0] if others else np.zeros((len(columns), 0))
+        left = columns - basis @ (basis.T @ columns)
+        size = np.linalg.norm(left, axis=0)
+        size = np.where(size > 1e-6 * np.linalg.norm(columns, axis=0), size, np.inf)
+        cosines = np.abs(left.T @ left[:, int(index)]) / (size * size[int(index)])
+        cosines[list(chosen)] = 0.0
+        found = []
+        for i in np.argsort(-cosines).tolist():
+            if cosines[i] <= similarity:
+                break
+            place = ("actuator_gain", None, "")
+            if i < count:
+                term = fitter.terms[i]
+                place = (term.effect, term.target, term.variant)
+            found.append(Alternative(*place, why=f"similarity {cosines[i]:.3f}"))
+        return tuple(found)
+
+
+def estimate_missing(
+    problem: Problem, trajectories: Trajectories, settings: QuickSettings
+) -> Missing:
+    """Choose and fit what the equation of motion lacks along measured trajectories.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its robot.
+    trajectories : Trajectories
+        What was measured.
+    settings : QuickSettings
+        Numbers that decide.
+
+    Returns
+    -------
+    Missing
+
+    Raises
+    ------
+    Incompatible, BadArgument
+        As of `equation_of`.
+    """
+    simulator = robot_of(problem)
+    equation = equation_of(problem, trajectories, settings.equation)
+    fitter = _fitter(simulator, equation, settings)
+    wide_equation = equation_of(
+        problem, trajectories, settings.equation, width=settings.widen * equation.width
+    )
+    wide = _fitter(simulator, wide_equation, settings)
+    chooser = Chooser(fitter, settings.choice)
+    solution = chooser.run()
+    while True:
+        found = Missing(
+            fitter, chooser, solution, _errors(simulator, fitter, wide, solution, settings)
+        )
+        doubtful = found.doubtful(settings.certain)
+        if doubtful is None:
+            return found
+        solution = fitter.refined(fitter.solve(found.without(doubtful)))
+
+
+def _errors(
+    simulator: RobotSimulator,
+    fitter: Fitter,
+    wide: Fitter,
+    solution: Solution,
+    settings: QuickSettings,
+) -> Array:
+    """(k,) standard errors: by rows, by the kernels' width, by the physics step, and by smoothing.
+
+    wide: the same equation with wider kernels.
+    """
+    values = _values(solution)
+    by_rows = np.maximum(np.diag(fitter.covariance(solution)), 0.0)
+    moved = np.full(len(values), np.inf)
+    if [term.label for term in wide.terms] == [term.label for term in fitter.terms]:
+        own = wide.start(solution.chosen)
+        again = replace(solution, weights=own.weights, spread=own.spread)
+        moved = _values(wide.refined(wide.solve(again))) - values
+    step = np.zeros(len(values))
+    offset = 1 if GAIN in solution.chosen else 0
+    for place, i in enumerate(solution.terms):
+        step[offset + place] = 0.5 * fitter.terms[i].least * (1 + solution.gain)
+    step[-1] = 0.5 * float(simulator.model.opt.timestep)
+    return np.sqrt(by_rows + moved**2 + step**2 + (settings.bias * values) ** 2)
+
+
+def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
+    """What makes the numbers less certain than their errors say, a sentence each."""
+    found = []
+    for i in estimate.solution.terms:
+        term = estimate.fitter.terms[i]
+        if estimate.solution.sizes[i] <= term.lowest + 1e-9 * abs(term.lowest):
+            found.append(
+                f"{term.label}: the total is at its bound, 0. Something else may act like it."
+            )
+    driven = estimate.fitter.equation.driven
+    for joint in joints(simulator.model):
+        if not driven[joint.qvel]:
+            found.append(
+                f"No drive acts at {joint.name!r}: what is found there is rough, and its errors "
+                "are too small."
+            )
+    return found
+
+
+def _fitter(simulator: RobotSimulator, equation: Equation, settings: QuickSettings) -> Fitter:
+    """What fits the numbers of an equation."""
+    model = simulator.model
+    reaches = [reach_of(model, body) for body, _ in moving_bodies(model)]
+    weight = float(sum(model.body_mass[body] for body, _ in moving_bodies(model)))
+    terms: list[Term] = terms_of(simulator, equation)
+    return Fitter(equation, terms, reaches, weight, settings.fit)
+
+
+def _values(solution: Solution) -> Array:
+    """(k,) the numbers in the order of their covariance."""
+    values = [solution.beta] if GAIN in solution.chosen else []
+    values += solution.sizes[solution.terms].tolist()
+    if solution.payload is not None:
+        values += [solution.payload.mass, *solution.payload.place.tolist()]
+    return np.array([*values, solution.delay])

@@ -1,0 +1,175 @@
+"""What a diagnosis by regression found."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from dropo.core.services.atomic_write import write_json
+from dropo.core.services.tables import Report, Table, number
+from dropo.diagnosis.parts import Cause
+
+VERDICTS = {
+    "consistent": "No force is missing that this log could show.",
+    "explained": "With these numbers the forces along the log are explained.",
+    "partly": "With these numbers a part of the forces remains unexplained.",
+    "unexplained": "Forces are missing that none of the linear laws explains.",
+}
+
+
+@dataclass(frozen=True)
+class WiringFault:
+    """Commands or angles that do not mean what the model takes them for.
+
+    Attributes
+    ----------
+    kind : {"sign", "unit factor", "exchange"}
+        What is wrong.
+    target : str
+        The joint, or the two that are exchanged.
+    text : str
+        A sentence.
+    """
+
+    kind: str
+    target: str
+    text: str
+
+
+@dataclass(frozen=True)
+class JointForces:
+    """What a joint's drive gives, and what is not explained of it on data held out.
+
+    Attributes
+    ----------
+    joint, unit : str
+        Its name, and N or N m.
+    drive : float
+        RMS of the drive's force, or of what the motion needs where there is no drive.
+    before, after : float
+        RMS of what the model leaves unexplained, as it is and with what was found.
+    used : float
+        Fraction of the rows in which the joint moves freely.
+    """
+
+    joint: str
+    unit: str
+    drive: float
+    before: float
+    after: float
+    used: float
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class QuickDiagnosis(Report):
+    """What a regression over inverse dynamics found.
+
+    Attributes
+    ----------
+    name : str
+        The problem's.
+    verdict : {"consistent", "explained", "partly", "unexplained"}
+        By the forces that are left on data held out.
+    causes : tuple of Cause
+        What is missing, the largest gain first; gains are in nats per row of the equation, errors
+        in fractions of the drives' forces.
+    faults : tuple of WiringFault
+        Signs, units or names that are wrong; nothing else is looked for then.
+    forces : tuple of JointForces
+        What is explained at each joint.
+    warnings : tuple of str
+        What is unusual in the data.
+    wall_time_s : float
+        How long it took [s].
+    """
+
+    name: str
+    verdict: str
+    causes: tuple[Cause, ...]
+    faults: tuple[WiringFault, ...]
+    forces: tuple[JointForces, ...]
+    warnings: tuple[str, ...] = ()
+    wall_time_s: float = 0.0
+
+    def headline(self) -> str:
+        """The finding in a few sentences."""
+        if self.faults:
+            return " ".join(fault.text for fault in self.faults)
+        count = len(self.causes)
+        verdict = VERDICTS[self.verdict]
+        if not count:
+            return verdict
+        noun = "number is" if count == 1 else "numbers are"
+        return f"{count} {noun} missing or wrong, by regression alone. {verdict}"
+
+    def parts(self) -> list[str | Table]:
+        """The headline, the causes with the numbers to type, and the forces."""
+        lines: list[str | Table] = [self.headline()]
+        if self.causes:
+            lines.append(self._cause_table())
+        lines.append(self._force_table())
+        if self.causes:
+            lines.append("Run `dropo diagnose` without --quick to confirm them by simulation.")
+        return [*lines, *(f"warning: {text}" for text in self.warnings)]
+
+    def _cause_table(self) -> Table:
+        """A row for each quantity of each cause."""
+        rows = []
+        for cause in self.causes:
+            gain = f"{number(cause.held_out_gain, 2)} +- {number(cause.held_out_gain_se, 2)}"
+            others = ", ".join(other.place for other in cause.confused_with[:3])
+            label = cause.place
+            for name, found in cause.estimate.items():
+                model = "-" if found.model is None else number(found.model, 3)
+                rows.append((label, name, str(found), model, gain, others))
+                label = gain = others = ""
+        header = (
+            "missing",
+            "quantity",
+            "add",
+            "the model has",
+            "nats a row, held out",
+            "cannot be told from",
+        )
+        return Table("", header, tuple(rows))
+
+    def _force_table(self) -> Table:
+        """A row for each joint."""
+        rows = []
+        for joint in self.forces:
+            cells = [number(value, 3) for value in (joint.drive, joint.before, joint.after)]
+            rows.append((joint.joint, joint.unit, *cells, f"{joint.used:.0%}"))
+        header = ("joint", "unit", "drive", "unexplained as it is", "with what was found", "used")
+        return Table("RMS forces on held-out data", header, tuple(rows))
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of diagnosis.json."""
+        from dropo._version import __version__
+
+        return {
+            "verdict": self.verdict,
+            "method": "regression",
+            "headline": self.headline(),
+            "problem": self.name,
+            "causes": [cause.to_json(i + 1) for i, cause in enumerate(self.causes)],
+            "faults": [asdict(fault) for fault in self.faults],
+            "suspects": [],
+            "forces": [asdict(joint) for joint in self.forces],
+            "extended_problem": None,
+            "warnings": list(self.warnings),
+            "seed": None,
+            "version": __version__,
+            "simulator_steps": 0,
+            "wall_time_s": round(self.wall_time_s, 3),
+        }
+
+    def save(self, folder: str | Path) -> None:
+        """Write diagnosis.json into a folder, whole or not at all.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made where it is missing.
+        """
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / "diagnosis.json", self.to_json())

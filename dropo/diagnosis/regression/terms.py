@@ -1,0 +1,294 @@
+"""What may be missing from the equation of motion, as columns of a regression."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.contracts.effect import Model
+from dropo.core.services.validation import Array
+from dropo.diagnosis.regression.equation import Equation
+from dropo.mjmodel.bodies import moving_bodies
+from dropo.mjmodel.joints import Joint, actuators, joints
+from dropo.mjmodel.robot_simulator import RobotSimulator
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A number that may be missing: an effect's quantity at one place.
+
+    Attributes
+    ----------
+    effect, target, variant : str
+        The effect as `dropo list effects` names it; the target is None where it is global.
+    quantity : str
+        Its name in results.
+    unit : str
+        "1" for a number without one.
+    lowest : float
+        The number that is added to the model must not be below this.
+    model : float or None
+        The model's own number.
+    least : float
+        Below this size it is what the model's own physics step makes.
+    family : str
+        Terms of one family are one physical law at several places.
+    column : (R, nv) array
+        The force that one unit of it needs [N, N m].
+    """
+
+    effect: str
+    target: str | None
+    variant: str
+    quantity: str
+    unit: str
+    lowest: float
+    model: float | None
+    least: float
+    family: str
+    column: Array
+
+    @property
+    def label(self) -> str:
+        """Such as "joint_damping:elbow"."""
+        place = "" if self.target is None else f":{self.target}"
+        variant = f".{self.variant}" if self.variant else ""
+        return f"{self.effect}{place}{variant}"
+
+
+LAWS = ("armature", "damping", "friction")
+"""Families that every joint of a machine has: they are tried first, at all joints together."""
+INERTIAL = ("mass", "com")
+"""Families of terms whose scale is that of the masses."""
+
+
+def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
+    """List the terms of a robot but for gains, delays and payloads, which are not linear.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+    equation : Equation
+        Its equation of motion along a log.
+
+    Returns
+    -------
+    list of Term
+        The commonest first.
+    """
+    model = simulator.model
+    found: list[Term] = []
+    for joint in joints(model):
+        found += _joint_terms(simulator, joint, equation)
+    if np.any(model.opt.gravity):
+        found += _tilt_terms(model, equation)
+    for k, (body, name) in enumerate(moving_bodies(model)):
+        found += _body_terms(model, body, name, equation.by_inertia[k])
+    return [term for term in found if np.any(np.abs(term.column[equation.used]) > 0)]
+
+
+def _joint_terms(simulator: RobotSimulator, joint: Joint, equation: Equation) -> list[Term]:
+    """Rotor, friction, spring and offset of one joint."""
+    model = simulator.model
+    dof = joint.qvel
+    step = float(model.opt.timestep)
+    kp, kv = _feedback(model, joint)
+
+    def term(
+        effect: str,
+        quantity: str,
+        unit: str,
+        values: Array,
+        family: str,
+        *,
+        base: float | None = None,
+        bounded: bool = False,
+        least: float = 0.0,
+        variant: str = "",
+    ) -> Term:
+        column = np.zeros_like(equation.velocity)
+        column[:, dof] = values
+        lowest = -(base or 0.0) if bounded else -np.inf
+        return Term(
+            effect, joint.name, variant, quantity, unit, lowest, base, least, family, column
+        )
+
+    rest = float(model.qpos_spring[joint.qpos])
+    found = [
+        term(
+            "joint_armature",
+            "armature",
+            joint.inertia,
+            equation.acceleration[:, dof],
+            "armature",
+            base=float(model.dof_armature[dof]),
+            bounded=True,
+            least=kv * step / 2,
+        ),
+        term(
+            "joint_damping",
+            "damping",
+            joint.damping,
+            equation.velocity[:, dof],
+            "damping",
+            base=float(np.ravel(model.dof_damping[dof])[0]),
+            bounded=True,
+            least=kp * step / 2,
+        ),
+        term(
+            "joint_friction",
+            "frictionloss",
+            joint.force,
+            equation.direction[:, dof],
+            "friction",
+            base=float(model.dof_frictionloss[dof]),
+            bounded=True,
+        ),
+        term(
+            "joint_stiffness",
+            "stiffness",
+            joint.stiffness,
+            equation.position[:, dof] - rest,
+            "stiffness",
+            base=float(np.ravel(model.jnt_stiffness[joint.id])[0]),
+        ),
+        term(
+            "joint_stiffness",
+            "load",
+            joint.force,
+            -np.ones(len(equation)),
+            "offset",
+            variant="rest",
+        ),
+    ]
+    if equation.driven[dof]:
+        share = term(
+            "joint_load_friction",
+            "share",
+            "1",
+            equation.load[:, dof],
+            "load friction",
+            base=0.0,
+            bounded=True,
+        )
+        found.append(share)
+    return found
+
+
+def _feedback(model: Model, joint: Joint) -> tuple[float, float]:
+    """Stiffness [N m/rad] and damping [N m s/rad] of the servos at a joint."""
+    kp = kv = 0.0
+    for actuator in actuators(model):
+        if actuator.joint is None or actuator.joint.id != joint.id:
+            continue
+        gear = float(model.actuator_gear[actuator.id, 0])
+        bias = model.actuator_biasprm[actuator.id]
+        kp += abs(float(bias[1])) * gear**2
+        kv += abs(float(bias[2])) * gear**2
+    return kp, kv
+
+
+def _tilt_terms(model: Model, equation: Equation) -> list[Term]:
+    """The direction of gravity, turned about the world's x and y axes."""
+    gravity = np.asarray(model.opt.gravity)
+    found = []
+    for axis, letter in enumerate("xy"):
+        turned = np.cross(np.eye(3)[axis], gravity)
+        column = equation.by_gravity @ turned
+        found.append(
+            Term("gravity_tilt", None, letter, letter, "rad", -np.inf, None, 0.0, "tilt", column)
+        )
+    return found
+
+
+def _body_terms(model: Model, body: int, name: str, by_inertia: Array) -> list[Term]:
+    """The mass of a body, its centre of mass, and its rotational inertia."""
+    place = np.asarray(model.body_ipos[body])
+    mass = float(model.body_mass[body])
+    found = [
+        Term(
+            "body_mass",
+            name,
+            "",
+            "mass",
+            "kg",
+            -mass,
+            mass,
+            0.0,
+            "mass",
+            by_inertia @ point_mass(place),
+        )
+    ]
+    for axis, letter in enumerate("xyz"):
+        ahead = point_mass(place + 1e-6 * np.eye(3)[axis])
+        behind = point_mass(place - 1e-6 * np.eye(3)[axis])
+        column = by_inertia @ (mass * (ahead - behind) / 2e-6)
+        found.append(
+            Term(
+                "body_com",
+                name,
+                letter,
+                letter,
+                "m",
+                -np.inf,
+                float(place[axis]),
+                0.0,
+                "com",
+                column,
+            )
+        )
+    return found
+
+
+def point_mass(place: Array) -> Array:
+    """Return the ten inertial numbers of 1 kg at a place.
+
+    Parameters
+    ----------
+    place : (3,) array
+        In the body's frame [m].
+
+    Returns
+    -------
+    (10,) array
+        As `dropo.mjmodel.body_regressors.INERTIAL` orders them.
+    """
+    x, y, z = place
+    moments = (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)
+    return np.array([1.0, x, y, z, *moments])
+
+
+def reach_of(model: Model, body: int) -> float:
+    """Return how far a payload may be from the origin of a body [m].
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    body : int
+        The body's id.
+
+    Returns
+    -------
+    float
+        1.5 times the distance of its centre of mass, of its children and of the ends of its geoms,
+        whichever is farthest.
+    """
+    distances = [float(np.linalg.norm(model.body_ipos[body])), 0.03]
+    for child in range(1, model.nbody):
+        if int(model.body_parentid[child]) == body:
+            distances.append(float(np.linalg.norm(model.body_pos[child])))
+    for geom in range(model.ngeom):
+        if int(model.geom_bodyid[geom]) == body:
+            size = float(model.geom_rbound[geom])
+            distances.append(float(np.linalg.norm(model.geom_pos[geom])) + size)
+    return 1.5 * max(distances)
+
+
+def families_of(terms: Sequence[Term]) -> dict[str, tuple[int, ...]]:
+    """Return the places of the terms by family."""
+    found: dict[str, tuple[int, ...]] = {}
+    for i, term in enumerate(terms):
+        found[term.family] = (*found.get(term.family, ()), i)
+    return found
