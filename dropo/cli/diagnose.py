@@ -141,10 +141,13 @@ def _run_quick(arguments: argparse.Namespace, problem: "Problem") -> int:
     from dropo.cli.record import diagnosis_record
     from dropo.core.services.atomic_write import write_json
     from dropo.diagnosis.regression.quick import QuickDiagnose
+    from dropo.problems.file.writer import write_problem
 
     found = QuickDiagnose().run(problem)
     if arguments.out is not None:
         found.save(arguments.out)
+        if found.causes:
+            write_problem(found.problem, arguments.out / "extended")
         write_json(arguments.out / "run.json", diagnosis_record(arguments, problem))
     show(arguments, found, found.to_json())
     return 0

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from dropo.core.services.validation import Array
 from dropo.mjmodel.names import element_name
 
 
@@ -40,3 +41,54 @@ def contact_geoms(model: mujoco.MjModel) -> list[tuple[int, str]]:
     can = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     found = np.flatnonzero(can & (model.geom_bodyid > 0)).tolist()
     return [(geom, element_name(model, "geom", geom)) for geom in found]
+
+
+def extent(model: mujoco.MjModel, body: int) -> float:
+    """Return how far a body reaches from its origin [m].
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    body : int
+        The body's id.
+
+    Returns
+    -------
+    float
+        The distance of its centre of mass, of its children or of the far side of its geoms,
+        whichever is largest; at least 2 cm.
+    """
+    distances = [0.02, float(np.linalg.norm(model.body_ipos[body]))]
+    for child in np.flatnonzero(model.body_parentid == body).tolist():
+        distances.append(float(np.linalg.norm(model.body_pos[child])))
+    for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
+        centre = float(np.linalg.norm(model.geom_pos[geom]))
+        distances.append(centre + float(model.geom_rbound[geom]))
+    return max(distances)
+
+
+def inertia_matrix(model: mujoco.MjModel, body: int) -> Array:
+    """Return the rotational inertia (3, 3) of a body about its centre of mass, in its own frame."""
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+    axes = rotation.reshape(3, 3)
+    return np.asarray((axes * model.body_inertia[body]) @ axes.T)
+
+
+def write_inertia(model: mujoco.MjModel, body: int, inertia: Array) -> None:
+    """Write the rotational inertia of a body into a model.
+
+    Parameters
+    ----------
+    model : MjModel
+        The model, which is changed in place.
+    body : int
+        The body's id.
+    inertia : (3, 3) array
+        About its centre of mass, in its own frame [kg m^2].
+    """
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    model.body_inertia[body] = moments
+    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())

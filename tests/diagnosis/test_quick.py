@@ -8,7 +8,9 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.regression.quick import QuickDiagnose
+from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
+from dropo.problems.loading import load
 from dropo.problems.simulated.hidden import hide
 from tests.models.servo_arms import arm, built, machine, problem_of, recorded
 
@@ -64,6 +66,16 @@ def test_forces_are_explained(found):
     for joint in diagnosis.forces:
         assert joint.before > 0.3 * joint.drive
         assert joint.after < 0.05 * joint.drive
+
+
+def test_extended_model_lacks_nothing(found, tmp_path):
+    """Written and read again, the extended model has no force missing that is worth a payload."""
+    _, diagnosis = found
+    path = write_problem(diagnosis.problem, tmp_path)
+    again = QuickDiagnose().run(load(path, threads=1))
+    for before, after in zip(diagnosis.forces, again.forces, strict=True):
+        assert after.before < 1.5 * before.after
+    assert not {"payload", "actuator_gain", "joint_friction"} & {c.effect for c in again.causes}
 
 
 def test_nothing_is_missing_from_the_right_model():

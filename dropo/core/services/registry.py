@@ -16,6 +16,7 @@ _EFFECTS = (
     "body_mass",
     "body_com",
     "body_inertia",
+    "payload",
     "joint_damping",
     "joint_friction",
     "joint_stribeck",

@@ -4,8 +4,9 @@ Positions and commands pass the same even kernel, so that commands lag exactly a
 Then both sides of the equation pass a second one, so that no row rests on a raw second derivative.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,9 @@ from dropo.mjmodel.bodies import moving_bodies
 from dropo.mjmodel.body_regressors import inverse_dynamics
 from dropo.mjmodel.forces import LinearDrives, linear_drives
 from dropo.mjmodel.joints import joints
+from dropo.mjmodel.loading import changed_copy
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.simulators.mujoco.layers import change_commands
 
 
 @dataclass(frozen=True)
@@ -236,6 +239,21 @@ def equation_of(
     return Equation(**joined, delays=_delays(simulator, settings), driven=driven, width=width)
 
 
+def model_of(simulator: RobotSimulator) -> Model:
+    """Return the model of a robot with its fixed effects written into it."""
+    changes = [
+        partial(_apply, instance.model, magnitudes)
+        for instance, magnitudes in simulator.fixed
+        if instance.model is not None and not instance.general
+    ]
+    return changed_copy(simulator.model, changes)
+
+
+def _apply(change: Callable[[Model, Array], None], magnitudes: Array, model: Model) -> None:
+    """Change a model as an effect does."""
+    change(model, magnitudes)
+
+
 def _drives_at_rest(simulator: RobotSimulator) -> LinearDrives:
     """The drives of the model at one state, for the places where they act."""
     model = simulator.model
@@ -257,6 +275,11 @@ class Log:
         self.positions: list[Array] = []
         self.commands: list[Array] = []
         low, high = _control_limits(model)
+        fixed = [
+            (instance, magnitudes)
+            for instance, magnitudes in simulator.fixed
+            if instance.command is not None or instance.actuation is not None
+        ]
         for start, stop in trajectories.spans:
             rows = trajectories.observations[start:stop]
             last = trajectories.next_observations[stop - 1 : stop]
@@ -264,7 +287,11 @@ class Log:
             commands = np.zeros((stop - start + 1, model.nu))
             commands[:-1, simulator.controls] = trajectories.actions[start:stop]
             commands[-1] = commands[-2]
-            self.commands.append(np.clip(commands, low, high))
+            commands = np.clip(commands, low, high)
+            if fixed:
+                fine = change_commands(commands, model, simulator.frame_skip, fixed)
+                commands = fine.reshape(len(commands), simulator.frame_skip, model.nu).mean(axis=1)
+            self.commands.append(commands)
 
     @cached_property
     def noise(self) -> Array:
@@ -344,7 +371,7 @@ def _stretch_equation(
 ) -> dict[str, Any]:
     """The arrays of one stretch, without rows whose kernels reach beyond it."""
     run, start, stop = stretch
-    model = simulator.model
+    model = model_of(simulator)
     rows = log.positions[run][start:stop]
     kernels = derivative_kernels(width, log.step)
     position, velocity, acceleration = (apply_kernel(kernel, rows) for kernel in kernels)

@@ -5,12 +5,14 @@ is not looked for, and what is found is a start for a search by simulation.
 """
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
+from dropo.core.contracts.effect import EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
@@ -20,10 +22,10 @@ from dropo.diagnosis.regression.choice import ChoiceSettings, Chooser
 from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
 from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis
-from dropo.diagnosis.regression.terms import Term, reach_of, terms_of
+from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
 from dropo.diagnosis.search.library import robot_of
-from dropo.mjmodel.bodies import moving_bodies
+from dropo.mjmodel.bodies import extent, moving_bodies
 from dropo.mjmodel.joints import actuators, joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -39,6 +41,8 @@ class QuickSettings:
         problem holds out no data.
     certain : float
         Standard errors that a number must be away from 0.
+    reach : float
+        How far a payload may be from the origin of its body, in extents of the body.
     bias : float
         The fraction of every number that is added to its error, for what smoothing does to it.
     widen : float
@@ -60,6 +64,7 @@ class QuickSettings:
 
     checked: float = 0.2
     certain: float = 3.0
+    reach: float = 1.5
     bias: float = 0.01
     widen: float = 1.4
     explained: float = 0.1
@@ -122,6 +127,7 @@ class QuickDiagnose:
             causes=tuple(causes),
             faults=faults,
             forces=forces,
+            problem=_extended(problem, causes),
             warnings=(*problem.warnings, *_warnings(simulator, estimate)),
         )
 
@@ -236,6 +242,13 @@ class Number:
     target: str | None
     variant: str
     estimates: tuple[tuple[str, Estimate], ...]
+
+    @property
+    def label(self) -> str:
+        """The label of the effect's instance, such as "joint_stiffness:elbow.rest"."""
+        place = "" if self.target is None else f":{self.target}"
+        variant = f".{self.variant}" if self.variant else ""
+        return f"{self.effect}{place}{variant}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,6 +450,28 @@ def _errors(
     return np.sqrt(by_rows + moved**2 + step**2 + (settings.bias * values) ** 2)
 
 
+def _extended(problem: Problem, causes: Sequence[Cause]) -> Problem:
+    """The problem with everything that is missing in its simulator."""
+    simulator = robot_of(problem)
+    fixed = list(simulator.fixed)
+    for cause in causes:
+        place = "" if cause.target is None else cause.target
+        instances = instances_of(simulator.effect_context, cause.effect)
+        for instance in instances:
+            if (instance.target or "", instance.variant) == (place, cause.variant):
+                fixed.append((instance, _magnitudes(instance, cause.estimate)))
+    return replace(problem, simulator=simulator.with_effects(simulator.effects, fixed))
+
+
+def _magnitudes(instance: EffectInstance, estimate: Mapping[str, Estimate]) -> Array:
+    """(q,) the magnitudes of an effect; 0 of what was not estimated.
+
+    A search by simulation bounds them by the model's own numbers, which may be far off.
+    """
+    names = [quantity.name for quantity in instance.quantities]
+    return np.array([estimate[name].value if name in estimate else 0.0 for name in names])
+
+
 def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
     """What makes the numbers less certain than their errors say, a sentence each."""
     found = []
@@ -446,6 +481,10 @@ def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
             found.append(
                 f"{term.label}: the total is at its bound, 0. Something else may act like it."
             )
+    for instance, _ in simulator.fixed:
+        written = instance.model is not None and not instance.general
+        if not (written or instance.command or instance.actuation):
+            found.append(f"{instance.label} of the simulator is not known to the regression.")
     driven = estimate.fitter.equation.driven
     for joint in joints(simulator.model):
         if not driven[joint.qvel]:
@@ -459,7 +498,7 @@ def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
 def _fitter(simulator: RobotSimulator, equation: Equation, settings: QuickSettings) -> Fitter:
     """What fits the numbers of an equation."""
     model = simulator.model
-    reaches = [reach_of(model, body) for body, _ in moving_bodies(model)]
+    reaches = [settings.reach * extent(model, body) for body, _ in moving_bodies(model)]
     weight = float(sum(model.body_mass[body] for body, _ in moving_bodies(model)))
     terms: list[Term] = terms_of(simulator, equation)
     return Fitter(equation, terms, reaches, weight, settings.fit)

@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from dropo.core.contracts.problem import Problem
 from dropo.core.services.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number
 from dropo.diagnosis.parts import Cause
@@ -76,6 +77,8 @@ class QuickDiagnosis(Report):
         Signs, units or names that are wrong; nothing else is looked for then.
     forces : tuple of JointForces
         What is explained at each joint.
+    problem : Problem
+        The extended one: its simulator has what is missing.
     warnings : tuple of str
         What is unusual in the data.
     wall_time_s : float
@@ -87,6 +90,7 @@ class QuickDiagnosis(Report):
     causes: tuple[Cause, ...]
     faults: tuple[WiringFault, ...]
     forces: tuple[JointForces, ...]
+    problem: Problem
     warnings: tuple[str, ...] = ()
     wall_time_s: float = 0.0
 
@@ -108,7 +112,10 @@ class QuickDiagnosis(Report):
             lines.append(self._cause_table())
         lines.append(self._force_table())
         if self.causes:
-            lines.append("Run `dropo diagnose` without --quick to confirm them by simulation.")
+            lines.append(
+                "With --out, extended/ has these numbers: diagnose it without --quick to confirm "
+                "them by simulation."
+            )
         return [*lines, *(f"warning: {text}" for text in self.warnings)]
 
     def _cause_table(self) -> Table:
@@ -154,7 +161,7 @@ class QuickDiagnosis(Report):
             "faults": [asdict(fault) for fault in self.faults],
             "suspects": [],
             "forces": [asdict(joint) for joint in self.forces],
-            "extended_problem": None,
+            "extended_problem": "extended/problem.yaml" if self.causes else None,
             "warnings": list(self.warnings),
             "seed": None,
             "version": __version__,

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import Model
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.equation import Equation
+from dropo.diagnosis.regression.equation import Equation, model_of
 from dropo.mjmodel.bodies import moving_bodies
 from dropo.mjmodel.joints import Joint, actuators, joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -77,10 +77,10 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
     list of Term
         The commonest first.
     """
-    model = simulator.model
+    model = model_of(simulator)
     found: list[Term] = []
     for joint in joints(model):
-        found += _joint_terms(simulator, joint, equation)
+        found += _joint_terms(model, joint, equation)
     if np.any(model.opt.gravity):
         found += _tilt_terms(model, equation)
     for k, (body, name) in enumerate(moving_bodies(model)):
@@ -88,9 +88,8 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
     return [term for term in found if np.any(np.abs(term.column[equation.used]) > 0)]
 
 
-def _joint_terms(simulator: RobotSimulator, joint: Joint, equation: Equation) -> list[Term]:
+def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
     """Rotor, friction, spring and offset of one joint."""
-    model = simulator.model
     dof = joint.qvel
     step = float(model.opt.timestep)
     kp, kv = _feedback(model, joint)
@@ -257,33 +256,6 @@ def point_mass(place: Array) -> Array:
     x, y, z = place
     moments = (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)
     return np.array([1.0, x, y, z, *moments])
-
-
-def reach_of(model: Model, body: int) -> float:
-    """Return how far a payload may be from the origin of a body [m].
-
-    Parameters
-    ----------
-    model : MjModel
-        The compiled model.
-    body : int
-        The body's id.
-
-    Returns
-    -------
-    float
-        1.5 times the distance of its centre of mass, of its children and of the ends of its geoms,
-        whichever is farthest.
-    """
-    distances = [float(np.linalg.norm(model.body_ipos[body])), 0.03]
-    for child in range(1, model.nbody):
-        if int(model.body_parentid[child]) == body:
-            distances.append(float(np.linalg.norm(model.body_pos[child])))
-    for geom in range(model.ngeom):
-        if int(model.geom_bodyid[geom]) == body:
-            size = float(model.geom_rbound[geom])
-            distances.append(float(np.linalg.norm(model.geom_pos[geom])) + size)
-    return 1.5 * max(distances)
 
 
 def families_of(terms: Sequence[Term]) -> dict[str, tuple[int, ...]]:

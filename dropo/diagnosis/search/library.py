@@ -12,6 +12,11 @@ from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.registry import names
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
+BY_NAME = ("payload",)
+"""Effects that are looked for only where they are named: a payload has four numbers, and what it
+does is looked for as a mass, a centre of mass and an inertia.
+"""
+
 
 def instances_for(
     problem: Problem, effects: Sequence[str] | None = None, free: Ints | None = None
@@ -23,7 +28,8 @@ def instances_for(
     problem : Problem
         With a MuJoCo model.
     effects : sequence of str, optional
-        Names of effects; "joint_damping:elbow" names one at one place. All if None.
+        Names of effects; "joint_damping:elbow" names one at one place. If None, all but those that
+        have to be named (`BY_NAME`).
     free : int array, optional
         Indices of the declared parameters that are fitted; all if None.
 
@@ -42,7 +48,9 @@ def instances_for(
         If the simulator has no model that effects can be added to.
     """
     simulator = robot_of(problem)
-    wanted = names("effects") if effects is None else effects
+    wanted = effects
+    if wanted is None:
+        wanted = [name for name in names("effects") if name not in BY_NAME]
     found: list[EffectInstance] = []
     for text in wanted:
         name, _, place = text.partition(":")

@@ -1,0 +1,59 @@
+"""A mass that a body carries."""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
+from dropo.core.services.validation import Array
+from dropo.mjmodel.bodies import extent, inertia_matrix, moving_bodies, write_inertia
+
+
+def payload(context: EffectContext) -> Iterator[EffectInstance]:
+    """A point mass that a body carries at a place of its frame.
+
+    The body's mass, centre of mass and rotational inertia change together. It is left out for
+    bodies whose centre of mass cannot be moved (see `body_com`).
+    """
+    for body, name in moving_bodies(context.model):
+        simple = bool(context.model.body_simple[body])
+        if simple and not context.source:
+            continue
+        mass = float(context.model.body_mass[body])
+        reach = extent(context.model, body)
+        quantities = (
+            Quantity("mass", "kg", 0.0, 5 * mass, (0.1 * mass,)),
+            *(Quantity(axis, "m", -reach, reach, (0.5 * reach,), smooth=False) for axis in "xyz"),
+        )
+        # Mass times place is no smooth function of both where the mass is 0.
+        # The mass at the body's own centre, and moved from there along each axis.
+        centre = np.clip(context.model.body_ipos[body], -0.5 * reach, 0.5 * reach)
+        places = [centre, *(centre + shift for shift in 0.5 * reach * np.eye(3))]
+        trial = tuple((0.1 * mass, *map(float, place)) for place in places)
+        yield EffectInstance(
+            "payload",
+            name,
+            quantities,
+            model=partial(_add, body),
+            general=simple,
+            trials=(trial,),
+        )
+
+
+def _add(body: int, model: Any, magnitudes: Array) -> None:
+    """Adds a point mass to a body."""
+    mass = float(model.body_mass[body])
+    added = float(magnitudes[0])
+    centre = np.array(model.body_ipos[body])
+    place = magnitudes[1:]
+    total = mass + added
+    moved = (mass * centre + added * place) / total
+    inertia = inertia_matrix(model, body)
+    for share, at in ((mass, centre), (added, place)):
+        away = at - moved
+        inertia = inertia + share * (away @ away * np.eye(3) - np.outer(away, away))
+    model.body_mass[body] = total
+    model.body_ipos[body] = moved
+    write_inertia(model, body, inertia)
