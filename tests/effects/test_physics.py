@@ -57,6 +57,9 @@ def same(robot, found, states):
 G = 9.81
 INERTIA = "0.0066666666666666667"
 LOWER = 'fromto="0 0 0 0.1 0.05 -0.3" mass="0.5"/>'
+PAYLOAD = """
+<body pos="0.05 -0.02 -0.2"><inertial pos="0 0 0" mass="0.3" diaginertia="1e-15 1e-15 1e-15"/></body>
+"""
 MODELS = [
     ("arm", "joint_damping:shoulder", (0.7,), ('damping="0.3"', 'damping="1.0"')),
     (
@@ -121,6 +124,12 @@ MODELS = [
                 f'{INERTIA} {INERTIA}"/>'
             ),
         ),
+    ),
+    (
+        "arm",
+        "payload:lower",
+        (0.3, 0.05, -0.02, -0.2),
+        (LOWER, LOWER + PAYLOAD),
     ),
     (
         "cube",

@@ -107,8 +107,22 @@ class Chooser:
         solution = self._first(tuple(i for group in groups for i in group))
         solution = self.without_needless(solution, groups)
         solution = self.with_more(solution, self._candidates(families))
-        solution = self.without_needless(solution, [(i,) for i in solution.chosen])
+        singles = [(i,) for i in solution.chosen if i not in self.of_laws(solution)]
+        solution = self.without_needless(solution, singles)
         return self.certain(solution)
+
+    def of_laws(self, solution: Solution) -> set[int]:
+        """The chosen terms of a law that several joints have.
+
+        They stay free together, even where one of them is small by itself: left out, it would be
+        made up for by the others.
+        """
+        families = families_of([self.fitter.terms[i] for i in solution.terms])
+        found = set()
+        for name, places in families.items():
+            if name in LAWS and len(places) > 1:
+                found |= {solution.terms[place] for place in places}
+        return found
 
     def _first(self, chosen: Group) -> Solution:
         """All the common laws with the payload on that body, or none, that leaves least.
@@ -150,7 +164,9 @@ class Chooser:
                 dropped = [i for i in solution.chosen if i in group]
                 left = tuple(i for i in solution.chosen if i not in group)
                 without = replace(solution, chosen=left)
-                if dropped:
+                # Beside a payload the gain stays: the two share the scale of all forces.
+                shared = GAIN in group and solution.payload is not None
+                if dropped and not shared:
                     needless += self._if_needless(solution, without, dropped, tables, present)
             if solution.payload is not None:
                 without = replace(solution, payload=None)
@@ -209,12 +225,13 @@ class Chooser:
             variance = np.diag(self.fitter.covariance(solution))
             offset = 1 if GAIN in solution.chosen else 0
             forces = self.term_forces(solution)
+            laws = self.of_laws(solution)
             kept = []
             for place, i in enumerate(solution.terms):
                 wald = solution.sizes[i] ** 2 / max(float(variance[offset + place]), 1e-300)
                 large = abs(solution.sizes[i]) > self.fitter.terms[i].least * (1 + solution.gain)
                 strong = forces[i] > self.settings.force
-                if wald > self.settings.wald and large and strong:
+                if i in laws or (wald > self.settings.wald and large and strong):
                     kept.append(i)
             payload = solution.payload
             if payload is not None:

@@ -65,7 +65,7 @@ class QuickSettings:
     checked: float = 0.2
     certain: float = 3.0
     reach: float = 1.5
-    bias: float = 0.01
+    bias: float = 0.015
     widen: float = 1.4
     explained: float = 0.1
     similarity: float = 0.98
@@ -285,7 +285,10 @@ class Missing:
         return float(np.sqrt(np.mean((root_mean_square(residuals) / drive) ** 2)))
 
     def numbers(self, simulator: RobotSimulator, certain: float) -> list[Number]:
-        """The numbers that are missing, with their errors."""
+        """The numbers that are missing for certain, with their errors.
+
+        certain: the standard errors that a number must be away from 0.
+        """
         solution = self.solution
         errors = self.errors.tolist()
         model = simulator.model
@@ -294,12 +297,15 @@ class Missing:
         found = []
         if GAIN in solution.chosen:
             gain = Estimate(solution.gain, errors.pop(0) / solution.beta**2, "1", 1.0)
-            found.append(Number(GAIN, "actuator_gain", everywhere, "", (("gain", gain),)))
+            if abs(gain.value) > certain * gain.se:
+                found.append(Number(GAIN, "actuator_gain", everywhere, "", (("gain", gain),)))
         for i in solution.terms:
             term = self.fitter.terms[i]
             size = Estimate(float(solution.sizes[i]), errors.pop(0), term.unit, term.model)
-            quantity = ((term.quantity, size),)
-            found.append(Number(i, term.effect, term.target, term.variant, quantity))
+            least = max(certain * size.se, term.least * (1 + solution.gain))
+            if abs(size.value) > least:
+                quantity = ((term.quantity, size),)
+                found.append(Number(i, term.effect, term.target, term.variant, quantity))
         payload = solution.payload
         if payload is not None:
             name = moving_bodies(model)[payload.body][1]
@@ -321,9 +327,13 @@ class Missing:
         errors = self.errors.tolist()
         ratios: dict[int | str, float] = {}
         if GAIN in solution.chosen:
-            ratios[GAIN] = abs(solution.gain) * solution.beta**2 / errors.pop(0)
+            # It stays free: were it left out, all other numbers would be off by its factor.
+            errors.pop(0)
+        laws = self.chooser.of_laws(solution)
         for i in solution.terms:
-            ratios[i] = abs(float(solution.sizes[i])) / errors.pop(0)
+            ratio = abs(float(solution.sizes[i])) / errors.pop(0)
+            if i not in laws:
+                ratios[i] = ratio
         if solution.payload is not None:
             ratios["payload"] = solution.payload.mass / errors.pop(0)
         least = min(ratios, key=lambda index: ratios[index], default=None)
