@@ -58,7 +58,8 @@ G = 9.81
 INERTIA = "0.0066666666666666667"
 LOWER = 'fromto="0 0 0 0.1 0.05 -0.3" mass="0.5"/>'
 PAYLOAD = """
-<body pos="0.05 -0.02 -0.2"><inertial pos="0 0 0" mass="0.3" diaginertia="1e-15 1e-15 1e-15"/></body>
+<body pos="0.05 -0.02 -0.2">
+<inertial pos="0 0 0" mass="0.3" diaginertia="1e-15 1e-15 1e-15"/></body>
 """
 MODELS = [
     ("arm", "joint_damping:shoulder", (0.7,), ('damping="0.3"', 'damping="1.0"')),

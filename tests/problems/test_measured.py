@@ -30,6 +30,8 @@ SETS = {
     "simple-pendulum": 1,
     "swinging-pendulum": 1,
     "swinging-pendulum-double": 7,
+    "so101": 11,
+    "go2": 1,
 }
 FRICTION = ("joint_friction", "joint_armature", "actuator_bias")
 

@@ -134,6 +134,8 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "simple-pendulum": "dropo.problems.measured.simple_pendulum:simple_pendulum",
         "swinging-pendulum": "dropo.problems.measured.swinging_pendulum:swinging_pendulum",
         "swinging-pendulum-double": f"{_MEASURED}.swinging_pendulum:swinging_pendulum_double",
+        "so101": f"{_MEASURED}.servo_machines:so101",
+        "go2": f"{_MEASURED}.servo_machines:go2",
         "slide": "dropo.problems.simulated.slide:slide",
         "sliding": "dropo.problems.panda.sliding:sliding",
         "pushing": "dropo.problems.panda.pushing:pushing",

@@ -5,7 +5,7 @@ is not looked for, and what is found is a start for a search by simulation.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
@@ -127,7 +127,7 @@ class QuickDiagnose:
             causes=tuple(causes),
             faults=faults,
             forces=forces,
-            problem=_extended(problem, causes),
+            problem=_extended(problem, estimate) if causes else problem,
             warnings=(*problem.warnings, *_warnings(simulator, estimate)),
         )
 
@@ -154,6 +154,8 @@ class QuickDiagnose:
         blocks = len(np.unique(estimate.fitter.equation.block))
         tries = len(estimate.fitter.terms) + 3
         for number in estimate.numbers(simulator, self.settings.certain):
+            if not number.named:
+                continue
             gain, error = estimate.gain_without(number.index)
             z = abs(number.estimates[0][1].value) / max(number.estimates[0][1].se, 1e-300)
             found.append(
@@ -235,6 +237,8 @@ class Number:
         The effect.
     estimates : tuple of (str, Estimate)
         Its quantities.
+    named : bool
+        Whether it is certain and large enough to be a cause.
     """
 
     index: int | str
@@ -242,13 +246,7 @@ class Number:
     target: str | None
     variant: str
     estimates: tuple[tuple[str, Estimate], ...]
-
-    @property
-    def label(self) -> str:
-        """The label of the effect's instance, such as "joint_stiffness:elbow.rest"."""
-        place = "" if self.target is None else f":{self.target}"
-        variant = f".{self.variant}" if self.variant else ""
-        return f"{self.effect}{place}{variant}"
+    named: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,9 +283,9 @@ class Missing:
         return float(np.sqrt(np.mean((root_mean_square(residuals) / drive) ** 2)))
 
     def numbers(self, simulator: RobotSimulator, certain: float) -> list[Number]:
-        """The numbers that are missing for certain, with their errors.
+        """All numbers that were fitted, with their errors.
 
-        certain: the standard errors that a number must be away from 0.
+        certain: the standard errors that a number must be away from 0 to be a cause.
         """
         solution = self.solution
         errors = self.errors.tolist()
@@ -295,31 +293,40 @@ class Missing:
         drives = actuators(model)
         everywhere = drives[0].name if len(drives) == 1 else None
         found = []
+
+        def add(
+            index: int | str, place: tuple[str, str | None, str], least: float, **sizes: Estimate
+        ) -> None:
+            first = next(iter(sizes.values()))
+            named = abs(first.value) > max(least, certain * first.se)
+            found.append(Number(index, *place, tuple(sizes.items()), named))
+
         if GAIN in solution.chosen:
             gain = Estimate(solution.gain, errors.pop(0) / solution.beta**2, "1", 1.0)
-            if abs(gain.value) > certain * gain.se:
-                found.append(Number(GAIN, "actuator_gain", everywhere, "", (("gain", gain),)))
+            add(GAIN, ("actuator_gain", everywhere, ""), 0.0, gain=gain)
         for i in solution.terms:
             term = self.fitter.terms[i]
             size = Estimate(float(solution.sizes[i]), errors.pop(0), term.unit, term.model)
-            least = max(certain * size.se, term.least * (1 + solution.gain))
-            if abs(size.value) > least:
-                quantity = ((term.quantity, size),)
-                found.append(Number(i, term.effect, term.target, term.variant, quantity))
+            # A number that ends at its bound is no cause: something else may act like it.
+            least = np.inf if self.at_bound(i) else term.least * (1 + solution.gain)
+            add(i, (term.effect, term.target, term.variant), least, **{term.quantity: size})
         payload = solution.payload
         if payload is not None:
             name = moving_bodies(model)[payload.body][1]
-            mass = Estimate(payload.mass, errors.pop(0), "kg", None)
-            place = [
-                (letter, Estimate(float(value), errors.pop(0), "m", None))
-                for letter, value in zip("xyz", payload.place, strict=True)
-            ]
-            found.append(Number("payload", "payload", name, "", (("mass", mass), *place)))
+            sizes = {"mass": Estimate(payload.mass, errors.pop(0), "kg", None)}
+            for letter, value in zip("xyz", payload.place, strict=True):
+                sizes[letter] = Estimate(float(value), errors.pop(0), "m", None)
+            add("payload", ("payload", name, ""), 0.0, **sizes)
         # A simulation of the model acts early by itself: what is to be typed makes up for that.
         delay = Estimate(solution.delay - self.fitter.own_delay, errors.pop(0), "s", None)
-        if delay.value > max(float(model.opt.timestep), certain * delay.se):
-            found.append(Number("delay", "actuator_delay", everywhere, "", (("delay", delay),)))
+        if delay.value > 0:
+            add("delay", ("actuator_delay", everywhere, ""), float(model.opt.timestep), delay=delay)
         return found
+
+    def at_bound(self, i: int) -> bool:
+        """Whether the total of a term's number is 0, the least that it may be."""
+        lowest = self.fitter.terms[i].lowest
+        return bool(self.solution.sizes[i] <= lowest + 1e-6 * abs(lowest))
 
     def doubtful(self, certain: float) -> int | str | None:
         """The least certain number, if it is within so many standard errors of 0."""
@@ -460,16 +467,17 @@ def _errors(
     return np.sqrt(by_rows + moved**2 + step**2 + (settings.bias * values) ** 2)
 
 
-def _extended(problem: Problem, causes: Sequence[Cause]) -> Problem:
-    """The problem with everything that is missing in its simulator."""
+def _extended(problem: Problem, estimate: Missing) -> Problem:
+    """The problem with all numbers that were fitted together in its simulator.
+
+    Those that are no causes by themselves belong to the others' values.
+    """
     simulator = robot_of(problem)
     fixed = list(simulator.fixed)
-    for cause in causes:
-        place = "" if cause.target is None else cause.target
-        instances = instances_of(simulator.effect_context, cause.effect)
-        for instance in instances:
-            if (instance.target or "", instance.variant) == (place, cause.variant):
-                fixed.append((instance, _magnitudes(instance, cause.estimate)))
+    for number in estimate.numbers(simulator, 0.0):
+        for instance in instances_of(simulator.effect_context, number.effect):
+            if (instance.target, instance.variant) == (number.target, number.variant):
+                fixed.append((instance, _magnitudes(instance, dict(number.estimates))))
     return replace(problem, simulator=simulator.with_effects(simulator.effects, fixed))
 
 
@@ -487,7 +495,7 @@ def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
     found = []
     for i in estimate.solution.terms:
         term = estimate.fitter.terms[i]
-        if estimate.solution.sizes[i] <= term.lowest + 1e-9 * abs(term.lowest):
+        if estimate.at_bound(i):
             found.append(
                 f"{term.label}: the total is at its bound, 0. Something else may act like it."
             )
