@@ -134,7 +134,10 @@ def test_built_in_sets_are_whole(name):
     problem = load(name, threads=1)
     assert len(problem.held_out.spans) == SETS[name]
     both = (problem.everything or problem.trajectories, problem.held_out)
-    assert abs(len(both[1].spans) / sum(len(side.spans) for side in both) - 1 / 3) < 0.14
+    runs = [len(side.spans) for side in both]
+    # One run is cut in time, of several every third is held out.
+    parts = [len(side) for side in both] if runs == [1, 1] else runs
+    assert abs(parts[1] / sum(parts) - 1 / 3) < 0.14
     assert all(
         np.isfinite(side.observations).all() and np.isfinite(side.actions).all() for side in both
     )
