@@ -12,25 +12,37 @@ from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
 from dropo.problems.loading import load
 from dropo.problems.simulated.hidden import hide
-from tests.models.servo_arms import arm, built, machine, problem_of, recorded
+from dropo.studies.first_models.machines import (
+    DESIGNS,
+    built,
+    first_model,
+    problem_of,
+    random_machine,
+    recorded,
+)
+from dropo.studies.first_models.study import diagnosed
 
 TOLERANCE = 4.0
 """Standard errors that a number may be off by."""
 
 
-def diagnosed(joints, seed):
-    """A machine of random numbers, and its diagnosis."""
-    rng = np.random.default_rng(seed)
-    spec = arm(joints)
-    there = machine(joints, rng)
-    logs = recorded(built(spec, there), rng)
-    return there, QuickDiagnose().run(problem_of(spec, logs))
+def problem_with(design, rng, **recording):
+    """A machine of random numbers, and its log with its first model."""
+    spec = first_model(DESIGNS[design])
+    machine = random_machine(DESIGNS[design], rng)
+    made = built(spec, machine)
+    data = recorded(made, DESIGNS[design].servos, machine.delay, rng, **recording)
+    return machine, problem_of(design, spec, data)
 
 
-@pytest.fixture(scope="module", params=[(3, 11), (6, 12)], ids=["three", "six"])
+@pytest.fixture(
+    scope="module", params=[("arm, 3 joints", 11), ("arm, 6 joints", 12)], ids=["three", "six"]
+)
 def found(request):
     """A machine and its diagnosis."""
-    return diagnosed(*request.param)
+    design, seed = request.param
+    machine, problem = problem_with(design, np.random.default_rng(seed))
+    return machine, QuickDiagnose().run(problem)
 
 
 def by_label(diagnosis):
@@ -40,23 +52,17 @@ def by_label(diagnosis):
 
 def test_every_number_is_found_and_nothing_else(found):
     """Rotor, viscous and dry friction at every joint, the payload, the gain and the delay."""
-    there, diagnosis = found
+    machine, diagnosis = found
     estimates = by_label(diagnosis)
-    truth = {("actuator_gain", None): ("gain", there.gain)}
-    truth["actuator_delay", None] = ("delay", there.delay)
-    for i in range(len(there.armature)):
-        truth["joint_armature", f"joint{i}"] = ("armature", there.armature[i])
-        truth["joint_damping", f"joint{i}"] = ("damping", there.damping[i])
-        truth["joint_friction", f"joint{i}"] = ("frictionloss", there.friction[i])
-    last = f"link{len(there.armature) - 1}"
-    truth["payload", last] = ("mass", there.payload)
-    assert set(estimates) == set(truth)
-    for place, (quantity, value) in truth.items():
-        estimate = estimates[place][quantity]
-        assert abs(estimate.value - value) < TOLERANCE * estimate.se, (place, estimate, value)
-    payload = estimates["payload", last]
-    place = [payload[letter].value for letter in "xyz"]
-    np.testing.assert_allclose(place, there.place, atol=5e-3)
+    truth = machine.numbers()
+    assert set(estimates) == {(effect, target) for effect, target, _ in truth}
+    for (effect, target, quantity), value in truth.items():
+        estimate = estimates[effect, target][quantity]
+        assert abs(estimate.value - value) < TOLERANCE * estimate.se, (effect, target, estimate)
+    payload = next(cause for cause in diagnosis.causes if cause.effect == "payload")
+    for letter, value in zip("xyz", machine.place, strict=True):
+        estimate = payload.estimate[letter]
+        assert abs(estimate.value - value) < TOLERANCE * estimate.se, (letter, estimate, value)
 
 
 def test_forces_are_explained(found):
@@ -80,22 +86,15 @@ def test_extended_model_lacks_nothing(found, tmp_path):
 
 def test_nothing_is_missing_from_the_right_model():
     """The control: a model with all numbers of the machine."""
-    rng = np.random.default_rng(13)
-    there = replace(machine(3, rng), delay=0.0)
-    made = built(arm(3), there)
-    right = made.copy()
-    right.option.timestep = arm(3).option.timestep
-    diagnosis = QuickDiagnose().run(problem_of(right, recorded(made, rng, delay=0.0)))
-    assert diagnosis.causes == ()
-    assert diagnosis.verdict == "consistent"
+    answer = diagnosed(["arm, 3 joints", "nothing missing", 13])
+    assert answer["false"] == []
+    assert answer["verdict"] == "consistent"
 
 
 @pytest.fixture(scope="module")
 def plain():
     """The problem of an arm of three joints, nothing hidden in its data but what machines have."""
-    rng = np.random.default_rng(14)
-    spec = arm(3)
-    return problem_of(spec, recorded(built(spec, machine(3, rng)), rng, runs=1))
+    return problem_with("arm, 3 joints", np.random.default_rng(14), runs=1)[1]
 
 
 def changed(problem, angles=None, commands=None):

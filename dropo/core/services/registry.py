@@ -150,6 +150,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "figure-6.4": "dropo.studies.tiboni_2021.figure_6_4:figure_6_4",
         "calibration": "dropo.studies.intervals.calibration:calibration",
         "coverage": "dropo.studies.intervals.coverage:coverage",
+        "first-models": "dropo.studies.first_models.study:first_models",
         "hidden-effects": "dropo.studies.hidden_effects.study:hidden_effects",
         "measured": "dropo.studies.measured.study:measured",
         "hopper-v5": "dropo.studies.hidden_effects.hopper_v5:hopper_v5_study",

@@ -1,0 +1,266 @@
+"""Machines whose first model lacks what every machine has; they are simulated four times finer.
+
+The model has the kinematics and masses, and drives with a maker's gain. The machine has rotors,
+dry and viscous friction, a payload, another gain and late commands. Only positions are measured.
+"""
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.random import Generator
+
+from dropo.core.contracts.effect import instances_of
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.validation import Array
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+
+STEP = 0.002  # [s] of the model's physics
+FINER = 4  # physics steps of the machine in one of the model
+CONTROL = 0.01  # [s]
+TICK = 2 * np.pi / 16384  # [rad, m] of an encoder
+NOISE = 1e-4  # [rad, m] of an encoder
+SINES = 4  # in each command
+
+
+@dataclass(frozen=True)
+class Design:
+    """A chain of bodies, each on one joint.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        "hinge" or "slide" and the axis of each joint, such as "hinge y".
+    lengths, masses : tuple of float
+        Of each body [m], [kg].
+    gains : tuple of float
+        Of each drive: of a position servo [N m/rad, N/m]; of a motor, the torque of a whole command
+        [N m, N].
+    servos : bool
+        Whether the drives are position servos, or motors.
+    """
+
+    axes: tuple[str, ...]
+    lengths: tuple[float, ...]
+    masses: tuple[float, ...]
+    gains: tuple[float, ...]
+    servos: bool = True
+
+
+DESIGNS = {
+    "arm, 3 joints": Design(
+        ("hinge z", "hinge y", "hinge y"), (0.1, 0.4, 0.35), (1.5, 1.0, 0.6), (60.0, 60.0, 30.0)
+    ),
+    "arm, 6 joints": Design(
+        ("hinge z", "hinge y", "hinge y", "hinge z", "hinge y", "hinge z"),
+        (0.1, 0.4, 0.35, 0.1, 0.1, 0.08),
+        (4.0, 8.0, 4.0, 1.5, 1.5, 0.4),
+        (800.0, 800.0, 500.0, 120.0, 120.0, 60.0),
+    ),
+    "gantry with a wrist": Design(
+        ("slide x", "slide y", "slide z", "hinge x"),
+        (0.2, 0.2, 0.3, 0.15),
+        (6.0, 3.0, 1.5, 0.5),
+        (3000.0, 2000.0, 1500.0, 20.0),
+    ),
+    "pendulum on a motor": Design(("hinge y",), (0.5,), (0.6,), (4.0,), servos=False),
+    "two links on motors": Design(
+        ("hinge y", "hinge y"), (0.3, 0.25), (0.8, 0.5), (5.0, 2.0), servos=False
+    ),
+}
+"""The machines of the study, by name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """What a machine has and its model lacks.
+
+    Attributes
+    ----------
+    armature, damping, friction : (n,) arrays
+        Of each joint.
+    payload : float
+        On the last body [kg].
+    place : (3,) array
+        Of the payload in the body's frame [m].
+    gain : float
+        What is added to the drives' gain, as a fraction of it.
+    delay : float
+        Of the commands [s].
+    """
+
+    armature: Array
+    damping: Array
+    friction: Array
+    payload: float
+    place: Array
+    gain: float
+    delay: float = 0.006
+
+    def numbers(self) -> dict[tuple[str, str | None, str], float]:
+        """What is missing, by effect, place and quantity."""
+        found: dict[tuple[str, str | None, str], float] = {}
+        for i in range(len(self.armature)):
+            joint = f"joint{i}"
+            found["joint_armature", joint, "armature"] = float(self.armature[i])
+            found["joint_damping", joint, "damping"] = float(self.damping[i])
+            found["joint_friction", joint, "frictionloss"] = float(self.friction[i])
+        drive = "drive0" if len(self.armature) == 1 else None
+        found["actuator_gain", drive, "gain"] = self.gain
+        found["actuator_delay", drive, "delay"] = self.delay
+        found["payload", f"body{len(self.armature) - 1}", "mass"] = self.payload
+        return {key: value for key, value in found.items() if value != 0}
+
+
+def first_model(design: Design) -> mujoco.MjSpec:
+    """The first model that an engineer would have of a machine."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.timestep = STEP
+    parent = spec.worldbody
+    place = np.array([0.0, 0.0, 0.2])
+    for i, axis in enumerate(design.axes):
+        kind, letter = axis.split()
+        end = np.array([0.0, 0.02 * (i % 2), design.lengths[i]])
+        parent = parent.add_body(name=f"body{i}", pos=place)
+        parent.add_joint(
+            name=f"joint{i}",
+            type=mujoco.mjtJoint.mjJNT_HINGE if kind == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=np.eye(3)["xyz".index(letter)],
+        )
+        parent.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=[0.04, 0, 0],
+            fromto=[0, 0, 0, *end],
+            mass=design.masses[i],
+            contype=0,
+            conaffinity=0,
+        )
+        place = end
+    for i, gain in enumerate(design.gains):
+        drive = spec.add_actuator(name=f"drive{i}", target=f"joint{i}")
+        drive.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        if design.servos:
+            drive.set_to_position(kp=gain, kv=0.08 * gain)
+        else:
+            drive.set_to_motor()
+            drive.gainprm[0] = gain
+    return spec
+
+
+def random_machine(design: Design, rng: Generator) -> Machine:
+    """A machine of plausible numbers."""
+    gains = np.array(design.gains)
+    n = len(gains)
+    force = 1.0 if design.servos else 5.0  # motors of fewer newton metres have more friction
+    return Machine(
+        armature=gains * rng.uniform(2e-4, 8e-4, n) * force,
+        damping=gains * rng.uniform(0.01, 0.03, n),
+        friction=gains * rng.uniform(0.004, 0.012, n) * force,
+        payload=float(design.masses[-1] * rng.uniform(0.5, 2.0)),
+        place=rng.uniform(-0.05, 0.05, 3) + np.array([0.0, 0.0, 0.08]),
+        gain=float(rng.uniform(-0.25, -0.05)),
+    )
+
+
+def nothing_missing(machine: Machine) -> Machine:
+    """The machine whose commands come in time, for a model that has all the rest."""
+    return replace(machine, delay=0.0)
+
+
+def built(spec: mujoco.MjSpec, machine: Machine) -> mujoco.MjSpec:
+    """The machine itself: its model with all that is missing, at a finer physics step."""
+    made = spec.copy()
+    for i, joint in enumerate(made.joints):
+        joint.armature = machine.armature[i]
+        joint.damping = [machine.damping[i], 0, 0]
+        joint.frictionloss = machine.friction[i]
+    payload = made.bodies[-1].add_body(name="payload", pos=machine.place)
+    payload.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[0.02, 0, 0],
+        mass=machine.payload,
+        contype=0,
+        conaffinity=0,
+    )
+    for drive in made.actuators:
+        drive.gainprm = drive.gainprm * (1 + machine.gain)
+        drive.biasprm = drive.biasprm * (1 + machine.gain)
+    made.option.timestep = STEP / FINER
+    return made
+
+
+def recorded(
+    made: mujoco.MjSpec,
+    servos: bool,
+    delay: float,
+    rng: Generator,
+    *,
+    seconds: float = 15.0,
+    runs: int = 2,
+) -> Trajectories:
+    """Runs of a machine under sums of sines, its positions by encoders.
+
+    Parameters
+    ----------
+    made : MjSpec
+        The machine.
+    servos : bool
+        Whether commands are positions, or parts of a whole torque.
+    delay : float
+        Of the commands [s].
+    rng : numpy.random.Generator
+        Source of commands and noise.
+    seconds : float
+        Length of a run.
+    runs : int
+        How many.
+
+    Returns
+    -------
+    Trajectories
+        Positions before and after each control step, and commands.
+    """
+    simulator: MujocoSimulator = MujocoSimulator(
+        made,
+        [],
+        observation=["qpos"],
+        frame_skip=round(CONTROL / made.option.timestep),
+        threads=1,
+    )
+    if delay:
+        late = instances_of(simulator.effect_context, "actuator_delay")[-1]
+        simulator = simulator.with_effects((), [(late, np.array([delay]))])
+    count = round(seconds / CONTROL)
+    actions = np.concatenate([_sines(simulator.model.nu, count, servos, rng) for _ in range(runs)])
+    rest = np.zeros((len(actions), simulator.model.nq))
+    ends = np.arange(len(actions)) % count == count - 1
+    data = Trajectories(rest, actions, rest, ends)
+    segments = data.segments(count, every_step=True)
+    after = simulator.predict(np.zeros((1, 0)), segments)[0].reshape(runs, count, -1)
+    exact = np.concatenate([np.zeros((runs, 1, after.shape[2])), after], axis=1)
+    measured = exact + NOISE * rng.normal(size=exact.shape)
+    measured = np.round(measured / TICK) * TICK
+    return Trajectories(
+        np.concatenate(measured[:, :-1]), actions, np.concatenate(measured[:, 1:]), ends
+    )
+
+
+def _sines(drives: int, count: int, servos: bool, rng: Generator) -> Array:
+    """(count, drives) commands that begin at 0."""
+    time = CONTROL * np.arange(count)
+    size = 0.25 if servos else 0.5
+    commands = np.zeros((count, drives))
+    for i in range(drives):
+        for _ in range(SINES):
+            phase = 2 * np.pi * rng.uniform(0.1, 1.5) * time + rng.uniform(0, 2 * np.pi)
+            commands[:, i] += size * rng.uniform(0.3, 1.0) * np.sin(phase)
+    return commands - commands[0]
+
+
+def problem_of(name: str, spec: mujoco.MjSpec, data: Trajectories) -> Problem:
+    """Recorded motion with the model that is to be diagnosed."""
+    frame_skip = round(CONTROL / spec.option.timestep)
+    simulator = MujocoSimulator(spec, [], observation=["qpos"], frame_skip=frame_skip, threads=1)
+    return Problem(name, simulator, data)
