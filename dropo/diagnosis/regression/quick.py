@@ -44,7 +44,8 @@ class QuickSettings:
     reach : float
         How far a payload may be from the origin of its body, in extents of the body.
     bias : float
-        The fraction of every number that is added to its error, for what smoothing does to it.
+        The fraction of every number, with what the model has of it, that is added to its error, for
+        what smoothing does to it.
     widen : float
         The factor on the kernels' widths with which all numbers are estimated once more; what
         changes is part of their standard errors.
@@ -65,7 +66,7 @@ class QuickSettings:
     checked: float = 0.2
     certain: float = 3.0
     reach: float = 1.5
-    bias: float = 0.015
+    bias: float = 0.02
     widen: float = 1.4
     explained: float = 0.1
     similarity: float = 0.98
@@ -464,7 +465,10 @@ def _errors(
     for place, i in enumerate(solution.terms):
         step[offset + place] = 0.5 * fitter.terms[i].least * (1 + solution.gain)
     step[-1] = 0.5 * float(simulator.model.opt.timestep)
-    return np.sqrt(by_rows + moved**2 + step**2 + (settings.bias * values) ** 2)
+    totals = values.copy()
+    for place, i in enumerate(solution.terms):
+        totals[offset + place] += fitter.terms[i].model or 0.0
+    return np.sqrt(by_rows + moved**2 + step**2 + (settings.bias * totals) ** 2)
 
 
 def _extended(problem: Problem, estimate: Missing) -> Problem:

@@ -39,6 +39,9 @@ class Design:
         [N m, N].
     servos : bool
         Whether the drives are position servos, or motors.
+    loaded : bool
+        Whether a payload and a wrong gain are missing too. At a single joint no log can tell them
+        from its rotor and from each other.
     """
 
     axes: tuple[str, ...]
@@ -46,6 +49,7 @@ class Design:
     masses: tuple[float, ...]
     gains: tuple[float, ...]
     servos: bool = True
+    loaded: bool = True
 
 
 DESIGNS = {
@@ -64,7 +68,7 @@ DESIGNS = {
         (6.0, 3.0, 1.5, 0.5),
         (3000.0, 2000.0, 1500.0, 20.0),
     ),
-    "pendulum on a motor": Design(("hinge y",), (0.5,), (0.6,), (4.0,), servos=False),
+    "pendulum on a motor": Design(("hinge y",), (0.5,), (0.6,), (4.0,), servos=False, loaded=False),
     "two links on motors": Design(
         ("hinge y", "hinge y"), (0.3, 0.25), (0.8, 0.5), (5.0, 2.0), servos=False
     ),
@@ -158,9 +162,9 @@ def random_machine(design: Design, rng: Generator) -> Machine:
         armature=gains * rng.uniform(2e-4, 8e-4, n) * force,
         damping=gains * rng.uniform(0.01, 0.03, n),
         friction=gains * rng.uniform(0.004, 0.012, n) * force,
-        payload=float(design.masses[-1] * rng.uniform(0.5, 2.0)),
+        payload=float(design.masses[-1] * rng.uniform(0.5, 2.0)) * design.loaded,
         place=rng.uniform(-0.05, 0.05, 3) + np.array([0.0, 0.0, 0.08]),
-        gain=float(rng.uniform(-0.25, -0.05)),
+        gain=float(rng.uniform(-0.25, -0.05)) * design.loaded,
     )
 
 
@@ -176,14 +180,15 @@ def built(spec: mujoco.MjSpec, machine: Machine) -> mujoco.MjSpec:
         joint.armature = machine.armature[i]
         joint.damping = [machine.damping[i], 0, 0]
         joint.frictionloss = machine.friction[i]
-    payload = made.bodies[-1].add_body(name="payload", pos=machine.place)
-    payload.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=[0.02, 0, 0],
-        mass=machine.payload,
-        contype=0,
-        conaffinity=0,
-    )
+    if machine.payload:
+        payload = made.bodies[-1].add_body(name="payload", pos=machine.place)
+        payload.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[0.02, 0, 0],
+            mass=machine.payload,
+            contype=0,
+            conaffinity=0,
+        )
     for drive in made.actuators:
         drive.gainprm = drive.gainprm * (1 + machine.gain)
         drive.biasprm = drive.biasprm * (1 + machine.gain)
