@@ -40,16 +40,18 @@ class ReplaySimulator(Simulator):
         """
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
+        starts = segments.starts
+        actions = segments.actions
         predictions = []
         for k, value in enumerate(values):
-            offset = 0.0 if offsets is None else offsets[k]
-            predictions.append(self._replay_segments(value, segments, offset))
+            begin = starts if offsets is None else starts + offsets[k]
+            predictions.append(self._replay_segments(value, segments, begin, actions))
         return np.stack(predictions)
 
-    def _replay_segments(self, value: Array, segments: Segments, offset: Array | float) -> Array:
+    def _replay_segments(
+        self, value: Array, segments: Segments, starts: Array, actions: Array
+    ) -> Array:
         """(R, p) for one parameter vector, level after level of the segments that go on."""
-        starts = segments.starts + offset
-        actions = segments.actions
         steps = np.full((*actions.shape[:2], len(self.signals)), np.nan)
         for level in segments.levels:
             begin = starts[level]

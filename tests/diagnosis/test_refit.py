@@ -1,5 +1,6 @@
 """Fits to windows where predictions bend."""
 
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from tests.models import hidden_in_arm as arms
 TRUE = {"contact_stiffness.margin": -0.001, "body_mass:foot": -0.2, "body_inertia:foot": -0.1}
 
 
+@cache
 def fitted(off, settings=DEFAULTS):
     """The hopper's noise-free data fitted with three numbers, begun so far off: library, look, free
     numbers, and their errors (3,).

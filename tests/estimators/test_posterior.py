@@ -17,8 +17,8 @@ from dropo.estimators.posterior import PointLikelihood, Posterior, evaluate_draw
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.optimizers.samplers.pyro_nuts import PyroNuts
 from dropo.optimizers.samplers.pyro_svi import PyroSvi
-from dropo.problems.simulated.slide import slide
 from dropo.simulators.toy import LinearSimulator, simulate
+from tests.reference.pushes import pushes
 
 TRUTH = np.array([1.5, -0.7])
 NOISE = 0.04
@@ -61,7 +61,7 @@ def test_posterior_of_the_parameters_is_the_conjugate_one():
     """
     one = problem(epsilon=NOISE)
     mean, covariance = conjugate(one)
-    fit = Posterior().fit(one, rng=1)
+    fit = Posterior(sampler=Emcee(steps=1500, burn_in=500)).fit(one, rng=1)
     sd = np.sqrt(np.diagonal(covariance))
     assert (z_of_means(fit, mean, covariance) < 4.5).all()
     assert (z_of_means(fit, mean + 0.5 * sd, covariance) > 4.5).all()
@@ -76,9 +76,9 @@ def test_a_learned_epsilon_is_the_noise():
     """Without a given epsilon it is found with the rest: 30 rows tell a signal's variance to sqrt(2
     / 30) = 26 %.
     """
-    fit = Posterior(sampler=Emcee(steps=1000, burn_in=500)).fit(problem(), rng=1)
+    fit = Posterior(sampler=Emcee(steps=300, burn_in=200)).fit(problem(), rng=1)
     assert fit.epsilon == pytest.approx([NOISE, NOISE], rel=4.5 * np.sqrt(2 / 30))
-    assert fit.posterior.chain.shape == (1000, 32, 3)
+    assert fit.posterior.chain.shape == (300, 32, 3)
 
 
 def test_log_density_by_hand():
@@ -98,15 +98,15 @@ def test_posterior_of_the_distribution_covers_it():
     """
     rng = np.random.default_rng(8)
     simulator = LinearSimulator(MATRICES, low=-4.0, high=4.0)
-    rows = 40
+    rows = 30
     values = TRUTH + 0.3 * rng.standard_normal((rows, 2))
     data = simulate(
         simulator, values, np.ones((rows, 1, 1)), np.zeros(2), noise_variance=1e-3, rng=rng
     )
     one = Problem("spread", simulator, data, epsilon=1e-3)
-    likelihood = find("likelihoods", "monte-carlo")(draws=40)
+    likelihood = find("likelihoods", "monte-carlo")(draws=24)
     fit = Posterior(
-        over="distribution", likelihood=likelihood, sampler=Emcee(steps=60, burn_in=140, walkers=16)
+        over="distribution", likelihood=likelihood, sampler=Emcee(steps=60, burn_in=90, walkers=16)
     ).fit(one, rng=2)
     assert (np.abs(fit.mean - TRUTH) < 4.5 * fit.mean_se).all()
     assert (fit.mean_se < 0.15).all()
@@ -183,7 +183,7 @@ def test_a_posterior_narrower_than_a_search_keeps_its_width():
     data = simulate(
         simulator, TRUTH[None], np.ones((1, 30, 1)), np.zeros(2), noise_variance=1e-16, rng=rng
     )
-    fit = Posterior(sampler=Emcee(steps=500, burn_in=300)).fit(
+    fit = Posterior(sampler=Emcee(steps=200, burn_in=200)).fit(
         Problem("sharp", simulator, data, epsilon=1e-16), rng=1
     )
     assert (fit.sd < 1e-8).all()
@@ -199,11 +199,11 @@ def test_unusable_settings_are_refused():
         Posterior(epsilon=0.0).fit(problem())
 
 
-NUTS = PyroNuts(draws=250, warmup=120, chains=2)
+NUTS = PyroNuts(draws=200, warmup=60, chains=1)
 
 
 @pytest.mark.parametrize(
-    "sampler", [NUTS, PyroSvi(draws=500, steps=500, particles=4)], ids=["nuts", "svi"]
+    "sampler", [NUTS, PyroSvi(draws=500, steps=300, particles=4)], ids=["nuts", "svi"]
 )
 def test_gradient_samplers_give_the_conjugate_posterior(sampler):
     """Mean within 4.5 standard errors, sds within 4.5 of theirs, sd / sqrt(2 ESS); a mean half a sd
@@ -223,7 +223,7 @@ def test_gradient_samplers_give_the_conjugate_posterior(sampler):
 
 @pytest.mark.parametrize(
     ("sampler", "away"),
-    [(Emcee(steps=500, burn_in=200), 2.0), (PyroNuts(draws=150, warmup=80, chains=1), 15.0)],
+    [(Emcee(steps=250, burn_in=100), 2.0), (PyroNuts(draws=100, warmup=50, chains=1), 15.0)],
     ids=["emcee", "nuts"],
 )
 def test_a_prior_pulls_by_the_right_amount(sampler, away):
@@ -364,10 +364,10 @@ def test_pairs_that_do_not_work_are_refused():
 
 
 def test_posterior_on_a_local_likelihood_is_around_its_maximum():
-    """Random effects on `slide`: the posterior's mean and its errors are those of DROPO's fit, the
-    errors within a third.
+    """Random effects on twelve pushes: the posterior's mean and its errors are those of DROPO's
+    fit, the errors within a third.
     """
-    problem = slide()
+    problem = pushes(0, count=12, epsilon=1e-6)
     fit = Posterior(
         over="distribution",
         likelihood="random-effects",

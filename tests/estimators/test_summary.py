@@ -49,8 +49,8 @@ def test_limits_are_those_of_chance():
 
 @pytest.mark.parametrize("estimator", [LeastSquares(), DROPO()], ids=["least-squares", "dropo"])
 def test_standard_errors_of_means_are_right(estimator):
-    """Over 40 data sets of 50 draws, the means' z-scores have a mean square of 0.6 to 1.6."""
-    means, sds = mean_squares(estimator, 40)
+    """Over 40 data sets of 50 draws, 24 for DROPO, the means' z-scores have a mean square of 0.6 to 1.6."""
+    means, sds = mean_squares(estimator, 24 if isinstance(estimator, DROPO) else 40)
     assert 0.6 < means < 1.6
     assert sds < 1.6  # scores of a fourth moment, whose chi-square limits are wider below
 
@@ -61,7 +61,7 @@ def test_dependent_rows_taken_as_independent_have_errors_that_are_too_small(esti
     monkeypatch.setattr(
         standard_errors, "units_of", lambda segments: independent(len(segments.rows[0]))
     )
-    assert mean_squares(estimator, 10)[0] > 3
+    assert mean_squares(estimator, 6)[0] > 3
 
 
 def test_few_units_give_wide_intervals():

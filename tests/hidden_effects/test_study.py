@@ -21,12 +21,6 @@ def test_what_is_hidden_is_named(item):
     assert found["error"] is None or found["error"] < 0.05
 
 
-def test_hopper():
-    """One effect on the hopper, with its four masses fitted."""
-    found = run(["hopper", "one", 4])
-    assert found["right"], found["said"]
-
-
 @pytest.mark.study
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("case", CASES)

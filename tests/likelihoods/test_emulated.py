@@ -183,7 +183,7 @@ def test_moments_of_a_polynomial_are_exact(name):
     np.testing.assert_allclose(sigma, second, rtol=0, atol=1e-10)
 
 
-def z_of_moments(local, family, phi, simulator, segments, draws=20_000):
+def z_of_moments(local, family, phi, simulator, segments, draws=10_000):
     """How many standard errors the means, variances and covariances of emulator and simulations are
     apart, (R, 5).
     """
@@ -204,7 +204,7 @@ def z_of_moments(local, family, phi, simulator, segments, draws=20_000):
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_moments_agree_with_brute_force(name):
-    """On a sliding block, 20,000 simulations have its means and covariances within 4.5 standard
+    """On a sliding block, 10,000 simulations have its means and covariances within 4.5 standard
     errors; a linear emulator is rejected.
     """
     simulator, segments = block_data(np.random.default_rng(1))
@@ -287,7 +287,7 @@ def test_gradient_is_that_of_the_value(name, kind):
 
 @pytest.mark.parametrize("name", ["truncated_gaussian", "full"])
 def test_information_is_the_covariance_of_the_score(name):
-    """Over 4000 simulated data sets, the score's mean is 0 and its covariance the information,
+    """Over 1500 simulated data sets, the score's mean is 0 and its covariance the information,
     within 4.5 standard errors.
 
     The controls: information 1.2 times as large, and the score at a mean half a scale away, are
@@ -297,13 +297,13 @@ def test_information_is_the_covariance_of_the_score(name):
     family = find("families", name)(simulator.space)
     local = built(Emulated(), simulator, segments, family, EPSILONS["each"], [0.2, 0.1])
     phi = np.append(member(family, [1.5, 0.8], [0.2, 0.1]), [1.0, 1.0])
-    count = 4000
+    count = 1500
     rng = np.random.default_rng(7)
     mean, sigma = local.moments(phi)
     root = np.linalg.cholesky(sigma)
     away = phi + 0.1 * np.eye(len(phi))[0]
     scores = np.empty((count, len(phi)))
-    others = np.empty((count // 10, len(phi)))
+    others = np.empty((count // 5, len(phi)))
     for i in range(count):
         local.targets = mean + np.einsum("rpq,rq->rp", root, rng.standard_normal(mean.shape))
         scores[i] = local.gradient(phi)

