@@ -64,20 +64,3 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
         assert main(["diagnose", *arguments]) == 2, arguments
         assert told in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [taken]
-
-
-def test_hidden_in_the_hopper(capsys):
-    """The example of the documentation, with few effects to look for."""
-    command = [
-        "diagnose",
-        "hopper",
-        "--hide",
-        "joint_damping:leg_joint=0.6",
-        "--effects",
-        "joint_damping",
-        "--json",
-    ]
-    assert main(command) == 0
-    (cause,) = json.loads(capsys.readouterr().out)["causes"]
-    assert (cause["effect"], cause["target"]) == ("joint_damping", "leg_joint")
-    assert cause["estimate"]["damping"]["value"] == pytest.approx(0.6, rel=0.03)

@@ -30,7 +30,7 @@ def smooth():
 
 
 def diagnosed(smooth, data, **settings):
-    return Diagnose(EFFECTS, length=10, windows=48, **settings).run(
+    return Diagnose(EFFECTS, length=10, windows=32, **settings).run(
         Problem("pendulum", smooth[0], data)
     )
 

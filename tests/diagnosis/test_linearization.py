@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo import diagnose
+from dropo import Diagnose
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.registry import find
@@ -105,7 +105,8 @@ def test_delay_of_a_fast_joints_velocity_is_named(monkeypatch, delay):
     """
     late = problem([("sensor_delay:qvel.elbow", [delay])])
     effects = ["sensor_delay", "sensor_gain", "joint_damping", "joint_friction"]
-    found = diagnose(late, effects)
+    run = Diagnose(effects, windows=40).run
+    found = run(late)
     size = found.causes[0].estimate["delay"]
     assert [(cause.effect, cause.target) for cause in found.causes] == [
         ("sensor_delay", "qvel.elbow")
@@ -113,4 +114,4 @@ def test_delay_of_a_fast_joints_velocity_is_named(monkeypatch, delay):
     assert abs(size.value - delay) < 4 * size.se < 4e-3 * delay
     assert found.verdict == "explained"
     monkeypatch.setattr(MujocoSimulator, "extra_start_sd", Simulator.extra_start_sd)
-    assert diagnose(late, effects).causes[0].estimate["delay"].se > 5 * size.se
+    assert run(late).causes[0].estimate["delay"].se > 5 * size.se

@@ -39,10 +39,21 @@ def slide_fit():
     return DROPO().fit(slide())
 
 
+def few_pushes():
+    """Twelve pushes like those of `slide`."""
+    return pushes(0, count=12, epsilon=1e-6)
+
+
+@cache
+def few_fit():
+    """Their default fit."""
+    return DROPO().fit(few_pushes())
+
+
 @cache
 def short_hopper_fit():
-    """The first 200 transitions of `hopper` on one thread."""
-    return DROPO().fit(hopper(1).using(transitions=200), rng=7)
+    """The first 120 transitions of `hopper` on one thread."""
+    return DROPO().fit(hopper(1).using(transitions=120), rng=7)
 
 
 def content(fit):
@@ -86,7 +97,7 @@ def test_noisy_hopper_is_found_within_errors():
     """Table 6.1 with noise: masses within 4.5 standard errors, themselves below 0.02 kg; a mass 0.1
     kg off would be rejected.
     """
-    fit = DROPO().fit(hopper_noisy())
+    fit = DROPO().fit(hopper_noisy().using(transitions=600))
     assert (np.abs(z_of_mean(fit, MASSES)) < 4.5).all()
     assert (fit.mean_se < 0.02).all()
     assert (np.abs(z_of_mean(fit, MASSES + 0.1)) > 4.5).all()
@@ -101,7 +112,7 @@ def test_a_torso_that_varies_is_told_from_masses_that_do_not():
     sample. Hence 0.15 kg, and 15 % of the sd.
     """
     draw = lambda rng, blocks: MASSES + np.array([0.5, 0, 0, 0]) * rng.standard_normal((blocks, 4))
-    data, drawn = simulate_hopper(500, 2, rng=0, masses=draw, block=10)
+    data, drawn = simulate_hopper(300, 2, rng=0, masses=draw, block=10)
     fit = DROPO().fit(hopper_problem("torso", data, 1e-8))
     assert fit.mean[0] == pytest.approx(drawn[:, 0].mean(), abs=0.15)
     assert fit.sd[0] == pytest.approx(drawn[:, 0].std(ddof=1), rel=0.15)
@@ -121,7 +132,7 @@ SKIPPED = {
         "reaches 0.01 nat with 3000 evaluations a round, ten times as long as all others together"
     ),
 }
-BUDGETS = {"cma-es": 1000, "nlopt-crs2": 1500}
+BUDGETS = {"cma-es": 600, "nlopt-crs2": 1000}
 
 
 @pytest.mark.parametrize("optimizer", names("optimizers"))
@@ -129,9 +140,9 @@ def test_every_optimizer_finds_the_same_maximum(optimizer):
     """In place of Fisher scoring inside each round, the same log-likelihood within 0.01 nat."""
     if optimizer in SKIPPED:
         pytest.skip(SKIPPED[optimizer])
-    fit = DROPO(optimizer=optimizer, budget=BUDGETS.get(optimizer, 400)).fit(slide())
-    assert fit.log_likelihood == pytest.approx(slide_fit().log_likelihood, abs=0.01)
-    np.testing.assert_allclose(fit.mean, slide_fit().mean, atol=0.02 * slide_fit().mean_se.min())
+    fit = DROPO(optimizer=optimizer, budget=BUDGETS.get(optimizer, 400)).fit(few_pushes())
+    assert fit.log_likelihood == pytest.approx(few_fit().log_likelihood, abs=0.01)
+    np.testing.assert_allclose(fit.mean, few_fit().mean, atol=0.02 * few_fit().mean_se.min())
     assert fit.optimizer == optimizer
 
 
@@ -166,7 +177,7 @@ def test_a_full_covariance_is_recovered():
     assert abs(DROPO(family="full").fit(problem).correlation[0, 1]) < 0.2
 
 
-@pytest.mark.parametrize(("optimizer", "budget"), [("cma-es", 1200), ("nlopt-sbplx", 300)])
+@pytest.mark.parametrize(("optimizer", "budget"), [("cma-es", 800), ("nlopt-sbplx", 300)])
 def test_draws_agree_with_the_emulator(optimizer, budget):
     """The thesis' likelihood with 24 draws has its maximum within a standard error of the emulated
     one's; 1.6 kg is rejected.
@@ -324,9 +335,7 @@ def test_learned_epsilon_is_unbiased_where_parameters_vary():
     it; 1.2 times the noise is rejected.
     """
     found = (
-        np.array(
-            [DROPO(epsilon="learn").fit(pushes(seed, count=100)).epsilon for seed in range(8)]
-        )
+        np.array([DROPO(epsilon="learn").fit(pushes(seed, count=100)).epsilon for seed in range(8)])
         / 1e-6
     )
     error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
@@ -397,7 +406,7 @@ def test_tuning_takes_the_smallest_acceptable_epsilon():
 
 def test_threads_do_not_change_the_fit():
     """Hopper on 1 and 2 threads: the same fit.json; another seed has another one."""
-    problem = hopper(2).using(transitions=200)
+    problem = hopper(2).using(transitions=120)
     assert content(DROPO().fit(problem, rng=7)) == content(short_hopper_fit())
     assert content(DROPO().fit(slide(), rng=1)) != content(slide_fit())
 
@@ -411,7 +420,7 @@ def test_an_interrupted_fit_goes_on_from_its_evaluation_log(tmp_path):
         if text.startswith("round 2"):
             raise KeyboardInterrupt
 
-    problem = hopper(1).using(transitions=200)
+    problem = hopper(1).using(transitions=120)
     stopped = DROPO().fit(
         problem,
         rng=7,

@@ -92,7 +92,7 @@ def test_it_is_the_exact_maximum_likelihood_where_the_motion_is_linear():
     """Within a twentieth of a standard error of the Kalman filter's own; propagated start noise
     alone is beyond a whole one.
     """
-    for seed in range(3):
+    for seed in range(2):
         best = exact(oscillator(seed))
         fit = fits("filtered", seed)
         assert (np.abs(z_of_mean(fit, best)) < 0.05).all(), str(fit)
@@ -100,7 +100,7 @@ def test_it_is_the_exact_maximum_likelihood_where_the_motion_is_linear():
     off = [
         np.abs(fits("measured", seed).mean - exact(oscillator(seed)))
         / fits("filtered", seed).mean_se
-        for seed in range(3)
+        for seed in range(2)
     ]
     assert np.max(off) > 1
 

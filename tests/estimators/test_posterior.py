@@ -371,7 +371,7 @@ def test_posterior_on_a_local_likelihood_is_around_its_maximum():
     fit = Posterior(
         over="distribution",
         likelihood="random-effects",
-        sampler=Emcee(walkers=10, steps=120, burn_in=40),
+        sampler=Emcee(walkers=8, steps=60, burn_in=30),
     ).fit(problem)
     best = DROPO(likelihood="random-effects").fit(problem)
     assert (np.abs(fit.mean - best.mean) < 0.5 * best.mean_se).all()

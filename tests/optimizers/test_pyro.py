@@ -45,7 +45,7 @@ def test_nuts_keeps_to_the_contract():
 
 def test_svi_keeps_to_the_contract():
     """Both distributions of the check are Gaussian on the real line, where the guide is exact."""
-    check_sampler(PyroSvi(draws=1000, steps=1200, particles=2))
+    check_sampler(PyroSvi(draws=500, steps=900, particles=2))
 
 
 @pytest.mark.parametrize("sampler", SHORT.values(), ids=SHORT)

@@ -218,8 +218,8 @@ def test_least_squares_on_exact_jacobians(name):
     list(zip(ROBOTS, ("nlopt-lbfgs", "nlopt-slsqp", "scipy-l-bfgs-b"), strict=True)),
 )
 def test_dropo_by_gradients(name, optimizer):
-    """Each gradient optimizer, on a robot, converges at the truth, within 4.5 of the fit's own standard errors;
-    the control is the box's middle.
+    """Each gradient optimizer, on one of the robots, converges at the truth, within 4.5 of the
+    fit's own standard errors; the control is the box's middle.
     """
     simulator = robot(name, **FAST[name])
     truth = np.array(TRUTH[name])

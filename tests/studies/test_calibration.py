@@ -38,14 +38,14 @@ def test_uniformity_by_hand():
 
 
 def test_a_conjugate_posterior_is_calibrated_and_a_narrower_one_is_not():
-    """150 truths of a linear simulator, each with its posterior by emcee: p > 0.01, and below it
+    """100 truths of a linear simulator, each with its posterior by emcee: p > 0.01, and below it
     1.5 times too narrow.
     """
     simulator = LinearSimulator(np.ones((1, 1, 1)), low=-1.0, high=1.0)
     noise = 0.5
     found = []
     narrow = []
-    for seed in range(150):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
         truth = rng.uniform(-1, 1, 1)
         problem = Problem(
@@ -62,7 +62,7 @@ def test_a_conjugate_posterior_is_calibrated_and_a_narrower_one_is_not():
         )
         target = PointLikelihood(problem, Noise(noise))
         draws = (
-            Emcee(walkers=16, steps=40, burn_in=30)
+            Emcee(walkers=16, steps=30, burn_in=20)
             .sample(target.many, target.unknowns, rng=rng, spread=0.2)
             .flat()
         )
