@@ -4,10 +4,16 @@
 """
 
 import json
+import os
 from collections import Counter
 from pathlib import Path
 
 import pytest
+
+# Workers that each start threads for small matrices take turns on the cores: one thread each, set
+# before NumPy is imported, here and in the processes that tests start.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
 
 DURATIONS = Path(__file__).with_name("durations.json")
 """Test -> seconds, of those that took at least RECORDED; written by `--record-durations`."""

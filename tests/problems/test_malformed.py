@@ -2,6 +2,7 @@
 traceback.
 """
 
+import copy
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -216,7 +217,7 @@ def mutate(content: Any, draw: Any) -> None:
         container.insert(0, junk) if isinstance(container, list) else container.update({junk: old})
     if kind == "swap":
         other, there = draw(st.sampled_from(places(content)))
-        container[key] = json.loads(json.dumps(other[there], default=lambda raw: raw.text))
+        container[key] = copy.deepcopy(other[there])
     elif kind not in ("delete", "rename", "add"):
         container[key] = {"replace": junk, "list": [old], "mapping": {"a": old}}[kind]
 
