@@ -7,8 +7,10 @@ import pytest
 from dropo.cli.main import main
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
+from dropo.problems.measured.external_data import find_data
 from tests.models.hidden_in_arm import problem
 
+MEASURED = find_data("swinging-pendulum/runs.npz") is not None
 SOME = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 
 
@@ -37,6 +39,23 @@ def test_it_prints_and_writes(damped, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["verdict"] == "consistent"
 
 
+def test_quick(tmp_path, capsys):
+    """By regression: the number in the table and diagnosis.json, and an extended problem with it."""
+    out = tmp_path / "quick"
+    hidden = ["--hide", "joint_armature:elbow=0.01"]
+    assert main(["diagnose", "torque-arm", "--quick", *hidden, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "joint armature at elbow" in printed
+    assert "RMS forces on held-out data" in printed
+    kept = json.loads((out / "diagnosis.json").read_text())
+    assert kept["method"] == "regression"
+    assert kept["simulator_steps"] == 0
+    (cause,) = [cause for cause in kept["causes"] if cause["effect"] == "joint_armature"]
+    size = cause["estimate"]["armature"]["value"]
+    extended = load(out / kept["extended_problem"]).simulator
+    assert extended.model.dof_armature[1] == pytest.approx(0.005 + size, rel=1e-4)
+
+
 def test_refusals_end_with_2(damped, tmp_path, capsys):
     """Unknown names, a file where a folder should be, nothing to hide in: status 2, a sentence,
     nothing written.
@@ -47,6 +66,9 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
         ([str(damped), "--effects", "joint_dampin"], "Did you mean 'joint_damping'?"),
         ([str(damped), "--effects", "joint_damping:elbo"], "Did you mean 'elbow'?"),
         (["hoper"], "hopper"),
+        (["hopper", "--quick"], "from a fixed base"),
+        (["torque-arm", "--quick", "--steps", "5"], "--steps belongs to the search"),
+        (["swinging-pendulum", "--quick"], "needs a drive") if MEASURED else (["hoper"], "hopper"),
         ([str(damped), "--out", str(taken)], "a folder"),
         (["slide", "--hide", "joint_damping:elbow=1"], "half-cheetah"),
         (["hopper", "--hide", "joint_damping:leg=1"], "Did you mean 'leg_joint'?"),
