@@ -40,7 +40,7 @@ def test_it_prints_and_writes(damped, tmp_path, capsys):
 
 
 def test_quick(tmp_path, capsys):
-    """By regression: the number in the table and diagnosis.json, and an extended problem with it."""
+    """By regression: the number in the table and in diagnosis.json, and an extended problem."""
     out = tmp_path / "quick"
     hidden = ["--hide", "joint_armature:elbow=0.01"]
     assert main(["diagnose", "torque-arm", "--quick", *hidden, "--out", str(out)]) == 0
