@@ -121,7 +121,17 @@ class QuickDiagnose:
         faults = wiring_faults(simulator, fitted)
         estimate = estimate_missing(problem, fitted, self.settings)
         causes = [] if faults else self._causes(simulator, estimate)
-        forces = self._forces(problem, checked, estimate, bool(causes))
+        warnings = [*problem.warnings, *_warnings(simulator, estimate)]
+        try:
+            equation = equation_of(
+                problem, checked, self.settings.equation, width=estimate.fitter.equation.width
+            )
+        except BadArgument:
+            equation = estimate.fitter.equation
+            warnings.append(
+                "too little is held out for smoothing: the forces are those of the fitted data."
+            )
+        forces = self._forces(problem, equation, estimate, bool(causes))
         return QuickDiagnosis(
             name=problem.name,
             verdict=self._verdict(causes, forces, bool(faults)),
@@ -129,7 +139,7 @@ class QuickDiagnose:
             faults=faults,
             forces=forces,
             problem=_extended(problem, estimate) if causes else problem,
-            warnings=(*problem.warnings, *_warnings(simulator, estimate)),
+            warnings=tuple(warnings),
         )
 
     def _sides(self, problem: Problem) -> tuple[Trajectories, Trajectories]:
@@ -177,15 +187,9 @@ class QuickDiagnose:
         return found
 
     def _forces(
-        self, problem: Problem, checked: Trajectories, estimate: "Missing", found: bool
+        self, problem: Problem, equation: Equation, estimate: "Missing", found: bool
     ) -> tuple[JointForces, ...]:
-        """What the drives give at each joint, and what is not explained of it on data held out."""
-        try:
-            equation = equation_of(
-                problem, checked, self.settings.equation, width=estimate.fitter.equation.width
-            )
-        except BadArgument:
-            equation = estimate.fitter.equation
+        """What the drives give at each joint along data held out, and what is not explained."""
         simulator = robot_of(problem)
         terms = terms_of(simulator, equation)
         by_label = {(term.label, term.quantity): i for i, term in enumerate(terms)}
@@ -499,7 +503,7 @@ def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
     found = []
     for i in estimate.solution.terms:
         term = estimate.fitter.terms[i]
-        if estimate.at_bound(i):
+        if term.lowest < 0 and estimate.at_bound(i):
             found.append(
                 f"{term.label}: the total is at its bound, 0. Something else may act like it."
             )
