@@ -233,17 +233,12 @@ class Chooser:
                 strong = forces[i] > self.settings.force
                 if i in laws or (wald > self.settings.wald and large and strong):
                     kept.append(i)
-            payload = solution.payload
-            if payload is not None:
-                mass = float(variance[offset + len(solution.terms)])
-                if payload.mass**2 < self.settings.wald * mass:
-                    payload = None
-            if len(kept) == len(solution.terms) and payload is solution.payload:
+            if len(kept) == len(solution.terms):
                 return solution
             sizes = np.zeros(len(solution.sizes))
             sizes[kept] = solution.sizes[kept]
             gain = (GAIN,) * offset
-            solution = replace(solution, chosen=(*gain, *kept), sizes=sizes, payload=payload)
+            solution = replace(solution, chosen=(*gain, *kept), sizes=sizes)
 
     def term_forces(self, solution: Solution) -> Array:
         """(K,) RMS force of each chosen term, as a fraction of the drive's, where it is largest."""

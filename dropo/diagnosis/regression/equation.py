@@ -71,9 +71,9 @@ class EquationSettings:
     thin: float = 1.2
     rows: int = 9000
     stretch: float = 2.2
-    still: float = 0.02
+    still: float = 0.05
     still_noise: float = 4.0
-    sticks: float = 0.4
+    sticks: float = 0.1
     slow: float = 0.02
     delays: float = 10.0
     longest_delay: float = 0.06

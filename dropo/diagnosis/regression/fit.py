@@ -43,6 +43,8 @@ class FitSettings:
         Places along each axis at which a payload is tried.
     finer : int
         Rounds in which that grid closes in on the best place.
+    misfit : float
+        The fraction of what is left, as variance, that may lie along any one number.
     """
 
     weight_floor: float = 0.003
@@ -51,6 +53,7 @@ class FitSettings:
     steps: int = 10
     grid: int = 7
     finer: int = 5
+    misfit: float = 0.01
 
 
 SETTINGS = FitSettings()
@@ -361,6 +364,8 @@ class Fitter:
     def covariance(self, solution: Solution) -> Array:
         """(k, k) covariance of the numbers, with errors that depend on each other within a block.
 
+        Errors that are the same in all blocks count too, by the settings' `misfit`.
+
         References
         ----------
         .. [1] Liang, Zeger, Longitudinal data analysis using generalized linear models, Biometrika
@@ -379,7 +384,9 @@ class Fitter:
         scores = np.zeros((count, len(scale)))
         np.add.at(scores, blocks, by_row)
         middle = scores.T @ scores * count / max(count - 1, 1)
-        return np.asarray(inverse @ middle @ inverse)
+        # What is left is no noise: a part of it may lie along any number, the same in all blocks.
+        common = self.settings.misfit * float(np.count_nonzero(solution.weights)) * inverse
+        return np.asarray(inverse @ middle @ inverse + common)
 
 
 def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Array, Array]:

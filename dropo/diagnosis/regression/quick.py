@@ -41,6 +41,9 @@ class QuickSettings:
         problem holds out no data.
     certain : float
         Standard errors that a number must be away from 0.
+    large : float
+        The fraction of the drives' force from which a number is named although its size is not
+        certain: where a gain and a payload share the scale of all forces, all sizes are uncertain.
     reach : float
         How far a payload may be from the origin of its body, in extents of the body.
     bias : float
@@ -65,6 +68,7 @@ class QuickSettings:
 
     checked: float = 0.2
     certain: float = 3.0
+    large: float = 0.03
     reach: float = 1.5
     bias: float = 0.02
     widen: float = 1.4
@@ -268,12 +272,15 @@ class Missing:
         The numbers.
     errors : (k,) array
         Standard errors: of the rows, of the kernels' widths, and of the model's physics step.
+    large : float
+        The fraction of the drives' force from which a term is named, however uncertain its size.
     """
 
     fitter: Fitter
     chooser: Chooser
     solution: Solution
     errors: Array
+    large: float
 
     @property
     def left(self) -> float:
@@ -298,12 +305,13 @@ class Missing:
         drives = actuators(model)
         everywhere = drives[0].name if len(drives) == 1 else None
         found = []
+        shares = self.chooser.term_forces(solution)
 
         def add(
             index: int | str, place: tuple[str, str | None, str], least: float, **sizes: Estimate
         ) -> None:
             first = next(iter(sizes.values()))
-            named = abs(first.value) > max(least, certain * first.se)
+            named = least == -np.inf or abs(first.value) > max(least, certain * first.se)
             found.append(Number(index, *place, tuple(sizes.items()), named))
 
         if GAIN in solution.chosen:
@@ -314,6 +322,10 @@ class Missing:
             size = Estimate(float(solution.sizes[i]), errors.pop(0), term.unit, term.model)
             # A number that ends at its bound is no cause: something else may act like it.
             least = np.inf if self.at_bound(i) else term.least * (1 + solution.gain)
+            # Beside a payload the scale of all forces may be uncertain; a large force is there.
+            large = solution.payload is not None and shares[i] > self.large
+            if large and abs(size.value) > least:
+                least = -np.inf
             add(i, (term.effect, term.target, term.variant), least, **{term.quantity: size})
         payload = solution.payload
         if payload is not None:
@@ -321,7 +333,8 @@ class Missing:
             sizes = {"mass": Estimate(payload.mass, errors.pop(0), "kg", None)}
             for letter, value in zip("xyz", payload.place, strict=True):
                 sizes[letter] = Estimate(float(value), errors.pop(0), "m", None)
-            add("payload", ("payload", name, ""), 0.0, **sizes)
+            # Data held out ask for it, however uncertain its mass beside the drives' gain.
+            add("payload", ("payload", name, ""), -np.inf, **sizes)
         # A simulation of the model acts early by itself: what is to be typed makes up for that.
         delay = Estimate(solution.delay - self.fitter.own_delay, errors.pop(0), "s", None)
         if delay.value > 0:
@@ -346,8 +359,6 @@ class Missing:
             ratio = abs(float(solution.sizes[i])) / errors.pop(0)
             if i not in laws:
                 ratios[i] = ratio
-        if solution.payload is not None:
-            ratios["payload"] = solution.payload.mass / errors.pop(0)
         least = min(ratios, key=lambda index: ratios[index], default=None)
         return None if least is None or ratios[least] > certain else least
 
@@ -437,9 +448,8 @@ def estimate_missing(
     chooser = Chooser(fitter, settings.choice)
     solution = chooser.run()
     while True:
-        found = Missing(
-            fitter, chooser, solution, _errors(simulator, fitter, wide, solution, settings)
-        )
+        errors = _errors(simulator, fitter, wide, solution, settings)
+        found = Missing(fitter, chooser, solution, errors, settings.large)
         doubtful = found.doubtful(settings.certain)
         if doubtful is None:
             return found
