@@ -65,17 +65,25 @@ def motor_force(state: StepState, joint: Joint, ids: Sequence[int]) -> Array:
     total = np.zeros(len(state.ctrl))
     for i in ids:
         gear = float(model.actuator_gear[i, 0])
-        u = _input_of(state, i)
-        position = gear * state.qpos[:, joint.qpos]
-        velocity = gear * state.qvel[:, joint.qvel]
-        terms = np.stack([np.ones(len(u)), position, velocity])
-        gain = model.actuator_gainprm[i, :3]
-        if model.actuator_gaintype[i] != AFFINE:
-            gain = gain * (1, 0, 0)
-        bias = model.actuator_biasprm[i, :3] * (model.actuator_biastype[i] == AFFINE_BIAS)
+        gain, bias = _gain_and_bias(model, i, joint, state.qpos, state.qvel)
         limits = model.actuator_forcerange[i] if model.actuator_forcelimited[i] else UNLIMITED
-        total += gear * np.clip((gain @ terms) * u + bias @ terms, *limits)
+        total += gear * np.clip(gain * _input_of(state, i) + bias, *limits)
     return total
+
+
+def _gain_and_bias(
+    model: mujoco.MjModel, i: int, joint: Joint, positions: Array, velocities: Array
+) -> tuple[Array, Array]:
+    """Gain and bias (n,) of the law of actuator i at a joint, at n states, before its gear."""
+    gear = float(model.actuator_gear[i, 0])
+    position = gear * positions[:, joint.qpos]
+    velocity = gear * velocities[:, joint.qvel]
+    terms = np.stack([np.ones(len(positions)), position, velocity])
+    gain = model.actuator_gainprm[i, :3]
+    if model.actuator_gaintype[i] != AFFINE:
+        gain = gain * (1, 0, 0)
+    bias = model.actuator_biasprm[i, :3] * (model.actuator_biastype[i] == AFFINE_BIAS)
+    return gain @ terms, bias @ terms
 
 
 def _input_of(state: StepState, i: int) -> Array:
@@ -226,14 +234,8 @@ def linear_drives(model: mujoco.MjModel, positions: Array, velocities: Array) ->
                 "servo of a hinge or slide, so its force is not known from the state."
             )
         gear = float(model.actuator_gear[i, 0])
-        terms = np.stack(
-            [np.ones(n), gear * positions[:, joint.qpos], gear * velocities[:, joint.qvel]]
-        )
-        gain = model.actuator_gainprm[i, :3]
-        if model.actuator_gaintype[i] != AFFINE:
-            gain = gain * (1, 0, 0)
-        constant = model.actuator_biasprm[i, :3] * (model.actuator_biastype[i] == AFFINE_BIAS)
-        gains[:, i] = gear * (gain @ terms)
-        bias[:, joint.qvel] += gear * (constant @ terms)
+        gain, constant = _gain_and_bias(model, i, joint, positions, velocities)
+        gains[:, i] = gear * gain
+        bias[:, joint.qvel] += gear * constant
         dofs[i] = joint.qvel
     return LinearDrives(bias, gains, dofs)

@@ -1,7 +1,7 @@
 """Models from files, specifications or compiled ones, ready to be simulated."""
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -114,27 +114,3 @@ def _broken(model: str | Path | mujoco.MjSpec, error: Exception) -> BadFile:
     """The refusal of a model that MuJoCo does not compile."""
     source = "the model" if isinstance(model, mujoco.MjSpec) else model
     return BadFile(source, "", "a model that compiles", str(error).strip().replace("\n", "; "))
-
-
-def changed_copy(
-    model: mujoco.MjModel, changes: Sequence[Callable[[mujoco.MjModel], None]]
-) -> mujoco.MjModel:
-    """Copy a model and change the copy; derived constants follow.
-
-    Parameters
-    ----------
-    model : MjModel
-        A compiled model, which stays as it is.
-    changes : sequence of callable
-        Each changes the fields of the copy in place.
-
-    Returns
-    -------
-    MjModel
-    """
-    changed = copy.copy(model)
-    for change in changes:
-        change(changed)
-    if changes:
-        mujoco.mj_setConst(changed, mujoco.MjData(changed))
-    return changed

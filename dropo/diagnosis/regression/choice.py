@@ -54,9 +54,6 @@ class ChoiceSettings:
     rounds: int = 40
 
 
-SETTINGS = ChoiceSettings()
-
-
 @dataclass(frozen=True, eq=False)
 class BlockTables:
     """What a linear solve needs of each of B blocks of time.
@@ -157,8 +154,8 @@ class Chooser:
     def without_needless(self, solution: Solution, groups: Sequence[Group]) -> Solution:
         """Drop the groups, and the payload, that data held out do not ask for, one at a time."""
         while True:
-            tables = self._tables(solution)
-            present = self._held_out(solution, tables)
+            tables = self.tables(solution)
+            present = self.held_out(solution, tables)
             needless: list[tuple[float, Solution]] = []
             for group in groups:
                 dropped = [i for i in solution.chosen if i in group]
@@ -185,7 +182,7 @@ class Chooser:
         present: Array,
     ) -> list[tuple[float, Solution]]:
         """The solution without some terms, with what they are worth, if that is too little."""
-        errors = self._held_out(without, tables)
+        errors = self.held_out(without, tables)
         if self._is_worth(errors, present, self._drive_size(solution, dropped)):
             return []
         return [(_worth(errors, present)[0], without)]
@@ -193,15 +190,15 @@ class Chooser:
     def with_more(self, solution: Solution, groups: Sequence[Group]) -> Solution:
         """Add the groups that data held out ask for, the one that helps most first."""
         for _ in range(self.settings.rounds):
-            tables = self._tables(solution)
-            present = self._held_out(solution, tables)
+            tables = self.tables(solution)
+            present = self.held_out(solution, tables)
             best: tuple[float, Solution | None] = (0.0, None)
             for group in groups:
                 new = tuple(i for i in group if i not in solution.chosen)
                 if not new or self._moves_scale(solution, new):
                     continue
                 larger = replace(solution, chosen=(*solution.chosen, *new))
-                errors = self._held_out(larger, tables)
+                errors = self.held_out(larger, tables)
                 if self._is_worth(present, errors, self._drive_size(solution, new)):
                     score = _worth(present, errors)[0] / np.sqrt(len(new))
                     best = max(best, (score, larger), key=lambda one: one[0])
@@ -255,7 +252,7 @@ class Chooser:
 
     # ---- what groups are worth on data held out
 
-    def _tables(self, solution: Solution) -> BlockTables:
+    def tables(self, solution: Solution) -> BlockTables:
         """The tables of each block, at the solution's weights, delay and payload."""
         fitter = self.fitter
         needed = fitter.equation.needed
@@ -277,7 +274,7 @@ class Chooser:
             sizes.append(aim @ aim)
         return BlockTables(np.array(grams), np.array(moments), np.array(sizes))
 
-    def _held_out(self, solution: Solution, tables: BlockTables) -> Array:
+    def held_out(self, solution: Solution, tables: BlockTables) -> Array:
         """(B,) the squared error of each block, fitted without the fold that it belongs to."""
         terms = self.fitter.terms
         index = [0 if i == GAIN else i + 1 for i in solution.chosen]
@@ -312,15 +309,6 @@ class Chooser:
             squares = np.einsum("i,bij,j->b", found, grams[own], found)
             errors[own] = tables.sizes[own] - 2 * by_block[own] @ found + squares
         return errors
-
-    def gain(self, solution: Solution, without: Solution) -> tuple[float, float]:
-        """The log-likelihood of held-out rows with a solution over one without; its error [nats].
-
-        Both are refitted without each fold in turn.
-        """
-        present = self._held_out(solution, self._tables(solution))
-        gains = 0.5 * (self._held_out(without, self._tables(without)) - present)
-        return float(gains.sum()), float(gains.std(ddof=1) * np.sqrt(len(gains)))
 
     def _is_worth(self, without: Array, with_it: Array, size: float) -> bool:
         """Whether a group lowers the error on data held out by enough, and for certain.

@@ -4,9 +4,8 @@ Positions and commands pass the same even kernel, so that commands lag exactly a
 Then both sides of the equation pass a second one, so that no row rests on a raw second derivative.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,14 +17,15 @@ from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.kernels import apply_kernel, derivative_kernels, held_kernel
+from dropo.diagnosis.regression.kernels import REACH, apply_kernel, derivative_kernels, held_kernel
+from dropo.diagnosis.search.library import robot_of
 from dropo.mjmodel.bodies import moving_bodies
 from dropo.mjmodel.body_regressors import inverse_dynamics
 from dropo.mjmodel.forces import LinearDrives, linear_drives
 from dropo.mjmodel.joints import joints
-from dropo.mjmodel.loading import changed_copy
 from dropo.mjmodel.robot_simulator import RobotSimulator
-from dropo.simulators.mujoco.layers import change_commands
+from dropo.simulators.mujoco.layers import change_commands, clamp
+from dropo.simulators.mujoco.worker import Worker
 
 
 @dataclass(frozen=True)
@@ -202,15 +202,13 @@ def equation_of(
     BadArgument
         If no trajectory is long enough, or nothing moves.
     """
-    simulator = problem.simulator
-    if not isinstance(simulator, RobotSimulator):
-        raise Incompatible(f"{type(simulator).__name__} has no MuJoCo model.")
+    simulator = robot_of(problem)
     refuse_unsuitable(simulator)
     log = Log(simulator, trajectories)
     if width is None:
         width = _first_width(log, settings)
     second = settings.second * width
-    reach = int(np.ceil(4.0 * (width + second) / log.step)) + 1
+    reach = int(np.ceil(REACH * (width + second) / log.step)) + 1
     stretches = _stretches(log, reach, settings)
     if not stretches:
         raise BadArgument(
@@ -222,10 +220,10 @@ def equation_of(
     count = sum(stop - start for _, start, stop in stretches)
     length = min(settings.block, count * log.step / settings.blocks)
     first_block = 0
-    for run, start, stop in stretches:
-        part = _stretch_equation(
-            simulator, log, (run, start, stop), width, second, speed, settings, reach
-        )
+    model = model_of(simulator)
+    delays = _delays(simulator, settings)
+    for stretch in stretches:
+        part = _stretch_equation(model, log, stretch, delays, width, second, speed, settings, reach)
         block = np.floor(part.pop("time") / length).astype(np.int64)
         part["block"] = first_block + np.unique(block, return_inverse=True)[1]
         first_block = int(part["block"].max()) + 1 if len(block) else first_block
@@ -235,23 +233,15 @@ def equation_of(
         axis = 1 if name in ("drives", "by_inertia") else 0
         joined[name] = np.concatenate([part[name] for part in parts], axis=axis)
     driven = np.zeros(simulator.model.nv, dtype=bool)
-    driven[[int(dof) for dof in _drives_at_rest(simulator).dofs]] = True
-    return Equation(**joined, delays=_delays(simulator, settings), driven=driven, width=width)
+    driven[_drives_at_rest(simulator).dofs] = True
+    return Equation(**joined, delays=delays, driven=driven, width=width)
 
 
 def model_of(simulator: RobotSimulator) -> Model:
     """Return the model of a robot with its fixed effects written into it."""
-    changes = [
-        partial(_apply, instance.model, magnitudes)
-        for instance, magnitudes in simulator.fixed
-        if instance.model is not None and not instance.general
-    ]
-    return changed_copy(simulator.model, changes)
-
-
-def _apply(change: Callable[[Model, Array], None], magnitudes: Array, model: Model) -> None:
-    """Change a model as an effect does."""
-    change(model, magnitudes)
+    worker = Worker(simulator.model, ())
+    worker.set(np.zeros(0), [one for one in simulator.fixed if not one[0].general])
+    return worker.model
 
 
 def _drives_at_rest(simulator: RobotSimulator) -> LinearDrives:
@@ -274,7 +264,6 @@ class Log:
         columns = [place[i] for i in range(model.nq)]
         self.positions: list[Array] = []
         self.commands: list[Array] = []
-        low, high = _control_limits(model)
         fixed = [
             (instance, magnitudes)
             for instance, magnitudes in simulator.fixed
@@ -287,7 +276,7 @@ class Log:
             commands = np.zeros((stop - start + 1, model.nu))
             commands[:-1, simulator.controls] = trajectories.actions[start:stop]
             commands[-1] = commands[-2]
-            commands = np.clip(commands, low, high)
+            commands = clamp(commands, model)
             if fixed:
                 fine = change_commands(commands, model, simulator.frame_skip, fixed)
                 commands = fine.reshape(len(commands), simulator.frame_skip, model.nu).mean(axis=1)
@@ -303,15 +292,6 @@ class Log:
         """The smoothed velocities of each run."""
         kernel = derivative_kernels(width, self.step)[1]
         return [apply_kernel(kernel, rows) for rows in self.positions]
-
-
-def _control_limits(model: Model) -> tuple[Array, Array]:
-    """(nu,) lowest and highest commands; infinite where there is no limit."""
-    limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
-    ends = np.asarray(model.actuator_ctrlrange)
-    low = np.where(limited, ends[:, 0], -np.inf)
-    high = np.where(limited, ends[:, 1], np.inf)
-    return low, high
 
 
 def _delays(simulator: RobotSimulator, settings: EquationSettings) -> Array:
@@ -330,7 +310,7 @@ def _first_width(log: Log, settings: EquationSettings) -> float:
     width = settings.narrowest * log.step
     # Both kernels must fit into the longest run several times.
     longest = max(map(len, log.positions))
-    fits = longest / (4.0 * settings.stretch * (1 + settings.second)) / 3
+    fits = longest / (REACH * settings.stretch * (1 + settings.second)) / 3
     widest = max(settings.narrowest, min(settings.widest, fits))
     while width < widest * log.step:
         kernel = derivative_kernels(width, log.step)[2]
@@ -360,9 +340,10 @@ def _stretches(log: Log, reach: int, settings: EquationSettings) -> list[tuple[i
 
 
 def _stretch_equation(
-    simulator: RobotSimulator,
+    model: Model,
     log: Log,
     stretch: tuple[int, int, int],
+    delays: Array,
     width: float,
     second: float,
     speed: Array,
@@ -371,7 +352,6 @@ def _stretch_equation(
 ) -> dict[str, Any]:
     """The arrays of one stretch, without rows whose kernels reach beyond it."""
     run, start, stop = stretch
-    model = model_of(simulator)
     rows = log.positions[run][start:stop]
     kernels = derivative_kernels(width, log.step)
     position, velocity, acceleration = (apply_kernel(kernel, rows) for kernel in kernels)
@@ -380,8 +360,8 @@ def _stretch_equation(
     drives = linear_drives(model, position, velocity)
     commands = log.commands[run][start:stop]
     forces = []
-    for delay in _delays(simulator, settings):
-        late = apply_kernel(held_kernel(width, log.step, float(delay)), commands)
+    for delay in delays.tolist():
+        late = apply_kernel(held_kernel(width, log.step, delay), commands)
         forces.append(drives.forces(late))
     noise = log.noise * np.sqrt(np.sum(kernels[1] ** 2))
     still_speed = np.maximum(settings.still * speed, settings.still_noise * noise)

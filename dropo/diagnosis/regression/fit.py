@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Equation
-from dropo.diagnosis.regression.terms import Term, point_mass
+from dropo.diagnosis.regression.terms import Term, point_mass, point_mass_slope
 
 GAIN = -1
 """The index that stands for the gain of all drives among the indices of terms."""
@@ -325,7 +325,7 @@ class Fitter:
             needed = needed + payload.mass * own
             parts.append(solution.beta * own[:, :, None])
             by_inertia = self.equation.by_inertia[payload.body]
-            moved = np.stack([_by_place(payload.place, axis) for axis in np.eye(3)], axis=1)
+            moved = np.stack([point_mass_slope(payload.place, axis) for axis in np.eye(3)], axis=1)
             parts.append(solution.beta * payload.mass * (by_inertia @ moved))
         if GAIN in solution.chosen:
             parts.insert(0, needed[:, :, None])
@@ -393,12 +393,6 @@ def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Ar
     """(k, k) weighted Gram matrix of the columns (R, nv, k), and products with the target (k,)."""
     flat = (columns * weights[:, :, None]).reshape(target.size, columns.shape[2])
     return flat.T @ flat, flat.T @ (target * weights).ravel()
-
-
-def _by_place(place: Array, axis: Array) -> Array:
-    """(10,) derivative of the inertial numbers of 1 kg by its place along an axis."""
-    step = 1e-6
-    return (point_mass(place + step * axis) - point_mass(place - step * axis)) / (2 * step)
 
 
 def root_mean_square(values: Array) -> Array:

@@ -220,9 +220,7 @@ def _body_terms(model: Model, body: int, name: str, by_inertia: Array) -> list[T
         )
     ]
     for axis, letter in enumerate("xyz"):
-        ahead = point_mass(place + 1e-6 * np.eye(3)[axis])
-        behind = point_mass(place - 1e-6 * np.eye(3)[axis])
-        column = by_inertia @ (mass * (ahead - behind) / 2e-6)
+        column = by_inertia @ (mass * point_mass_slope(place, np.eye(3)[axis]))
         found.append(
             Term(
                 "body_com",
@@ -256,6 +254,12 @@ def point_mass(place: Array) -> Array:
     x, y, z = place
     moments = (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)
     return np.array([1.0, x, y, z, *moments])
+
+
+def point_mass_slope(place: Array, axis: Array) -> Array:
+    """Return the derivative (10,) of the inertial numbers of 1 kg by its place along an axis."""
+    step = 1e-6
+    return (point_mass(place + step * axis) - point_mass(place - step * axis)) / (2 * step)
 
 
 def families_of(terms: Sequence[Term]) -> dict[str, tuple[int, ...]]:
