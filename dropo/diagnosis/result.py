@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.predictions import Predictions
@@ -40,11 +42,12 @@ class HeldOut:
 
     def to_json(self) -> dict[str, Any]:
         """As diagnosis.json has it."""
+        horizons = [horizon.to_json() for horizon in self.horizons]
         return {
             "held_out_log_likelihood": self.log_likelihood,
-            "rmse": {str(horizon.steps): horizon.rmse for horizon in self.horizons},
+            "rmse": {str(at["steps"]): at["rmse"] for at in horizons},
             "horizons_s": [horizon.seconds for horizon in self.horizons],
-            "horizons": [horizon.to_json() for horizon in self.horizons],
+            "horizons": horizons,
         }
 
 
@@ -141,7 +144,9 @@ class Diagnosis(Report):
 
         Horizons count as long as the simulation follows the motion at all.
         """
-        horizons = self.baseline.horizons
+        horizons = [one for one in self.baseline.horizons if np.isfinite(one.rmse)]
+        if not horizons:
+            return "On held-out data the simulation diverges."
         followed = [horizon for horizon in horizons if horizon.rmse < 1] or horizons
         found = []
         for horizon in followed:
@@ -171,11 +176,11 @@ class Diagnosis(Report):
         for at in zip(*(horizons for _, horizons in models), strict=True):
             last = at[-1]
             seconds = "" if last.seconds is None else f", {number(last.seconds, 3)} s"
-            of_motion = [f"{horizon.rmse:.2%}" for horizon in at]
+            of_motion = [_percent(horizon.rmse) for horizon in at]
             label = f"{_steps(last.steps)}{seconds}"
             rows.append((label, "of the motion", *of_motion, f"{last.noise:.2%}"))
             for unit, (_, noise) in last.units.items():
-                errors = [number(horizon.units[unit][0], 3) for horizon in at]
+                errors = [_number(horizon.units[unit][0]) for horizon in at]
                 rows.append(("", unit, *errors, number(noise, 3)))
         header = ("after", "unit", *(name for name, _ in models), "by sensor noise")
         return Table("Errors on held-out data", header, tuple(rows))
@@ -254,6 +259,16 @@ class Diagnosis(Report):
         lines += [f"  {text}" for text in self.undetermined]
         lines += [f"  suspect: {suspect.label}" for suspect in self.suspects]
         return [*lines, *(f"warning: {text}" for text in self.warnings)]
+
+
+def _percent(error: float) -> str:
+    """An error as a fraction of the motion."""
+    return f"{error:.2%}" if np.isfinite(error) else "diverges"
+
+
+def _number(error: float) -> str:
+    """An error in its unit."""
+    return number(error, 3) if np.isfinite(error) else "diverges"
 
 
 def _cause_sentences(cause: Cause) -> list[str]:

@@ -66,6 +66,10 @@ class RobotSimulator(Simulator):
         """The robot for which effects are offered."""
 
     @abstractmethod
+    def with_finer_steps(self, times: int) -> "RobotSimulator":
+        """Make the same simulator with so many physics steps in the place of one."""
+
+    @abstractmethod
     def with_effects(
         self, effects: Sequence[EffectInstance] = (), fixed: ActiveEffects = ()
     ) -> "RobotSimulator":

@@ -1,5 +1,6 @@
 """The page of a diagnosis."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -229,17 +230,27 @@ def _errors(content: dict[str, Any]) -> str:
         in_seconds = f", {plain(seconds, 3)} s" if seconds else ""
         after = Cell(f"{steps} step{'s' * (steps > 1)}{in_seconds}", steps)
         fractions = [*(entry["rmse"] for entry in at), last["noise"]]
-        cells = [Cell(percent(value), value) for value in fractions]
+        cells = [_cell(value, percent) for value in fractions]
         rows.append([after, Cell("of the motion"), *cells])
         for unit in last["units"]:
             by_unit = [
                 *(entry["units"][unit]["rmse"] for entry in at),
                 last["units"][unit]["noise"],
             ]
-            rows.append([after, Cell(unit), *(Cell(plain(value, 3), value) for value in by_unit)])
+            rows.append([after, Cell(unit), *(_cell(value, _short) for value in by_unit)])
     if not rows:
         return ""
     return table(["after", "unit", *(name for name, _ in models), "by sensor noise"], rows)
+
+
+def _cell(value: float | None, shown: Callable[[float], str]) -> Cell:
+    """An error; None where the simulation diverges in every window."""
+    return Cell("diverges") if value is None else Cell(shown(value), value)
+
+
+def _short(value: float) -> str:
+    """A number of three digits."""
+    return plain(value, 3)
 
 
 def _excluded_span(span: ExcludedSpan) -> str:

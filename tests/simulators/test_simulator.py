@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from dropo.core.contracts.effect import instances_of
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.mjmodel.fields import FieldParameter
@@ -497,3 +498,27 @@ def test_a_single_tree_does_not_look_for_islands(name):
     looking = simulated_robot(name, masses(name)).simulator
     looking.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     assert np.array_equal(found, looking.predict(values, segments))
+
+
+def test_finer_steps_are_those_of_a_model_with_a_shorter_step():
+    """Half the step and twice as many: bit for bit, with an effect that moves frames too."""
+    robot = simulated_robot("torque-arm")
+    simulator = robot.simulator
+    instances = instances_of(simulator.effect_context, "body_com", "fore.x")
+    extended = simulator.with_effects((), [(instances[0], np.array([0.02]))])
+    spec = simulator.spec()
+    spec.option.timestep /= 2
+    twin = MujocoSimulator(
+        spec,
+        [binding.parameter for binding in simulator.bindings],
+        observation=simulator.observation,
+        frame_skip=2 * simulator.frame_skip,
+        threads=1,
+    )
+    twin = twin.with_effects((), [(instances[0], np.array([0.02]))])
+    segments = robot.record(noise=1e-3, rng=np.random.default_rng(0)).segments(5)
+    finer = extended.with_finer_steps(2)
+    assert finer.control_step == extended.control_step == twin.control_step
+    values = simulator.nominal[None]
+    np.testing.assert_array_equal(finer.predict(values, segments), twin.predict(values, segments))
+    assert np.ptp(finer.predict(values, segments) - extended.predict(values, segments)) > 0

@@ -28,6 +28,7 @@ from dropo.diagnosis.search.selection import (
     gain_by_block,
     gain_of,
 )
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
 @dataclass(frozen=True)
@@ -40,10 +41,14 @@ class CauseSettings:
         Alternatives of a cause for which an experiment is looked for.
     patience : float
         The longest experiment that is proposed [s].
+    certain : float
+        Where a search began with regression, an effect is a cause if its first magnitude is so many
+        standard errors away from 0.
     """
 
     experiments: int = 2
     patience: float = 600.0
+    certain: float = 3.0
 
 
 SETTINGS = CauseSettings()
@@ -57,6 +62,8 @@ def causes(
     errors: Sequence[tuple[float, float]],
     selection: SelectionSettings = SELECTION,
     settings: CauseSettings = SETTINGS,
+    *,
+    far_off: bool = False,
 ) -> tuple[Cause, ...]:
     """Summarize each accepted effect, in the order in which they were found.
 
@@ -77,6 +84,9 @@ def causes(
         When two effects cannot be distinguished.
     settings : CauseSettings
         How much is said of alternatives.
+    far_off : bool
+        Whether the search began with regression. Standard errors then hold what the physics step
+        makes of the numbers, and effects that they do not tell from nothing are left out.
 
     Returns
     -------
@@ -84,8 +94,14 @@ def causes(
         One of each accepted effect.
     """
     deviations = standard_errors(library, last) if last.accepted else np.zeros(0)
+    if far_off and last.accepted:
+        deviations = np.hypot(deviations, errors_of_step(library, last))
     found = []
     for instance, (before, after) in zip(last.accepted, errors, strict=True):
+        estimates = estimate(library, last, instance, deviations)
+        first = next(iter(estimates.values()))
+        if far_off and abs(first.value) < settings.certain * first.se:
+            continue
         own = reviews[instance.label]
         gain = gain_of(own.without.test, last.test)[0]
         blocks = gain_by_block(own.without.test, last.test)
@@ -96,7 +112,7 @@ def causes(
             effect=instance.effect,
             target=instance.target,
             variant=instance.variant,
-            estimate=estimate(library, last, instance, deviations),
+            estimate=estimates,
             p_value=p_of(gain, count),
             held_out_gain=gain / steps,
             held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
@@ -239,6 +255,35 @@ def standard_errors(library: Library, last: State, close: float = REFIT.close) -
     # Errors far below the usual width of differences: predictions are curved within it.
     curved = np.any(errors < close * library.steps[last.free])
     return _sandwich(library, last, close) if curved else errors
+
+
+def errors_of_step(library: Library, last: State) -> Array:
+    """Return how far the fitted numbers are off because physics steps are not short.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        A model.
+
+    Returns
+    -------
+    (f,) array
+        In the numbers' units. Predictions change when steps are halved; these are the changes of
+        the numbers that make up for that, taken twice, since errors fall with the step.
+    """
+    train = last.train
+    simulator = library.simulator
+    if not isinstance(simulator, RobotSimulator):
+        return np.zeros(len(last.free))
+    finer = simulator.with_finer_steps(2).predict(train.theta[None], train.windows.segments)
+    change = np.nan_to_num(finer.reshape(train.residuals.shape) - train.predicted)
+    rows = train.flat(library.jacobian(train.theta, last.free, train.windows))
+    # Columns of one size, so that the least squares' cutoff means the same for all numbers.
+    size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
+    moved = np.linalg.lstsq((rows / size[:, None]).T, train.flat(change), rcond=1e-6)[0]
+    return np.asarray(2 * np.abs(moved / size))
 
 
 def _sandwich(library: Library, last: State, fraction: float) -> Array:

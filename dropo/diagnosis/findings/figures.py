@@ -110,9 +110,9 @@ def figure_data(
     -------
     FigureData
     """
-    # The unexplained forces of the model as it is.
+    # The unexplained forces of the model as it is; where it diverges, none are known.
     before = rest
-    if first is not last:
+    if first is not last and first.train.lost.mean() < 0.5:
         floor = selection.floor
         before = unexplained_force(library, first.train, first.test, floor, gain_of, rest.responses)
 

@@ -36,7 +36,8 @@ class Horizon:
     seconds : float or None
         The horizon [s]; None where the simulator does not know its control step.
     rmse : float
-        Root mean square error of all signals, each in units of its noise-free spread.
+        Root mean square error of all signals, each in units of its noise-free spread; NaN where the
+        simulation diverges in every window, as all its errors are then.
     noise : float
         The part of `rmse` that noise explains.
     units : dict of str to tuple
@@ -53,15 +54,23 @@ class Horizon:
     by_signal: Array
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain numbers."""
-        units = {unit: {"rmse": off, "noise": noise} for unit, (off, noise) in self.units.items()}
+        """Return plain numbers; None of an error where the simulation diverges."""
+        units = {
+            unit: {"rmse": _or_none(off), "noise": noise}
+            for unit, (off, noise) in self.units.items()
+        }
         return {
             "steps": self.steps,
             "seconds": self.seconds,
-            "rmse": self.rmse,
+            "rmse": _or_none(self.rmse),
             "noise": self.noise,
             "units": units,
         }
+
+
+def _or_none(error: float) -> float | None:
+    """The error, or None where there is none."""
+    return error if np.isfinite(error) else None
 
 
 def horizons(
@@ -96,7 +105,7 @@ def horizons(
     -------
     list of list of Horizon
         For each model, the horizons for which the data held out are long enough, up to the first
-        after which one of the models has failed in every window.
+        after which the last of the models has failed in every window.
     """
     found: list[list[Horizon]] = [[] for _ in thetas]
     models = [*thetas, last.theta]
@@ -117,7 +126,7 @@ def horizons(
         good = np.isfinite(change).all(axis=2)
         noise = sigma**2 + np.mean(change[good] ** 2, axis=0)
         errors = errors_of(simulator, predicted, windows, spread)
-        if any(one.failed == one.rows for one in errors):
+        if errors[which[-1]].failed == errors[which[-1]].rows:
             break
         for out, i in zip(found, which[:-1].tolist(), strict=True):
             out.append(_horizon(simulator, errors[i], noise))
@@ -155,11 +164,12 @@ def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array) -> Horiz
     """The errors beside the noise's (p,) variance at this horizon."""
     step = simulator.control_step
     by_noise = rms_by_unit(errors.signals, noise)
+    there = np.nan if errors.failed == errors.rows else 1.0
     return Horizon(
         steps=errors.horizon,
         seconds=None if step is None else errors.horizon * step,
-        rmse=errors.overall,
+        rmse=there * errors.overall,
         noise=rms_of_motion(noise, errors.spread),
-        units={unit: (off, by_noise[unit]) for unit, off in errors.by_unit.items()},
-        by_signal=errors.by_signal,
+        units={unit: (there * off, by_noise[unit]) for unit, off in errors.by_unit.items()},
+        by_signal=there * errors.by_signal,
     )

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
-from dropo.core.contracts.effect import EffectInstance, instances_of
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
@@ -122,7 +122,7 @@ class QuickDiagnose:
 
     def _run(self, problem: Problem) -> QuickDiagnosis:
         simulator = robot_of(problem)
-        fitted, checked = self._sides(problem)
+        fitted, checked = sides(problem, self.settings.checked)
         faults = wiring_faults(simulator, fitted)
         estimate = estimate_missing(problem, fitted, self.settings)
         causes = [] if faults else self._causes(simulator, estimate)
@@ -146,23 +146,6 @@ class QuickDiagnose:
             problem=_extended(problem, estimate) if causes else problem,
             warnings=tuple(warnings),
         )
-
-    def _sides(self, problem: Problem) -> tuple[Trajectories, Trajectories]:
-        """The data that are fitted, and those held out.
-
-        Where the problem holds out none, these are some whole runs, or the ends of few runs.
-        """
-        data = problem.trajectories
-        if problem.held_out is not None:
-            return data, problem.held_out
-        every = round(1 / self.settings.checked)
-        checked = np.zeros(len(data), dtype=bool)
-        for number, (start, stop) in enumerate(data.spans):
-            if len(data.spans) < every:
-                checked[stop - round(self.settings.checked * (stop - start)) : stop] = True
-            elif number % every == every - 1:
-                checked[start:stop] = True
-        return data.rows(np.flatnonzero(~checked)), data.rows(np.flatnonzero(checked))
 
     def _causes(self, simulator: RobotSimulator, estimate: "Missing") -> list[Cause]:
         """Every number that is missing as a cause, the one that gains most first."""
@@ -502,18 +485,60 @@ def _errors(
     return np.sqrt(by_rows + moved**2 + step**2 + (settings.bias * totals) ** 2)
 
 
-def _extended(problem: Problem, estimate: Missing) -> Problem:
-    """The problem with all numbers that were fitted together in its simulator.
+def sides(problem: Problem, checked: float) -> tuple[Trajectories, Trajectories]:
+    """Divide a problem's data into those that are fitted and those held out.
 
-    Those that are no causes by themselves belong to the others' values.
+    Parameters
+    ----------
+    problem : Problem
+        Any. The data that it holds out itself are held out.
+    checked : float
+        Else this fraction of the runs, or of the end of each where there are few.
+
+    Returns
+    -------
+    fitted, held_out : Trajectories
     """
-    simulator = robot_of(problem)
-    fixed = list(simulator.fixed)
+    data = problem.trajectories
+    if problem.held_out is not None:
+        return data, problem.held_out
+    every = round(1 / checked)
+    is_held_out = np.zeros(len(data), dtype=bool)
+    for number, (start, stop) in enumerate(data.spans):
+        if len(data.spans) < every:
+            is_held_out[stop - round(checked * (stop - start)) : stop] = True
+        elif number % every == every - 1:
+            is_held_out[start:stop] = True
+    return data.rows(np.flatnonzero(~is_held_out)), data.rows(np.flatnonzero(is_held_out))
+
+
+def fixed_numbers(simulator: RobotSimulator, estimate: Missing) -> ActiveEffects:
+    """Return all numbers that were fitted together, as effects with their magnitudes.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+    estimate : Missing
+        What it lacks. Numbers that are no causes by themselves belong to the others' values.
+
+    Returns
+    -------
+    sequence of (EffectInstance, (q,) array)
+    """
+    fixed = []
     for number in estimate.numbers(simulator, 0.0):
         for instance in instances_of(simulator.effect_context, number.effect):
             if (instance.target, instance.variant) == (number.target, number.variant):
                 fixed.append((instance, _magnitudes(instance, dict(number.estimates))))
-    return replace(problem, simulator=simulator.with_effects(simulator.effects, fixed))
+    return fixed
+
+
+def _extended(problem: Problem, estimate: Missing) -> Problem:
+    """The problem with all numbers that were fitted together in its simulator."""
+    simulator = robot_of(problem)
+    fixed = fixed_numbers(simulator, estimate)
+    return replace(problem, simulator=simulator.with_effects((), fixed))
 
 
 def _magnitudes(instance: EffectInstance, estimate: Mapping[str, Estimate]) -> Array:

@@ -1,0 +1,114 @@
+"""Where a model lacks much a diagnosis begins with regression; simulation has the last word."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
+from dropo.diagnosis.regression.quick import QuickSettings
+from dropo.diagnosis.regression.start import start_of, wiring_warnings
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.file.estimated_velocities import with_velocities
+from dropo.problems.simulated.hidden import hide
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.studies.first_models.machines import (
+    DESIGNS,
+    built,
+    first_model,
+    problem_of,
+    random_machine,
+    recorded,
+)
+
+WITHIN = 3.5
+"""Standard errors that a number may be off by: of twelve, one in 200 logs is off by more."""
+DESIGN = "arm, 3 joints"
+SETTINGS = DiagnosisSettings()
+NONE = np.zeros(0, dtype=np.int64)
+
+
+def started(problem, free=NONE):
+    """What a search of the problem begins with."""
+    return start_of(problem, free, SETTINGS.far_off, SETTINGS.far_off_gain, QuickSettings())
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """A machine of random numbers, its first model, and its log."""
+    rng = np.random.default_rng(31)
+    design = DESIGNS[DESIGN]
+    machine = random_machine(design, rng)
+    spec = first_model(design)
+    data = recorded(built(spec, machine), design.servos, machine.delay, rng)
+    return machine, spec, data
+
+
+@pytest.fixture(scope="module")
+def diagnosis(recording):
+    """The diagnosis of its first model."""
+    _, spec, data = recording
+    problem = with_velocities(problem_of(DESIGN, spec, data))
+    return Diagnose(windows=32).run(problem)
+
+
+def test_every_number_is_found_by_simulation(recording, diagnosis):
+    """Each within its errors, which are small; nothing else is named."""
+    truth = recording[0].numbers()
+    found = {
+        (cause.effect, cause.target, quantity): estimate
+        for cause in diagnosis.causes
+        for quantity, estimate in cause.estimate.items()
+    }
+    named = {key for key in found if key[0] != "payload" or key[2] == "mass"}
+    assert named == set(truth)
+    for key, value in truth.items():
+        assert abs(found[key].value - value) < WITHIN * found[key].se, (key, found[key])
+        assert found[key].se < 0.2 * abs(value), key
+
+
+def test_the_model_as_it_came_is_far_off(diagnosis):
+    """Errors on held-out data fall fifty-fold; what diverges is null, and JSON is strict."""
+    content = json.loads(json.dumps(diagnosis.to_json(), allow_nan=False))
+    after = {one["steps"]: one["rmse"] for one in content["extended"]["horizons"]}
+    before = {one["steps"]: one["rmse"] for one in content["baseline"]["horizons"]}
+    assert set(before) == set(after)
+    assert after[20] < 0.02
+    assert before[20] is None or before[20] > 50 * after[20]
+    assert diagnosis.gain > 1
+
+
+def test_declared_parameters_take_what_they_stand_for(recording):
+    """Declared dampings begin where regression has them; no effect stands for them again."""
+    machine, spec, data = recording
+    parameters = [
+        FieldParameter(f"d{i}", 0.0, 5.0, field="dof_damping", element=f"joint{i}")
+        for i in range(3)
+    ]
+    frame_skip = problem_of(DESIGN, spec, data).simulator.frame_skip
+    simulator = MujocoSimulator(
+        spec, parameters, observation=["qpos"], frame_skip=frame_skip, threads=1
+    )
+    problem = replace(problem_of(DESIGN, spec, data), simulator=simulator)
+    start = started(problem, np.arange(3))
+    truth = [machine.numbers()["joint_damping", f"joint{i}", "damping"] for i in range(3)]
+    np.testing.assert_allclose([start.parameters[i] for i in range(3)], truth, rtol=0.2)
+    effects = {instance.effect for instance, _ in start.numbers}
+    assert "joint_damping" not in effects
+    assert "joint_friction" in effects
+
+
+def test_few_missing_numbers_are_left_to_the_search():
+    """One hidden effect is no reason to begin with regression."""
+    assert started(hide("torque-arm", ["joint_armature:elbow=0.01"], seed=0, threads=1)) is None
+
+
+def test_wiring_is_warned_of(recording):
+    """Exchanged commands are said, and regression is not trusted then; right ones are not."""
+    _, spec, data = recording
+    problem = problem_of(DESIGN, spec, data)
+    assert wiring_warnings(problem) == ()
+    exchanged = replace(problem, trajectories=replace(data, actions=data.actions[:, [2, 1, 0]]))
+    assert "exchanged" in wiring_warnings(exchanged)[0]
+    assert started(exchanged) is None
