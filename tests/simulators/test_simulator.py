@@ -522,3 +522,9 @@ def test_finer_steps_are_those_of_a_model_with_a_shorter_step():
     values = simulator.nominal[None]
     np.testing.assert_array_equal(finer.predict(values, segments), twin.predict(values, segments))
     assert np.ptp(finer.predict(values, segments) - extended.predict(values, segments)) > 0
+
+
+def test_observing_more_keeps_the_source():
+    """A simulator that observes other columns can still be written as MJCF."""
+    simulator = simulated_robot("torque-arm").simulator
+    assert simulator.observing(["qvel"]).spec().to_xml() == simulator.spec().to_xml()

@@ -220,6 +220,7 @@ class MujocoSimulator(RobotSimulator):
             If there is no such field or element.
         """
         out = copy.copy(self)
+        out._source = self._source
         out.observation = tuple(observation)
         out.layout = Layout(self.model, observation)
         out.steps = 0
