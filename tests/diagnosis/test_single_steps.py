@@ -9,7 +9,7 @@ from dropo.diagnosis.search.single_steps import magnitude_in_single_steps
 from tests.models.linear_mass import DT, GAIN, instances, selection
 
 # sd of the random forces [m/s^2]
-RUNS = 12
+RUNS = 6
 FORCE = 1.0
 
 
@@ -42,12 +42,12 @@ def named(data):
 
 
 def test_answers_to_chance_are_not_named(monkeypatch):
-    """Twelve data sets with random forces alone: no effect is named; without the look at single
+    """Six data sets with random forces alone: no effect is named; without the look at single
     steps, one is in some of them.
     """
     assert sum(bool(named(closed_loop(seed))) for seed in range(RUNS)) == 0
     monkeypatch.setattr(search, "absent_in_single_steps", lambda *_: False)
-    assert sum(bool(named(closed_loop(seed))) for seed in range(RUNS)) >= 3
+    assert sum(bool(named(closed_loop(seed))) for seed in range(RUNS)) >= 2
 
 
 @pytest.mark.parametrize("seed", range(3))

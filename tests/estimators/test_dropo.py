@@ -40,8 +40,8 @@ def slide_fit():
 
 
 def few_pushes():
-    """Twelve pushes like those of `slide`."""
-    return pushes(0, count=12, epsilon=1e-6)
+    """Six pushes like those of `slide`."""
+    return pushes(0, count=6, epsilon=1e-6)
 
 
 @cache
@@ -52,8 +52,8 @@ def few_fit():
 
 @cache
 def short_hopper_fit():
-    """The first 120 transitions of `hopper` on one thread."""
-    return DROPO().fit(hopper(1).using(transitions=120), rng=7)
+    """The first 60 transitions of `hopper` on one thread."""
+    return DROPO().fit(hopper(1).using(transitions=60), rng=7)
 
 
 def content(fit):
@@ -97,7 +97,7 @@ def test_noisy_hopper_is_found_within_errors():
     """Table 6.1 with noise: masses within 4.5 standard errors, themselves below 0.02 kg; a mass 0.1
     kg off would be rejected.
     """
-    fit = DROPO().fit(hopper_noisy().using(transitions=600))
+    fit = DROPO().fit(hopper_noisy().using(transitions=300))
     assert (np.abs(z_of_mean(fit, MASSES)) < 4.5).all()
     assert (fit.mean_se < 0.02).all()
     assert (np.abs(z_of_mean(fit, MASSES + 0.1)) > 4.5).all()
@@ -112,7 +112,7 @@ def test_a_torso_that_varies_is_told_from_masses_that_do_not():
     sample. Hence 0.15 kg, and 15 % of the sd.
     """
     draw = lambda rng, blocks: MASSES + np.array([0.5, 0, 0, 0]) * rng.standard_normal((blocks, 4))
-    data, drawn = simulate_hopper(300, 2, rng=0, masses=draw, block=10)
+    data, drawn = simulate_hopper(200, 2, rng=0, masses=draw, block=10)
     fit = DROPO().fit(hopper_problem("torso", data, 1e-8))
     assert fit.mean[0] == pytest.approx(drawn[:, 0].mean(), abs=0.15)
     assert fit.sd[0] == pytest.approx(drawn[:, 0].std(ddof=1), rel=0.15)
@@ -177,12 +177,13 @@ def test_a_full_covariance_is_recovered():
     assert abs(DROPO(family="full").fit(problem).correlation[0, 1]) < 0.2
 
 
-@pytest.mark.parametrize(("optimizer", "budget"), [("cma-es", 800), ("nlopt-sbplx", 300)])
-def test_draws_agree_with_the_emulator(optimizer, budget):
+def test_draws_agree_with_the_emulator():
     """The thesis' likelihood with 24 draws has its maximum within a standard error of the emulated
     one's; 1.6 kg is rejected.
     """
-    fit = DROPO(likelihood="monte-carlo", optimizer=optimizer, draws=24, budget=budget).fit(slide())
+    fit = DROPO(likelihood="monte-carlo", optimizer="nlopt-sbplx", draws=24, budget=300).fit(
+        slide()
+    )
     assert (np.abs(z_of_mean(fit, slide_fit().mean)) < 1).all(), str(fit)
     assert (np.abs(z_of_sd(fit, slide_fit().sd)) < 1).all(), str(fit)
     assert abs(z_of_mean(fit, np.array([1.6, 0.8]))[0]) > 4.5
@@ -195,12 +196,11 @@ def test_least_squares_as_a_start_ends_at_the_same_place():
     np.testing.assert_allclose(fit.mean, slide_fit().mean, atol=0.02 * slide_fit().mean_se.min())
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_random_starts_end_at_the_same_place(seed):
+def test_a_random_start_ends_at_the_same_place():
     """The clean hopper from a mean drawn from the box: within 1e-7 of the truth and of the other
-    starts, for 1.2e5 steps.
+    start, for 1.2e5 steps.
     """
-    fit = DROPO(start="random").fit(hopper(), rng=seed)
+    fit = DROPO(start="random").fit(hopper(), rng=1)
     assert fit.status is Status.CONVERGED
     np.testing.assert_allclose(fit.mean, MASSES, atol=1e-7)
     assert fit.constant_parameters == tuple(TRUTH)
@@ -391,7 +391,7 @@ def test_tuning_takes_the_smallest_acceptable_epsilon():
     least = min(row.mse for row in table)
     assert threshold == pytest.approx(1.1 * least, rel=1e-3)
     assert tuned().epsilon[0] == min(row.epsilon for row in table if row.mse <= threshold)
-    strict = tuned(mse_threshold=1.001 * least)
+    strict = tuned(mse_threshold=1.001 * least, sweep=(1e-6, 1e-5, 1e-4))
     assert strict.epsilon.tolist() == [1e-5, 1e-5]
     assert strict.warnings == ()
     never = tuned(mse_threshold=1e-9, sweep=(1e-7, 1e-5))
@@ -406,7 +406,7 @@ def test_tuning_takes_the_smallest_acceptable_epsilon():
 
 def test_threads_do_not_change_the_fit():
     """Hopper on 1 and 2 threads: the same fit.json; another seed has another one."""
-    problem = hopper(2).using(transitions=120)
+    problem = hopper(2).using(transitions=60)
     assert content(DROPO().fit(problem, rng=7)) == content(short_hopper_fit())
     assert content(DROPO().fit(slide(), rng=1)) != content(slide_fit())
 
@@ -420,7 +420,7 @@ def test_an_interrupted_fit_goes_on_from_its_evaluation_log(tmp_path):
         if text.startswith("round 2"):
             raise KeyboardInterrupt
 
-    problem = hopper(1).using(transitions=120)
+    problem = hopper(1).using(transitions=60)
     stopped = DROPO().fit(
         problem,
         rng=7,

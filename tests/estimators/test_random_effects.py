@@ -171,17 +171,17 @@ def p_values(rng, sd):
 
 
 def test_groups_that_do_not_differ_are_found_to_do_so_in_one_of_twenty():
-    """Over 200 data sets without spread at most 5 % + 3 standard errors, in every test; with a
+    """Over 80 data sets without spread at most 5 % + 3 standard errors, in every test; with a
     spread it is found in x0 alone.
     """
     rng = np.random.default_rng(5)
-    none = np.array([p_values(rng, [0.0, 0.0]) for _ in range(200)])
+    none = np.array([p_values(rng, [0.0, 0.0]) for _ in range(80)])
     error = np.sqrt(0.05 * 0.95 / len(none))
     assert (np.mean(none < 0.05, axis=0) < 0.05 + 3 * error).all()
     assert np.mean(none[:, 0] < 0.05) > 0.005  # it can reject
-    some = np.array([p_values(rng, [0.1, 0.0]) for _ in range(30)])
+    some = np.array([p_values(rng, [0.1, 0.0]) for _ in range(20)])
     assert (np.mean(some[:, :2] < 0.05, axis=0) > 0.9).all()
-    assert np.mean(some[:, 2] < 0.05) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 30)
+    assert np.mean(some[:, 2] < 0.05) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 20)
 
 
 def test_weights_of_the_boundary():
@@ -303,13 +303,13 @@ MASSES = {"6.2": np.array([0.5, 0, 0, 0]), "6.3": np.array([0, 0.25, 0.25, 0.25]
 
 @pytest.mark.parametrize("table", ["6.2", pytest.param("6.3", marks=pytest.mark.study)])
 def test_masses_that_vary_are_recovered_to_a_gram(table):
-    """Tables 6.2 and 6.3, clean: mean and spread within 1 g of the hundred drawn masses', and which
+    """Tables 6.2 and 6.3, clean: mean and spread within 1 g of the forty drawn masses', and which
     vary; rows taken as independent draws are 10 g off or more.
     """
     draw = lambda rng, blocks: (
         np.array(list(TRUTH.values())) + MASSES[table] * rng.standard_normal((blocks, 4))
     )
-    data, drawn = simulate(500, 2, rng=7, masses=draw, block=10)
+    data, drawn = simulate(200, 2, rng=7, masses=draw, block=10)
     problem = hopper_problem(f"table {table}", data, 1e-8)
     fit = RandomEffects().fit(problem, rng=0)
     varies = MASSES[table] > 0

@@ -49,10 +49,10 @@ def test_limits_are_those_of_chance():
 
 @pytest.mark.parametrize("estimator", [LeastSquares(), DROPO()], ids=["least-squares", "dropo"])
 def test_standard_errors_of_means_are_right(estimator):
-    """Over 40 data sets of 50 draws (DROPO: 24) the means' z-scores have a mean square of 0.6 to
+    """Over 40 data sets of 50 draws (DROPO: 16) the means' z-scores have a mean square of 0.6 to
     1.6.
     """
-    means, sds = mean_squares(estimator, 24 if isinstance(estimator, DROPO) else 40)
+    means, sds = mean_squares(estimator, 16 if isinstance(estimator, DROPO) else 40)
     assert 0.6 < means < 1.6
     assert sds < 1.6  # scores of a fourth moment, whose chi-square limits are wider below
 

@@ -144,6 +144,7 @@ def test_built_in_sets_are_whole(name):
 
 
 @outside
+@pytest.mark.study
 def test_cube_toss_shows_friction():
     """Contact friction near 0.19, although the contacts of the first model stick; inertia is not
     it; 100 ms ahead five times better.
@@ -195,7 +196,13 @@ def test_cube_toss_shows_friction_then_stiffness():
 
 
 @outside
-@pytest.mark.parametrize(("name", "windows"), [("double-pendulum", 48), ("double-pendulum-c0", 32)])
+@pytest.mark.parametrize(
+    ("name", "windows"),
+    [
+        ("double-pendulum", 24),
+        pytest.param("double-pendulum-c0", 32, marks=pytest.mark.study),
+    ],
+)
 def test_double_pendulum_shows_friction_and_armature(name, windows):
     """Dry friction and rotor inertia at the joints, no torque offset; five times better than the
     first model, twice than its fit.
@@ -259,6 +266,7 @@ def assert_pendulum_is_pushed(found):
 
 
 @outside
+@pytest.mark.study
 def test_simple_pendulum_shows_dry_friction_and_pushes():
     """With one effect and few windows.
 
@@ -287,7 +295,7 @@ def test_simple_pendulum_among_all_effects():
 @outside
 def test_free_swing_shows_viscous_loss_and_no_absolute_mass():
     """No dry friction; 8 s ahead ten times better; mass, inertia and damping only together."""
-    found = Diagnose(("joint_damping", "joint_friction"), windows=48).run(
+    found = Diagnose(("joint_damping", "joint_friction"), windows=24, disturbances=False).run(
         load("swinging-pendulum", threads=1)
     )
     assert [effect for effect, _ in named(found)] == ["joint_damping"]
@@ -347,7 +355,7 @@ def test_from_raw_logs_to_a_cause(name, tmp_path):
     source = find_data(f"{name}/runs.npz")
     (tmp_path / "map.yaml").write_text("time: {column: time, unit: s}" + text)
     import_logs([source], tmp_path / "map.yaml", source.parent / model, tmp_path / "data.npz")
-    found = Diagnose((effect,), windows=48, disturbances=False).run(
+    found = Diagnose((effect,), windows=16, disturbances=False).run(
         load(tmp_path / "problem.yaml", threads=1)
     )
     assert [cause.effect for cause in found.causes][:1] == [effect]

@@ -16,7 +16,7 @@ EFFECTS = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 def fit_folder(tmp_path_factory):
     """Of `dropo fit hopper` on a few transitions."""
     out = tmp_path_factory.mktemp("fit") / "run"
-    assert main(["fit", "hopper", "--transitions", "200", "--out", str(out), "--quiet"]) == 0
+    assert main(["fit", "hopper", "--transitions", "120", "--out", str(out), "--quiet"]) == 0
     return out
 
 
@@ -24,9 +24,7 @@ def fit_folder(tmp_path_factory):
 def diagnosis_folder(tmp_path_factory):
     """Of `dropo diagnose` on an arm whose elbow has more damping than its model."""
     folder = tmp_path_factory.mktemp("diagnosis")
-    path = write_problem(
-        problem([("joint_damping:elbow", [0.05])], episodes=16), folder / "problem"
-    )
+    path = write_problem(problem([("joint_damping:elbow", [0.05])], episodes=8), folder / "problem")
     out = folder / "run"
     assert (
         main(["diagnose", str(path), *EFFECTS, "--steps", "5", "--out", str(out), "--quiet"]) == 0

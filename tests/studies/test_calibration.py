@@ -62,7 +62,7 @@ def test_a_conjugate_posterior_is_calibrated_and_a_narrower_one_is_not():
         )
         target = PointLikelihood(problem, Noise(noise))
         draws = (
-            Emcee(walkers=16, steps=30, burn_in=20)
+            Emcee(walkers=8, steps=40, burn_in=15)
             .sample(target.many, target.unknowns, rng=rng, spread=0.2)
             .flat()
         )

@@ -23,7 +23,7 @@ from dropo.studies.tiboni_2021.light_torso import (
     whole,
 )
 
-TINY = Training(updates=2, episodes=4, steps=60)
+TINY = Training(updates=1, episodes=4, steps=40)
 
 
 @pytest.fixture(autouse=True)

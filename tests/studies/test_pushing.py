@@ -28,7 +28,7 @@ def test_starts_repeat():
 def test_pushing(monkeypatch):
     """A tenth of the data: the centre of mass is found within 5 mm."""
     monkeypatch.setattr(transfer, "FITTED", ("dropo", "droid"))
-    small = Size(transitions=175, fits=1, bounds=1, droid=12, draws=2, evaluations=4, trials=2)
+    small = Size(transitions=105, fits=1, bounds=1, droid=12, draws=2, evaluations=2, trials=2)
     study = pushing_study(Work(threads=1), size=small)
     fit = study.data["runs"][0]
     assert fit["method"] == "dropo"

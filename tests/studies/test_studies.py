@@ -22,6 +22,12 @@ def _without_external_data(monkeypatch):
     monkeypatch.setattr(hopper_fits, "published", lambda which: [])
 
 
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    """Keeps the answers of its tasks: fits that two studies share are made once."""
+    return Work(path=tmp_path_factory.mktemp("work") / "kept.jsonl")
+
+
 def column(study, title, name):
     """The cells below a table's column, by row."""
     table = next(table for table in study.tables if table.title == title)
@@ -29,9 +35,9 @@ def column(study, title, name):
     return {row[0]: row[place] for row in table.rows}
 
 
-def test_table_6_1():
+def test_table_6_1(work):
     """Both kinds of our data, all methods; without noise every mean is the truth."""
-    study = table_6_1(Work(), 1, published=True, size=SMALL)
+    study = table_6_1(work, 1, published=True, size=SMALL)
     found = column(study, "our data, clean, epsilon 1e-08: means", "m1")
     assert list(found) == [
         "drawn sample",
@@ -48,10 +54,10 @@ def test_table_6_1():
     np.testing.assert_allclose(starts[0]["mean"], MEAN, atol=1e-6)
 
 
-def test_table_6_2(monkeypatch):
+def test_table_6_2(work, monkeypatch):
     """Two data sets without noise: random effects give each drawn sample's mean and spread."""
     monkeypatch.setattr(distribution_recovery, "EPSILON", {"clean": 1e-8})
-    study = table_6_2(Work(), 2, size=SMALL)
+    study = table_6_2(work, 2, size=SMALL)
     rows = study.data["clean"]["data_sets"]["random effects"]
     for row in rows:
         assert abs(row["mean"][0] - row["drawn_mean"][0]) < 0.01
@@ -62,11 +68,11 @@ def test_table_6_2(monkeypatch):
     assert study.title.endswith("2 data sets")
 
 
-def test_table_6_4():
+def test_table_6_4(work):
     """The torso is 1 kg lighter and nothing else changes; the optimum is no worse than the thesis'
     solution at its epsilon.
     """
-    study = table_6_4(Work(), 1, size=SMALL)
+    study = table_6_4(work, 1, size=SMALL)
     values = study.data["our data set 0"]["likelihoods"]
     assert values["dropo, epsilon 1e-03"]["1e-03"] > values["thesis, dropo"]["1e-03"]
     asked = item("6.1", "clean", 0, SMALL)
@@ -77,15 +83,15 @@ def test_table_6_4():
     assert light.space.names == whole.space.names[1:]
 
 
-def test_figures(monkeypatch):
+def test_figures(work, monkeypatch):
     """Figure 6.2, without noise alone, has a panel a mass and figure 6.4 a row an epsilon; both are
     drawn.
     """
     monkeypatch.setattr(figure_6_2, "EPSILON", {"clean": 1e-8})
-    distributions = figure_6_2.figure_6_2(Work(), size=SMALL)
+    distributions = figure_6_2.figure_6_2(work, size=SMALL)
     assert [table.header[0] for table in distributions.tables] == ["m1", "m2", "m3", "m4"]
     monkeypatch.setattr(figure_6_4, "SWEEP", (1e-6, 1e-5, 1e-4))
-    sweep = figure_6_4.figure_6_4(Work(), 1, size=SMALL)
+    sweep = figure_6_4.figure_6_4(work, 1, size=SMALL)
     assert sweep.data["mse"].shape == (1, 3)
     assert sweep.data["chosen"].tolist() == [1e-5]
     for study in (distributions, sweep):

@@ -80,19 +80,19 @@ def test_an_own_executor_does_the_work():
 
 
 def test_the_same_numbers_on_threads_and_processes():
-    """Fits on threads, and on spawned processes, bit for bit; the control: seeds differ."""
+    """Fits on threads, and in a spawned process, bit for bit; the control: seeds differ."""
     on_threads = Work(threads=2).map(fit_slide, [0, 1])
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         assert Work(pool).map(fit_slide, [0, 1]) == on_threads
     assert on_threads[0] != on_threads[1]
 
 
 def test_the_same_numbers_on_a_dask_cluster():
-    """Two workers of a local cluster: a study's tasks, and a fit whose simulations go there."""
+    """A local cluster of one process: a study's tasks, and a fit whose simulations go there."""
     distributed = pytest.importorskip("distributed")
     alone = LeastSquares().fit(slide(), rng=0)
     cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
     )
     with cluster, distributed.Client(cluster) as client:
         executor = client.get_executor()
