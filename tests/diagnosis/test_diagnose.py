@@ -27,7 +27,9 @@ SOME = (
 )
 FAST = Diagnose(SOME, windows=32)
 FEW = Diagnose(
-    ("joint_damping", "joint_stiffness", "actuator_gain", "actuator_delay", "body_mass"), windows=32
+    ("joint_damping", "joint_stiffness", "actuator_gain", "actuator_delay", "body_mass"),
+    windows=32,
+    disturbances=False,
 )
 CONTRACT = {
     "": {

@@ -9,7 +9,7 @@ from dropo.diagnosis.search.single_steps import magnitude_in_single_steps
 from tests.models.linear_mass import DT, GAIN, instances, selection
 
 # sd of the random forces [m/s^2]
-RUNS = 6
+RUNS = 8
 FORCE = 1.0
 
 
@@ -42,7 +42,7 @@ def named(data):
 
 
 def test_answers_to_chance_are_not_named(monkeypatch):
-    """Six data sets with random forces alone: no effect is named; without the look at single
+    """Eight data sets with random forces alone: no effect is named; without the look at single
     steps, one is in some of them.
     """
     assert sum(bool(named(closed_loop(seed))) for seed in range(RUNS)) == 0

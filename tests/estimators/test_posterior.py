@@ -364,10 +364,10 @@ def test_pairs_that_do_not_work_are_refused():
 
 
 def test_posterior_on_a_local_likelihood_is_around_its_maximum():
-    """Random effects on eight pushes: the posterior's mean and its errors are those of DROPO's
+    """Random effects on twelve pushes: the posterior's mean and its errors are those of DROPO's
     fit, the errors within a third.
     """
-    problem = pushes(0, count=8, epsilon=1e-6)
+    problem = pushes(0, count=12, epsilon=1e-6)
     fit = Posterior(
         over="distribution",
         likelihood="random-effects",

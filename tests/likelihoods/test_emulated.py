@@ -183,7 +183,7 @@ def test_moments_of_a_polynomial_are_exact(name):
     np.testing.assert_allclose(sigma, second, rtol=0, atol=1e-10)
 
 
-def z_of_moments(local, family, phi, simulator, segments, draws=5_000):
+def z_of_moments(local, family, phi, simulator, segments, draws=10_000):
     """How many standard errors the means, variances and covariances of emulator and simulations are
     apart, (R, 5).
     """
@@ -204,7 +204,7 @@ def z_of_moments(local, family, phi, simulator, segments, draws=5_000):
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_moments_agree_with_brute_force(name):
-    """On a sliding block, 5,000 simulations have its means and covariances within 4.5 standard
+    """On a sliding block, 10,000 simulations have its means and covariances within 4.5 standard
     errors; a linear emulator is rejected.
     """
     simulator, segments = block_data(np.random.default_rng(1))

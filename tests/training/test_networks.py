@@ -1,10 +1,13 @@
 """Networks of stable-baselines3: the thesis' sizes, trained a little, resumed, kept as files."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from dropo.core.records.task import Task
 from dropo.core.services.errors import Incompatible
+from dropo.training import networks
 from dropo.training.evaluate import evaluate
 from dropo.training.networks import PPO, SAC
 from dropo.training.policy import load_policy
@@ -72,8 +75,11 @@ def test_ppo_learns():
     assert gained.mean() > 3 * gained.std() / np.sqrt(40)
 
 
-def test_ppo_has_the_thesis_layers(problem):
-    """And the file keeps how observations are normalised."""
+def test_ppo_has_the_thesis_layers(problem, monkeypatch):
+    """And the policy keeps how observations are normalised."""
+    made = networks._algorithms()
+    short = partial(made["ppo"], n_steps=64, n_epochs=1)
+    monkeypatch.setattr(networks, "_algorithms", lambda: {**made, "ppo": short})
     policy = train(problem, None, PPO(steps=1, count=1))
     assert [tuple(p.shape) for p in policy.model.policy.parameters() if p.ndim == 2] == SIZES["ppo"]
     assert policy.mean is not None
