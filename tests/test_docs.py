@@ -304,9 +304,15 @@ def same_lines(printed: str, shown: str) -> None:
         compare(one, other)
 
 
-@pytest.mark.parametrize("command", outputs())
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(line, marks=pytest.mark.study) if "diagnose" in line else line
+        for line in outputs()
+    ],
+)
 def test_output_shown_is_printed(command, capsys):
-    """A command prints the README's block."""
+    """A command prints the README's block; a diagnosis among all effects takes half a minute."""
     assert main(shlex.split(command)[1:]) == 0
     same_lines(capsys.readouterr().out, outputs()[command])
 

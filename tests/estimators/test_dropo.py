@@ -132,7 +132,7 @@ SKIPPED = {
         "reaches 0.01 nat with 3000 evaluations a round, ten times as long as all others together"
     ),
 }
-BUDGETS = {"cma-es": 600, "nlopt-crs2": 1000}
+BUDGETS = {"cma-es": 500, "nlopt-crs2": 1000}
 
 
 @pytest.mark.parametrize("optimizer", names("optimizers"))

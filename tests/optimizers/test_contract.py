@@ -155,7 +155,7 @@ def test_search_survives_failed_points(name):
     optimum lies beside it.
     """
     objective = Objective(Sphere([0.3, 0.25]), fails=lambda u: u.sum() < 0.5)
-    found = maximize(objective, SPACE, make(name), run())
+    found = maximize(objective, SPACE, make(name, budget=2000), run())
     assert np.abs(SPACE.to_unit(found.point) - [0.3, 0.25]).max() < 1e-3
     assert found.value == pytest.approx(objective(found.point), abs=1e-12)
 

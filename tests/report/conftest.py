@@ -16,7 +16,7 @@ EFFECTS = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 def fit_folder(tmp_path_factory):
     """Of `dropo fit hopper` on a few transitions."""
     out = tmp_path_factory.mktemp("fit") / "run"
-    assert main(["fit", "hopper", "--transitions", "120", "--out", str(out), "--quiet"]) == 0
+    assert main(["fit", "hopper", "--transitions", "80", "--out", str(out), "--quiet"]) == 0
     return out
 
 

@@ -122,7 +122,7 @@ def test_a_fits_page_holds_its_numbers(fit_folder, pages):
     for shown in (
         record["data_sha256"],
         record["model_sha256"],
-        f"dropo fit hopper --transitions 120 --out {fit_folder}",
+        f"dropo fit hopper --transitions 80 --out {fit_folder}",
         "mujoco",
         "seed",
     ):

@@ -37,7 +37,7 @@ def test_sliding(monkeypatch):
     monkeypatch.setattr(sliding, "DRAWS", 4)
     as_it_is = transfer.DROPO
     quick = lambda **settings: (
-        as_it_is(**settings) if "draws" in settings else LeastSquares(budget=3)
+        as_it_is(**settings) if "draws" in settings else LeastSquares(budget=1)
     )
     monkeypatch.setattr(transfer, "DROPO", quick)
     study = sliding_study(Work(threads=1), published=True, size=SMALL)
