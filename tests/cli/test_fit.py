@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,22 @@ def result(folder: Path) -> dict[str, Any]:
 def start(problem: Path, *arguments: str) -> "subprocess.Popen[str]":
     command = [sys.executable, "-m", "dropo", "fit", str(problem), *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Path]:
+    """A function: the folder of a long run of a problem on one thread that nothing interrupts; all
+    problems here are the same, so it runs once.
+    """
+    folder = tmp_path_factory.mktemp("undisturbed") / "whole"
+
+    def run(problem: Path) -> Path:
+        if not folder.exists():
+            arguments = [*LONG, "--out", str(folder), "--threads", "1", "--quiet"]
+            assert main(["fit", str(problem), *arguments]) == 0
+        return folder
+
+    return run
 
 
 def wait_for_lines(evaluation_log: Path, lines: int, run: "subprocess.Popen[str]") -> None:
@@ -371,13 +388,14 @@ def test_out_must_be_a_folder(problem: Path, capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().err == f"dropo: {problem}: --out: expected a folder, got a file.\n"
 
 
-def test_kill_and_resume(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_kill_and_resume(
+    problem: Path, undisturbed: Callable[[Path], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
     """A run that was killed gives what an undisturbed one gives, and one with another number
     of threads.
     """
-    whole = problem.parent / "whole"
+    whole = undisturbed(problem)
     killed = problem.parent / "killed"
-    assert main(["fit", str(problem), *LONG, "--out", str(whole), "--threads", "1", "--quiet"]) == 0
     run = start(problem, *LONG, "--out", str(killed), "--threads", "2")
     wait_for_lines(killed / "evaluations.jsonl", 3, run)
     run.send_signal(signal.SIGKILL)
@@ -422,9 +440,10 @@ def test_a_finished_run_is_replayed(problem: Path, options: tuple[str, ...]) -> 
 
 
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
-def test_interruption_saves_the_best_so_far(problem: Path, kind: signal.Signals) -> None:
+def test_interruption_saves_the_best_so_far(
+    problem: Path, undisturbed: Callable[[Path], Path], kind: signal.Signals
+) -> None:
     """Status 1 and "interrupted"; the same command then ends as an undisturbed run does."""
-    whole = problem.parent / "whole"
     out = problem.parent / "out"
     run = start(problem, *LONG, "--out", str(out))
     wait_for_lines(out / "evaluations.jsonl", 4, run)
@@ -434,8 +453,7 @@ def test_interruption_saves_the_best_so_far(problem: Path, kind: signal.Signals)
     assert "interrupted: " in text
     assert result(out)["status"] == "interrupted"
     assert main(["fit", str(problem), *LONG, "--out", str(out), "--quiet"]) == 0
-    assert main(["fit", str(problem), *LONG, "--out", str(whole), "--quiet"]) == 0
-    assert result(out) == result(whole)
+    assert result(out) == result(undisturbed(problem))
 
 
 def test_quiet_is_silent(problem: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -25,10 +25,10 @@ SOME = (
     "sensor_bias",
     "body_mass",
 )
-FAST = Diagnose(SOME, windows=32)
+FAST = Diagnose(SOME, windows=24)
 FEW = Diagnose(
     ("joint_damping", "joint_stiffness", "actuator_gain", "actuator_delay", "body_mass"),
-    windows=32,
+    windows=20,
     disturbances=False,
 )
 CONTRACT = {

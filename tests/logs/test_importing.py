@@ -309,8 +309,8 @@ def test_control_step(folder: Path, arm: Any) -> None:
     between is refused.
     """
     text = (folder / "map.yaml").read_text()
-    assert imported(folder, arm.log(rate=245)).frame_skip == 4
-    assert imported(folder, arm.log(rate=500), text + "rate: 100\n").frame_skip == 10
+    assert imported(folder, arm.log(rate=245, seconds=4)).frame_skip == 4
+    assert imported(folder, arm.log(rate=500, seconds=4), text + "rate: 100\n").frame_skip == 10
     with pytest.raises(
         BadFile,
         match=(
@@ -318,7 +318,7 @@ def test_control_step(folder: Path, arm: Any) -> None:
             r"Hz, got 400"
         ),
     ):
-        imported(folder, arm.log(rate=500), text + "rate: 400\n")
+        imported(folder, arm.log(rate=500, seconds=4), text + "rate: 400\n")
 
 
 def test_candidates_stand_side_by_side(folder: Path, arm: Any) -> None:
@@ -397,8 +397,8 @@ def test_nothing_is_written_where_something_is_refused(folder: Path, arm: Any) -
 
 def test_a_problem_file_with_parameters_is_kept(folder: Path, arm: Any) -> None:
     """An import may be repeated, but not over a problem file that someone has worked on."""
-    imported(folder, arm.log())
-    imported(folder, arm.log())
+    imported(folder, arm.log(seconds=4))
+    imported(folder, arm.log(seconds=4))
     path = folder / "out" / "problem.yaml"
     path.write_text(path.read_text() + "lambda: 20\n")
     before = (folder / "out" / "data.npz").read_bytes()
@@ -472,7 +472,13 @@ def measured_data() -> Path:
     return found
 
 
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.study) if name == "double-pendulum" else name
+        for name in MEASURED
+    ],
+)
 def test_measured_sets(tmp_path: Path, name: str) -> None:
     """Each imports without an error, and its problem passes the check before every fit."""
     source = measured_data()

@@ -151,12 +151,12 @@ def test_the_problem(problem):
 def test_dropo_finds_the_shift(problem, monkeypatch):
     """Within 5 mm, from one of the six pushes; the control: without bolts aside, it finds none."""
     dropo = DROPO(likelihood="linear", epsilon="learn")
-    fit = dropo.fit(problem.using(transitions=175), rng=0)
+    fit = dropo.fit(problem.using(transitions=105), rng=0)
     assert abs(fit.mean[4] - 0.03) < 0.005
     monkeypatch.setitem(pushing_problem.TRUTH, "com_y", 0.0)
     target_model.cache_clear()
     try:
-        even = pushing(1).using(transitions=175)
+        even = pushing(1).using(transitions=105)
     finally:
         target_model.cache_clear()
     assert abs(dropo.fit(even, rng=0).mean[4]) < 0.005
