@@ -392,8 +392,8 @@ def test_xml_blocks_are_well_formed():
                 ET.fromstring(text)
 
 
-def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
-    """Sphinx with warnings as errors."""
+def build(source: Path, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    """Sphinx with warnings as errors, and more options."""
     if importlib.util.find_spec("furo") is None or importlib.util.find_spec("myst_nb") is None:
         pytest.skip("the documentation needs the extra 'docs'")
     command = [
@@ -403,6 +403,7 @@ def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
         "-W",
         "--keep-going",
         "-q",
+        *more,
         "-d",
         str(out / "trees"),
         str(source),
@@ -413,9 +414,14 @@ def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_the_documentation_builds(tmp_path):
-    """Without a warning; its notebooks run on the way."""
-    done = build(ROOT / "docs", tmp_path)
+@pytest.mark.parametrize(
+    "execution",
+    ["off", pytest.param("force", marks=pytest.mark.study)],
+    ids=["notebooks as they are", "notebooks run"],
+)
+def test_the_documentation_builds(execution, tmp_path):
+    """Without a warning; with notebooks that run on the way, in the studies."""
+    done = build(ROOT / "docs", tmp_path, "-D", f"nb_execution_mode={execution}")
     assert done.returncode == 0, done.stderr
     for page in ("index", "notebooks/fit", "notebooks/diagnosis", "papers/tiboni_2021"):
         assert (tmp_path / "html" / f"{page}.html").stat().st_size > 5000
@@ -431,7 +437,26 @@ def test_a_broken_page_is_noticed(tmp_path):
     assert "nowhere" in done.stderr
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")), ids=named)
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=named)
+def test_notebooks_run(path, tmp_path, monkeypatch):
+    """Their cells run in order, in a folder that holds nothing; what ends a cell can be shown."""
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "notebook"}
+    for cell in json.loads(path.read_text())["cells"]:
+        if cell["cell_type"] == "code":
+            code = ast.parse("".join(cell["source"]))
+            last = code.body.pop() if isinstance(code.body[-1], ast.Expr) else None
+            exec(compile(code, str(path), "exec"), namespace)
+            if last is not None:
+                assert repr(eval(compile(ast.Expression(last.value), str(path), "eval"), namespace))
+    pyplot.close("all")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=named)
 def test_notebooks_are_kept_without_output(path):
     """What they show is made by every build, so that no figure is older than the code."""
     cells = json.loads(path.read_text())["cells"]

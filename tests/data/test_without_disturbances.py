@@ -87,7 +87,7 @@ def test_a_fit_of_a_log_lists_and_leaves_out(pushed, tmp_path, capsys):
     told = []
     for path, more in ((log, []), (log, ["--disturbances", "off"]), (plain, [])):
         assert (
-            main(["fit", str(path), "--method", "least-squares", "--budget", "30", "--json", *more])
+            main(["fit", str(path), "--method", "least-squares", "--budget", "12", "--json", *more])
             == 0
         )
         told.append(json.loads(capsys.readouterr().out))

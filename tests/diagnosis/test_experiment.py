@@ -71,7 +71,7 @@ def test_windows_longer_than_the_experiment(lagging):
     is.
     """
     library, state = lagging
-    train, test = split(problem([(PAIR[0], [0.002])], sigma=SIGMA, steps=400), 80, 24)
+    train, test = split(problem([(PAIR[0], [0.002])], sigma=SIGMA, steps=240), 80, 24)
     search = Selection(library, np.full(4, 1e-9))
     long = search.begin(train, test, state.theta, np.full(4, SIGMA), np.arange(0))
     assert experiment(library, long, *library.instances, np.array([0.002])).nats > 0

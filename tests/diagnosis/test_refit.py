@@ -48,6 +48,7 @@ def test_where_predictions_bend(off):
     )
 
 
+@pytest.mark.study
 def test_wide_differences_alone_stop_short():
     """The control: slopes over the usual widths take so small steps that the foot's mass stays 0.1
     % off and more; where the fit is right, as above, the margin's standard error by them is a

@@ -288,9 +288,10 @@ def test_simple_pendulum_among_all_effects():
 
 
 @outside
+@pytest.mark.study
 def test_free_swing_shows_viscous_loss_and_no_absolute_mass():
     """No dry friction; 8 s ahead ten times better; mass, inertia and damping only together."""
-    found = Diagnose(("joint_damping", "joint_friction"), windows=24, disturbances=False).run(
+    found = Diagnose(("joint_damping", "joint_friction"), windows=48).run(
         load("swinging-pendulum", threads=1)
     )
     assert [effect for effect, _ in named(found)] == ["joint_damping"]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo import diagnose, fit, hide
+from dropo import Diagnose, fit, hide
 from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
 from dropo.core.services.registry import find, names
 from dropo.core.services.strict_yaml import format_yaml, read_yaml
@@ -172,15 +172,16 @@ def test_effects_are_fitted_as_parameters(tmp_path):
         "joint_friction:elbow/frictionloss",
         "actuator_delay:shoulder_motor/delay",
     )
-    found = fit(arm.using(horizon=5))
+    found = fit(arm.using(horizon=5, transitions=800))
     assert np.all(np.abs(found.mean - [1.0, 0.6, 0.12, 0.008]) < 4 * found.mean_se)
     assert np.all(found.mean_se < [1e-3, 1e-3, 1e-3, 1e-4])
     again = read_yaml(write_problem(arm, tmp_path / "again"), "a problem file")
     assert again["effects"] == entries
-    told = diagnose(arm, ["joint_damping", "joint_friction", "actuator_gain"])
+    told = Diagnose(["joint_damping", "actuator_gain"], windows=32, disturbances=False).run(arm)
     assert told.verdict == "consistent"
     assert told.parameters["joint_friction:elbow/frictionloss"] == pytest.approx(0.12, rel=0.02)
-    assert diagnose(hidden, ["joint_damping", "actuator_gain"]).verdict in ("partly", "unexplained")
+    lacking = Diagnose(["joint_damping"], windows=32, disturbances=False).run(hidden)
+    assert lacking.verdict in ("partly", "unexplained")
 
 
 def test_other_simulators_cannot_be_written(tmp_path):

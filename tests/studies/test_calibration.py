@@ -37,6 +37,7 @@ def test_uniformity_by_hand():
         uniformity(even, bins=7)
 
 
+@pytest.mark.study
 def test_a_conjugate_posterior_is_calibrated_and_a_narrower_one_is_not():
     """100 truths of a linear simulator, each with its posterior by emcee: p > 0.01, and below it
     1.5 times too narrow.
@@ -62,7 +63,7 @@ def test_a_conjugate_posterior_is_calibrated_and_a_narrower_one_is_not():
         )
         target = PointLikelihood(problem, Noise(noise))
         draws = (
-            Emcee(walkers=8, steps=40, burn_in=15)
+            Emcee(walkers=16, steps=30, burn_in=20)
             .sample(target.many, target.unknowns, rng=rng, spread=0.2)
             .flat()
         )

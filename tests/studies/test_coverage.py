@@ -17,6 +17,7 @@ from dropo.studies.intervals.coverage import (
 )
 
 
+@pytest.mark.study
 def test_intervals_cover_and_missing_friction_is_told():
     """20 data sets of each: with a right model at least 32 of 40 intervals hold the truth (1 in
     10^6 falls below); without the friction no damping's does, and the fit says so in at least
@@ -35,6 +36,19 @@ def test_intervals_cover_and_missing_friction_is_told():
         "block, autocorrelated",
         "block, dry friction",
     ]
+
+
+def test_the_table_of_few_data_sets():
+    """Three of each: most intervals hold the truth where the model is right, damping's never does
+    without the friction, and the fits say so; a row for each case.
+    """
+    study = coverage(Work(threads=1), 3, cases=(CASES[0], CASES[10]))
+    right, dry = study.data.values()
+    assert np.sum(3 * right["coverage"]) >= 4
+    assert right["flagged"] == 0
+    assert dry["coverage"][1] == 0
+    assert dry["flagged"] > 0.5
+    assert [row[0] for row in study.tables[0].rows] == ["block, independent", "block, dry friction"]
 
 
 def test_friction_stops_and_holds_the_block():

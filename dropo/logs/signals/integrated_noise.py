@@ -10,7 +10,7 @@ filter, which knows the past alone, is a Kalman filter step by step.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from math import factorial
 
 import numpy as np
@@ -23,6 +23,7 @@ from dropo.core.services.validation import Array
 FREE = 1e8  # a variance, in units of that of a measurement, that lets a number be anything
 
 
+@cache
 def transition(order: int) -> tuple[Array, Array]:
     """Return the transition over one unit of time.
 
@@ -42,7 +43,10 @@ def transition(order: int) -> tuple[Array, Array]:
     factorials = np.array([factorial(k) for k in range(order)], dtype=float)
     a = np.where(j >= i, 1 / factorials[np.maximum(j - i, 0)], 0.0)
     products = factorials[order - 1 - i] * factorials[order - 1 - j]
-    return a, 1 / (products * (2 * order - 1 - i - j))
+    q = 1 / (products * (2 * order - 1 - i - j))
+    for array in (a, q):
+        array.flags.writeable = False  # the same arrays at every call
+    return a, q
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,16 +94,22 @@ class IntegratedNoise:
         precisions[self.jumps - 1] = 0.0
         return precisions
 
+    @cached_property
+    def _moved_precisions(self) -> tuple[Array, Array]:
+        """(n - 1, m, m) each: P A and A' P A of the precisions P."""
+        a = transition(self.order)[0]
+        return self._precisions @ a, a.T @ self._precisions @ a
+
     def _factor(self, ratio: float) -> Array:
         """The banded Cholesky factor (2 m, n m) of the states' precision in units of 1 / r."""
         m = self.order
         n = len(self.time)
-        a = transition(m)[0]
+        to_next, of_next = self._moved_precisions
         weights = 1 / (ratio * self.scale[:, :, None] * self.scale[:, None, :])
         # Blocks of the precision: of each state, and of each with the next.
-        between = -weights * (self._precisions @ a)
+        between = -weights * to_next
         diagonal = np.zeros((n, m, m))
-        diagonal[:-1] += weights * (a.T @ self._precisions @ a)
+        diagonal[:-1] += weights * of_next
         diagonal[1:] += weights * self._precisions
         diagonal[:, 0, 0] += 1.0
         # The lower band, diagonal by diagonal.

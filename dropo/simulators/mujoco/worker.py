@@ -67,9 +67,10 @@ class Worker:
             mujoco.mj_setConst(self.model, self.data)
         for binding, number in after:
             binding.set(self.model, number)
-        if acts_after_clamp(active):
+        unclamped = acts_after_clamp(active)
+        if unclamped:
             self.model.actuator_ctrllimited[:] = 0
-        self._changed = bool(active)
+        self._changed = unclamped or bool(changes)
 
     def roll(
         self, states: Array, controls: Array, active: ActiveEffects = ()
