@@ -440,9 +440,20 @@ def test_a_broken_page_is_noticed(tmp_path):
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=named)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=pytest.mark.study) if path.stem == "diagnosis" else path
+        for path in NOTEBOOKS
+    ],
+    ids=named,
+)
 def test_notebooks_run(path, tmp_path, monkeypatch):
-    """Their cells run in order, in a folder that holds nothing; what ends a cell can be shown."""
+    """Their cells run in order, in a folder that holds nothing; what ends a cell can be shown.
+
+    That of the diagnosis, which takes all effects, in the studies; docs/diagnosis.md is the same
+    with some of them.
+    """
     pyplot = pytest.importorskip("matplotlib.pyplot")
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "notebook"}

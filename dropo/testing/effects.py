@@ -158,8 +158,10 @@ def _check_responses(
 
     zero = responses(0.0)
     full = responses(1.0)
-    small = responses(settings.small)
-    half = responses(settings.small / 2)
+    smooth = [all(q.smooth for q in instance.quantities) for instance, _, _ in trials]
+    if any(smooth):
+        small = responses(settings.small)
+        half = responses(settings.small / 2)
     tiny = responses(settings.tiny)
     rounding = 1e-9 * (1 + np.abs(base).sum())
     for i, (instance, _, trial) in enumerate(trials):
@@ -174,7 +176,7 @@ def _check_responses(
             f"{where} still changes predictions by {remaining / whole:.2g} of that at "
             f"{settings.tiny:g} of the size"
         )
-        if all(q.smooth for q in instance.quantities):
+        if smooth[i]:
             sloped_above = rounding + 0.1 * settings.small * np.abs(full[i]).sum(axis=1)
             curvature = _curvature(small[i], half[i], sloped_above)
             assert curvature <= settings.max_curvature, (

@@ -142,7 +142,7 @@ def test_same_answer_on_any_number_of_threads():
     two.simulator.threads = 2
     two.simulator._start_threads()
     found = [
-        Diagnose(("joint_damping", "joint_friction"), windows=24).run(p).to_json()
+        Diagnose(("joint_damping", "joint_friction"), windows=12).run(p).to_json()
         for p in (one, two)
     ]
     for part in found:

@@ -30,7 +30,7 @@ def damped():
 @pytest.fixture(scope="module")
 def proxy():
     """The same data, where only friction may be named."""
-    return Diagnose(("joint_friction",), length=5, windows=64).run(
+    return Diagnose(("joint_friction",), length=5, windows=96).run(
         problem([("joint_damping:elbow", [0.05])])
     )
 

@@ -104,6 +104,7 @@ def test_noisy_hopper_is_found_within_errors():
     assert (fit.scale < 0.1).all()
 
 
+@pytest.mark.study
 def test_a_torso_that_varies_is_told_from_masses_that_do_not():
     """Table 6.2: torso N(3.534, 0.5^2), drawn anew every 10 transitions, without noise.
 
@@ -112,7 +113,7 @@ def test_a_torso_that_varies_is_told_from_masses_that_do_not():
     sample. Hence 0.15 kg, and 15 % of the sd.
     """
     draw = lambda rng, blocks: MASSES + np.array([0.5, 0, 0, 0]) * rng.standard_normal((blocks, 4))
-    data, drawn = simulate_hopper(200, 2, rng=0, masses=draw, block=10)
+    data, drawn = simulate_hopper(300, 2, rng=0, masses=draw, block=10)
     fit = DROPO().fit(hopper_problem("torso", data, 1e-8))
     assert fit.mean[0] == pytest.approx(drawn[:, 0].mean(), abs=0.15)
     assert fit.sd[0] == pytest.approx(drawn[:, 0].std(ddof=1), rel=0.15)
@@ -330,6 +331,7 @@ def test_every_family_and_likelihood_with_learned_noise(family, likelihood):
     assert fit.sample(3, rng=0).shape == (3, 2)
 
 
+@pytest.mark.study
 def test_learned_epsilon_is_unbiased_where_parameters_vary():
     """Over 8 data sets its mean is the noise within 4.5 standard errors, for the position 0.015 of
     it; 1.2 times the noise is rejected.

@@ -183,7 +183,7 @@ def test_moments_of_a_polynomial_are_exact(name):
     np.testing.assert_allclose(sigma, second, rtol=0, atol=1e-10)
 
 
-def z_of_moments(local, family, phi, simulator, segments, draws=10_000):
+def z_of_moments(local, family, phi, simulator, segments, draws):
     """How many standard errors the means, variances and covariances of emulator and simulations are
     apart, (R, 5).
     """
@@ -204,8 +204,8 @@ def z_of_moments(local, family, phi, simulator, segments, draws=10_000):
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_moments_agree_with_brute_force(name):
-    """On a sliding block, 10,000 simulations have its means and covariances within 4.5 standard
-    errors; a linear emulator is rejected.
+    """On a sliding block, 5,000 simulations (10,000 of the skewed law) have its means and
+    covariances within 4.5 standard errors; a linear emulator is rejected.
     """
     simulator, segments = block_data(np.random.default_rng(1))
     family = find("families", name)(simulator.space)
@@ -214,8 +214,10 @@ def test_moments_agree_with_brute_force(name):
     around = lambda order: built(
         Emulated(order=order), simulator, segments, family, 1e-6, [0.2, 0.12]
     )
-    assert np.abs(z_of_moments(around(5), family, phi, simulator, segments)).max() < 4.5
-    assert np.abs(z_of_moments(around(1), family, phi, simulator, segments)).max() > 4.5
+    draws = 10_000 if name == "log_normal" else 5_000
+    z = lambda order: z_of_moments(around(order), family, phi, simulator, segments, draws)
+    assert np.abs(z(5)).max() < 4.5
+    assert np.abs(z(1)).max() > 4.5
 
 
 def test_rows_sum_and_their_order_does_not_matter():

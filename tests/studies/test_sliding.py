@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dropo.estimators.least_squares import LeastSquares
+from dropo.estimators.uniform_randomization import UniformRandomization
 from dropo.problems.panda.sliding import STEPS, TRUTH, sliding_simulator, stops
 from dropo.studies.engine.pages import picture
 from dropo.studies.engine.work import Work
@@ -30,14 +30,14 @@ def test_a_policy_for_known_numbers_hits():
 
 
 def test_sliding(monkeypatch):
-    """One hit as data and a quick fit in DROPO's place: its run, the published method's, and those
-    that fit nothing, in tables and a picture.
+    """One hit as data and bounds at random in DROPO's place: its run, the published method's, and
+    those that fit nothing, in tables and a picture.
     """
     monkeypatch.setattr(transfer, "FITTED", ("dropo",))
     monkeypatch.setattr(sliding, "DRAWS", 4)
     as_it_is = transfer.DROPO
     quick = lambda **settings: (
-        as_it_is(**settings) if "draws" in settings else LeastSquares(budget=1)
+        as_it_is(**settings) if "draws" in settings else UniformRandomization(draws=2)
     )
     monkeypatch.setattr(transfer, "DROPO", quick)
     study = sliding_study(Work(threads=1), published=True, size=SMALL)
