@@ -19,8 +19,8 @@ from dropo.studies.intervals.coverage import (
 
 @pytest.mark.study
 def test_intervals_cover_and_missing_friction_is_told():
-    """20 data sets of each: with a right model at least 32 of 40 intervals hold the truth (1 in
-    10^6 falls below); without the friction no damping's does, and the fit says so in at least
+    """20 data sets of each: with a right model at least 32 of 40 intervals hold the truth (1 set
+    in 7,700 has fewer); without the friction no damping's does, and the fit says so in at least
     15.
     """
     cases = (CASES[0], CASES[3], CASES[10])
