@@ -62,8 +62,8 @@ class DiagnosisSettings:
         When an effect is accepted.
     window_length : WindowLengthSettings
         How the windows' horizon is chosen.
-    far_off : int
-        Numbers missing by regression from which the search begins with these ...
+    far_off : int or None
+        Numbers missing by regression from which the search begins with these (None: never) ...
     far_off_gain : float
         ... or the fraction by which the drives' gain is off.
     beside : tuple of str
@@ -78,7 +78,7 @@ class DiagnosisSettings:
 
     windows: int = 96
     rate_noise: float = 0.05
-    far_off: int = 4
+    far_off: int | None = 4
     far_off_gain: float = 0.5
     beside: tuple[str, ...] = ()
     regression: QuickSettings = field(default_factory=QuickSettings)
@@ -204,10 +204,10 @@ class Diagnose:
 
     def _start(self, problem: Problem, free: Ints, progress: Progress) -> Start | None:
         """What regression finds, where effects need not be named and that is much."""
-        if self.effects is not None:
+        settings = self.settings
+        if self.effects is not None or settings.far_off is None:
             return None
         progress(0.0, "regression over inverse dynamics")
-        settings = self.settings
         return start_of(problem, free, settings.far_off, settings.far_off_gain, settings.regression)
 
     def _length(self, problem: Problem, start: Start | None = None) -> int:
@@ -299,6 +299,10 @@ class Diagnose:
         found = causes(
             library, last, reviews, setup.count, errors, selection.settings, far_off=far_off
         )
+        if far_off and not found:
+            # Simulation does not bear out what regression finds.
+            plain = replace(self, settings=replace(self.settings, far_off=None))
+            return plain._run(problem, rng, progress, None, spent + library.simulator.steps)
         thetas = [nominal_of(library), first.theta, last.theta]
         (draws,) = rng.spawn(1)
         nominal, fitted, with_causes = horizons(data, library, thetas, measured, draws)

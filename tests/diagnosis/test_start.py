@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
 from dropo.diagnosis.regression.quick import QuickSettings
-from dropo.diagnosis.regression.start import start_of, wiring_warnings
+from dropo.diagnosis.regression.start import Start, start_of, wiring_warnings
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.problems.simulated.hidden import hide
@@ -102,6 +103,23 @@ def test_declared_parameters_take_what_they_stand_for(recording):
 def test_few_missing_numbers_are_left_to_the_search():
     """One hidden effect is no reason to begin with regression."""
     assert started(hide("torque-arm", ["joint_armature:elbow=0.01"], seed=0, threads=1)) is None
+
+
+def test_a_regression_that_simulation_contradicts_is_forgotten(monkeypatch):
+    """Absurd numbers to begin with: the search begins with the model as it is, and is right."""
+    problem = hide("torque-arm", ["joint_armature:elbow=0.01"], seed=0, threads=1)
+    effects = instances_of(problem.simulator.effect_context, "joint_damping", "shoulder")
+    absurd = Start(problem, {}, [(effects[0], np.array([0.9 * effects[0].quantities[0].high]))])
+    begun = []
+
+    def begins(*arguments):
+        begun.append(arguments)
+        return absurd
+
+    monkeypatch.setattr("dropo.diagnosis.diagnose.start_of", begins)
+    found = Diagnose(windows=24, disturbances=False).run(problem)
+    assert [(one.effect, one.target) for one in found.causes] == [("joint_armature", "elbow")]
+    assert len(begun) == 1
 
 
 def test_wiring_is_warned_of(recording):
