@@ -3,7 +3,7 @@ distinguished from.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
@@ -44,11 +44,15 @@ class CauseSettings:
     certain : float
         Where a search began with regression, an effect is a cause if its first magnitude is so many
         standard errors away from 0.
+    common : float
+        There, the fraction of a number that standard errors hold for what all numbers share, as a
+        scale that a payload and the drives' gain leave open.
     """
 
     experiments: int = 2
     patience: float = 600.0
     certain: float = 3.0
+    common: float = 0.02
 
 
 SETTINGS = CauseSettings()
@@ -99,6 +103,8 @@ def causes(
     found = []
     for instance, (before, after) in zip(last.accepted, errors, strict=True):
         estimates = estimate(library, last, instance, deviations)
+        if far_off:
+            estimates = {name: _wider(one, settings.common) for name, one in estimates.items()}
         first = next(iter(estimates.values()))
         if far_off and abs(first.value) < settings.certain * first.se:
             continue
@@ -123,6 +129,12 @@ def causes(
         )
         found.append(cause)
     return tuple(found)
+
+
+def _wider(found: Estimate, fraction: float) -> Estimate:
+    """An estimate whose error holds a fraction of the whole number too."""
+    whole = found.value + (found.model or 0.0)
+    return replace(found, se=float(np.hypot(found.se, fraction * whole)))
 
 
 def _shape(last: State, instance: EffectInstance) -> str | None:
