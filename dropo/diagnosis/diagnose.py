@@ -299,6 +299,8 @@ class Diagnose:
         found = causes(
             library, last, reviews, setup.count, errors, selection.settings, far_off=far_off
         )
+        if setup.start is not None:
+            found = setup.start.with_errors(found)
         if far_off and not found:
             # Simulation does not bear out what regression finds.
             plain = replace(self, settings=replace(self.settings, far_off=None))

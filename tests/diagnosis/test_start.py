@@ -66,7 +66,7 @@ def test_every_number_is_found_by_simulation(recording, diagnosis):
     assert named == set(truth)
     for key, value in truth.items():
         assert abs(found[key].value - value) < WITHIN * found[key].se, (key, found[key])
-        assert found[key].se < 0.2 * abs(value), key
+        assert found[key].se < 0.3 * abs(value), key
 
 
 def test_the_model_as_it_came_is_far_off(diagnosis):
@@ -109,7 +109,7 @@ def test_a_regression_that_simulation_contradicts_is_forgotten(monkeypatch):
     """Absurd numbers to begin with: the search begins with the model as it is, and is right."""
     problem = hide("torque-arm", ["joint_armature:elbow=0.01"], seed=0, threads=1)
     effects = instances_of(problem.simulator.effect_context, "joint_damping", "shoulder")
-    absurd = Start(problem, {}, [(effects[0], np.array([0.9 * effects[0].quantities[0].high]))])
+    absurd = Start(problem, {}, [(effects[0], np.array([0.9 * effects[0].quantities[0].high]))], {})
     begun = []
 
     def begins(*arguments):

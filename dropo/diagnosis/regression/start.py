@@ -11,6 +11,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array
+from dropo.diagnosis.parts import Cause
 from dropo.diagnosis.regression.quick import (
     QuickSettings,
     estimate_missing,
@@ -34,11 +35,14 @@ class Start:
         What is missing of declared parameters: their values by index.
     numbers : sequence of (EffectInstance, (q,) array)
         What else is missing, with its magnitudes inside of its bounds.
+    errors : mapping of (str, str or None, str) to float
+        By effect, place and quantity, the regression's standard errors.
     """
 
     problem: Problem
     parameters: Mapping[int, float]
     numbers: ActiveEffects
+    errors: Mapping[tuple[str, str | None, str], float]
 
     @property
     def extended(self) -> Problem:
@@ -51,6 +55,20 @@ class Start:
         own = {instance.label: instance for instance, _ in self.numbers}
         others = [instance for instance in instances if instance.label not in own]
         return [*own.values(), *others]
+
+    def with_errors(self, causes: Sequence[Cause]) -> tuple[Cause, ...]:
+        """Return causes whose standard errors are no smaller than the regression's.
+
+        Those hold what a log leaves open of the scale of all numbers; windows do not.
+        """
+        found = []
+        for cause in causes:
+            estimates = {}
+            for name, one in cause.estimate.items():
+                least = self.errors.get((cause.effect, cause.target, name), 0.0)
+                estimates[name] = replace(one, se=max(one.se, least))
+            found.append(replace(cause, estimate=estimates))
+        return tuple(found)
 
 
 def start_of(
@@ -96,7 +114,12 @@ def start_of(
         else:
             numbers.append((_reaching(instance, sizes), sizes))
     divided = replace(problem, trajectories=fitted, held_out=checked)
-    return Start(divided, parameters, numbers)
+    errors = {
+        (number.effect, number.target, name): one.se
+        for number in estimate.numbers(simulator, 0.0)
+        for name, one in number.estimates
+    }
+    return Start(divided, parameters, numbers, errors)
 
 
 def wiring_warnings(problem: Problem) -> tuple[str, ...]:
