@@ -66,6 +66,8 @@ class Start:
             estimates = {}
             for name, one in cause.estimate.items():
                 least = self.errors.get((cause.effect, cause.target, name), 0.0)
+                # An unknown error is as large as the number.
+                least = least if np.isfinite(least) else abs(one.value)
                 estimates[name] = replace(one, se=max(one.se, least))
             found.append(replace(cause, estimate=estimates))
         return tuple(found)
