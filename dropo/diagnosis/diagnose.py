@@ -6,7 +6,6 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.effect import EffectInstance
@@ -16,6 +15,8 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
+from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
+from dropo.diagnosis.far_off.start import start_of, wiring_warnings
 from dropo.diagnosis.findings.causes import causes, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import figure_data
@@ -26,7 +27,6 @@ from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.parts import Cause
 from dropo.diagnosis.regression.quick import QuickSettings
-from dropo.diagnosis.regression.start import Start, start_of, wiring_warnings
 from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.library import instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
@@ -36,13 +36,11 @@ from dropo.diagnosis.search.selection import (
     Selection,
     SelectionSettings,
     State,
-    gain_of,
 )
 from dropo.diagnosis.search.window_length import (
     WindowLengthSettings,
     choose_length,
     first_noise,
-    longest_length,
     noise_floor,
 )
 from dropo.diagnosis.search.windows import Windows, split, spread_of
@@ -63,25 +61,24 @@ class DiagnosisSettings:
     window_length : WindowLengthSettings
         How the windows' horizon is chosen.
     far_off : int or None
-        Numbers missing by regression from which the search begins with these (None: never) ...
+        Numbers missing by regression from which the search is that for models that are far off
+        (None: never) ...
     far_off_gain : float
         ... or the fraction by which the drives' gain is off.
-    beside : tuple of str
-        Names of effects that such a search looks for beside them. None by default: errors that so
-        many numbers leave would be explained by chance, at a high cost.
-    rate_noise : float
-        Lower bound of a rate's noise in such a search, as a fraction of its spread: rates that were
-        estimated from positions have errors that starts and targets share.
     regression : QuickSettings
         How they are found.
+    motions : FarOffSettings
+        How they are fitted to whole motions.
+    longest : int
+        Control steps at most of the windows by which such a model is judged.
     """
 
     windows: int = 96
-    rate_noise: float = 0.05
     far_off: int | None = 4
     far_off_gain: float = 0.5
-    beside: tuple[str, ...] = ()
     regression: QuickSettings = field(default_factory=QuickSettings)
+    motions: FarOffSettings = field(default_factory=FarOffSettings)
+    longest: int = 100
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
 
@@ -186,13 +183,12 @@ class Diagnose:
         SimulationFailed
             If the simulation diverges in too many windows.
         """
-        library = Library(problem.simulator, (), len(problem.space))
         length = self._length(problem)
         train, test = split(problem, length, self._windows(problem))
-        rates = np.zeros(len(library.simulator.signals), dtype=bool)
-        selection = self._selection(library, train, rates)
+        library = Library(problem.simulator, (), len(problem.space))
+        selection = self._selection(library, train)
         free = _free(problem, self.parameters)
-        setup = _Setup(problem, None, library, selection, train, test, free, rates, length, 0)
+        setup = _Setup(problem, None, library, selection, train, test, free, 0, ())
         return per_step(setup.first())
 
     def _windows(self, problem: Problem) -> int:
@@ -202,59 +198,55 @@ class Diagnose:
         stated: Any = problem.settings.get("windows", self.settings.windows)
         return int(stated)
 
-    def _start(self, problem: Problem, free: Ints, progress: Progress) -> Start | None:
-        """What regression finds, where effects need not be named and that is much."""
+    def _explained(
+        self, problem: Problem, free: Ints, wiring: tuple[str, ...], progress: Progress
+    ) -> Explained | None:
+        """What a model lacks that is far off, where effects need not be named."""
         settings = self.settings
-        if self.effects is not None or settings.far_off is None:
+        if self.effects is not None or settings.far_off is None or wiring:
             return None
         progress(0.0, "regression over inverse dynamics")
-        return start_of(problem, free, settings.far_off, settings.far_off_gain, settings.regression)
+        start = start_of(
+            problem, free, settings.far_off, settings.far_off_gain, settings.regression
+        )
+        if start is None:
+            return None
+        return FarOffSearch(settings.motions, progress).run(start)
 
-    def _length(self, problem: Problem, start: Start | None = None) -> int:
+    def _length(self, problem: Problem, explained: Explained | None = None) -> int:
         """Control steps in a window."""
         if self.length is not None:
             return self.length
-        if start is not None:
-            return longest_length(start.extended, start.parameters, self.settings.window_length)
+        if explained is not None:
+            return min(explained.length, self.settings.longest)
         return choose_length(problem, self.settings.window_length)
 
     def _selection(
-        self,
-        library: Library,
-        train: Windows,
-        rates: NDArray[np.bool_],
-        progress: Progress = silent,
+        self, library: Library, train: Windows, progress: Progress = silent
     ) -> Selection:
-        """A search that has not begun, with a lower bound of the noise of the rates (p,)."""
+        """A search that has not begun."""
         floor = noise_floor(library.simulator, train, self.settings.window_length)
-        least = self.settings.rate_noise * spread_of(library.simulator, train)
-        floor = np.maximum(floor, np.where(rates, least, 0.0))
         return Selection(library, floor, progress, self.settings.selection)
 
     def _set_up(self, problem: Problem, progress: Progress) -> "_Setup":
         """Everything that may be wrong, and the data to find it in."""
         free = _free(problem, self.parameters)
-        start = self._start(problem, free, progress)
-        if start is not None:
-            problem = start.problem
-        simulator = robot_of(problem)
-        if start is None:
+        wiring = wiring_warnings(problem)
+        explained = self._explained(problem, free, wiring, progress)
+        if explained is None:
             instances = instances_for(problem, self.effects, free)
         else:
-            beside = self.settings.beside
-            instances = start.among(instances_for(problem, beside, free) if beside else [])
-        length = self._length(problem, start)
+            problem = explained.model.problem
+            instances = [instance for instance, _ in explained.model.numbers]
+        simulator = robot_of(problem)
+        length = self._length(problem, explained)
         everything = [*instances, *impulses(simulator.model, length)]
         library = Library(simulator.with_effects(everything), everything, len(problem.space))
         train, test = split(problem, length, self._windows(problem))
         _refuse_constant(problem, train)
-        rates = np.zeros(len(simulator.signals), dtype=bool)
-        if start is not None:
-            rates = np.array([signal.unit.endswith("/s") for signal in simulator.signals])
-        selection = self._selection(library, train, rates, with_cost(progress, library.simulator))
-        return _Setup(
-            problem, start, library, selection, train, test, free, rates, length, len(instances)
-        )
+        selection = self._selection(library, train, with_cost(progress, library.simulator))
+        count = len(instances)
+        return _Setup(problem, explained, library, selection, train, test, free, count, wiring)
 
     def _run(
         self,
@@ -275,7 +267,8 @@ class Diagnose:
         library, selection = setup.library, setup.selection
         progress = selection.progress
         progress(0.0, "fitting the model as it is")
-        first, last, reviews = _search(setup)
+        far_off = setup.explained is not None
+        first, last, reviews = setup.judged() if far_off else _search(setup)
         progress(0.9, "what remains")
         rest, forces = remaining(data, library, last, selection.floor, rng)
         found_effects = [
@@ -286,33 +279,30 @@ class Diagnose:
         declared = last.theta[: len(data.space)]
 
         # Once the causes are known, disturbances stand out: leave them out and begin anew.
-        if undisturbed is None and self.disturbances:
+        length = setup.train.length
+        if undisturbed is None and self.disturbances and not far_off:
             undisturbed = without_disturbances(data, extended.simulator, declared)
-            if undisturbed is not None and self._can_diagnose(undisturbed.problem, setup.length):
+            if undisturbed is not None and self._can_diagnose(undisturbed.problem, length):
                 return self._run(whole, rng, progress, undisturbed, library.simulator.steps)
             undisturbed = None
 
         # How good each model is on data held out.
-        measured = setup.with_sensor_noise(last)
-        errors = _errors_without_and_with(data, library, measured, reviews)
-        far_off = setup.start is not None
+        errors = _errors_without_and_with(data, library, last, reviews)
         found = causes(
-            library, last, reviews, setup.count, errors, selection.settings, far_off=far_off
+            library, last, reviews, setup.count, errors, selection.settings, known=setup.errors()
         )
-        if setup.start is not None:
-            found = setup.start.with_errors(found)
         if far_off and not found:
-            # Simulation does not bear out what regression finds.
+            # Motions do not bear out what regression finds.
             plain = replace(self, settings=replace(self.settings, far_off=None))
             return plain._run(problem, rng, progress, None, spent + library.simulator.steps)
         thetas = [nominal_of(library), first.theta, last.theta]
         (draws,) = rng.spawn(1)
-        nominal, fitted, with_causes = horizons(data, library, thetas, measured, draws)
+        nominal, fitted, with_causes = horizons(data, library, thetas, last, draws)
         inside: list[list[Horizon]] = []
         if undisturbed is not None:
             # The windows' own horizon alone, on all data held out.
             own_horizon = replace(HELD_OUT, horizons=())
-            inside = horizons(whole, library, thetas, measured, draws, own_horizon)
+            inside = horizons(whole, library, thetas, last, draws, own_horizon)
 
         # What figures and tables show.
         progress(0.95, "what the pictures show")
@@ -331,16 +321,16 @@ class Diagnose:
             extended=HeldOut(per_step(last), tuple(with_causes)),
             remaining=rest,
             problem=extended,
-            noise=dict(zip(names, measured.train.whiten.sigma.tolist(), strict=True)),
-            window_steps=setup.length,
-            nominal=tuple(nominal) if len(setup.free) else (),
+            noise=dict(zip(names, last.train.whiten.sigma.tolist(), strict=True)),
+            window_steps=length,
+            nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=undetermined(library, last),
             disturbances=None if undisturbed is None else left_out(undisturbed, inside),
             outlier_runs=odd,
             figures=figures,
             motion=shown,
-            warnings=(*data.warnings, *wiring_warnings(whole)),
+            warnings=(*data.warnings, *setup.wiring),
             simulator_steps=steps,
         )
 
@@ -425,87 +415,81 @@ def _free(problem: Problem, parameters: Sequence[str] | None) -> Ints:
 class _Setup:
     """What a search works on.
 
-    start: what it begins with, where the model is far off.
+    explained: what the model lacks, where it is far off.
     free: (d,) the declared parameters that are fitted.
-    rates: (p,) whether a signal is a rate whose noise was given a lower bound.
-    length: control steps in a window.
     count: how many effects are looked for.
+    wiring: what does not fit in signs, units and names of commands, a sentence each.
     """
 
     problem: Problem
-    start: Start | None
+    explained: Explained | None
     library: Library
     selection: Selection
     train: Windows
     test: Windows
     free: Ints
-    rates: NDArray[np.bool_]
-    length: int
     count: int
+    wiring: tuple[str, ...]
 
     def first(self) -> State:
         """The model as it is, with its declared parameters and the noise fitted."""
         theta = nominal_of(self.library)
-        may_diverge = self.start is not None
-        return self._begin(self.train, theta, self.free, may_diverge=may_diverge)
+        sigma = self._first_noise(theta)
+        return self.selection.begin(self.train, self.test, theta, sigma, self.free)
 
-    def begun(self, first: State) -> State:
-        """The model that the search begins with: with what regression finds, where that helps.
+    def judged(self) -> tuple[State, State, dict[str, Review]]:
+        """The model as it came, the one that explains whole motions, and this without each effect.
 
-        Some of the windows say roughly where the numbers are, then all of them.
+        Nothing is fitted to windows but the noise.
         """
-        if self.start is None:
-            return first
-        library = self.library
-        theta = first.theta.copy()
-        for i, value in self.start.parameters.items():
-            theta[i] = value
-        for instance, sizes in self.start.numbers:
-            theta[library.places[instance.label]] = sizes
-        accepted = tuple(instance for instance, _ in self.start.numbers)
-        every = self.selection.settings.first_noise
-        some = self.train.take(np.arange(0, len(self.train), every))
-        rough = self._begin(some, theta, first.free, accepted)
-        begun = self._begin(self.train, rough.theta, first.free, accepted)
-        return begun if gain_of(first.test, begun.test)[0] > 0 else first
+        if self.explained is None:
+            raise AssertionError("only a model that is far off is explained by whole motions")
+        accepted = tuple(instance for instance, _ in self.explained.model.numbers)
+        free = self.explained.model.fitted
+        first = self._as_it_is(nominal_of(self.library), self.free, ())
+        last = self._as_it_is(self._padded(self.explained.model.theta), free, accepted)
+        sigma = last.train.whiten.sigma
+        reviews = {}
+        for label, theta in self.explained.without.items():
+            whole = self._padded(theta)
+            kept = tuple(instance for instance in accepted if instance.label != label)
+            without = State(
+                shift_linearization(self.library, last.train, whole, sigma),
+                shift_linearization(self.library, last.test, whole, sigma),
+                free[~np.isin(free, self.library.places[label])],
+                kept,
+            )
+            reviews[label] = Review(without, None, ())
+        return first, last, reviews
 
-    def _begin(
-        self,
-        train: Windows,
-        theta: Array,
-        free: Ints,
-        accepted: tuple[EffectInstance, ...] = (),
-        *,
-        may_diverge: bool = False,
-    ) -> State:
-        """A model fitted from theta."""
-        selection = self.selection
-        sigma = first_noise(self.problem, self.library, train, theta, selection.floor)
-        return selection.begin(
-            train, self.test, theta, sigma, free, accepted, may_diverge=may_diverge
-        )
+    def errors(self) -> Array | None:
+        """Standard errors (m,) of all numbers, where whole motions say how large they are."""
+        return None if self.explained is None else self._padded(self.explained.errors)
 
-    def with_sensor_noise(self, state: State) -> State:
-        """A state whose rates have the noise of their own steps, not its lower bound."""
-        if not self.rates.any():
-            return state
-        train = state.train
-        sigma = train.whiten.sigma
-        least = np.full(len(sigma), 1e-12)
-        own = first_noise(self.problem, self.library, train.windows, state.theta, least)
-        sigma = np.where(self.rates, np.minimum(own, sigma), sigma)
-        return replace(state, train=shift_linearization(self.library, train, state.theta, sigma))
+    def _as_it_is(self, theta: Array, free: Ints, accepted: tuple[EffectInstance, ...]) -> State:
+        """A model with its noise estimated."""
+        sigma = self._first_noise(theta)
+        return self.selection.as_it_is(self.train, self.test, theta, sigma, free, accepted)
+
+    def _first_noise(self, theta: Array) -> Array:
+        """The noise (p,) guessed from single steps."""
+        return first_noise(self.problem, self.library, self.train, theta, self.selection.floor)
+
+    def _padded(self, values: Array) -> Array:
+        """Values of the declared parameters and of effects, then 0 for all impulses: (m,)."""
+        out = np.zeros(len(self.library.simulator.space))
+        out[: len(values)] = values
+        return out
 
 
 def _search(setup: _Setup) -> tuple[State, State, dict[str, Review]]:
     """The model as it is, the one that the search ends with, and its effects' reviews."""
     selection = setup.selection
     first = setup.first()
-    begun = setup.begun(first)
     instances = without_impulses(setup.library.instances)
-    last, reviews = review(selection, begun)
+    last, reviews = review(selection, first)
     while True:
-        found = selection.run(begun, last, instances)
+        found = selection.run(first, last, instances)
         if found is last:
             break
         # After an exchange, others may be confirmed.

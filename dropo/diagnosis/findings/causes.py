@@ -3,7 +3,7 @@ distinguished from.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
@@ -28,7 +28,6 @@ from dropo.diagnosis.search.selection import (
     gain_by_block,
     gain_of,
 )
-from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
 @dataclass(frozen=True)
@@ -42,17 +41,13 @@ class CauseSettings:
     patience : float
         The longest experiment that is proposed [s].
     certain : float
-        Where a search began with regression, an effect is a cause if its first magnitude is so many
-        standard errors away from 0.
-    common : float
-        There, the fraction of a number that standard errors hold for what all numbers share, as a
-        scale that a payload and the drives' gain leave open.
+        Where standard errors were found elsewhere, an effect is a cause if its first magnitude is
+        so many of them away from 0.
     """
 
     experiments: int = 2
     patience: float = 600.0
     certain: float = 3.0
-    common: float = 0.02
 
 
 SETTINGS = CauseSettings()
@@ -67,7 +62,7 @@ def causes(
     selection: SelectionSettings = SELECTION,
     settings: CauseSettings = SETTINGS,
     *,
-    far_off: bool = False,
+    known: Array | None = None,
 ) -> tuple[Cause, ...]:
     """Summarize each accepted effect, in the order in which they were found.
 
@@ -88,25 +83,25 @@ def causes(
         When two effects cannot be distinguished.
     settings : CauseSettings
         How much is said of alternatives.
-    far_off : bool
-        Whether the search began with regression. Standard errors then hold what the physics step
-        makes of the numbers, and effects that they do not tell from nothing are left out.
+    known : (m,) array, optional
+        Standard errors of all numbers, where they were found elsewhere. Effects that they do not
+        tell from nothing are left out.
 
     Returns
     -------
     tuple of Cause
         One of each accepted effect.
     """
-    deviations = standard_errors(library, last) if last.accepted else np.zeros(0)
-    if far_off and last.accepted:
-        deviations = np.hypot(deviations, errors_of_step(library, last))
+    deviations = known
+    if deviations is None:
+        deviations = np.zeros(len(last.theta))
+        if last.accepted:
+            deviations[last.free] = standard_errors(library, last)
     found = []
     for instance, (before, after) in zip(last.accepted, errors, strict=True):
         estimates = estimate(library, last, instance, deviations)
-        if far_off:
-            estimates = {name: _wider(one, settings.common) for name, one in estimates.items()}
         first = next(iter(estimates.values()))
-        if far_off and abs(first.value) < settings.certain * first.se:
+        if known is not None and abs(first.value) < settings.certain * first.se:
             continue
         own = reviews[instance.label]
         gain = gain_of(own.without.test, last.test)[0]
@@ -129,12 +124,6 @@ def causes(
         )
         found.append(cause)
     return tuple(found)
-
-
-def _wider(found: Estimate, fraction: float) -> Estimate:
-    """An estimate whose error holds a fraction of the whole number too."""
-    whole = found.value + (found.model or 0.0)
-    return replace(found, se=float(np.hypot(found.se, fraction * whole)))
 
 
 def _shape(last: State, instance: EffectInstance) -> str | None:
@@ -229,8 +218,8 @@ def estimate(
         Where the search ended.
     instance : EffectInstance
         One of its effects.
-    errors : (f,) array
-        Standard errors of the free numbers, as of `standard_errors`.
+    errors : (m,) array
+        Standard errors of all numbers.
 
     Returns
     -------
@@ -239,9 +228,8 @@ def estimate(
     """
     found = {}
     for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
-        index = int(np.flatnonzero(last.free == place)[0])
         value = float(last.theta[place])
-        found[quantity.name] = Estimate(value, float(errors[index]), quantity.unit, quantity.base)
+        found[quantity.name] = Estimate(value, float(errors[place]), quantity.unit, quantity.base)
     return found
 
 
@@ -267,35 +255,6 @@ def standard_errors(library: Library, last: State, close: float = REFIT.close) -
     # Errors far below the usual width of differences: predictions are curved within it.
     curved = np.any(errors < close * library.steps[last.free])
     return _sandwich(library, last, close) if curved else errors
-
-
-def errors_of_step(library: Library, last: State) -> Array:
-    """Return how far the fitted numbers are off because physics steps are not short.
-
-    Parameters
-    ----------
-    library : Library
-        The simulator with every effect.
-    last : State
-        A model.
-
-    Returns
-    -------
-    (f,) array
-        In the numbers' units. Predictions change when steps are halved; these are the changes of
-        the numbers that make up for that, taken twice, since errors fall with the step.
-    """
-    train = last.train
-    simulator = library.simulator
-    if not isinstance(simulator, RobotSimulator):
-        return np.zeros(len(last.free))
-    finer = simulator.with_finer_steps(2).predict(train.theta[None], train.windows.segments)
-    change = np.nan_to_num(finer.reshape(train.residuals.shape) - train.predicted)
-    rows = train.flat(library.jacobian(train.theta, last.free, train.windows))
-    # Columns of one size, so that the least squares' cutoff means the same for all numbers.
-    size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-    moved = np.linalg.lstsq((rows / size[:, None]).T, train.flat(change), rcond=1e-6)[0]
-    return np.asarray(2 * np.abs(moved / size))
 
 
 def _sandwich(library: Library, last: State, fraction: float) -> Array:

@@ -10,6 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.registry import names
+from dropo.core.services.validation import Array
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 BY_NAME = ("payload",)
@@ -109,14 +110,44 @@ def declared(simulator: RobotSimulator, instance: EffectInstance, free: Ints | N
     """
     if instance.label in {own.label for own in simulator.effects}:
         return True
-    bindings = [
-        binding for i, binding in enumerate(simulator.bindings) if free is None or i in free
-    ]
-    if instance.model is None or instance.target is None or not bindings:
+    if instance.target is None:
         return False
+    changed = changed_parameters(simulator, instance, np.array(instance.trials[0][0]))
+    return any(free is None or i in free for i in changed)
+
+
+def changed_parameters(
+    simulator: RobotSimulator, instance: EffectInstance, sizes: Array
+) -> dict[int, float]:
+    """Return the declared parameters that stand for what an effect does.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        With its declared parameters and effects.
+    instance : EffectInstance
+        The effect.
+    sizes : (q,) array
+        Its magnitudes.
+
+    Returns
+    -------
+    dict of int to float
+        Their values with the effect, by index.
+    """
+    names = simulator.space.names
+    found = {}
+    for quantity, size in zip(instance.quantities, sizes.tolist(), strict=True):
+        name = f"{instance.label}/{quantity.name}"
+        if name in names:
+            found[names.index(name)] = size
+    if instance.model is None or not simulator.bindings:
+        return found
     changed = copy.copy(simulator.model)
-    instance.model(changed, np.array(instance.trials[0][0]))
-    for binding in bindings:
-        if not np.array_equal(binding.read(changed), binding.read(simulator.model)):
-            return True
-    return False
+    instance.model(changed, sizes)
+    for i, binding in enumerate(simulator.bindings):
+        before = binding.read(simulator.model)
+        after = binding.read(changed)
+        if not np.array_equal(after, before):
+            found[i] = float(np.mean(after / (before if binding.parameter.relative else 1.0)))
+    return found

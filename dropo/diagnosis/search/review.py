@@ -63,8 +63,6 @@ def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]
     reviews : dict of str to Review
         By the label of each of its effects.
     """
-    if len(state.accepted) > selection.settings.reviewed_fully:
-        return _review_many(selection, state)
     reviews = {}
     for instance in state.accepted:
         reviewed = _review_effect(selection, state, instance)
@@ -73,60 +71,6 @@ def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]
             return review(selection, better)
         reviews[instance.label] = reviewed
     return state, reviews
-
-
-def _review_many(selection: Selection, state: State) -> tuple[State, dict[str, Review]]:
-    """Evaluate each of many effects by what the others can make up for, to first order.
-
-    The one whose absence costs least is removed where that is next to nothing, and all are
-    evaluated again. Alternatives are tried for those alone that the search has found.
-    """
-    while True:
-        reviews = _reviews_to_first_order(selection, state)
-        costs = {
-            label: gain_of(reviewed.without.test, state.test)[0]
-            for label, reviewed in reviews.items()
-        }
-        least = min(costs, key=lambda label: costs[label])
-        if costs[least] > selection.settings.deficit or len(state.accepted) == 1:
-            return state, reviews
-        state = selection.polish(reviews[least].without)
-
-
-def _reviews_to_first_order(selection: Selection, state: State) -> dict[str, Review]:
-    """By the label of each effect, the model without it, the other numbers moved to make up for it.
-
-    How far they can is told by the derivatives of the windows to fit; what is left is simulated.
-    """
-    library = selection.library
-    train = state.train
-    sigma = train.whiten.sigma
-    space = library.simulator.space
-    rows = train.flat(library.jacobian(state.theta, state.free, train.windows))
-    gram = rows @ rows.T
-    reviews = {}
-    for instance in state.accepted:
-        place = library.places[instance.label]
-        own = np.isin(state.free, place)
-        removed = state.theta[state.free[own]]
-        others = state.free[~own]
-        # Scaled to a diagonal of ones, so that the least squares' cutoff means the same for all.
-        scale = np.sqrt(np.maximum(np.diag(gram)[~own], 1e-300))
-        scaled = gram[np.ix_(~own, ~own)] / np.outer(scale, scale)
-        moment = gram[np.ix_(~own, own)] @ removed / scale
-        theta = state.theta.copy()
-        theta[place] = 0.0
-        moved = theta[others] + np.linalg.lstsq(scaled, moment, rcond=1e-10)[0] / scale
-        theta[others] = np.clip(moved, space.low[others], space.high[others])
-        kept = tuple(other for other in state.accepted if other.label != instance.label)
-        without = State(
-            shift_linearization(library, train, theta, sigma),
-            shift_linearization(library, state.test, theta, sigma),
-            others,
-            kept,
-        )
-        reviews[instance.label] = Review(without, selection.origins.get(instance.label), ())
-    return reviews
 
 
 def _review_effect(selection: Selection, state: State, instance: EffectInstance) -> Review:

@@ -83,8 +83,6 @@ class SelectionSettings:
         Alternatives have at least this fraction of the accepted effect's penalized gain.
     alternatives : int
         Alternatives that are tried in the place of an accepted effect.
-    reviewed_fully : int
-        Of more accepted effects than these, each is evaluated again to first order only.
     nearly : float
         Fraction of an effect's gain from which an alternative to it is fitted to the end.
     screening : ScreeningSettings
@@ -116,7 +114,6 @@ class SelectionSettings:
     indistinguishable_z: float = 2.0
     alternative: float = 0.5
     alternatives: int = 2
-    reviewed_fully: int = 6
     nearly: float = 0.9
     screening: ScreeningSettings = field(default_factory=ScreeningSettings)
     refit: RefitSettings = REFIT
@@ -233,8 +230,6 @@ class Selection:
         By an accepted effect's label, the batch that it was accepted from.
     screening : Screening
         What the rounds begin with.
-    given : int
-        How many effects the search began with.
     """
 
     library: Library
@@ -244,38 +239,25 @@ class Selection:
     rounds: list[Round] = field(default_factory=list)
     origins: dict[str, Round] = field(default_factory=dict)
     screening: Screening = field(init=False)
-    given: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         self.screening = Screening(self.library, self.floor, self.settings.screening)
 
     def begin(
-        self,
-        train: Windows,
-        test: Windows,
-        theta: Array,
-        sigma: Array,
-        free: np.ndarray,
-        accepted: tuple[EffectInstance, ...] = (),
-        *,
-        may_diverge: bool = False,
+        self, train: Windows, test: Windows, theta: Array, sigma: Array, free: np.ndarray
     ) -> State:
-        """Fit a model: its declared parameters, the noise, and effects that it has from the start.
+        """Fit the model as it is: its declared parameters and the noise.
 
         Parameters
         ----------
         train, test : Windows
             The windows to fit, and those held out.
         theta : (m,) array
-            The first parameters.
+            The first parameters, without effects.
         sigma : (p,) array
             First guess of the noise.
         free : (f,) int array
             The declared parameters that are fitted.
-        accepted : tuple of EffectInstance
-            The effects that the model has.
-        may_diverge : bool
-            Whether a model that diverges in too many windows is returned as it is.
 
         Returns
         -------
@@ -290,9 +272,6 @@ class Selection:
         some = train.take(np.arange(0, len(train), self.settings.first_noise))
         rough = linearize(library, some, theta, sigma)
         if rough.lost.mean() > self.settings.diverging:
-            if may_diverge:
-                as_it_is = linearize(library, train, theta, sigma)
-                return State(as_it_is, self._held_out(as_it_is, test), free)
             raise SimulationFailed(
                 f"The simulation diverges in {rough.lost.mean():.0%} of the windows, with the"
                 " parameters at their nominal values. Check the model, the time step and the"
@@ -301,11 +280,40 @@ class Selection:
         sigma = estimate_noise(rough, sigma, self.floor)
         first = linearize(library, train, theta, sigma)
         first = with_noise(library, first, self.floor, self.settings.refit)
-        places = [library.places[instance.label] for instance in accepted]
-        free = np.concatenate([free, *places]).astype(np.int64)
         fitted = self._refit(first, free, rounds=2, renewals=1)
-        self.given = len(accepted)
-        return State(fitted, self._held_out(fitted, test), free, accepted)
+        return State(fitted, self._held_out(fitted, test), free)
+
+    def as_it_is(
+        self,
+        train: Windows,
+        test: Windows,
+        theta: Array,
+        sigma: Array,
+        free: np.ndarray,
+        accepted: tuple[EffectInstance, ...],
+    ) -> State:
+        """Take a model as it is, and estimate the noise.
+
+        Parameters
+        ----------
+        train, test, sigma
+            As of `begin`.
+        theta : (m,) array
+            All numbers.
+        free : (f,) int array
+            Those of them that were fitted elsewhere.
+        accepted : tuple of EffectInstance
+            The effects that it has.
+
+        Returns
+        -------
+        State
+            Where the simulation diverges in too many windows, the noise is the first guess.
+        """
+        first = linearize(self.library, train, theta, sigma)
+        if first.lost.mean() <= self.settings.diverging:
+            first = with_noise(self.library, first, self.floor, self.settings.refit)
+        return State(first, self._held_out(first, test), free, accepted)
 
     def run(self, first: State, state: State, instances: Sequence[EffectInstance]) -> State:
         """Accept effects until none is confirmed.
@@ -324,7 +332,7 @@ class Selection:
         State
             `state` itself if none was accepted.
         """
-        while len(state.accepted) - self.given < self.settings.effects:
+        while len(state.accepted) < self.settings.effects:
             found = self.step(state, instances, first)
             if found is None:
                 break

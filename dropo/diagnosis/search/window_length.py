@@ -1,6 +1,5 @@
 """How long windows must be for errors of the model to stand out from the sensors' noise."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +20,6 @@ class WindowLengthSettings:
     ----------
     shortest : int
         Control steps; enough where errors stand out from the noise at once.
-    longest : int
-        Control steps of windows for a model that is nearly right.
     horizons : tuple of int
         Control steps that are tried, in this order.
     stands_out : float
@@ -38,7 +35,6 @@ class WindowLengthSettings:
     """
 
     shortest: int = 5
-    longest: int = 100
     horizons: tuple[int, ...] = (5, 10, 20, 50, 100, 200, 500, 1000)
     stands_out: float = 3.0
     curved: float = 0.2
@@ -69,7 +65,10 @@ def choose_length(problem: Problem, settings: WindowLengthSettings = SETTINGS) -
     """
     if problem.horizon > 1:
         return max(settings.shortest, problem.horizon)
-    library, theta = _as_it_is(problem)
+    space = problem.space
+    library = Library(problem.simulator, (), len(space))
+    nominal = np.asarray(problem.simulator.nominal, dtype=float)
+    theta = np.clip(nominal, space.low, space.high)
     sigma: Array | None = None
     for horizon in settings.horizons:
         if not _enough(problem, horizon, settings.fewest):
@@ -84,54 +83,6 @@ def choose_length(problem: Problem, settings: WindowLengthSettings = SETTINGS) -
         if curved > settings.curved:
             break
     return settings.shortest
-
-
-def longest_length(
-    problem: Problem,
-    parameters: Mapping[int, float],
-    settings: WindowLengthSettings = SETTINGS,
-) -> int:
-    """Choose the horizon of windows for a model that is nearly right.
-
-    Parameters
-    ----------
-    problem : Problem
-        Its own horizon (lambda) is taken if it is above 1, but no less than the shortest.
-    parameters : mapping of int to float
-        Values of declared parameters by index; the others are nominal.
-    settings : WindowLengthSettings
-        Which horizons are tried.
-
-    Returns
-    -------
-    int
-        Control steps. The longest horizon, up to `settings.longest`, for which there are windows
-        enough and to which the model can be linearized in the noise of the start.
-    """
-    if problem.horizon > 1:
-        return max(settings.shortest, problem.horizon)
-    library, theta = _as_it_is(problem)
-    theta[list(parameters)] = list(parameters.values())
-    sigma: Array | None = None
-    found = settings.shortest
-    for horizon in settings.horizons:
-        if horizon > settings.longest or not _enough(problem, horizon, settings.fewest):
-            break
-        train = split(problem, horizon, settings.tried)[0]
-        if sigma is None:
-            floor = noise_floor(problem.simulator, train, settings)
-            sigma = first_noise(problem, library, train, theta, floor)
-        if _errors_and_curvature(library, train, theta, sigma)[1] > settings.curved:
-            break
-        found = horizon
-    return found
-
-
-def _as_it_is(problem: Problem) -> tuple[Library, Array]:
-    """A problem's simulator without effects to look for, and its nominal parameters (m,)."""
-    space = problem.space
-    nominal = np.asarray(problem.simulator.nominal, dtype=float)
-    return Library(problem.simulator, (), len(space)), np.clip(nominal, space.low, space.high)
 
 
 def _enough(problem: Problem, horizon: int, fewest: int) -> bool:

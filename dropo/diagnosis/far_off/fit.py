@@ -1,0 +1,271 @@
+"""Numbers fitted to whole motions: robust Gauss-Newton on the output error."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
+
+from dropo.core.numerics.dependence import Units
+from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.numerics.robust_statistics import deviation
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.validation import Array
+from dropo.diagnosis.far_off.motions import Motions
+from dropo.diagnosis.search.linearization import DIVERGED, Library
+from dropo.mjmodel.robot_simulator import RobotSimulator
+
+
+@dataclass(frozen=True)
+class OutputErrorSettings:
+    """How numbers are fitted.
+
+    Attributes
+    ----------
+    knee : float
+        Standard deviations from which errors count linearly, not squared (Huber's, smoothed).
+    jacobians : int
+        Jacobians at most.
+    tolerance : float
+        Relative gain of the cost from which a fit has ended.
+    chords : int
+        Steps by one Jacobian, at most.
+    sufficient : float
+        Part of the promised gain from which a Jacobian still describes the motions.
+    damping : tuple of float
+        Levenberg's, for columns of length 1; each is tried.
+    of_value : float
+        Width of differences, as a fraction of a number, if that is less than the usual width.
+    least_width : float
+        But no less than this fraction of the usual width.
+    piece : float
+        Pieces of motions of this length have errors that do not depend on each other [s] ...
+    pieces : int
+        ... but no more than so many pieces a window.
+
+    References
+    ----------
+    Levenberg, Quarterly of Applied Mathematics 2 (1944), 164; Huber, Annals of Mathematical
+    Statistics 35 (1964), 73.
+    """
+
+    knee: float = 2.5
+    jacobians: int = 6
+    tolerance: float = 2e-3
+    chords: int = 3
+    sufficient: float = 0.3
+    damping: tuple[float, ...] = (1e-4, 1e-2, 1e-1, 1.0)
+    of_value: float = 0.1
+    least_width: float = 0.01
+    piece: float = 0.5
+    pieces: int = 10
+
+
+SETTINGS = OutputErrorSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Numbers fitted to motions, and the motions linearized there.
+
+    Attributes
+    ----------
+    theta : (m,) array
+        The numbers.
+    free : (f,) int array
+        Which of them were fitted.
+    scale : (p',) array
+        Spread of the errors of what is compared.
+    rows : (f, W, N) array
+        Derivatives of the predictions, whitened and weighted.
+    target : (W, N) array
+        The residuals, likewise.
+    """
+
+    theta: Array
+    free: Ints
+    scale: Array
+    rows: Array
+    target: Array
+
+    @cached_property
+    def gram(self) -> Array:
+        """(f, f) products of the derivatives."""
+        flat = self.rows.reshape(len(self.rows), -1)
+        return np.asarray(flat @ flat.T)
+
+
+class OutputError:
+    """The output error of motions under a library's numbers.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    motions : Motions
+        What is compared.
+    settings : OutputErrorSettings
+        How numbers are fitted.
+    """
+
+    def __init__(
+        self, library: Library, motions: Motions, settings: OutputErrorSettings = SETTINGS
+    ) -> None:
+        self.library = library
+        self.motions = motions
+        self.settings = settings
+
+    def residuals(self, thetas: Array) -> Array:
+        """Simulate under several vectors of numbers (K, m): (K, W, n), NaN where it diverges."""
+        return self.motions.residuals(self.library.predict(thetas, self.motions.windows))
+
+    def scale_of(self, residuals: Array) -> Array:
+        """The robust spread (p',) of residuals (W, n)."""
+        floor = self.motions.floor
+        rows = residuals.reshape(-1, len(floor))
+        if not np.isfinite(rows).any():
+            return floor
+        return np.maximum(deviation(rows), floor)
+
+    def whitened(self, residuals: Array, scale: Array) -> Array:
+        """Residuals (..., W, n) in units of their errors (..., W, N), the starts' noise taken out.
+
+        Where a simulation diverges, residuals are those of `DIVERGED`.
+        """
+        lost = DIVERGED * np.tile(scale, self.motions.windows.length)
+        known = np.where(np.isfinite(residuals), residuals, lost)
+        return self.motions.whitener(scale)(known)
+
+    def cost(self, whitened: Array) -> Array:
+        """The robust cost of each window (..., W) [nats]."""
+        knee = self.settings.knee
+        size = np.sqrt(1 + (whitened / knee) ** 2) - 1
+        return np.asarray(knee**2 * size.sum(axis=-1))
+
+    def linearize(self, theta: Array, free: Ints) -> Fitted:
+        """Differentiate the motions by some numbers, at widths that suit these."""
+        space = self.library.simulator.space
+        here = theta[free]
+        usual = self.library.steps[free]
+        width = np.maximum(self.settings.of_value * np.abs(here), self.settings.least_width * usual)
+        width = np.minimum(usual, width)
+        width = np.where(here + width > space.high[free], -width, width)
+        values = np.repeat(theta[None], 1 + len(free), axis=0)
+        values[1 + np.arange(len(free)), free] += width
+        residuals = self.residuals(values)
+        scale = self.scale_of(residuals[0])
+        whiten = self.motions.whitener(scale)
+        slopes = (residuals[0] - residuals[1:]) / width[:, None, None]
+        target = self.whitened(residuals[0], scale)
+        weights = (1 + (target / self.settings.knee) ** 2) ** -0.25
+        rows = whiten(np.nan_to_num(slopes)) * weights
+        return Fitted(theta, free, scale, rows, weights * target)
+
+    def fit(self, theta: Array, free: Ints) -> Fitted:
+        """Fit some numbers, from where they are.
+
+        Parameters
+        ----------
+        theta : (m,) array
+            All numbers, within their bounds.
+        free : (f,) int array
+            Those that are fitted.
+
+        Returns
+        -------
+        Fitted
+            Linearized where the fit ends.
+        """
+        settings = self.settings
+        fitted = self.linearize(theta, free)
+        for _ in range(settings.jacobians - 1):
+            theta, gain = self._steps(fitted)
+            if gain == 0.0:
+                break
+            fitted = self.linearize(theta, free)
+            if gain < settings.tolerance:
+                break
+        return fitted
+
+    def _steps(self, fitted: Fitted) -> tuple[Array, float]:
+        """Where a few steps by one Jacobian lead, and by what fraction they lower the cost."""
+        settings = self.settings
+        theta = fitted.theta
+        target = fitted.target
+        scale = fitted.scale
+        before = cost = float(self.cost(self.whitened(self.residuals(theta[None]), scale)).sum())
+        for _ in range(settings.chords):
+            found, lowest, promised = self._step(fitted, theta, target)
+            gain = cost - lowest
+            if not gain > 0:
+                break
+            theta, cost = found, lowest
+            if gain < settings.sufficient * promised or gain < settings.tolerance * before:
+                break
+            whitened = self.whitened(self.residuals(theta[None])[0], scale)
+            weights = (1 + (whitened / settings.knee) ** 2) ** -0.25
+            target = weights * whitened
+        return theta, (before - cost) / max(before, 1e-300)
+
+    def _step(self, fitted: Fitted, theta: Array, target: Array) -> tuple[Array, float, float]:
+        """The best of several damped steps, its cost, and the gain that the boldest promises."""
+        free = fitted.free
+        space = self.library.simulator.space
+        gram = fitted.gram
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        moment = fitted.rows.reshape(len(free), -1) @ target.ravel() / size
+        scaled = gram / np.outer(size, size)
+        low = np.minimum((space.low[free] - theta[free]) * size, -1e-12)
+        high = np.maximum((space.high[free] - theta[free]) * size, 1e-12)
+        steps = []
+        for damping in self.settings.damping:
+            root = cholesky(scaled + damping * np.eye(len(free)), lower=True)
+            wanted = solve_triangular(root, moment, lower=True)
+            steps.append(lsq_linear(root.T, wanted, bounds=(low, high)).x)
+        boldest = steps[0]
+        promised = float(boldest @ moment - 0.5 * boldest @ scaled @ boldest)
+        thetas = np.repeat(theta[None], len(steps), axis=0)
+        moved = theta[free] + np.stack(steps) / size
+        thetas[:, free] = np.clip(moved, space.low[free], space.high[free])
+        costs = self.cost(self.whitened(self.residuals(thetas), fitted.scale)).sum(axis=1)
+        best = int(np.argmin(costs))
+        return thetas[best], float(costs[best]), promised
+
+    def covariance(self, fitted: Fitted) -> Array:
+        """The covariance (f, f) of the fitted numbers, by the sandwich over pieces of motions."""
+        windows = self.motions.windows
+        settings = self.settings
+        f, count, width = fitted.rows.shape
+        step = self.library.simulator.control_step or 1.0
+        seconds = windows.length * step
+        pieces = int(np.clip(seconds / settings.piece, 1, settings.pieces))
+        p = len(fitted.scale)
+        piece = np.repeat(np.arange(windows.length) * pieces // windows.length, p)
+        # What is known of the start stands behind the steps.
+        piece = np.concatenate([piece, np.zeros(width - len(piece), dtype=np.int64)])
+        of_piece = (piece[:, None] == np.arange(pieces)).astype(float)
+        scores = (fitted.rows * fitted.target) @ of_piece
+        rows = scores.reshape(f, -1).T
+        label = np.arange(count * pieces)
+        return sandwich(rows, fitted.gram, Units(label, False, label, "pieces"))[0]
+
+    def change_by_step(self, fitted: Fitted) -> Array:
+        """How far the fitted numbers (f,) are off because physics steps are not short.
+
+        Predictions change when steps are halved; these are the changes of the numbers that make up
+        for that, taken twice, since errors fall with the step.
+        """
+        simulator = self.library.simulator
+        if not isinstance(simulator, RobotSimulator):
+            return np.zeros(len(fitted.free))
+        segments = self.motions.windows.segments
+        theta = fitted.theta[None]
+        coarse = self.library.predict(theta, self.motions.windows)[0]
+        finer = simulator.with_finer_steps(2).predict(theta, segments).reshape(coarse.shape)
+        change = np.nan_to_num(self.motions.of_compared(finer - coarse))
+        whitened = self.motions.whitener(fitted.scale)(change)
+        rows = fitted.rows.reshape(len(fitted.free), -1)
+        size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
+        moved = np.linalg.lstsq((rows / size[:, None]).T, whitened.ravel(), rcond=1e-6)[0]
+        return np.asarray(2 * np.abs(moved / size))

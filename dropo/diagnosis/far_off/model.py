@@ -1,0 +1,112 @@
+"""A model with numbers that it lacked, each with its value."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance, Quantity
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.validation import Array
+from dropo.diagnosis.search.library import robot_of
+from dropo.diagnosis.search.linearization import Library
+
+
+@dataclass(frozen=True, eq=False)
+class FarOffModel:
+    """A model with numbers that it lacked.
+
+    Attributes
+    ----------
+    problem : Problem
+        The model as it came.
+    declared : (d,) array
+        The declared parameters.
+    free : int array
+        Those of them that are fitted.
+    numbers : sequence of (EffectInstance, (q,) array)
+        What was missing else, with its magnitudes.
+    """
+
+    problem: Problem
+    declared: Array
+    free: Ints
+    numbers: ActiveEffects
+
+    @cached_property
+    def library(self) -> Library:
+        """The simulator with the numbers' effects."""
+        return self.library_with(())
+
+    def library_with(self, more: Sequence[EffectInstance]) -> Library:
+        """The simulator with the numbers' effects, then others."""
+        instances = [*(instance for instance, _ in self.numbers), *more]
+        simulator = robot_of(self.problem).with_effects(instances)
+        return Library(simulator, instances, len(self.declared))
+
+    def theta_with(self, more: int = 0) -> Array:
+        """(m,) the declared parameters, the magnitudes, and as many zeros for other effects."""
+        sizes = [size for _, size in self.numbers]
+        return np.concatenate([self.declared, *sizes, np.zeros(more)])
+
+    @property
+    def theta(self) -> Array:
+        """(m,) the declared parameters, then the magnitudes."""
+        return self.theta_with()
+
+    @property
+    def fitted(self) -> Ints:
+        """(f,) the indices in theta of what is fitted."""
+        effects = np.arange(len(self.declared), len(self.theta))
+        return np.concatenate([self.free, effects]).astype(np.int64)
+
+    def at(self, theta: Array) -> "FarOffModel":
+        """The model with other values (m,) of the same numbers."""
+        numbers = []
+        for instance, _ in self.numbers:
+            sizes = theta[self.library.places[instance.label]]
+            numbers.append((instance, sizes))
+        return replace(self, declared=theta[: len(self.declared)], numbers=tuple(numbers))
+
+    def without(self, labels: Sequence[str]) -> "FarOffModel":
+        """The model without some of its effects."""
+        kept = [(one, sizes) for one, sizes in self.numbers if one.label not in labels]
+        return replace(self, numbers=tuple(kept))
+
+    def with_numbers(self, numbers: ActiveEffects) -> "FarOffModel":
+        """The model with more effects."""
+        return replace(self, numbers=(*self.numbers, *numbers))
+
+
+def reaching(instance: EffectInstance, sizes: Array) -> EffectInstance:
+    """An effect whose bounds hold the magnitudes (q,), with room.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        Any.
+    sizes : (q,) array
+        Its magnitudes.
+
+    Returns
+    -------
+    EffectInstance
+    """
+    quantities = [
+        _reaching(quantity, size)
+        for quantity, size in zip(instance.quantities, sizes.tolist(), strict=True)
+    ]
+    return replace(instance, quantities=tuple(quantities))
+
+
+def _reaching(quantity: Quantity, size: float) -> Quantity:
+    """A quantity whose bounds hold a magnitude, with room."""
+    lowest = 2 * size
+    if quantity.relative:
+        # A tenth of what is left of the model's own number.
+        lowest = 0.1 * (1 + size) - 1
+    low = quantity.low if size >= quantity.low else lowest
+    high = quantity.high if size <= quantity.high else 2 * size
+    return replace(quantity, low=low, high=high)

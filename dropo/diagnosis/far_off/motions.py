@@ -1,0 +1,194 @@
+"""Long windows of which every step is compared, and how long they can be."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.validation import Array
+from dropo.diagnosis.search.library import robot_of
+from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.whitening import Whitener
+from dropo.diagnosis.search.window_length import first_noise, noise_floor
+from dropo.diagnosis.search.windows import Windows, split, spread_of
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Which windows are compared.
+
+    Attributes
+    ----------
+    seconds : tuple of float
+        Lengths of windows that are tried, rising [s].
+    tried : int
+        Windows of which it is found out whether they can be so long.
+    curved : float
+        Fraction of the start's effect that is not linear in its noise, above which windows are too
+        long.
+    physics_steps : int
+        About how many are simulated for all windows of a side.
+    control_steps : int
+        How many at most are compared.
+    rate_noise : float
+        Noise of a rate at the start, as a fraction of its spread, at least: rates were mostly
+        estimated from positions.
+    """
+
+    seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+    tried: int = 8
+    curved: float = 0.2
+    physics_steps: int = 240_000
+    control_steps: int = 24_000
+    rate_noise: float = 0.05
+
+
+SETTINGS = MotionSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """W windows of L steps, of which p' signals are compared: positions, where there are any.
+
+    Attributes
+    ----------
+    windows : Windows
+        What was measured.
+    compared : (p,) bool array
+        Which signals are compared.
+    floor : (p',) array
+        Lower bound of their error.
+    loadings : (W, L p', p) array
+        The change of what is compared by the error of each measured signal at the start.
+    start_sd : (p,) array
+        Standard deviations of those errors.
+    """
+
+    windows: Windows
+    compared: np.ndarray
+    floor: Array
+    loadings: Array
+    start_sd: Array
+
+    def of_compared(self, values: Array) -> Array:
+        """Predictions or their changes (..., W, L p) of the signals compared: (..., W, L p')."""
+        apart = values.reshape(*values.shape[:-1], self.windows.length, len(self.compared))
+        return apart[..., self.compared].reshape(*values.shape[:-1], -1)
+
+    def residuals(self, predicted: Array) -> Array:
+        """Measured less predicted (..., W, L p'), of predictions (..., W, L p)."""
+        return self.of_compared(self.windows.measured - predicted)
+
+    def whitener(self, scale: Array) -> Whitener:
+        """The covariance of residuals with errors (p',) in every step."""
+        return Whitener(self.loadings, self.start_sd, scale)
+
+
+def motions_of(
+    problem: Problem, library: Library, theta: Array, settings: MotionSettings = SETTINGS
+) -> tuple[Motions, Motions]:
+    """Cut a problem's data into windows as long as a model can be compared over.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its data, some of them held out.
+    library : Library
+        The model.
+    theta : (m,) array
+        Its numbers.
+    settings : MotionSettings
+        Which windows.
+
+    Returns
+    -------
+    fitted, held_out : Motions
+
+    Raises
+    ------
+    BadArgument
+        If the data are too few for the shortest windows.
+    """
+    length = _length(problem, library, theta, settings)
+    maximum = _count(problem, length, settings)
+    train, test = split(problem, length, maximum)
+    signals = library.simulator.signals
+    is_rate = np.array([signal.unit.endswith("/s") for signal in signals])
+    compared = ~is_rate if not is_rate.all() else is_rate
+    floor = noise_floor(library.simulator, train)
+    start_sd = first_noise(problem, library, train, theta, floor)
+    least = settings.rate_noise * spread_of(library.simulator, train)
+    start_sd = np.where(is_rate, np.maximum(start_sd, least), start_sd)
+    return (
+        _motions(library, theta, train, compared, floor, start_sd),
+        _motions(library, theta, test, compared, floor, start_sd),
+    )
+
+
+def _motions(
+    library: Library,
+    theta: Array,
+    windows: Windows,
+    compared: np.ndarray,
+    floor: Array,
+    start_sd: Array,
+) -> Motions:
+    """Windows with the effect of their start's noise."""
+    p = len(compared)
+    offsets = np.concatenate([np.zeros((1, p)), np.diag(start_sd)])
+    offsets = np.repeat(offsets[:, None], len(windows), axis=1)
+    predicted = library.predict(np.repeat(theta[None], p + 1, axis=0), windows, offsets)
+    without = np.zeros((len(windows), windows.length * int(compared.sum()), 0))
+    out = Motions(windows, compared, floor[compared], without, start_sd)
+    changes = out.of_compared(np.nan_to_num(predicted[1:] - predicted[0]))
+    loadings = np.moveaxis(changes / start_sd[:, None, None], 0, 2)
+    return Motions(windows, compared, floor[compared], loadings, start_sd)
+
+
+def _length(problem: Problem, library: Library, theta: Array, settings: MotionSettings) -> int:
+    """Control steps of the longest windows for which there are data, and to whose end the start's
+    noise acts linearly.
+    """
+    step = library.simulator.control_step
+    found = 0
+    for seconds in settings.seconds:
+        length = max(1, round(seconds / step)) if step else round(100 * seconds)
+        if length <= found:
+            continue
+        try:
+            train, _ = split(problem, length, settings.tried)
+        except BadArgument:
+            if not found:
+                raise
+            break
+        if found and _curvature(problem, library, theta, train) > settings.curved:
+            break
+        found = length
+    return found
+
+
+def _count(problem: Problem, length: int, settings: MotionSettings) -> int:
+    """How many windows of a side are simulated."""
+    skip = robot_of(problem).steps_per_action
+    steps = min(settings.control_steps, settings.physics_steps // skip)
+    return max(settings.tried, steps // length)
+
+
+def _curvature(problem: Problem, library: Library, theta: Array, windows: Windows) -> float:
+    """The part of the start's effect in the windows' last quarter that is not linear in it."""
+    p = len(library.simulator.signals)
+    sigma = first_noise(problem, library, windows, theta, noise_floor(library.simulator, windows))
+    # Signs that follow no pattern, the same in every run.
+    signs = np.where(np.sin(1.0 + np.arange(len(windows) * p) ** 2) > 0, 1.0, -1.0)
+    shift = sigma * signs.reshape(len(windows), p)
+    offsets = np.stack([np.zeros_like(shift), shift, -shift])
+    predicted = library.predict(np.repeat(theta[None], 3, axis=0), windows, offsets)
+    late = predicted[:, :, -max(1, windows.length // 4) * p :]
+    curved = 0.5 * (late[1] + late[2]) - late[0]
+    linear = 0.5 * (late[1] - late[2])
+    share = np.mean(curved**2, axis=1) / np.maximum(np.mean(linear**2, axis=1), 1e-300)
+    good = share[np.isfinite(share)]
+    if len(good) < 0.5 * len(share):
+        return np.inf
+    return float(np.median(good))
