@@ -78,7 +78,7 @@ class DiagnosisSettings:
     far_off_gain: float = 0.5
     regression: QuickSettings = field(default_factory=QuickSettings)
     motions: FarOffSettings = field(default_factory=FarOffSettings)
-    longest: int = 100
+    longest: int = 50
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
 

@@ -30,7 +30,7 @@ class FamilySettings:
     z : float
         ... and in standard errors over the parts of the data.
     folds : int
-        Parts of the data, each left out in turn.
+        Parts of the data, each left out in turn: one block of so many, so that all are alike.
     ridge : float
         Added to the diagonal of products of derivatives of length 1.
     """
@@ -165,7 +165,7 @@ class _Gains:
 def _folds(motions: Motions, count: int) -> Ints:
     """(W,) the part of the data of each window."""
     block = np.unique(motions.windows.block, return_inverse=True)[1]
-    return np.asarray(block * count // (block.max() + 1), dtype=np.int64)
+    return np.asarray(block % count, dtype=np.int64)
 
 
 def _families(model: FarOffModel, settings: FamilySettings) -> list[list[EffectInstance]]:

@@ -28,7 +28,9 @@ class OutputErrorSettings:
     jacobians : int
         Jacobians at most.
     tolerance : float
-        Relative gain of the cost from which a fit has ended.
+        A fit has ended where steps gain less than this fraction of the cost ...
+    enough : float
+        ... or less than this [nats].
     chords : int
         Steps by one Jacobian, at most.
     sufficient : float
@@ -52,10 +54,11 @@ class OutputErrorSettings:
 
     knee: float = 2.5
     jacobians: int = 6
-    tolerance: float = 2e-3
+    tolerance: float = 1e-4
+    enough: float = 0.2
     chords: int = 3
     sufficient: float = 0.3
-    damping: tuple[float, ...] = (1e-4, 1e-2, 1e-1, 1.0)
+    damping: tuple[float, ...] = (1e-8, 1e-4, 1e-2, 1.0)
     of_value: float = 0.1
     least_width: float = 0.01
     piece: float = 0.5
@@ -81,6 +84,8 @@ class Fitted:
         Derivatives of the predictions, whitened and weighted.
     target : (W, N) array
         The residuals, likewise.
+    cost : float
+        Of the motions [nats].
     """
 
     theta: Array
@@ -88,6 +93,7 @@ class Fitted:
     scale: Array
     rows: Array
     target: Array
+    cost: float
 
     @cached_property
     def gram(self) -> Array:
@@ -157,10 +163,15 @@ class OutputError:
         scale = self.scale_of(residuals[0])
         whiten = self.motions.whitener(scale)
         slopes = (residuals[0] - residuals[1:]) / width[:, None, None]
-        target = self.whitened(residuals[0], scale)
-        weights = (1 + (target / self.settings.knee) ** 2) ** -0.25
+        whitened = self.whitened(residuals[0], scale)
+        weights = self._weights(whitened)
         rows = whiten(np.nan_to_num(slopes)) * weights
-        return Fitted(theta, free, scale, rows, weights * target)
+        cost = float(self.cost(whitened).sum())
+        return Fitted(theta, free, scale, rows, weights * whitened, cost)
+
+    def _weights(self, whitened: Array) -> Array:
+        """What rows are multiplied with, so that their squares are those of the robust cost."""
+        return np.asarray((1 + (whitened / self.settings.knee) ** 2) ** -0.25)
 
     def fit(self, theta: Array, free: Ints) -> Fitted:
         """Fit some numbers, from where they are.
@@ -183,33 +194,38 @@ class OutputError:
             theta, gain = self._steps(fitted)
             if gain == 0.0:
                 break
+            small = gain < max(settings.enough, settings.tolerance * fitted.cost)
             fitted = self.linearize(theta, free)
-            if gain < settings.tolerance:
+            if small:
                 break
         return fitted
 
     def _steps(self, fitted: Fitted) -> tuple[Array, float]:
-        """Where a few steps by one Jacobian lead, and by what fraction they lower the cost."""
+        """Where a few steps by one Jacobian lead, and what they gain [nats]."""
         settings = self.settings
         theta = fitted.theta
         target = fitted.target
-        scale = fitted.scale
-        before = cost = float(self.cost(self.whitened(self.residuals(theta[None]), scale)).sum())
+        cost = fitted.cost
         for _ in range(settings.chords):
-            found, lowest, promised = self._step(fitted, theta, target)
-            gain = cost - lowest
+            steps, promised = self._damped_steps(fitted, theta, target)
+            whitened = self.whitened(self.residuals(steps), fitted.scale)
+            costs = self.cost(whitened).sum(axis=1)
+            best = int(np.argmin(costs))
+            gain = cost - float(costs[best])
             if not gain > 0:
                 break
-            theta, cost = found, lowest
-            if gain < settings.sufficient * promised or gain < settings.tolerance * before:
+            theta = steps[best]
+            cost -= gain
+            target = self._weights(whitened[best]) * whitened[best]
+            small = max(settings.enough, settings.tolerance * fitted.cost)
+            if gain < max(small, settings.sufficient * promised):
                 break
-            whitened = self.whitened(self.residuals(theta[None])[0], scale)
-            weights = (1 + (whitened / settings.knee) ** 2) ** -0.25
-            target = weights * whitened
-        return theta, (before - cost) / max(before, 1e-300)
+        return theta, fitted.cost - cost
 
-    def _step(self, fitted: Fitted, theta: Array, target: Array) -> tuple[Array, float, float]:
-        """The best of several damped steps, its cost, and the gain that the boldest promises."""
+    def _damped_steps(self, fitted: Fitted, theta: Array, target: Array) -> tuple[Array, float]:
+        """The numbers (K, m) after steps that are damped more and more, within their bounds, and
+        the gain that the boldest promises [nats].
+        """
         free = fitted.free
         space = self.library.simulator.space
         gram = fitted.gram
@@ -228,9 +244,7 @@ class OutputError:
         thetas = np.repeat(theta[None], len(steps), axis=0)
         moved = theta[free] + np.stack(steps) / size
         thetas[:, free] = np.clip(moved, space.low[free], space.high[free])
-        costs = self.cost(self.whitened(self.residuals(thetas), fitted.scale)).sum(axis=1)
-        best = int(np.argmin(costs))
-        return thetas[best], float(costs[best]), promised
+        return thetas, promised
 
     def covariance(self, fitted: Fitted) -> Array:
         """The covariance (f, f) of the fitted numbers, by the sandwich over pieces of motions."""

@@ -1,17 +1,19 @@
 """Long windows of which every step is compared, and how long they can be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.whitening import Whitener
 from dropo.diagnosis.search.window_length import first_noise, noise_floor
-from dropo.diagnosis.search.windows import Windows, split, spread_of
+from dropo.diagnosis.search.windows import Windows, WindowSettings, cut, spread_of
+from dropo.evaluation.held_out import DataPart, whole_part
 
 
 @dataclass(frozen=True)
@@ -25,26 +27,34 @@ class MotionSettings:
     tried : int
         Windows of which it is found out whether they can be so long.
     curved : float
-        Fraction of the start's effect that is not linear in its noise, above which windows are too
-        long.
+        Fraction of the errors' variance that is not linear in the start's noise, above which
+        windows are too long.
     physics_steps : int
         About how many are simulated for all windows of a side.
     control_steps : int
         How many at most are compared.
+    few : int
+        Windows of which it is found out whether the start's noise matters: ...
+    start : float
+        ... if its variance on average over all steps is more than this fraction of the noise's.
     rate_noise : float
         Noise of a rate at the start, as a fraction of its spread, at least: rates were mostly
         estimated from positions.
     """
 
-    seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+    seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
     tried: int = 8
     curved: float = 0.2
-    physics_steps: int = 240_000
-    control_steps: int = 24_000
+    physics_steps: int = 160_000
+    control_steps: int = 16_000
+    few: int = 4
+    start: float = 0.1
     rate_noise: float = 0.05
 
 
 SETTINGS = MotionSettings()
+FEW = WindowSettings(fewest=4)
+"""Windows held out may be few: they are only asked which of two models is better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +70,10 @@ class Motions:
     floor : (p',) array
         Lower bound of their error.
     loadings : (W, L p', p) array
-        The change of what is compared by the error of each measured signal at the start.
+        The change of what is compared by the error of each measured signal at the start; of none,
+        (W, L p', 0), where these do not matter.
     start_sd : (p,) array
-        Standard deviations of those errors.
+        Standard deviations of those errors, or none.
     """
 
     windows: Windows
@@ -110,43 +121,78 @@ def motions_of(
     BadArgument
         If the data are too few for the shortest windows.
     """
-    length = _length(problem, library, theta, settings)
-    maximum = _count(problem, length, settings)
-    train, test = split(problem, length, maximum)
+    whole = whole_part(problem.trajectories)
+    length = _length(problem, whole, library, theta, settings)
+    train = cut(problem, whole, length, _count(problem, length, settings), "fit")
+    test = _held_out(problem, length, settings)
     signals = library.simulator.signals
     is_rate = np.array([signal.unit.endswith("/s") for signal in signals])
     compared = ~is_rate if not is_rate.all() else is_rate
-    floor = noise_floor(library.simulator, train)
-    start_sd = first_noise(problem, library, train, theta, floor)
+    start_sd = first_noise(problem, library, train, theta, noise_floor(library.simulator, train))
     least = settings.rate_noise * spread_of(library.simulator, train)
     start_sd = np.where(is_rate, np.maximum(start_sd, least), start_sd)
+    few = _motions(
+        library, theta, train.take(_spread(len(train), settings.few)), compared, start_sd
+    )
+    shares = (few.loadings * start_sd) ** 2 / np.tile(start_sd[compared], length)[:, None] ** 2
+    matters = shares.sum(axis=2).mean() > settings.start
+    make = _motions if matters else _from_known_starts
     return (
-        _motions(library, theta, train, compared, floor, start_sd),
-        _motions(library, theta, test, compared, floor, start_sd),
+        make(library, theta, train, compared, start_sd),
+        make(library, theta, test, compared, start_sd),
     )
 
 
+def _spread(count: int, wanted: int) -> Ints:
+    """The indices of a few of so many windows."""
+    return np.unique(np.linspace(0, count - 1, wanted).round().astype(np.int64))
+
+
+def _from_known_starts(
+    library: Library, theta: Array, windows: Windows, compared: np.ndarray, start_sd: Array
+) -> Motions:
+    """Windows whose start's noise is forgotten before long."""
+    rows = windows.length * int(compared.sum())
+    loadings = np.zeros((len(windows), rows, 0))
+    floor = noise_floor(library.simulator, windows)[compared]
+    return Motions(windows, compared, floor, loadings, np.zeros(0))
+
+
 def _motions(
-    library: Library,
-    theta: Array,
-    windows: Windows,
-    compared: np.ndarray,
-    floor: Array,
-    start_sd: Array,
+    library: Library, theta: Array, windows: Windows, compared: np.ndarray, start_sd: Array
 ) -> Motions:
     """Windows with the effect of their start's noise."""
     p = len(compared)
     offsets = np.concatenate([np.zeros((1, p)), np.diag(start_sd)])
     offsets = np.repeat(offsets[:, None], len(windows), axis=1)
     predicted = library.predict(np.repeat(theta[None], p + 1, axis=0), windows, offsets)
-    without = np.zeros((len(windows), windows.length * int(compared.sum()), 0))
-    out = Motions(windows, compared, floor[compared], without, start_sd)
-    changes = out.of_compared(np.nan_to_num(predicted[1:] - predicted[0]))
+    plain = _from_known_starts(library, theta, windows, compared, start_sd)
+    changes = plain.of_compared(np.nan_to_num(predicted[1:] - predicted[0]))
     loadings = np.moveaxis(changes / start_sd[:, None, None], 0, 2)
-    return Motions(windows, compared, floor[compared], loadings, start_sd)
+    return replace(plain, loadings=loadings, start_sd=start_sd)
 
 
-def _length(problem: Problem, library: Library, theta: Array, settings: MotionSettings) -> int:
+def _held_out(problem: Problem, length: int, settings: MotionSettings) -> Windows:
+    """Windows of the data held out, of this length or, where there are too few, of half of it."""
+    if problem.held_out is None:
+        raise BadArgument("Whole motions are judged by data held out. Got none.")
+    part = whole_part(problem.held_out)
+    while True:
+        try:
+            return cut(problem, part, length, _count(problem, length, settings), "hold out", FEW)
+        except BadArgument:
+            length //= 2
+            if length == 0:
+                raise
+
+
+def _length(
+    problem: Problem,
+    part: DataPart,
+    library: Library,
+    theta: Array,
+    settings: MotionSettings,
+) -> int:
     """Control steps of the longest windows for which there are data, and to whose end the start's
     noise acts linearly.
     """
@@ -157,12 +203,12 @@ def _length(problem: Problem, library: Library, theta: Array, settings: MotionSe
         if length <= found:
             continue
         try:
-            train, _ = split(problem, length, settings.tried)
+            windows = cut(problem, part, length, settings.tried, "fit")
         except BadArgument:
             if not found:
                 raise
             break
-        if found and _curvature(problem, library, theta, train) > settings.curved:
+        if found and _curvature(problem, library, theta, windows) > settings.curved:
             break
         found = length
     return found
@@ -176,7 +222,7 @@ def _count(problem: Problem, length: int, settings: MotionSettings) -> int:
 
 
 def _curvature(problem: Problem, library: Library, theta: Array, windows: Windows) -> float:
-    """The part of the start's effect in the windows' last quarter that is not linear in it."""
+    """The part of errors in the windows' last quarter that the start's noise makes by curvature."""
     p = len(library.simulator.signals)
     sigma = first_noise(problem, library, windows, theta, noise_floor(library.simulator, windows))
     # Signs that follow no pattern, the same in every run.
@@ -187,7 +233,9 @@ def _curvature(problem: Problem, library: Library, theta: Array, windows: Window
     late = predicted[:, :, -max(1, windows.length // 4) * p :]
     curved = 0.5 * (late[1] + late[2]) - late[0]
     linear = 0.5 * (late[1] - late[2])
-    share = np.mean(curved**2, axis=1) / np.maximum(np.mean(linear**2, axis=1), 1e-300)
+    noise = np.tile(sigma, late.shape[2] // p)
+    of_curve = np.mean((curved / noise) ** 2, axis=1)
+    share = of_curve / (1 + np.mean((linear / noise) ** 2, axis=1) + of_curve)
     good = share[np.isfinite(share)]
     if len(good) < 0.5 * len(share):
         return np.inf

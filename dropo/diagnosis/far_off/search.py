@@ -1,5 +1,6 @@
 """What a model that is far off lacks: regression, whole motions, what else these ask for."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +11,9 @@ from dropo.diagnosis.far_off.fit import Fitted, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.model import FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of
 from dropo.diagnosis.search.selection import Progress
+
+ROUGH = OutputErrorSettings(jacobians=4, tolerance=0.02)
+"""Enough to begin with."""
 
 
 @dataclass(frozen=True)
@@ -26,21 +30,28 @@ class FarOffSettings:
         The first fit takes one window of so many.
     certain : float
         Standard errors that a number must be away from 0.
+    accuracy : float
+        Fraction of every number, with what the model has of it, that is added to its error: forces
+        are known on the scale of the model's masses and inertias, which are not known better.
     kept : tuple of str
         Effects that stay however uncertain they are: without them the scale of all forces would
         seem known.
     motions : MotionSettings
         Which windows.
+    rough_fit : OutputErrorSettings
+        How the first fits are done.
     fit : OutputErrorSettings
-        How numbers are fitted to them.
+        How numbers are fitted to all windows.
     """
 
     families: FamilySettings = field(default_factory=FamilySettings)
     rounds: int = 2
     rough: int = 3
     certain: float = 3.0
+    accuracy: float = 0.02
     kept: tuple[str, ...] = ("actuator_gain",)
     motions: MotionSettings = field(default_factory=MotionSettings)
+    rough_fit: OutputErrorSettings = field(default_factory=lambda: ROUGH)
     fit: OutputErrorSettings = field(default_factory=OutputErrorSettings)
 
 
@@ -98,29 +109,36 @@ class FarOffSearch:
         fitted, held_out = motions_of(model.problem, model.library, model.theta, settings.motions)
         length = fitted.windows.length
         self.progress(0.15, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
-        model = self._fit(model, _some(fitted, settings.rough))[0]
+        model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)[0]
         for number in range(settings.rounds):
             self.progress(0.3 + 0.2 * number, "what else motions ask for")
             more = with_families(model, fitted, settings.families, settings.fit)
             if more is model:
                 break
-            more = self._fit(more, _some(fitted, settings.rough))[0]
+            more = self._fit(more, _some(fitted, settings.rough), settings.rough_fit)[0]
             if not self._is_better(more, model, held_out):
                 break
             model = more
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to all windows")
         model, error, end = self._fit(model, fitted)
         while True:
-            errors = _errors(model, error, end)
-            kept = self._certain(model, errors)
-            if kept is model:
+            errors = _errors(model, error, end, settings.accuracy)
+            doubtful = self._doubtful(model, errors)
+            if not doubtful:
                 break
-            model, error, end = self._fit(kept, fitted)
-        return Explained(model, errors, _without(model, end), length)
+            rest = model.at(_theta_without(model, end, doubtful)).without(doubtful)
+            model, error, end = self._fit(rest, fitted)
+        without = {
+            instance.label: _theta_without(model, end, [instance.label])
+            for instance, _ in model.numbers
+        }
+        return Explained(model, errors, without, length)
 
-    def _fit(self, model: FarOffModel, motions: Motions) -> tuple[FarOffModel, OutputError, Fitted]:
+    def _fit(
+        self, model: FarOffModel, motions: Motions, fit: OutputErrorSettings | None = None
+    ) -> tuple[FarOffModel, OutputError, Fitted]:
         """A model's numbers fitted to motions."""
-        error = OutputError(model.library, motions, self.settings.fit)
+        error = OutputError(model.library, motions, fit or self.settings.fit)
         end = error.fit(model.theta, model.fitted)
         return model.at(end.theta), error, end
 
@@ -134,8 +152,8 @@ class FarOffSearch:
         new = after.cost(after.whitened(after.residuals(more.theta[None]), scale))[0]
         return bool(new.sum() < old.sum())
 
-    def _certain(self, model: FarOffModel, errors: Array) -> FarOffModel:
-        """The model without the effects that are not told from nothing."""
+    def _doubtful(self, model: FarOffModel, errors: Array) -> list[str]:
+        """The labels of the effects that are not told from nothing."""
         settings = self.settings
         doubtful = []
         for instance, sizes in model.numbers:
@@ -143,7 +161,7 @@ class FarOffSearch:
             is_kept = instance.effect in settings.kept and instance.target in EVERYWHERE
             if not is_kept and abs(sizes[0]) < settings.certain * errors[place]:
                 doubtful.append(instance.label)
-        return model.without(doubtful) if doubtful else model
+        return doubtful
 
 
 def _some(motions: Motions, every: int) -> Motions:
@@ -153,29 +171,39 @@ def _some(motions: Motions, every: int) -> Motions:
     return replace(motions, windows=motions.windows.take(index), loadings=motions.loadings[index])
 
 
-def _errors(model: FarOffModel, error: OutputError, end: Fitted) -> Array:
-    """Standard errors (m,): of the data, and of the physics step."""
+def _errors(model: FarOffModel, error: OutputError, end: Fitted, accuracy: float) -> Array:
+    """Standard errors (m,): of the data, of the physics step, and of the scale of all forces."""
     found = np.zeros(len(model.theta))
     variance = np.maximum(np.diag(error.covariance(end)), 0.0)
     found[end.free] = np.hypot(np.sqrt(variance), error.change_by_step(end))
-    return np.nan_to_num(found, nan=np.inf)
-
-
-def _without(model: FarOffModel, end: Fitted) -> dict[str, Array]:
-    """By effect's label, the numbers without it, the others moved to make up for it."""
-    space = model.library.simulator.space
-    gram = end.gram
-    found = {}
-    for instance, _ in model.numbers:
-        place = model.library.places[instance.label]
-        own = np.isin(end.free, place)
-        others = end.free[~own]
-        size = np.sqrt(np.maximum(np.diag(gram)[~own], 1e-300))
-        scaled = gram[np.ix_(~own, ~own)] / np.outer(size, size)
-        moment = gram[np.ix_(~own, own)] @ end.theta[end.free[own]] / size
-        theta = end.theta.copy()
-        theta[place] = 0.0
-        moved = theta[others] + np.linalg.lstsq(scaled, moment, rcond=1e-8)[0] / size
-        theta[others] = np.clip(moved, space.low[others], space.high[others])
-        found[instance.label] = theta
+    found = np.hypot(np.nan_to_num(found, nan=np.inf), accuracy * np.abs(_totals(model)))
+    found[: len(model.declared)] *= np.isin(np.arange(len(model.declared)), model.free)
     return found
+
+
+def _totals(model: FarOffModel) -> Array:
+    """(m,) the numbers with what the model has of them; of fractions, what they leave of 1."""
+    totals = model.theta.copy()
+    for instance, _ in model.numbers:
+        for place, quantity in zip(
+            model.library.places[instance.label], instance.quantities, strict=True
+        ):
+            totals[place] += 1.0 if quantity.relative else quantity.base or 0.0
+    return totals
+
+
+def _theta_without(model: FarOffModel, end: Fitted, labels: Sequence[str]) -> Array:
+    """The numbers (m,) without some effects, the others moved to make up for them."""
+    space = model.library.simulator.space
+    place = np.concatenate([model.library.places[label] for label in labels])
+    own = np.isin(end.free, place)
+    others = end.free[~own]
+    # Scaled to a diagonal of ones, so that the least squares' cutoff means the same for all.
+    size = np.sqrt(np.maximum(np.diag(end.gram)[~own], 1e-300))
+    scaled = end.gram[np.ix_(~own, ~own)] / np.outer(size, size)
+    moment = end.gram[np.ix_(~own, own)] @ end.theta[end.free[own]] / size
+    theta = end.theta.copy()
+    theta[place] = 0.0
+    moved = theta[others] + np.linalg.lstsq(scaled, moment, rcond=1e-8)[0] / size
+    theta[others] = np.clip(moved, space.low[others], space.high[others])
+    return theta

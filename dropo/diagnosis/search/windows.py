@@ -103,22 +103,54 @@ def split(
     BadArgument
         If a side has fewer windows than `settings.fewest`.
     """
-    data = problem.trajectories
-    fewest = settings.fewest
     sides = []
     for held_out, purpose in ((False, "fit"), (True, "hold out")):
         part = held_out_part(problem, length, held_out)
-        starts = window_starts(part, length, stride=length + 1)
-        starts = _moving(problem, part, starts, length, settings)
-        if len(starts) < fewest:
-            raise BadArgument(
-                f"A diagnosis needs at least {fewest} windows of {length} steps to {purpose}. Got"
-                f" {len(starts)} from {len(data)} transitions in {len(data.spans)} trajectories."
-                f" Give more data, about {4 * fewest * (length + 1)} transitions, or shorter"
-                " windows."
-            )
-        sides.append(_side(problem.simulator, part, starts, length, maximum, settings))
+        sides.append(cut(problem, part, length, maximum, purpose, settings))
     return sides[0], sides[1]
+
+
+def cut(
+    problem: Problem,
+    part: DataPart,
+    length: int,
+    maximum: int,
+    purpose: str,
+    settings: WindowSettings = SETTINGS,
+) -> Windows:
+    """Cut some of a problem's data into windows, as `split` does with each side.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose data they are.
+    part : DataPart
+        Some of them.
+    length, maximum, settings
+        As of `split`.
+    purpose : str
+        What the windows are for, for a message.
+
+    Returns
+    -------
+    Windows
+
+    Raises
+    ------
+    BadArgument
+        If there are fewer windows than `settings.fewest`.
+    """
+    starts = window_starts(part, length, stride=length + 1)
+    starts = _moving(problem, part, starts, length, settings)
+    if len(starts) < settings.fewest:
+        data = problem.trajectories
+        raise BadArgument(
+            f"A diagnosis needs at least {settings.fewest} windows of {length} steps to {purpose}."
+            f" Got {len(starts)} from {len(data)} transitions in {len(data.spans)} trajectories."
+            f" Give more data, about {4 * settings.fewest * (length + 1)} transitions, or shorter"
+            " windows."
+        )
+    return _side(problem.simulator, part, starts, length, maximum, settings)
 
 
 def windows_from(simulator: Simulator, segments: Segments, block: Ints) -> Windows:
