@@ -70,7 +70,9 @@ class DiagnosisSettings:
     motions : FarOffSettings
         How they are fitted to whole motions.
     longest : int
-        Control steps at most of the windows by which such a model is judged.
+        Control steps at most of the windows by which such a model is judged ...
+    judged : int
+        ... and about how many there are on each side.
     """
 
     windows: int = 96
@@ -79,6 +81,7 @@ class DiagnosisSettings:
     regression: QuickSettings = field(default_factory=QuickSettings)
     motions: FarOffSettings = field(default_factory=FarOffSettings)
     longest: int = 50
+    judged: int = 48
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
 
@@ -242,7 +245,10 @@ class Diagnose:
         length = self._length(problem, explained)
         everything = [*instances, *impulses(simulator.model, length)]
         library = Library(simulator.with_effects(everything), everything, len(problem.space))
-        train, test = split(problem, length, self._windows(problem))
+        count = self._windows(problem)
+        if explained is not None:
+            count = min(count, self.settings.judged)
+        train, test = split(problem, length, count)
         _refuse_constant(problem, train)
         selection = self._selection(library, train, with_cost(progress, library.simulator))
         count = len(instances)

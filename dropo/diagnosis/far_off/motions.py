@@ -69,6 +69,8 @@ class Motions:
         Which signals are compared.
     floor : (p',) array
         Lower bound of their error.
+    noise : (p',) array
+        The sensors' noise, by single steps.
     loadings : (W, L p', p) array
         The change of what is compared by the error of each measured signal at the start; of none,
         (W, L p', 0), where these do not matter.
@@ -79,6 +81,7 @@ class Motions:
     windows: Windows
     compared: np.ndarray
     floor: Array
+    noise: Array
     loadings: Array
     start_sd: Array
 
@@ -155,7 +158,7 @@ def _from_known_starts(
     rows = windows.length * int(compared.sum())
     loadings = np.zeros((len(windows), rows, 0))
     floor = noise_floor(library.simulator, windows)[compared]
-    return Motions(windows, compared, floor, loadings, np.zeros(0))
+    return Motions(windows, compared, floor, start_sd[compared], loadings, np.zeros(0))
 
 
 def _motions(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.diagnosis.far_off.families import EVERYWHERE, FamilySettings, with_families
+from dropo.diagnosis.far_off.families import EVERYWHERE, with_families
 from dropo.diagnosis.far_off.fit import Fitted, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.model import FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of
@@ -22,10 +22,13 @@ class FarOffSettings:
 
     Attributes
     ----------
-    families : FamilySettings
-        Effects that are tried at every joint or drive at once, beside what regression finds.
-    rounds : int
-        How often they are tried at most, with all fitted again in between.
+    families : tuple of tuple of str
+        Effects that are tried at every joint or drive where motions are not explained, one group
+        after another.
+    misfit : float
+        Multiple of the sensors' noise from which motions are not explained.
+    share : float
+        Fraction of the cost on data held out that a group must take away.
     rough : int
         The first fit takes one window of so many.
     certain : float
@@ -44,8 +47,19 @@ class FarOffSettings:
         How numbers are fitted to all windows.
     """
 
-    families: FamilySettings = field(default_factory=FamilySettings)
-    rounds: int = 2
+    families: tuple[tuple[str, ...], ...] = (
+        (
+            "actuator_gain",
+            "actuator_bias",
+            "joint_friction",
+            "joint_damping",
+            "joint_armature",
+            "joint_load_friction",
+        ),
+        ("actuator_lag",),
+    )
+    misfit: float = 3.0
+    share: float = 0.02
     rough: int = 3
     certain: float = 3.0
     accuracy: float = 0.02
@@ -110,15 +124,17 @@ class FarOffSearch:
         length = fitted.windows.length
         self.progress(0.15, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
         model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)[0]
-        for number in range(settings.rounds):
-            self.progress(0.3 + 0.2 * number, "what else motions ask for")
-            more = with_families(model, fitted, settings.families, settings.fit)
+        for number, names in enumerate(settings.families):
+            if not self._is_misfit(model, fitted):
+                break
+            more = with_families(model, names)
             if more is model:
-                break
+                continue
+            count = len(more.fitted)
+            self.progress(0.3 + 0.2 * number, f"fitting {count} numbers: {', '.join(names)}")
             more = self._fit(more, _some(fitted, settings.rough), settings.rough_fit)[0]
-            if not self._is_better(more, model, held_out):
-                break
-            model = more
+            if self._is_better(more, model, held_out):
+                model = more
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to all windows")
         model, error, end = self._fit(model, fitted)
         while True:
@@ -142,15 +158,21 @@ class FarOffSearch:
         end = error.fit(model.theta, model.fitted)
         return model.at(end.theta), error, end
 
+    def _is_misfit(self, model: FarOffModel, motions: Motions) -> bool:
+        """Whether errors are beyond what the sensors' noise explains."""
+        error = OutputError(model.library, motions, self.settings.fit)
+        scale = error.scale_of(error.residuals(model.theta[None])[0])
+        return bool(np.median(scale / motions.noise) > self.settings.misfit)
+
     def _is_better(self, more: FarOffModel, model: FarOffModel, held_out: Motions) -> bool:
-        """Whether windows held out are predicted better with more numbers."""
+        """Whether windows held out are predicted clearly better with more numbers."""
         before = OutputError(model.library, held_out, self.settings.fit)
         residuals = before.residuals(model.theta[None])
         scale = before.scale_of(residuals[0])
         after = OutputError(more.library, held_out, self.settings.fit)
         old = before.cost(before.whitened(residuals, scale))[0]
         new = after.cost(after.whitened(after.residuals(more.theta[None]), scale))[0]
-        return bool(new.sum() < old.sum())
+        return bool(new.sum() < (1 - self.settings.share) * old.sum())
 
     def _doubtful(self, model: FarOffModel, errors: Array) -> list[str]:
         """The labels of the effects that are not told from nothing."""
