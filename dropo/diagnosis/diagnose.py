@@ -295,7 +295,14 @@ class Diagnose:
         # How good each model is on data held out.
         errors = _errors_without_and_with(data, library, last, reviews)
         found = causes(
-            library, last, reviews, setup.count, errors, selection.settings, known=setup.errors()
+            library,
+            last,
+            reviews,
+            setup.count,
+            errors,
+            selection.settings,
+            known=setup.errors(),
+            named=None if setup.explained is None else setup.explained.certain,
         )
         if far_off and not found:
             # Motions do not bear out what regression finds.

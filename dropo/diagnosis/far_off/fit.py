@@ -38,7 +38,9 @@ class OutputErrorSettings:
     damping : tuple of float
         Levenberg's, for columns of length 1; each is tried.
     of_value : float
-        Width of differences, as a fraction of a number, if that is less than the usual width.
+        Width of differences, as a fraction of a number, if that is less than the usual width ...
+    of_value_central : float
+        ... and of differences both ways.
     least_width : float
         But no less than this fraction of the usual width.
     piece : float
@@ -59,8 +61,9 @@ class OutputErrorSettings:
     chords: int = 3
     sufficient: float = 0.3
     damping: tuple[float, ...] = (1e-8, 1e-4, 1e-2, 1.0)
-    of_value: float = 0.1
-    least_width: float = 0.01
+    of_value: float = 0.01
+    of_value_central: float = 1e-3
+    least_width: float = 1e-3
     piece: float = 0.5
     pieces: int = 10
 
@@ -149,20 +152,33 @@ class OutputError:
         size = np.sqrt(1 + (whitened / knee) ** 2) - 1
         return np.asarray(knee**2 * size.sum(axis=-1))
 
-    def linearize(self, theta: Array, free: Ints) -> Fitted:
-        """Differentiate the motions by some numbers, at widths that suit these."""
+    def linearize(self, theta: Array, free: Ints, *, central: bool = False) -> Fitted:
+        """Differentiate the motions by some numbers, at widths that suit these.
+
+        central: by differences both ways, for errors: what is only rounding of one-sided ones
+        would be taken for knowledge of a direction that motions do not tell.
+        """
         space = self.library.simulator.space
         here = theta[free]
         usual = self.library.steps[free]
-        width = np.maximum(self.settings.of_value * np.abs(here), self.settings.least_width * usual)
+        settings = self.settings
+        share = settings.of_value_central if central else settings.of_value
+        width = np.maximum(share * np.abs(here), settings.least_width * usual)
         width = np.minimum(usual, width)
-        width = np.where(here + width > space.high[free], -width, width)
-        values = np.repeat(theta[None], 1 + len(free), axis=0)
-        values[1 + np.arange(len(free)), free] += width
-        residuals = self.residuals(values)
+        upper = np.minimum(here + width, space.high[free])
+        lower = np.maximum(here - width, space.low[free])
+        if not central:
+            lower = np.where(upper > here, here, lower)
+        f = np.arange(len(free))
+        values = np.repeat(theta[None], 1 + 2 * len(free), axis=0)
+        values[1 + f, free] = upper
+        values[1 + len(free) + f, free] = lower
+        different, which = np.unique(values, axis=0, return_inverse=True)
+        residuals = self.residuals(different)[which.ravel()]
+        _, above, below = np.split(residuals, [1, 1 + len(free)])
+        slopes = (below - above) / (upper - lower)[:, None, None]
         scale = self.scale_of(residuals[0])
         whiten = self.motions.whitener(scale)
-        slopes = (residuals[0] - residuals[1:]) / width[:, None, None]
         whitened = self.whitened(residuals[0], scale)
         weights = self._weights(whitened)
         rows = whiten(np.nan_to_num(slopes)) * weights
@@ -226,11 +242,14 @@ class OutputError:
         """The numbers (K, m) after steps that are damped more and more, within their bounds, and
         the gain that the boldest promises [nats].
         """
-        free = fitted.free
+        size = np.sqrt(np.diag(fitted.gram))
+        # Numbers that change nothing stay where they are.
+        acts = size > 1e-9 * size.max()
+        free = fitted.free[acts]
+        size = size[acts]
         space = self.library.simulator.space
-        gram = fitted.gram
-        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        moment = fitted.rows.reshape(len(free), -1) @ target.ravel() / size
+        gram = fitted.gram[np.ix_(acts, acts)]
+        moment = (fitted.rows.reshape(len(acts), -1) @ target.ravel())[acts] / size
         scaled = gram / np.outer(size, size)
         low = np.minimum((space.low[free] - theta[free]) * size, -1e-12)
         high = np.maximum((space.high[free] - theta[free]) * size, 1e-12)
@@ -246,8 +265,11 @@ class OutputError:
         thetas[:, free] = np.clip(moved, space.low[free], space.high[free])
         return thetas, promised
 
-    def covariance(self, fitted: Fitted) -> Array:
-        """The covariance (f, f) of the fitted numbers, by the sandwich over pieces of motions."""
+    def covariance(self, fitted: Fitted, prior: Array) -> Array:
+        """The covariance (f, f) of the fitted numbers, by the sandwich over pieces of motions.
+
+        prior: (f,) what is known of each number beside the motions, as one over its variance.
+        """
         windows = self.motions.windows
         settings = self.settings
         f, count, width = fitted.rows.shape
@@ -262,7 +284,12 @@ class OutputError:
         scores = (fitted.rows * fitted.target) @ of_piece
         rows = scores.reshape(f, -1).T
         label = np.arange(count * pieces)
-        return sandwich(rows, fitted.gram, Units(label, False, label, "pieces"))[0]
+        information = fitted.gram + np.diag(prior)
+        of_data = sandwich(rows, information, Units(label, False, label, "pieces"))[0]
+        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
+        inverse /= np.outer(size, size)
+        return np.asarray(of_data + (inverse * prior) @ inverse)
 
     def change_by_step(self, fitted: Fitted) -> Array:
         """How far the fitted numbers (f,) are off because physics steps are not short.

@@ -13,6 +13,12 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
 
+GAIN = "actuator_gain"
+"""The effect that is on the scale of all forces."""
+
+ROOM = 10.0
+"""Multiple of the usual bounds of what is added to a number of the model."""
+
 
 @dataclass(frozen=True, eq=False)
 class FarOffModel:
@@ -104,9 +110,13 @@ def reaching(instance: EffectInstance, sizes: Array) -> EffectInstance:
 def _reaching(quantity: Quantity, size: float) -> Quantity:
     """A quantity whose bounds hold a magnitude, with room."""
     lowest = 2 * size
+    highest = 2 * size
     if quantity.relative:
         # A tenth of what is left of the model's own number.
         lowest = 0.1 * (1 + size) - 1
+    elif quantity.base is not None:
+        # What is added to a number of the model may be much more than usual.
+        highest = ROOM * max(quantity.high, size)
     low = quantity.low if size >= quantity.low else lowest
-    high = quantity.high if size <= quantity.high else 2 * size
+    high = max(quantity.high, highest)
     return replace(quantity, low=low, high=high)

@@ -6,11 +6,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.diagnosis.far_off.families import EVERYWHERE, with_families
+from dropo.diagnosis.far_off.families import with_families
 from dropo.diagnosis.far_off.fit import Fitted, OutputError, OutputErrorSettings
-from dropo.diagnosis.far_off.model import FarOffModel
+from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of
 from dropo.diagnosis.search.selection import Progress
+
+KNOWN = 1e-6
+"""Standard deviation of a scale that is known."""
 
 ROUGH = OutputErrorSettings(jacobians=4, tolerance=0.02)
 """Enough to begin with."""
@@ -22,6 +25,9 @@ class FarOffSettings:
 
     Attributes
     ----------
+    laws : tuple of str
+        Effects that every joint has where one has them: those that regression leaves out are not
+        certain, and without them the scale of all forces would seem known.
     families : tuple of tuple of str
         Effects that are tried at every joint or drive where motions are not explained, one group
         after another.
@@ -32,13 +38,13 @@ class FarOffSettings:
     rough : int
         The first fit takes one window of so many.
     certain : float
-        Standard errors that a number must be away from 0.
+        Standard errors, on a scale of all forces that is known, that a number must be away from 0.
+    scale : float
+        Standard deviation of what is known of that scale where motions do not tell it, as where a
+        payload and rotors take up whatever the drives' gain gives.
     accuracy : float
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.
-    kept : tuple of str
-        Effects that stay however uncertain they are: without them the scale of all forces would
-        seem known.
     motions : MotionSettings
         Which windows.
     rough_fit : OutputErrorSettings
@@ -47,6 +53,7 @@ class FarOffSettings:
         How numbers are fitted to all windows.
     """
 
+    laws: tuple[str, ...] = ("joint_friction", "joint_damping", "joint_armature")
     families: tuple[tuple[str, ...], ...] = (
         (
             "actuator_gain",
@@ -62,8 +69,8 @@ class FarOffSettings:
     share: float = 0.02
     rough: int = 3
     certain: float = 3.0
+    scale: float = 0.2
     accuracy: float = 0.02
-    kept: tuple[str, ...] = ("actuator_gain",)
     motions: MotionSettings = field(default_factory=MotionSettings)
     rough_fit: OutputErrorSettings = field(default_factory=lambda: ROUGH)
     fit: OutputErrorSettings = field(default_factory=OutputErrorSettings)
@@ -79,6 +86,8 @@ class Explained:
         With all numbers.
     errors : (m,) array
         Their standard errors; 0 of what was not fitted.
+    certain : frozenset of str
+        The labels of effects that are told from nothing.
     without : dict of str to (m,) array
         By effect's label, the numbers without it, the others moved to make up for it.
     length : int
@@ -87,6 +96,7 @@ class Explained:
 
     model: FarOffModel
     errors: Array
+    certain: frozenset[str]
     without: dict[str, Array]
     length: int
 
@@ -119,6 +129,8 @@ class FarOffSearch:
         Explained
         """
         settings = self.settings
+        present = {instance.effect for instance, _ in model.numbers}
+        model = with_families(model, [name for name in settings.laws if name in present])
         self.progress(0.1, "how long windows can be")
         fitted, held_out = motions_of(model.problem, model.library, model.theta, settings.motions)
         length = fitted.windows.length
@@ -137,18 +149,15 @@ class FarOffSearch:
                 model = more
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to all windows")
         model, error, end = self._fit(model, fitted)
-        while True:
-            errors = _errors(model, error, end, settings.accuracy)
-            doubtful = self._doubtful(model, errors)
-            if not doubtful:
-                break
-            rest = model.at(_theta_without(model, end, doubtful)).without(doubtful)
-            model, error, end = self._fit(rest, fitted)
+        end = error.linearize(end.theta, end.free, central=True)
+        errors = self._errors(model, error, end, settings.scale)
+        # What a number is beside the others does not depend on the scale of all forces.
+        beside = self._errors(model, error, end, KNOWN)
         without = {
             instance.label: _theta_without(model, end, [instance.label])
             for instance, _ in model.numbers
         }
-        return Explained(model, errors, without, length)
+        return Explained(model, errors, self._certain(model, errors, beside), without, length)
 
     def _fit(
         self, model: FarOffModel, motions: Motions, fit: OutputErrorSettings | None = None
@@ -157,6 +166,35 @@ class FarOffSearch:
         error = OutputError(model.library, motions, fit or self.settings.fit)
         end = error.fit(model.theta, model.fitted)
         return model.at(end.theta), error, end
+
+    def _errors(self, model: FarOffModel, error: OutputError, end: Fitted, scale: float) -> Array:
+        """Standard errors (m,): of the data, of the physics step, and of the model's own scale.
+
+        scale: standard deviation of what is known of the drives' gains.
+        """
+        totals = _totals(model)
+        prior = np.zeros(len(totals))
+        for instance, _ in model.numbers:
+            if instance.effect == GAIN:
+                place = model.library.places[instance.label]
+                prior[place] = 1 / (scale * totals[place]) ** 2
+        found = np.zeros(len(totals))
+        variance = np.maximum(np.diag(error.covariance(end, prior[end.free])), 0.0)
+        found[end.free] = np.hypot(np.sqrt(variance), error.change_by_step(end))
+        found[end.free] = np.hypot(found[end.free], self.settings.accuracy * totals[end.free])
+        # What the data do not tell is anywhere within its bounds.
+        space = model.library.simulator.space
+        return np.minimum(np.nan_to_num(found, nan=np.inf), space.high - space.low)
+
+    def _certain(self, model: FarOffModel, errors: Array, beside: Array) -> frozenset[str]:
+        """The labels of the effects that are told from nothing."""
+        found = set()
+        for instance, sizes in model.numbers:
+            place = model.library.places[instance.label][0]
+            own = errors if instance.effect == GAIN else beside
+            if abs(sizes[0]) > self.settings.certain * own[place]:
+                found.add(instance.label)
+        return frozenset(found)
 
     def _is_misfit(self, model: FarOffModel, motions: Motions) -> bool:
         """Whether errors are beyond what the sensors' noise explains."""
@@ -174,33 +212,12 @@ class FarOffSearch:
         new = after.cost(after.whitened(after.residuals(more.theta[None]), scale))[0]
         return bool(new.sum() < (1 - self.settings.share) * old.sum())
 
-    def _doubtful(self, model: FarOffModel, errors: Array) -> list[str]:
-        """The labels of the effects that are not told from nothing."""
-        settings = self.settings
-        doubtful = []
-        for instance, sizes in model.numbers:
-            place = model.library.places[instance.label][0]
-            is_kept = instance.effect in settings.kept and instance.target in EVERYWHERE
-            if not is_kept and abs(sizes[0]) < settings.certain * errors[place]:
-                doubtful.append(instance.label)
-        return doubtful
-
 
 def _some(motions: Motions, every: int) -> Motions:
     """One window of so many, but no fewer than eight."""
     count = len(motions.windows)
     index = np.arange(0, count, max(1, min(every, count // 8)))
     return replace(motions, windows=motions.windows.take(index), loadings=motions.loadings[index])
-
-
-def _errors(model: FarOffModel, error: OutputError, end: Fitted, accuracy: float) -> Array:
-    """Standard errors (m,): of the data, of the physics step, and of the scale of all forces."""
-    found = np.zeros(len(model.theta))
-    variance = np.maximum(np.diag(error.covariance(end)), 0.0)
-    found[end.free] = np.hypot(np.sqrt(variance), error.change_by_step(end))
-    found = np.hypot(np.nan_to_num(found, nan=np.inf), accuracy * np.abs(_totals(model)))
-    found[: len(model.declared)] *= np.isin(np.arange(len(model.declared)), model.free)
-    return found
 
 
 def _totals(model: FarOffModel) -> Array:

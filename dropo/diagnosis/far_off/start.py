@@ -8,7 +8,7 @@ from dropo.core.contracts.effect import ActiveEffects, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.diagnosis.far_off.model import FarOffModel, reaching
+from dropo.diagnosis.far_off.model import GAIN, FarOffModel, reaching
 from dropo.diagnosis.regression.quick import (
     QuickSettings,
     estimate_missing,
@@ -18,8 +18,6 @@ from dropo.diagnosis.regression.quick import (
 from dropo.diagnosis.regression.wiring import wiring_faults
 from dropo.diagnosis.search.library import changed_parameters, declared, robot_of
 from dropo.mjmodel.robot_simulator import RobotSimulator
-
-GAIN = "actuator_gain"
 
 
 def start_of(

@@ -2,7 +2,7 @@
 distinguished from.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,14 +40,10 @@ class CauseSettings:
         Alternatives of a cause for which an experiment is looked for.
     patience : float
         The longest experiment that is proposed [s].
-    certain : float
-        Where standard errors were found elsewhere, an effect is a cause if its first magnitude is
-        so many of them away from 0.
     """
 
     experiments: int = 2
     patience: float = 600.0
-    certain: float = 3.0
 
 
 SETTINGS = CauseSettings()
@@ -63,6 +59,7 @@ def causes(
     settings: CauseSettings = SETTINGS,
     *,
     known: Array | None = None,
+    named: Collection[str] | None = None,
 ) -> tuple[Cause, ...]:
     """Summarize each accepted effect, in the order in which they were found.
 
@@ -84,8 +81,9 @@ def causes(
     settings : CauseSettings
         How much is said of alternatives.
     known : (m,) array, optional
-        Standard errors of all numbers, where they were found elsewhere. Effects that they do not
-        tell from nothing are left out.
+        Standard errors of all numbers, where they were found elsewhere.
+    named : collection of str, optional
+        The labels of the effects that are causes; all if None.
 
     Returns
     -------
@@ -99,9 +97,7 @@ def causes(
             deviations[last.free] = standard_errors(library, last)
     found = []
     for instance, (before, after) in zip(last.accepted, errors, strict=True):
-        estimates = estimate(library, last, instance, deviations)
-        first = next(iter(estimates.values()))
-        if known is not None and abs(first.value) < settings.certain * first.se:
+        if named is not None and instance.label not in named:
             continue
         own = reviews[instance.label]
         gain = gain_of(own.without.test, last.test)[0]
@@ -113,7 +109,7 @@ def causes(
             effect=instance.effect,
             target=instance.target,
             variant=instance.variant,
-            estimate=estimates,
+            estimate=estimate(library, last, instance, deviations),
             p_value=p_of(gain, count),
             held_out_gain=gain / steps,
             held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
