@@ -70,7 +70,8 @@ class SlidingBlock(ReplaySimulator):
             final = u / damping
             x = x + final * self.dt + (v - final) * (1 - decay) * mass / damping
             v = final + (v - final) * decay
-            out[:, j] = np.stack([x, v], axis=-1)
+            out[:, j, 0] = x
+            out[:, j, 1] = v
         return out
 
 

@@ -15,6 +15,9 @@ from scipy import special
 from dropo.core.services.validation import Array, check_shape, float_array, require
 
 
+_NUMPY = array_api_compat.array_namespace(np.empty(0))
+
+
 def is_tensor(x: Any) -> bool:
     """Return whether `x` is a torch tensor."""
     torch = sys.modules.get("torch")
@@ -34,8 +37,10 @@ def namespace(*arrays: Any) -> Any:
     module
         torch's if one of them is a tensor, else NumPy's; `einsum` is in both.
     """
-    tensors = [x for x in arrays if is_tensor(x)]
-    return array_api_compat.array_namespace(tensors[0] if tensors else np.empty(0))
+    for x in arrays:
+        if is_tensor(x):
+            return array_api_compat.array_namespace(x)
+    return _NUMPY
 
 
 def constant(x: Any, like: Any) -> Any:
