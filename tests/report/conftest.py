@@ -8,6 +8,7 @@ from dropo.cli.main import main
 from dropo.problems.file.writer import write_problem
 from dropo.report.build import write_report
 from tests.models.hidden_in_arm import problem
+from tests.models.shared import made_once
 
 EFFECTS = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 
@@ -15,21 +16,25 @@ EFFECTS = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 @pytest.fixture(scope="session")
 def fit_folder(tmp_path_factory):
     """Of `dropo fit hopper` on a few transitions."""
-    out = tmp_path_factory.mktemp("fit") / "run"
-    assert main(["fit", "hopper", "--transitions", "80", "--out", str(out), "--quiet"]) == 0
-    return out
+
+    def make(folder):
+        arguments = ["--transitions", "80", "--out", str(folder / "run"), "--quiet"]
+        assert main(["fit", "hopper", *arguments]) == 0
+
+    return made_once(tmp_path_factory, "fit", make) / "run"
 
 
 @pytest.fixture(scope="session")
 def diagnosis_folder(tmp_path_factory):
     """Of `dropo diagnose` on an arm whose elbow has more damping than its model."""
-    folder = tmp_path_factory.mktemp("diagnosis")
-    path = write_problem(problem([("joint_damping:elbow", [0.05])], episodes=8), folder / "problem")
-    out = folder / "run"
-    assert (
-        main(["diagnose", str(path), *EFFECTS, "--steps", "5", "--out", str(out), "--quiet"]) == 0
-    )
-    return out
+
+    def make(folder):
+        hidden = problem([("joint_damping:elbow", [0.05])], episodes=8)
+        path = write_problem(hidden, folder / "problem")
+        arguments = [*EFFECTS, "--steps", "5", "--out", str(folder / "run"), "--quiet"]
+        assert main(["diagnose", str(path), *arguments]) == 0
+
+    return made_once(tmp_path_factory, "diagnosis", make) / "run"
 
 
 @pytest.fixture(scope="session")
@@ -37,8 +42,6 @@ def unfinished_folder(tmp_path_factory):
     """A search by evaluations whose process was killed in the middle of a line of its evaluation
     log.
     """
-    whole = tmp_path_factory.mktemp("whole") / "run"
-    part = tmp_path_factory.mktemp("part")
     search = [
         "--likelihood",
         "monte-carlo",
@@ -49,20 +52,29 @@ def unfinished_folder(tmp_path_factory):
         "--budget",
         "60",
     ]
-    assert main(["fit", "slide", *search, "--out", str(whole), "--quiet"]) == 0
-    lines = (whole / "evaluations.jsonl").read_text().splitlines(keepends=True)
-    (part / "evaluations.jsonl").write_text("".join(lines[:5]) + lines[5][:20])
-    return part
+
+    def make(folder):
+        whole = folder / "whole"
+        part = folder / "part"
+        assert main(["fit", "slide", *search, "--out", str(whole), "--quiet"]) == 0
+        lines = (whole / "evaluations.jsonl").read_text().splitlines(keepends=True)
+        part.mkdir()
+        (part / "evaluations.jsonl").write_text("".join(lines[:5]) + lines[5][:20])
+
+    return made_once(tmp_path_factory, "unfinished", make) / "part"
 
 
 @pytest.fixture(scope="session")
 def pages(fit_folder, diagnosis_folder, unfinished_folder, tmp_path_factory):
     """The path of each folder's page."""
     folders = {"fit": fit_folder, "diagnosis": diagnosis_folder, "unfinished": unfinished_folder}
-    return {
-        kind: write_report(folder, tmp_path_factory.mktemp(kind) / "page.html")
-        for kind, folder in folders.items()
-    }
+
+    def make(folder):
+        for kind, of in folders.items():
+            write_report(of, folder / f"{kind}.html")
+
+    found = made_once(tmp_path_factory, "pages", make)
+    return {kind: found / f"{kind}.html" for kind in folders}
 
 
 @pytest.fixture
