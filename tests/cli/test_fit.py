@@ -22,7 +22,7 @@ from dropo.problems.loading import load
 
 SAMPLED = ("--likelihood", "monte-carlo", "--optimizer", "cma-es")
 SMALL = (*SAMPLED, "--draws", "10", "--budget", "60")
-LONG = (*SAMPLED, "--draws", "20", "--budget", "120")
+LONG = (*SAMPLED, "--draws", "20", "--budget", "80")
 
 
 def result(folder: Path) -> dict[str, Any]:

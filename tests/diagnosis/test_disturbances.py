@@ -29,8 +29,8 @@ def smooth():
     )
 
 
-def diagnosed(smooth, data, **settings):
-    return Diagnose(EFFECTS, length=10, windows=32, **settings).run(
+def diagnosed(smooth, data, windows=32, **settings):
+    return Diagnose(EFFECTS, length=10, windows=windows, **settings).run(
         Problem("pendulum", smooth[0], data)
     )
 
@@ -63,7 +63,7 @@ def test_pushes_are_listed_and_left_out(smooth, tmp_path):
     assert all(one["seconds"] == one["to"] - one["from"] for one in told["spans"])
     without = next(h.units["rad/s"][0] for h in found.extended.horizons if h.steps == 10)
     assert told["errors_with_them"]["extended"]["units"]["rad/s"]["rmse"] > without
-    off = diagnosed(smooth, data, disturbances=False)
+    off = diagnosed(smooth, data, windows=12, disturbances=False)
     assert off.disturbances is None
     assert len(off.problem.trajectories) == len(data)
 

@@ -9,30 +9,25 @@ from dropo.diagnosis.findings.figures import own_axis
 from dropo.diagnosis.search.invariance import regimes
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.windows import split
-from tests.models.hidden_in_arm import instance, problem
-
-SOME = (
-    "joint_damping",
-    "joint_friction",
-    "joint_stiffness",
-    "actuator_gain",
-    "actuator_delay",
-    "actuator_lag",
-)
+from tests.models.hidden_in_arm import SOME, instance, problem
 
 
 @pytest.fixture(scope="module")
-def damped():
-    """An arm whose elbow has more damping than its model."""
-    return Diagnose(SOME, length=5, windows=48).run(problem([("joint_damping:elbow", [0.05])]))
+def hidden():
+    """The data of an arm whose elbow has more damping than its model."""
+    return problem([("joint_damping:elbow", [0.05])])
 
 
 @pytest.fixture(scope="module")
-def proxy():
+def damped(hidden):
+    """The diagnosis of an arm whose elbow has more damping than its model."""
+    return Diagnose(SOME, length=5, windows=48).run(hidden)
+
+
+@pytest.fixture(scope="module")
+def proxy(hidden):
     """The same data, where only friction may be named."""
-    return Diagnose(("joint_friction",), length=5, windows=96).run(
-        problem([("joint_damping:elbow", [0.05])])
-    )
+    return Diagnose(("joint_friction",), length=5, windows=48).run(hidden)
 
 
 def test_candidates_are_the_searchs(damped):

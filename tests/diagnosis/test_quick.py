@@ -11,28 +11,11 @@ from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
 from dropo.problems.loading import load
-from dropo.problems.simulated.hidden import hide
-from dropo.studies.first_models.machines import (
-    DESIGNS,
-    built,
-    first_model,
-    problem_of,
-    random_machine,
-    recorded,
-)
 from dropo.studies.first_models.study import diagnosed
+from tests.models.first_models import problem_with, unknown_rotor
 
 TOLERANCE = 4.0
 """Standard errors that a number may be off by."""
-
-
-def problem_with(design, rng, **recording):
-    """A machine of random numbers, and its log with its first model."""
-    spec = first_model(DESIGNS[design])
-    machine = random_machine(DESIGNS[design], rng)
-    made = built(spec, machine)
-    data = recorded(made, DESIGNS[design].servos, machine.delay, rng, **recording)
-    return machine, problem_of(design, spec, data)
 
 
 @pytest.fixture(
@@ -136,8 +119,7 @@ def test_no_fault_where_joints_follow(plain):
 
 def test_built_in_effects_are_named():
     """Rotor inertia hidden in the torque arm, within its error."""
-    problem = hide("torque-arm", ["joint_armature:elbow=0.01"], seed=0, threads=1)
-    diagnosis = QuickDiagnose().run(problem)
+    diagnosis = QuickDiagnose().run(unknown_rotor())
     estimate = by_label(diagnosis)["joint_armature", "elbow"]["armature"]
     assert abs(estimate.value - 0.01) < TOLERANCE * estimate.se
     assert diagnosis.causes[0].effect == "joint_armature"

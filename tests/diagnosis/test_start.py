@@ -10,23 +10,18 @@ from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.regression.start import Start, start_of, wiring_warnings
+from dropo.diagnosis.search.library import instances_for
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
-from dropo.problems.simulated.hidden import hide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.studies.first_models.machines import (
-    DESIGNS,
-    built,
-    first_model,
-    problem_of,
-    random_machine,
-    recorded,
-)
+from dropo.studies.first_models.machines import problem_of
+from tests.models.first_models import recorded_machine, unknown_rotor
 
 WITHIN = 3.5
 """Standard errors that a number may be off by: of twelve, one in 200 logs is off by more."""
 DESIGN = "arm, 3 joints"
 SETTINGS = DiagnosisSettings()
+SOME = ("joint_armature", "joint_damping", "joint_friction", "actuator_gain", "body_mass")
 NONE = np.zeros(0, dtype=np.int64)
 
 
@@ -38,12 +33,7 @@ def started(problem, free=NONE):
 @pytest.fixture(scope="module")
 def recording():
     """A machine of random numbers, its first model, and its log."""
-    rng = np.random.default_rng(31)
-    design = DESIGNS[DESIGN]
-    machine = random_machine(design, rng)
-    spec = first_model(design)
-    data = recorded(built(spec, machine), design.servos, machine.delay, rng)
-    return machine, spec, data
+    return recorded_machine(DESIGN, np.random.default_rng(31))
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +41,7 @@ def diagnosis(recording):
     """The diagnosis of its first model."""
     _, spec, data = recording
     problem = with_velocities(problem_of(DESIGN, spec, data))
-    return Diagnose(windows=32).run(problem)
+    return Diagnose(windows=20, disturbances=False).run(problem)
 
 
 def test_every_number_is_found_by_simulation(recording, diagnosis):
@@ -102,12 +92,12 @@ def test_declared_parameters_take_what_they_stand_for(recording):
 
 def test_few_missing_numbers_are_left_to_the_search():
     """One hidden effect is no reason to begin with regression."""
-    assert started(hide("torque-arm", ["joint_armature:elbow=0.01"], seed=0, threads=1)) is None
+    assert started(unknown_rotor()) is None
 
 
 def test_a_regression_that_simulation_contradicts_is_forgotten(monkeypatch):
     """Absurd numbers to begin with: the search begins with the model as it is, and is right."""
-    problem = hide("torque-arm", ["joint_armature:elbow=0.01"], seed=0, threads=1)
+    problem = unknown_rotor()
     effects = instances_of(problem.simulator.effect_context, "joint_damping", "shoulder")
     absurd = Start(problem, {}, [(effects[0], np.array([0.9 * effects[0].quantities[0].high]))], {})
     begun = []
@@ -116,8 +106,12 @@ def test_a_regression_that_simulation_contradicts_is_forgotten(monkeypatch):
         begun.append(arguments)
         return absurd
 
+    def some(problem, effects, free):
+        return instances_for(problem, SOME if effects is None else effects, free)
+
     monkeypatch.setattr("dropo.diagnosis.diagnose.start_of", begins)
-    found = Diagnose(windows=24, disturbances=False).run(problem)
+    monkeypatch.setattr("dropo.diagnosis.diagnose.instances_for", some)
+    found = Diagnose(length=5, windows=24, disturbances=False).run(problem)
     assert [(one.effect, one.target) for one in found.causes] == [("joint_armature", "elbow")]
     assert len(begun) == 1
 

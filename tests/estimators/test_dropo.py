@@ -52,8 +52,8 @@ def few_fit():
 
 @cache
 def short_hopper_fit():
-    """The first 60 transitions of `hopper` on one thread."""
-    return DROPO().fit(hopper(1).using(transitions=60), rng=7)
+    """The first 40 transitions of `hopper` on one thread."""
+    return DROPO().fit(hopper(1).using(transitions=40), rng=7)
 
 
 def content(fit):
@@ -97,7 +97,7 @@ def test_noisy_hopper_is_found_within_errors():
     """Table 6.1 with noise: masses within 4.5 standard errors, themselves below 0.02 kg; a mass 0.1
     kg off would be rejected.
     """
-    fit = DROPO().fit(hopper_noisy().using(transitions=300))
+    fit = DROPO().fit(hopper_noisy().using(transitions=200))
     assert (np.abs(z_of_mean(fit, MASSES)) < 4.5).all()
     assert (fit.mean_se < 0.02).all()
     assert (np.abs(z_of_mean(fit, MASSES + 0.1)) > 4.5).all()
@@ -133,7 +133,7 @@ SKIPPED = {
         "reaches 0.01 nat with 3000 evaluations a round, ten times as long as all others together"
     ),
 }
-BUDGETS = {"cma-es": 500, "nlopt-crs2": 1000}
+BUDGETS = {"cma-es": 300, "nlopt-crs2": 1000}
 
 
 @pytest.mark.parametrize("optimizer", names("optimizers"))
@@ -408,7 +408,7 @@ def test_tuning_takes_the_smallest_acceptable_epsilon():
 
 def test_threads_do_not_change_the_fit():
     """Hopper on 1 and 2 threads: the same fit.json; another seed has another one."""
-    problem = hopper(2).using(transitions=60)
+    problem = hopper(2).using(transitions=40)
     assert content(DROPO().fit(problem, rng=7)) == content(short_hopper_fit())
     assert content(DROPO().fit(slide(), rng=1)) != content(slide_fit())
 
@@ -422,7 +422,7 @@ def test_an_interrupted_fit_goes_on_from_its_evaluation_log(tmp_path):
         if text.startswith("round 2"):
             raise KeyboardInterrupt
 
-    problem = hopper(1).using(transitions=60)
+    problem = hopper(1).using(transitions=40)
     stopped = DROPO().fit(
         problem,
         rng=7,

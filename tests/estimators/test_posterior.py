@@ -223,7 +223,7 @@ def test_gradient_samplers_give_the_conjugate_posterior(sampler):
 
 @pytest.mark.parametrize(
     ("sampler", "away"),
-    [(Emcee(steps=250, burn_in=100), 2.0), (PyroNuts(draws=80, warmup=40, chains=1), 15.0)],
+    [(Emcee(steps=250, burn_in=100), 2.0), (PyroNuts(draws=60, warmup=30, chains=1), 15.0)],
     ids=["emcee", "nuts"],
 )
 def test_a_prior_pulls_by_the_right_amount(sampler, away):
@@ -249,10 +249,10 @@ def test_a_prior_pulls_by_the_right_amount(sampler, away):
 def test_a_problem_brings_its_priors():
     """Over parameters as they are, over a distribution on the mean; the estimator's own first."""
     one = problem(epsilon=NOISE, priors={"x0": "normal(1.5, 1e-4)"})
-    fit = Posterior(sampler=Emcee(steps=200, burn_in=200)).fit(one, rng=1)
+    fit = Posterior(sampler=Emcee(steps=100, burn_in=100)).fit(one, rng=1)
     assert fit.mean[0] == pytest.approx(1.5, abs=1e-3)
     assert fit.sd[0] < 2e-4
-    own = Posterior(sampler=Emcee(steps=200, burn_in=200), priors={"x0": "normal(1.6, 1e-4)"}).fit(
+    own = Posterior(sampler=Emcee(steps=100, burn_in=100), priors={"x0": "normal(1.6, 1e-4)"}).fit(
         one, rng=1
     )
     assert own.mean[0] == pytest.approx(1.6, abs=1e-3)
@@ -284,7 +284,7 @@ def test_a_distribution_by_nuts_with_learned_noise():
         over="distribution",
         family="full",
         epsilon="learn",
-        sampler=PyroNuts(draws=50, warmup=40, chains=1),
+        sampler=PyroNuts(draws=40, warmup=30, chains=1),
     ).fit(one, rng=2)
     draws = fit.posterior.chain.reshape(-1, 7)
     names = fit.posterior.unknowns
@@ -295,7 +295,7 @@ def test_a_distribution_by_nuts_with_learned_noise():
         np.abs(draws[:, :4].mean(axis=0)) > 4.5 * draws[:, :4].std(axis=0)
     ).all()  # the control: they are not 0
     assert fit.epsilon == pytest.approx([0.01, 0.01], rel=0.5)
-    assert fit.posterior.row_log_likelihood.shape == (50, 1, 75)
+    assert fit.posterior.row_log_likelihood.shape == (40, 1, 75)
 
 
 def test_draws_that_reach_the_edge_of_a_local_model_are_told():
@@ -371,7 +371,7 @@ def test_posterior_on_a_local_likelihood_is_around_its_maximum():
     fit = Posterior(
         over="distribution",
         likelihood="random-effects",
-        sampler=Emcee(walkers=8, steps=50, burn_in=25),
+        sampler=Emcee(walkers=8, steps=40, burn_in=15),
     ).fit(problem)
     best = DROPO(likelihood="random-effects").fit(problem)
     assert (np.abs(fit.mean - best.mean) < 0.5 * best.mean_se).all()

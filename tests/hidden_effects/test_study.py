@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dropo import Diagnose
 from dropo.core.services.registry import find
 from dropo.diagnosis.parts import Alternative, Estimate
 from dropo.problems.simulated.robots import ROBOTS, simulated_robot
@@ -19,8 +20,10 @@ from dropo.studies.hidden_effects.study import (
 )
 
 
-def test_what_is_hidden_is_named():
-    """One effect of random kind, place and size."""
+def test_what_is_hidden_is_named(monkeypatch):
+    """One effect of random kind, place and size; with half as many windows as by default."""
+    fewer = lambda effects: Diagnose(effects, windows=48)
+    monkeypatch.setattr("dropo.studies.hidden_effects.study.Diagnose", fewer)
     found = run(["torque-arm", "one", 0])
     assert found["right"], found["said"]
     assert found["among"]

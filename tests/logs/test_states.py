@@ -23,6 +23,7 @@ XML = """<mujoco><option timestep="0.005"/><worldbody><body>
 <actuator><motor joint="shoulder"/></actuator></mujoco>"""
 STEP = 0.01
 SD = 5e-3
+ROWS = 100  # of each run
 KICKS = np.array([0.05, 0.02])  # N m in each step that the model knows nothing of
 
 
@@ -34,7 +35,7 @@ def simulator():
 
 @pytest.fixture(scope="module")
 def log(simulator):
-    """True states (302, 4) of two runs of 1.5 s, and trajectories of noisy positions with guessed
+    """True states (202, 4) of two runs of 1 s, and trajectories of noisy positions with guessed
     velocities.
     """
     rng = np.random.default_rng(0)
@@ -45,20 +46,20 @@ def log(simulator):
         data = mujoco.MjData(model)
         data.qpos = rng.uniform(-1, 1, 2)
         states = [np.concatenate([data.qpos, data.qvel])]
-        commands = np.cumsum(rng.normal(0, 0.1, 150))
+        commands = np.cumsum(rng.normal(0, 0.1, ROWS))
         for torque in commands:
             data.ctrl[0] = torque
             data.qfrc_applied = KICKS * rng.normal(size=2)
             mujoco.mj_step(model, data, 2)
             states.append(np.concatenate([data.qpos, data.qvel]))
         states = np.array(states)
-        seen = states[:, :2] + SD * rng.normal(size=(151, 2))
+        seen = states[:, :2] + SD * rng.normal(size=(ROWS + 1, 2))
         guess = np.concatenate(
-            [seen, estimate_velocities(STEP * np.arange(151), seen).velocities], axis=1
+            [seen, estimate_velocities(STEP * np.arange(ROWS + 1), seen).velocities], axis=1
         )
         truth.append(states)
         parts.append((guess[:-1], commands[:, None], guess[1:]))
-    ends = np.arange(300) % 150 == 149
+    ends = np.arange(2 * ROWS) % ROWS == ROWS - 1
     return np.concatenate(truth), Trajectories(
         *(np.concatenate(part) for part in zip(*parts, strict=True)), terminals=ends
     )
@@ -68,7 +69,7 @@ MEASURED = [True, True, False, False]
 
 
 def before(truth):
-    return np.concatenate([truth[:150], truth[151:301]])
+    return np.concatenate([truth[:ROWS], truth[ROWS + 1 : 2 * ROWS + 1]])
 
 
 def rms(errors):

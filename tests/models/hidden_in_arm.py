@@ -8,6 +8,15 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.simulated.recording import record
 from dropo.problems.simulated.robots import simulated_robot
 
+SOME = (
+    "joint_damping",
+    "joint_friction",
+    "joint_stiffness",
+    "actuator_gain",
+    "actuator_delay",
+    "actuator_lag",
+)
+"""Effects among which a search is quick."""
 UPPER = FieldParameter("upper_mass", 0.5, 2.0, "kg", field="body_mass", element="upper")
 
 

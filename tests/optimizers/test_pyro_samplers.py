@@ -40,12 +40,12 @@ def sample(sampler, density=gaussian, space=SPACE, seed=0, **settings):
 
 
 def test_nuts_keeps_to_the_contract():
-    check_sampler(PyroNuts(draws=150, warmup=50, chains=2))
+    check_sampler(PyroNuts(draws=120, warmup=40, chains=2))
 
 
 def test_svi_keeps_to_the_contract():
     """Both distributions of the check are Gaussian on the real line, where the guide is exact."""
-    check_sampler(PyroSvi(draws=500, steps=400, particles=2, learning_rate=0.3))
+    check_sampler(PyroSvi(draws=500, steps=250, particles=2, learning_rate=0.3))
 
 
 @pytest.mark.parametrize("sampler", SHORT.values(), ids=SHORT)
