@@ -12,7 +12,6 @@ from dropo.core.numerics.dependence import (
     variance_of_sum,
 )
 from dropo.core.numerics.robust_covariance import sandwich
-from dropo.core.records.independent_units import MANY, units_of
 from dropo.core.records.trajectories import Trajectories
 
 
@@ -30,27 +29,6 @@ def autoregression(rho, series, steps, rng):
     for t in range(1, steps):
         e[:, t] = rho * e[:, t - 1] + np.sqrt(1 - rho**2) * e[:, t]
     return e.ravel()
-
-
-def test_units_are_what_nothing_crosses():
-    """Trajectories where there are 20; unions of them where a group holds several; groups within
-    few; else time.
-    """
-    assert units_of(trajectories([3] * MANY).segments()).kind == "trajectories"
-    pairs = units_of(trajectories([3] * 2 * MANY, np.repeat(np.arange(MANY), 6)).segments())
-    assert (pairs.kind, pairs.count) == ("trajectories", MANY)
-    inside = units_of(trajectories([200], np.repeat(np.arange(MANY), 10)).segments())
-    assert (inside.kind, inside.count, inside.serial) == ("groups", MANY, False)
-    few = units_of(trajectories([30] * (MANY - 1)).segments())
-    assert (few.kind, few.count, few.serial) == ("time", MANY - 1, True)
-
-
-def test_rows_are_put_in_time_order():
-    """Rows of every step of segments, taken in another order, come back by trajectory and time."""
-    segments = trajectories([4, 6]).segments(2, every_step=True).take([4, 0, 3, 1, 2])
-    units = units_of(segments)
-    segment, step = segments.rows
-    np.testing.assert_array_equal(segments.steps[segment, step][units.order], np.arange(10))
 
 
 def test_independent_rows_give_the_classical_error():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from dropo.core.numerics.finite_differences import axial_design, difference_quotients
 from dropo.core.records.parameters import Parameter
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, SimulationFailed
@@ -77,14 +76,3 @@ def test_refusals():
         simulator().linearize_starts([0.3], data().segments(1), step=[0.1])
     with pytest.raises(SimulationFailed, match=r"diverged, .* xi = 0\.3"):
         simulator(exploding).linearize_starts([0.3], data().segments(1))
-
-
-def test_quotients_of_an_axial_design():
-    """x^2 + 3 y at (1, 1): 2 and 3, exact for central differences of uneven widths too where a
-    function is linear.
-    """
-    design = 1 + axial_design(np.array([0.1, 0.2]), np.array([-0.1, -0.4]))
-    values = (design[:, 0] ** 2 + 3 * design[:, 1])[:, None, None]
-    np.testing.assert_allclose(
-        difference_quotients(values, np.array([0.2, 0.6])), [[[2, 3]]], rtol=1e-12
-    )

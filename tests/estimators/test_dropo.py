@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Status
 from dropo.core.records.parameters import Parameter, ParameterSpace
@@ -18,7 +17,6 @@ from dropo.core.services.errors import BadArgument, Incompatible, SimulationFail
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.registry import names
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.support.epsilon import noise_scale
 from dropo.families.truncated_gaussian import SD as CUT_SD
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.monte_carlo import MonteCarlo
@@ -275,30 +273,6 @@ def test_learned_epsilon_stays_above_a_share_of_the_signal():
     assert (np.abs(fit.mean - MEAN) < 1e-3).all()
 
 
-def test_signals_that_do_not_vary_have_a_noise_scale():
-    """By the misfit in the middle of the box; the others by their own variance."""
-    problem = slide()
-    constant = problem.trajectories.next_observations * [1.0, 0.0] + [0.0, 0.3]
-    still = replace(problem, trajectories=replace(problem.trajectories, next_observations=constant))
-    scale = noise_scale(still, Run(still, np.random.default_rng(0)))
-    assert scale[0] == pytest.approx(np.var(constant[:, 0]), rel=1e-12)
-    assert scale[1] > 0
-
-
-def test_angles_of_zero_have_a_noise_scale():
-    """Rounding of 1e-17 is no variance: taken for one, no error of a rotation could be explained,
-    and a fit would follow it alone.
-    """
-    problem = slide()
-    rounded = problem.trajectories.next_observations * [1.0, 0.0] + 1e-17 * np.arange(
-        len(problem.trajectories)
-    )[:, None] * [0.0, 1.0]
-    turning = replace(
-        problem, trajectories=replace(problem.trajectories, next_observations=rounded)
-    )
-    assert noise_scale(turning, Run(turning, np.random.default_rng(0)))[1] > 1e-6
-
-
 def test_learned_epsilon_is_the_noise_of_each_signal():
     """16,400 rows tell a variance to 1.1 %: both found within 5 %, 4.5 standard errors; one common
     value would be 60 % off.
@@ -358,49 +332,6 @@ def test_without_epsilon_it_is_the_problems_or_learned():
         != [1e-6, 1e-6]
     )
     assert DROPO(epsilon=(1e-6, 2e-6)).fit(slide()).epsilon.tolist() == [1e-6, 2e-6]
-
-
-@cache
-def tuned(**settings):
-    """Ten pushes of one block, with noise of variance 1e-5."""
-    return DROPO(epsilon="tune", **settings).fit(pushes(3, noise=1e-5, sd=0.0, count=10))
-
-
-def test_tuning_epsilon_has_the_shape_of_figure_6_4():
-    """As epsilon rises to the noise, the total variance falls to none and the mean squared error to
-    its least.
-    """
-    table = tuned().noise_tuning.trials
-    assert [row.epsilon for row in table] == [10.0**k for k in range(-8, -1)]
-    variance, error = (
-        np.array([getattr(row, key) for row in table]) for key in ("total_variance", "mse")
-    )
-    assert (np.diff(variance[:4]) < 0).all()
-    assert variance[0] > 0.5
-    assert (variance[3:] < 1e-6).all()
-    assert (np.diff(error[:4]) < 0).all()
-    assert error[0] > 100 * error[3]
-    assert error[3] == pytest.approx(1e-5, rel=4.5 * np.sqrt(2 / 400))
-    assert int(np.argmax([row.log_likelihood for row in table])) == 3
-
-
-def test_tuning_takes_the_smallest_acceptable_epsilon():
-    """At most 1.1 times the least error without a threshold; the given threshold; and the least
-    error where none reaches it.
-    """
-    table = tuned().noise_tuning.trials
-    threshold = tuned().noise_tuning.mse_threshold
-    least = min(row.mse for row in table)
-    assert threshold == pytest.approx(1.1 * least, rel=1e-3)
-    assert tuned().epsilon[0] == min(row.epsilon for row in table if row.mse <= threshold)
-    strict = tuned(mse_threshold=1.001 * least, sweep=(1e-6, 1e-5, 1e-4))
-    assert strict.epsilon.tolist() == [1e-5, 1e-5]
-    assert strict.warnings == ()
-    never = tuned(mse_threshold=1e-9, sweep=(1e-7, 1e-5))
-    assert never.epsilon.tolist() == [1e-5, 1e-5]
-    assert never.warnings == (
-        "no epsilon of the sweep reaches the mean squared error 1e-09; the least is shown",
-    )
 
 
 # --- the same answer, always

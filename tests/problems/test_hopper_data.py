@@ -9,14 +9,10 @@ from dropo.core.services.errors import BadArgument
 from dropo.problems.hopper.data import (
     LinearPolicy,
     healthy,
-    hopper_policy,
-    observe,
     simulate,
-    start_states,
 )
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, TRUTH, hopper_model
 from dropo.problems.measured.external_data import find_data
-from dropo.simulators.mujoco.closed_loop import closed_loop
 
 MASSES = np.array(list(TRUTH.values()))
 
@@ -176,41 +172,3 @@ def test_a_fall_ends_a_trajectory_and_another_is_started():
     assert all(
         len(np.unique(fallen.trajectory[fallen.group == g])) == 1 for g in range(len(masses))
     )
-
-
-def test_closed_loop_equals_stepping_by_hand():
-    """Against a plain loop over mj_step with the same policy, and field values that change in
-    between.
-    """
-    model = hopper_model()
-    policy = hopper_policy()
-    rng = np.random.default_rng(5)
-    starts = start_states(rng, 2)
-    noise = rng.standard_normal((2, 12, 3))
-    fields = {"body_mass": model.body_mass * rng.uniform(0.9, 1.1, (2, 3, model.nbody))}
-    act = lambda states, ids, step: policy(observe(states), noise[ids, step])
-    runs = closed_loop(model, act, starts, 12, frame_skip=FRAME_SKIP, fields=fields, hold=5)
-    for i in range(2):
-        own = hopper_model()
-        state = mujoco.MjData(model)
-        state.qpos[:], state.qvel[:] = np.split(starts[i], 2)
-        for t in range(12):
-            own.body_mass[:] = fields["body_mass"][i, t // 5]
-            state.ctrl[:] = policy(np.r_[state.qpos[1:], state.qvel][None], noise[i : i + 1, t])[0]
-            np.testing.assert_array_equal(state.ctrl, runs.actions[i, t])
-            mujoco.mj_step(own, state, FRAME_SKIP)
-            np.testing.assert_array_equal(np.r_[state.qpos, state.qvel], runs.states[i, t + 1])
-
-
-def test_a_diverging_simulation_ends_and_spoils_no_other():
-    """MuJoCo itself would put it back to its initial state and go on."""
-    model = hopper_model()
-    starts = start_states(np.random.default_rng(6), 2)
-    starts[1, 6:] = 1e12
-    runs = closed_loop(
-        model, lambda states, ids, step: np.zeros((len(ids), 3)), starts, 5, frame_skip=FRAME_SKIP
-    )
-    np.testing.assert_array_equal(runs.lengths, [5, 0])
-    assert np.isfinite(runs.states[0]).all()
-    assert np.isnan(runs.states[1, 1:]).all()
-    assert np.isnan(runs.actions[1]).all()

@@ -7,8 +7,7 @@ from dropo.studies.engine.pages import picture
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import distribution_recovery, figure_6_2, figure_6_4, hopper_fits
 from dropo.studies.tiboni_2021.hopper_fits import fitted, item
-from dropo.studies.tiboni_2021.hopper_sets import MEAN, SPREAD, Size, data_set
-from dropo.studies.tiboni_2021.rows import over_data_sets, z_of
+from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size
 from dropo.studies.tiboni_2021.table_6_1 import table_6_1
 from dropo.studies.tiboni_2021.table_6_2 import table_6_2
 from dropo.studies.tiboni_2021.table_6_4 import light_torso, table_6_4
@@ -96,33 +95,6 @@ def test_figures(work, monkeypatch):
     assert sweep.data["chosen"].tolist() == [1e-5]
     for study in (distributions, sweep):
         assert "<svg" in picture(study.draw)
-
-
-def test_data_sets():
-    """Masses that vary by table, other ones with another seed; none in table 6.1."""
-    _, fixed = data_set("6.1", "clean", 0, 40)
-    np.testing.assert_array_equal(fixed, MEAN[None].repeat(len(fixed), axis=0))
-    _, drawn = data_set("6.3", "clean", 0, 1000)
-    assert drawn.shape == (100, 4)
-    np.testing.assert_allclose(
-        drawn.std(axis=0), SPREAD["6.3"], rtol=0.3
-    )  # four standard errors of a spread of 100
-    assert (drawn != data_set("6.3", "clean", 1, 1000)[1]).any()
-
-
-def test_z_and_errors():
-    """z is the error in standard errors, and the average over data sets is that of the errors."""
-    row = {
-        "mean": [1.0, 2, 3, 4],
-        "mean_se": [0.5, 0.5, np.nan, 1],
-        "drawn_mean": [0.0, 2, 3, 6],
-        "sd": [0.0] * 4,
-    }
-    np.testing.assert_allclose(z_of(row, "mean"), [2, 0, np.nan, -2])
-    other = {**row, "mean": [2.0, 2, 3, 4]}
-    table = over_data_sets("t", {"m": [row, other]})
-    assert table.rows[0] == ("m, mean m1", "+1.5e+00", "0.5", "1.6", "3.2", "2")
-    assert table.rows[2][-2:] == ("-", "0")
 
 
 def test_a_task_depends_on_its_item_alone():
