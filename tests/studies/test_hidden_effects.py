@@ -22,7 +22,7 @@ from dropo.studies.hidden_effects.study import (
 
 def test_what_is_hidden_is_named(monkeypatch):
     """One effect of random kind, place and size; with half as many windows as by default."""
-    fewer = lambda effects: Diagnose(effects, windows=48)
+    fewer = lambda effects=None, **more: Diagnose(effects, windows=48, **more)
     monkeypatch.setattr("dropo.studies.hidden_effects.study.Diagnose", fewer)
     found = run(["torque-arm", "one", 0])
     assert found["right"], found["said"]

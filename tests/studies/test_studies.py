@@ -89,9 +89,9 @@ def test_figures(work, monkeypatch):
     monkeypatch.setattr(figure_6_2, "EPSILON", {"clean": 1e-8})
     distributions = figure_6_2.figure_6_2(work, size=SMALL)
     assert [table.header[0] for table in distributions.tables] == ["m1", "m2", "m3", "m4"]
-    monkeypatch.setattr(figure_6_4, "SWEEP", (1e-6, 1e-5, 1e-4))
+    monkeypatch.setattr(figure_6_4, "SWEEP", (1e-5, 1e-4))
     sweep = figure_6_4.figure_6_4(work, 1, size=SMALL)
-    assert sweep.data["mse"].shape == (1, 3)
+    assert sweep.data["mse"].shape == (1, 2)
     assert sweep.data["chosen"].tolist() == [1e-5]
     for study in (distributions, sweep):
         assert "<svg" in picture(study.draw)

@@ -14,7 +14,6 @@ from scipy import special
 
 from dropo.core.services.validation import Array, check_shape, float_array, require
 
-
 _NUMPY = array_api_compat.array_namespace(np.empty(0))
 
 

@@ -158,12 +158,13 @@ class Emulator:
         """Return d basis / d value (K, M, d) at values (K, d), if these are the coordinates."""
         u = (values - self.centre) / self.width
         unit = np.eye(u.shape[1], dtype=np.int64)
+        single = NORMAL.orthonormal(u, max(1, int(self.indices.max())))
         slopes = []
         for i in range(u.shape[1]):
             # d He_n / du = sqrt(n) He_(n-1), orthonormal.
             factor = np.sqrt(np.maximum(self.indices[:, i], 0)) / self.width[i]
             lower = np.maximum(self.indices - unit[i], 0)
-            slopes.append(factor * products(u, lower))
+            slopes.append(factor * _multiplied(single, lower))
         return np.stack(slopes, axis=-1)
 
     def predict(self, values: Array) -> Array:
@@ -187,9 +188,13 @@ def products(
     -------
     (K, M) array or tensor
     """
-    single = distribution.orthonormal(u, max(1, int(indices.max())))  # (K, d, degree + 1)
+    return _multiplied(distribution.orthonormal(u, max(1, int(indices.max()))), indices)
+
+
+def _multiplied(single: Array, indices: NDArray[np.int64]) -> Array:
+    """Products (K, M) of the polynomials (K, d, degree + 1) of each parameter."""
     out = single[:, 0, indices[:, 0]]
-    for i in range(1, u.shape[1]):
+    for i in range(1, single.shape[1]):
         out = out * single[:, i, indices[:, i]]
     return out
 
