@@ -3,7 +3,7 @@
 The problem of the thesis' section 6.3.2.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import as_file, files
 
 import mujoco
@@ -263,8 +263,18 @@ def sliding(threads: int = 0, seed: int = 0) -> Problem:
     seed : int
         Seed of the data.
     """
-    latents_rng, noise_rng = np.random.default_rng([65, seed]).spawn(2)
-    data = record(latents_rng.standard_normal((TRAJECTORIES, 2)), noise_rng, threads)
     return Problem(
-        "sliding", sliding_simulator(threads), data, reset="start", truth=TRUTH, settings=SETTINGS
+        "sliding",
+        sliding_simulator(threads),
+        _data(seed),
+        reset="start",
+        truth=TRUTH,
+        settings=SETTINGS,
     )
+
+
+@lru_cache(maxsize=4)
+def _data(seed: int) -> Trajectories:
+    """The problem's data; a study asks for each set with every method."""
+    latents_rng, noise_rng = np.random.default_rng([65, seed]).spawn(2)
+    return record(latents_rng.standard_normal((TRAJECTORIES, 2)), noise_rng)

@@ -112,7 +112,9 @@ def strikes(
     speeds, directions = speed_and_direction(latents, settings)
     angles = []
     for speed, direction in zip(speeds, directions, strict=True):
-        angles.append(_strike(model, speed, direction, times, settings))
+        knots, at_knots = _strike(model, float(speed), float(direction), settings)
+        path = CubicSpline(knots, at_knots, bc_type="clamped")
+        angles.append(path(np.minimum(times, knots[-1])))
     return np.stack(angles)
 
 
@@ -144,14 +146,14 @@ def rest(model: mujoco.MjModel, settings: StrikeSettings = DEFAULT) -> Array:
     return angles
 
 
+@lru_cache(maxsize=1024)
 def _strike(
-    model: mujoco.MjModel,
-    speed: float,
-    direction: float,
-    times: Array,
-    settings: StrikeSettings,
-) -> Array:
-    """Joint angles (steps, 7) [rad] of one strike at times (steps,) [s]."""
+    model: mujoco.MjModel, speed: float, direction: float, settings: StrikeSettings
+) -> tuple[Array, Array]:
+    """Knots (k,) [s] of one strike and the joint angles (k, 7) [rad] there, read-only.
+
+    Studies ask for the same strikes again and again.
+    """
     # How long the blade speeds up, moves on at the speed, and brakes.
     run_up = 2 * settings.run_up / speed
     follow = settings.follow / speed
@@ -166,8 +168,9 @@ def _strike(
     away = settings.run_up - travelled
     positions, rotations = _poses(model.body("puck").pos, away, turned)
     angles = joint_path(model, "blade", positions, rotations, rest(model, settings))
-    path = CubicSpline(knots, angles, bc_type="clamped")
-    return np.asarray(path(np.minimum(times, knots[-1])))
+    for array in (knots, angles):
+        array.flags.writeable = False
+    return knots, angles
 
 
 def _smooth(fraction: Array) -> Array:
