@@ -17,14 +17,27 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 DURATIONS = Path(__file__).with_name("durations.json")
 """Test -> seconds, of those that took at least RECORDED; written by `--record-durations`."""
+ROOT = Path(__file__).resolve().parents[1]
 RECORDED = 0.2
 SLOW = 0.25
 """Seconds from which a test is slow: what is below it takes two cores about two minutes."""
 
 
+def recorded():
+    """The seconds of each test as they were written."""
+    return json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
+
+
+def file_of(test):
+    """The file of a test, from the root."""
+    return test.split("::")[0]
+
+
 def pytest_addoption(parser):
     parser.addoption(
-        "--record-durations", action="store_true", help="write tests/durations.json anew"
+        "--record-durations",
+        action="store_true",
+        help="write what the files that are run take to tests/durations.json",
     )
 
 
@@ -35,7 +48,7 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(config, items):
     """Mark what is slow; leave studies out unless the expression of -m names them."""
-    seconds = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
+    seconds = recorded()
     for item in items:
         if seconds.get(item.nodeid, 0.0) >= SLOW:
             item.add_marker(pytest.mark.slow)
@@ -46,7 +59,10 @@ def pytest_collection_modifyitems(config, items):
 
 
 class Recorder:
-    """Adds up what each test takes, with its set-up, and writes it at the end."""
+    """Adds up what each test takes, with its set-up, and writes it at the end.
+
+    Files that were not run keep what was written of them, if they are still there.
+    """
 
     def __init__(self):
         self.seconds = Counter()
@@ -55,5 +71,11 @@ class Recorder:
         self.seconds[report.nodeid] += report.duration
 
     def pytest_sessionfinish(self):
-        long = {name: round(s, 2) for name, s in sorted(self.seconds.items()) if s >= RECORDED}
-        DURATIONS.write_text(json.dumps(long, indent=0) + "\n")
+        run = {file_of(test) for test in self.seconds}
+        found = {
+            test: seconds
+            for test, seconds in recorded().items()
+            if file_of(test) not in run and (ROOT / file_of(test)).exists()
+        }
+        found |= {test: round(s, 2) for test, s in self.seconds.items() if s >= RECORDED}
+        DURATIONS.write_text(json.dumps(dict(sorted(found.items())), indent=0) + "\n")

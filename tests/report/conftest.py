@@ -64,17 +64,26 @@ def unfinished_folder(tmp_path_factory):
     return made_once(tmp_path_factory, "unfinished", make) / "part"
 
 
+class Pages:
+    """The path of each kind of folder's page, made when it is asked for.
+
+    So two workers that ask for pages of two kinds do not wait for each other.
+    """
+
+    def __init__(self, request, factory):
+        self.request = request
+        self.factory = factory
+
+    def __getitem__(self, kind):
+        folder = self.request.getfixturevalue(f"{kind}_folder")
+        page = lambda place: write_report(folder, place / "page.html")
+        return made_once(self.factory, f"page_of_{kind}", page) / "page.html"
+
+
 @pytest.fixture(scope="session")
-def pages(fit_folder, diagnosis_folder, unfinished_folder, tmp_path_factory):
-    """The path of each folder's page."""
-    folders = {"fit": fit_folder, "diagnosis": diagnosis_folder, "unfinished": unfinished_folder}
-
-    def make(folder):
-        for kind, of in folders.items():
-            write_report(of, folder / f"{kind}.html")
-
-    found = made_once(tmp_path_factory, "pages", make)
-    return {kind: found / f"{kind}.html" for kind in folders}
+def pages(request, tmp_path_factory):
+    """The pages by their kinds: "fit", "diagnosis" and "unfinished"."""
+    return Pages(request, tmp_path_factory)
 
 
 @pytest.fixture
