@@ -55,7 +55,7 @@ class OutputErrorSettings:
     """
 
     knee: float = 2.5
-    jacobians: int = 6
+    jacobians: int = 5
     tolerance: float = 1e-4
     enough: float = 0.2
     chords: int = 3
@@ -189,7 +189,7 @@ class OutputError:
         """What rows are multiplied with, so that their squares are those of the robust cost."""
         return np.asarray((1 + (whitened / self.settings.knee) ** 2) ** -0.25)
 
-    def fit(self, theta: Array, free: Ints) -> Fitted:
+    def fit(self, theta: Array, free: Ints) -> Array:
         """Fit some numbers, from where they are.
 
         Parameters
@@ -201,20 +201,19 @@ class OutputError:
 
         Returns
         -------
-        Fitted
-            Linearized where the fit ends.
+        (m,) array
+            All numbers, where the fit ends.
         """
-        settings = self.settings
-        fitted = self.linearize(theta, free)
-        for _ in range(settings.jacobians - 1):
-            theta, gain = self._steps(fitted)
-            if gain == 0.0:
-                break
-            small = gain < max(settings.enough, settings.tolerance * fitted.cost)
+        for _ in range(self.settings.jacobians):
             fitted = self.linearize(theta, free)
-            if small:
+            theta, gain = self._steps(fitted)
+            if gain <= self._small(fitted.cost):
                 break
-        return fitted
+        return theta
+
+    def _small(self, cost: float) -> float:
+        """The gain from which a fit has ended [nats]."""
+        return max(self.settings.enough, self.settings.tolerance * cost)
 
     def _steps(self, fitted: Fitted) -> tuple[Array, float]:
         """Where a few steps by one Jacobian lead, and what they gain [nats]."""
@@ -233,8 +232,7 @@ class OutputError:
             theta = steps[best]
             cost -= gain
             target = self._weights(whitened[best]) * whitened[best]
-            small = max(settings.enough, settings.tolerance * fitted.cost)
-            if gain < max(small, settings.sufficient * promised):
+            if gain < max(self._small(fitted.cost), settings.sufficient * promised):
                 break
         return theta, fitted.cost - cost
 

@@ -15,7 +15,7 @@ from dropo.diagnosis.search.selection import Progress
 KNOWN = 1e-6
 """Standard deviation of a scale that is known."""
 
-ROUGH = OutputErrorSettings(jacobians=4, tolerance=0.02)
+ROUGH = OutputErrorSettings(jacobians=3, tolerance=0.01)
 """Enough to begin with."""
 
 
@@ -56,13 +56,13 @@ class FarOffSettings:
     laws: tuple[str, ...] = ("joint_friction", "joint_damping", "joint_armature")
     families: tuple[tuple[str, ...], ...] = (
         (
-            "actuator_gain",
             "actuator_bias",
             "joint_friction",
             "joint_damping",
             "joint_armature",
             "joint_load_friction",
         ),
+        ("actuator_gain",),
         ("actuator_lag",),
     )
     misfit: float = 3.0
@@ -135,7 +135,7 @@ class FarOffSearch:
         fitted, held_out = motions_of(model.problem, model.library, model.theta, settings.motions)
         length = fitted.windows.length
         self.progress(0.15, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
-        model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)[0]
+        model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)
         for number, names in enumerate(settings.families):
             if not self._is_misfit(model, fitted):
                 break
@@ -143,16 +143,18 @@ class FarOffSearch:
             if more is model:
                 continue
             count = len(more.fitted)
-            self.progress(0.3 + 0.2 * number, f"fitting {count} numbers: {', '.join(names)}")
-            more = self._fit(more, _some(fitted, settings.rough), settings.rough_fit)[0]
+            self.progress(0.3 + 0.1 * number, f"fitting {count} numbers: {', '.join(names)}")
+            more = self._fit(more, _some(fitted, settings.rough), settings.rough_fit)
             if self._is_better(more, model, held_out):
                 model = more
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to all windows")
-        model, error, end = self._fit(model, fitted)
-        end = error.linearize(end.theta, end.free, central=True)
-        errors = self._errors(model, error, end, settings.scale)
+        model = self._fit(model, fitted, settings.fit)
+        error = OutputError(model.library, fitted, settings.fit)
+        end = error.linearize(model.theta, model.fitted, central=True)
+        step = error.change_by_step(end)
+        errors = self._errors(model, error, end, step, settings.scale)
         # What a number is beside the others does not depend on the scale of all forces.
-        beside = self._errors(model, error, end, KNOWN)
+        beside = self._errors(model, error, end, step, KNOWN)
         without = {
             instance.label: _theta_without(model, end, [instance.label])
             for instance, _ in model.numbers
@@ -160,16 +162,18 @@ class FarOffSearch:
         return Explained(model, errors, self._certain(model, errors, beside), without, length)
 
     def _fit(
-        self, model: FarOffModel, motions: Motions, fit: OutputErrorSettings | None = None
-    ) -> tuple[FarOffModel, OutputError, Fitted]:
-        """A model's numbers fitted to motions."""
-        error = OutputError(model.library, motions, fit or self.settings.fit)
-        end = error.fit(model.theta, model.fitted)
-        return model.at(end.theta), error, end
+        self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings
+    ) -> FarOffModel:
+        """A model with its numbers fitted to motions."""
+        error = OutputError(model.library, motions, settings)
+        return model.at(error.fit(model.theta, model.fitted))
 
-    def _errors(self, model: FarOffModel, error: OutputError, end: Fitted, scale: float) -> Array:
+    def _errors(
+        self, model: FarOffModel, error: OutputError, end: Fitted, step: Array, scale: float
+    ) -> Array:
         """Standard errors (m,): of the data, of the physics step, and of the model's own scale.
 
+        step: (f,) what the physics step makes of what was fitted.
         scale: standard deviation of what is known of the drives' gains.
         """
         totals = _totals(model)
@@ -180,7 +184,7 @@ class FarOffSearch:
                 prior[place] = 1 / (scale * totals[place]) ** 2
         found = np.zeros(len(totals))
         variance = np.maximum(np.diag(error.covariance(end, prior[end.free])), 0.0)
-        found[end.free] = np.hypot(np.sqrt(variance), error.change_by_step(end))
+        found[end.free] = np.hypot(np.sqrt(variance), step)
         found[end.free] = np.hypot(found[end.free], self.settings.accuracy * totals[end.free])
         # What the data do not tell is anywhere within its bounds.
         space = model.library.simulator.space
