@@ -6,10 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import Progress, computing_options, printing_options, show, whole
+from dropo.cli.folder import RunFolder, run_folder
+from dropo.cli.output import Progress, computing_options, printing_options, show_and_save, whole
 
 if TYPE_CHECKING:
     from dropo.core.contracts.problem import Problem
+    from dropo.diagnosis.regression.result import QuickDiagnosis
+    from dropo.diagnosis.result import Diagnosis
 
 
 def add(commands: Any) -> None:
@@ -92,35 +95,47 @@ def run(arguments: argparse.Namespace) -> int:
     InvalidInput
         If the input is refused; nothing is written then.
     """
-    from dropo.core.services.errors import BadFile
+    _refuse_with_quick(arguments)
+    with run_folder(arguments.out) as folder:
+        return _run(arguments, folder)
+
+
+def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
+    """Diagnose, print and save; the exit status."""
+    from dropo.cli.record import diagnosis_record, keep_for_report
+    from dropo.problems.file.writer import write_problem
+
+    problem = _problem(arguments)
+    folder.begin(diagnosis_record(arguments, problem))
+    found = _diagnosis(arguments, problem)
+
+    def save() -> None:
+        if arguments.out is not None:
+            found.save(arguments.out)
+            if found.causes:
+                write_problem(found.problem, arguments.out / "extended")
+            keep_for_report(arguments, None)
+
+    show_and_save(arguments, found, found.to_json(), save)
+    return 0
+
+
+def _diagnosis(arguments: argparse.Namespace, problem: "Problem") -> "Diagnosis | QuickDiagnosis":
+    """What a search by simulation finds, or with --quick a regression alone."""
+    if arguments.quick:
+        from dropo.diagnosis.regression.quick import QuickDiagnose
+
+        return QuickDiagnose().run(problem)
     from dropo.diagnosis.diagnose import Diagnose
 
-    if arguments.out is not None and arguments.out.exists() and not arguments.out.is_dir():
-        raise BadFile(arguments.out, "--out", "a folder", "a file")
-    _refuse_with_quick(arguments)
-    problem = _problem(arguments)
-    if arguments.quick:
-        return _run_quick(arguments, problem)
     progress = Progress(silent=arguments.quiet)
     try:
         diagnose = Diagnose(
             arguments.effects, length=arguments.steps, disturbances=arguments.disturbances == "auto"
         )
-        found = diagnose.run(problem, rng=arguments.seed, progress=progress)
+        return diagnose.run(problem, rng=arguments.seed, progress=progress)
     finally:
         progress.close()
-    if arguments.out is not None:
-        from dropo.cli.record import diagnosis_record, keep_for_report
-        from dropo.core.services.atomic_write import write_json
-        from dropo.problems.file.writer import write_problem
-
-        if found.causes:
-            write_problem(found.problem, arguments.out / "extended")
-        found.save(arguments.out)
-        write_json(arguments.out / "run.json", diagnosis_record(arguments, problem))
-        keep_for_report(arguments, None)
-    show(arguments, found, found.to_json())
-    return 0
 
 
 def _refuse_with_quick(arguments: argparse.Namespace) -> None:
@@ -134,23 +149,6 @@ def _refuse_with_quick(arguments: argparse.Namespace) -> None:
                 f"{option} belongs to the search by simulation, which --quick leaves out. Leave "
                 f"out one of the two. Got {option} {value}."
             )
-
-
-def _run_quick(arguments: argparse.Namespace, problem: "Problem") -> int:
-    """Diagnose by regression alone, save and print."""
-    from dropo.cli.record import diagnosis_record
-    from dropo.core.services.atomic_write import write_json
-    from dropo.diagnosis.regression.quick import QuickDiagnose
-    from dropo.problems.file.writer import write_problem
-
-    found = QuickDiagnose().run(problem)
-    if arguments.out is not None:
-        found.save(arguments.out)
-        if found.causes:
-            write_problem(found.problem, arguments.out / "extended")
-        write_json(arguments.out / "run.json", diagnosis_record(arguments, problem))
-    show(arguments, found, found.to_json())
-    return 0
 
 
 def _problem(arguments: argparse.Namespace) -> "Problem":

@@ -1,23 +1,16 @@
 """`dropo fit`: fits the distribution of a problem's parameters."""
 
 import argparse
-import json
 import math
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import Progress, computing_options, printing_options, show, whole
+from dropo.cli.folder import RunFolder, run_folder
+from dropo.cli.output import Progress, computing_options, printing_options, show_and_save, whole
 
 if TYPE_CHECKING:
-    from dropo.core.contracts.estimator import Estimator
     from dropo.core.contracts.problem import Problem
-    from dropo.core.records.fit import Fit
-    from dropo.core.services.evaluation_log import EvaluationLog
     from dropo.data.outliers.disturbances import Span
 
 NAMED = {"likelihood": "likelihoods", "optimizer": "optimizers", "family": "families"}
@@ -125,6 +118,12 @@ def run(arguments: argparse.Namespace) -> int:
     InvalidInput
         If the problem, a setting or the folder is refused; nothing is written then.
     """
+    with run_folder(arguments.out) as folder:
+        return _run(arguments, folder)
+
+
+def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
+    """Fit, print and save; the exit status."""
     from dropo.cli.record import keep_for_report, run_record
     from dropo.core.contracts.fit_by_name import estimator_for
     from dropo.core.records.fit import Status
@@ -141,62 +140,26 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.length == AUTO:
         estimator = ChooseHorizon(estimator)
         record = {**record, "lambda": AUTO}
-    check_folder(arguments.out, record)
-    path = arguments.out / "evaluations.jsonl" if arguments.out else None
-    evaluation_log = EvaluationLog(path, record)
-    fit = _fit(arguments, estimator, problem, evaluation_log)
+    folder.begin(record)
+    evaluation_log = EvaluationLog(folder.file("evaluations.jsonl"), record)
+    progress = Progress(silent=arguments.quiet)
+    try:
+        fit = estimator.fit(
+            problem, rng=arguments.seed, evaluation_log=evaluation_log, progress=progress
+        )
+    finally:
+        progress.close()
     if spans:
         excluded = tuple(ExcludedSpan.from_json(span.to_json()) for span in spans)
         fit = replace(fit, excluded=ExcludedSpans(excluded))
-    if arguments.out:
-        _save(arguments.out, fit, record)
-        keep_for_report(arguments, predict(problem, fit))
-    show(arguments, fit, fit.to_json())
+
+    def save() -> None:
+        if arguments.out is not None:
+            fit.save(arguments.out)
+            keep_for_report(arguments, predict(problem, fit))
+
+    show_and_save(arguments, fit, fit.to_json(), save)
     return 1 if fit.status is Status.INTERRUPTED else 0
-
-
-def _fit(
-    arguments: argparse.Namespace,
-    estimator: "Estimator",
-    problem: "Problem",
-    evaluation_log: "EvaluationLog",
-) -> "Fit":
-    """The fit, with progress; a refused run leaves nothing behind."""
-    from dropo.core.services.errors import InvalidInput
-
-    folder_is_new = arguments.out is not None and not arguments.out.exists()
-    progress = Progress(silent=arguments.quiet)
-    try:
-        with terminable():
-            return estimator.fit(
-                problem, rng=arguments.seed, evaluation_log=evaluation_log, progress=progress
-            )
-    except InvalidInput:
-        if evaluation_log.path is not None and evaluation_log.replayed == 0:
-            _remove(evaluation_log.path, folder_is_new)
-        raise
-    finally:
-        progress.close()
-
-
-def _remove(evaluation_log: Path, folder_too: bool) -> None:
-    """Remove the evaluation log of a refused run, and its folder if that is new and empty."""
-    evaluation_log.unlink(missing_ok=True)
-    if folder_too and evaluation_log.parent.is_dir() and not any(evaluation_log.parent.iterdir()):
-        evaluation_log.parent.rmdir()
-
-
-@contextmanager
-def terminable() -> Iterator[None]:
-    """Let SIGTERM end the work inside a block like Ctrl-C, with the best result so far."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _without_disturbances(
@@ -231,48 +194,6 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
     problem = problem.using(transitions=arguments.transitions, horizon=horizon)
     too_short = [finding.sentence for finding in shorter_than_lambda(problem)]
     return replace(problem, warnings=(*problem.warnings, *too_short))
-
-
-def check_folder(folder: Path | None, record: dict[str, Any]) -> None:
-    """Refuse a folder that holds another run's result.
-
-    Parameters
-    ----------
-    folder : Path or None
-        Where the result is to be written; None: nowhere.
-    record : dict
-        What this run is.
-
-    Raises
-    ------
-    BadFile
-        If the path is no folder, or holds the record of another run.
-    """
-    from dropo.core.services.errors import BadFile
-
-    if folder is None:
-        return
-    if folder.exists() and not folder.is_dir():
-        raise BadFile(folder, "--out", "a folder", "a file")
-    path = folder / "run.json"
-    if not path.is_file():
-        return
-    try:
-        before = json.loads(path.read_text())
-    except ValueError:
-        raise BadFile(path, "", "what `dropo fit` wrote", "a file that is not JSON") from None
-    differ = sorted(key for key in {*record, *before} if record.get(key) != before.get(key))
-    if differ:
-        got = "those of another run (use another --out, or the settings of that run)"
-        raise BadFile(path, ", ".join(differ), "the settings of this run", got)
-
-
-def _save(folder: Path, fit: "Fit", record: dict[str, Any]) -> None:
-    """Write run.json, then fit.json and fit.npz; each appears whole or not at all."""
-    from dropo.core.services.atomic_write import write_json
-
-    write_json(folder / "run.json", record)
-    fit.save(folder)
 
 
 def _epsilon(text: str) -> float | str:

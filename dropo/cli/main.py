@@ -5,14 +5,18 @@ A command imports what it needs when it runs, so that `--help` is quick.
 
 import argparse
 import shlex
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 import dropo
 from dropo._version import __version__
 from dropo.cli import data, diagnose, evaluate, fit, recover, report, schema, train
 from dropo.cli import list as list_
+from dropo.cli.output import close_standard_output, open_standard_streams
 from dropo.core.services.errors import BadArgument, DropoError, InvalidInput
 
 DONE = 0
@@ -40,18 +44,49 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         The exit status: 0 done, 1 failed, 2 refused with nothing written.
     """
+    open_standard_streams()
     try:
-        arguments = _parser().parse_args(argv)
-        arguments.command_line = shlex.join(["dropo", *(sys.argv[1:] if argv is None else argv)])
-        return int(arguments.run(arguments))
-    except SystemExit as stop:  # --help and --version
-        return int(stop.code or DONE)
+        status = _run(argv)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # whoever reads the output has read enough
+        close_standard_output()
+        return DONE
     except InvalidInput as error:
         return _fail(str(error), REFUSED)
     except DropoError as error:
         return _fail(str(error), FAILED)
+    except OSError as error:
+        close_standard_output()
+        return _fail(_describe(error), FAILED)
+    except MemoryError as error:
+        return _fail(f"Out of memory. {error}".strip(), FAILED)
     except KeyboardInterrupt:
         return _fail("Interrupted before there was a result.", FAILED)
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    """The exit status of one command."""
+    try:
+        arguments = _parser().parse_args(argv)
+    except SystemExit as stop:  # --help and --version
+        return int(stop.code or DONE)
+    arguments.command_line = shlex.join(["dropo", *(sys.argv[1:] if argv is None else argv)])
+    with _terminable():
+        return int(arguments.run(arguments))
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM end the work inside a block like Ctrl-C, with the best result so far."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -64,9 +99,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _describe(error: OSError) -> str:
+    """What the system refused, and of which file."""
+    reason = error.strerror or str(error) or type(error).__name__
+    return f"{error.filename}: {reason}." if error.filename else f"{reason}."
+
+
 def _fail(message: str, status: int) -> int:
     """Print a message on standard error, in one line."""
-    print(f"dropo: {' '.join(message.split())}", file=sys.stderr)
+    with suppress(OSError):  # where standard error is full, the status alone tells
+        print(f"dropo: {' '.join(message.split())}", file=sys.stderr, flush=True)
     return status
 
 

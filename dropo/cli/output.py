@@ -1,10 +1,13 @@
 """What commands print: results on standard output, progress and warnings on standard error."""
 
 import argparse
+import io
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TextIO
 
 SOON = 0.02
@@ -92,6 +95,47 @@ def _bar(stream: TextIO) -> Any:
     return Bar(*columns, console=Console(file=stream), transient=True, expand=True)
 
 
+def open_standard_streams() -> None:
+    """Make both streams take any character, and open those that were closed on nothing.
+
+    Without this a table with a Greek letter fails where the locale is C, and a file that is opened
+    takes the place of a closed stream.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def close_standard_output() -> None:
+    """Send what is left for standard output nowhere, since it cannot be written any more."""
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+    with suppress(OSError, ValueError), open(os.devnull, "w") as nowhere:  # noqa: PTH123
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+def show_and_save(
+    arguments: argparse.Namespace, result: object, content: Any, save: Callable[[], None]
+) -> None:
+    """Print a result, then save it: what cannot be saved was printed, what cannot be printed is
+    saved.
+
+    Parameters
+    ----------
+    arguments, result, content
+        As `show` has them.
+    save : callable
+        Writes the result, where it is to be written.
+    """
+    try:
+        show(arguments, result, content)
+    finally:
+        save()
+
+
 def show(arguments: argparse.Namespace, result: object, content: Any) -> None:
     """Print a result: as JSON with --json, nothing with --quiet, else as text.
 
@@ -111,6 +155,7 @@ def show(arguments: argparse.Namespace, result: object, content: Any) -> None:
             _draw(result)
         else:
             print(result)
+    sys.stdout.flush()
 
 
 def _draw(result: object) -> None:

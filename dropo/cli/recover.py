@@ -1,11 +1,12 @@
 """`dropo recover`: runs a study and prints its tables."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.fit import terminable
-from dropo.cli.output import Progress, computing_options, printing_options, show, whole
+from dropo.cli.folder import run_folder
+from dropo.cli.output import Progress, computing_options, printing_options, show_and_save, whole
 
 
 def add(commands: Any) -> None:
@@ -66,12 +67,12 @@ def run(arguments: argparse.Namespace) -> int:
         If the study was interrupted.
     """
     from dropo.core.services.errors import DropoError
-    from dropo.studies.engine.recover import recover
+    from dropo.studies.engine.recover import keep_study, run_study
 
     progress = Progress(silent=arguments.quiet)
     try:
-        with terminable():
-            study = recover(
+        with run_folder(arguments.out):
+            study = run_study(
                 arguments.study,
                 seeds=arguments.seeds,
                 published=arguments.published,
@@ -80,6 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
                 threads=arguments.threads,
                 progress=progress,
             )
+            show_and_save(
+                arguments, study, study.to_json(), partial(keep_study, study, arguments.out)
+            )
     except KeyboardInterrupt:
         kept = "Interrupted: with --out, a study can be resumed."
         if arguments.out:
@@ -87,5 +91,4 @@ def run(arguments: argparse.Namespace) -> int:
         raise DropoError(kept) from None
     finally:
         progress.close()
-    show(arguments, study, study.to_json())
     return 0

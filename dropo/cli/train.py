@@ -2,11 +2,11 @@
 
 import argparse
 import hashlib
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.fit import check_folder, terminable, variance
+from dropo.cli.fit import variance
+from dropo.cli.folder import RunFolder, run_folder
 from dropo.cli.output import Progress, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
@@ -101,7 +101,13 @@ def run(arguments: argparse.Namespace) -> int:
     DropoError
         If training was interrupted.
     """
-    from dropo.core.services.errors import DropoError, InvalidInput
+    with run_folder(arguments.out) as folder:
+        return _run(arguments, folder)
+
+
+def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
+    """Train, save, evaluate and print; the exit status."""
+    from dropo.core.services.errors import DropoError
     from dropo.training.environments import resolve
     from dropo.training.evaluate import Compared, broken, evaluate
     from dropo.training.train import train
@@ -109,26 +115,23 @@ def run(arguments: argparse.Namespace) -> int:
     target = resolve(arguments.problem)
     algorithm = _algorithm(arguments)
     distribution = _distribution(arguments, target)
-    record = _record(arguments, target, algorithm)
-    check_folder(arguments.out, record)
+    folder.begin(_record(arguments, target, algorithm))
     options: dict[str, Any] = {
         "noise": arguments.noise,
         "steps": arguments.steps,
         "threads": arguments.threads,
     }
     progress = Progress(silent=arguments.quiet)
-    new = _keep(arguments.out, record)
     try:
-        with terminable():
-            policy = train(
-                target,
-                distribution,
-                algorithm,
-                rng=arguments.seed,
-                out=arguments.out,
-                progress=progress,
-                **options,
-            )
+        policy = train(
+            target,
+            distribution,
+            algorithm,
+            rng=arguments.seed,
+            out=arguments.out,
+            progress=progress,
+            **options,
+        )
     except KeyboardInterrupt:
         kept = (
             "the same command goes on from here"
@@ -136,10 +139,6 @@ def run(arguments: argparse.Namespace) -> int:
             else "with --out, training can be resumed"
         )
         raise DropoError(f"Interrupted: {kept}.") from None
-    except InvalidInput:
-        for made in new:
-            made.rmdir() if made.is_dir() else made.unlink()
-        raise
     finally:
         progress.close()
     path = None if arguments.out is None else policy.save(arguments.out)
@@ -194,14 +193,17 @@ def _refuse_other_model(folder: Path, target: Any) -> None:
     """Refuse a fit of another model: it says little about this one."""
     from dropo.cli.record import model_sum
     from dropo.core.contracts.problem import Problem
+    from dropo.core.records.saved_schema import SavedRun
     from dropo.core.services.errors import Incompatible
+    from dropo.core.services.file_schema import read_saved
     from dropo.mjmodel.robot_simulator import RobotSimulator
 
     if not isinstance(target, Problem) or not isinstance(target.simulator, RobotSimulator):
         return
-    if not (folder / "run.json").is_file():
+    path = folder / "run.json"
+    if not path.is_file():
         return
-    before = json.loads((folder / "run.json").read_text())
+    before = read_saved(path, SavedRun, "what a run of dropo decided")
     if before.get("model_sha256") not in (None, model_sum(target.simulator.model)):
         raise Incompatible(
             f"The fit in {folder} is of another model, that of {before.get('problem')!r}: "
@@ -234,17 +236,3 @@ def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") 
         "version": __version__,
         **of_target,
     }
-
-
-def _keep(folder: Path | None, record: dict[str, Any]) -> list[Path]:
-    """Write run.json, so that no other training resumes this one; return what is new.
-
-    The folder comes last.
-    """
-    from dropo.core.services.atomic_write import write_json
-
-    if folder is None:
-        return []
-    new = [path for path in (folder / "run.json", folder) if not path.exists()]
-    write_json(folder / "run.json", record)
-    return new

@@ -1,9 +1,7 @@
 """Reads measured transitions: NPZ archives, folders of NPY files, Minari data sets, or several."""
 
 import importlib
-import zipfile
-from collections.abc import Callable, Iterable, Sequence, Set
-from functools import partial
+from collections.abc import Iterable, Sequence, Set
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadFile
+from dropo.core.services.saved_files import NPZ, names_in_npz, read_npy, read_npz
 from dropo.core.services.validation import Array
 
 NEEDED = ("observations", "actions", "terminals")
@@ -283,36 +282,12 @@ def _load(source: Source, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
 
 def _archive(path: Path, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
     """The arrays of an .npz file, and the names of others."""
-    expected = "an .npz file, as numpy.savez writes it"
-    if path.stat().st_size == 0:
-        raise BadFile(path, "", expected, "an empty file")
-    arrays: Arrays = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = [name.removesuffix(".npy") for name in archive.namelist()]
-        with np.load(path, allow_pickle=False) as content:
-            for name in names:
-                if name in keys:
-                    arrays[name] = _member(path, name, partial(content.__getitem__, name))
-    except (zipfile.BadZipFile, OSError, EOFError) as error:
-        raise BadFile(path, "", expected, f"a file that cannot be read as one ({error})") from None
-    return arrays, _others(names)
+    return read_npz(path, NPZ, keys), _others(names_in_npz(path, NPZ))
 
 
 def _others(names: Iterable[str]) -> list[str]:
     """The names of arrays that are not read unasked."""
     return [name for name in names if name not in KEYS]
-
-
-def _member(source: Source, key: str, load: Callable[[], object]) -> NDArray[Any]:
-    """An array that is loaded, refused where it is none of numbers."""
-    try:
-        return np.asarray(load())
-    except ValueError as error:
-        got = str(error).strip().removesuffix(".")
-        if "pickle" in got:
-            got = "an array of Python objects"
-        raise BadFile(source, key, "an array of numbers", got) from None
 
 
 def _folder(folder: Path, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
@@ -326,17 +301,8 @@ def _folder(folder: Path, keys: Sequence[str]) -> tuple[Arrays, list[str]]:
     arrays = {}
     for key, path in files.items():
         if key in keys:
-            arrays[key] = _member(path, "", partial(_array_file, path))
+            arrays[key] = read_npy(path)
     return arrays, _others(files)
-
-
-def _array_file(path: Path) -> NDArray[Any]:
-    """The array of an .npy file."""
-    try:
-        return np.asarray(np.load(path, allow_pickle=False))
-    except (OSError, EOFError) as error:
-        expected = "an .npy file, as numpy.save writes it"
-        raise BadFile(path, "", expected, f"a file that cannot be read as one ({error})") from None
 
 
 def _minari(source: Source, where: str | Path) -> Arrays:

@@ -3,12 +3,19 @@
 from pathlib import Path
 
 from dropo.core.services.atomic_write import write_text
+from dropo.core.services.saved_files import refusing_faults
 from dropo.report.diagnosis_page import diagnosis_page
 from dropo.report.fit_page import fit_page
-from dropo.report.folder import Result, read_result
+from dropo.report.folder import RESULT, Result, read_result
+from dropo.report.quick_page import quick_page
 from dropo.report.unfinished_page import unfinished_page
 
-PAGES = {"fit": fit_page, "diagnosis": diagnosis_page, "unfinished": unfinished_page}
+PAGES = {
+    "fit": fit_page,
+    "diagnosis": diagnosis_page,
+    "quick diagnosis": quick_page,
+    "unfinished": unfinished_page,
+}
 
 
 def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
@@ -54,7 +61,13 @@ def write_page(result: Result, path: Path) -> Path:
     -------
     Path
         The file.
+
+    Raises
+    ------
+    BadFile
+        If parts of the result do not fit together, so that no page can be made of them.
     """
-    text = PAGES[result.kind](result)
+    with refusing_faults(result.folder, RESULT):
+        text = PAGES[result.kind](result)
     write_text(path, text)
     return path

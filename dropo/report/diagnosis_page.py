@@ -54,7 +54,7 @@ def diagnosis_page(result: Result) -> str:
     units = {}
     if predictions is not None:
         units = dict(zip(predictions.names, predictions.units, strict=True))
-    sections: list[Section | None] = [_causes(content)]
+    sections: list[Section | None] = [causes_section(content)]
     if found is not None:
         sections = [_searched(found), *sections, _evidence(found, units)]
     sections += [
@@ -74,13 +74,31 @@ def _cards(content: dict[str, Any]) -> list[tuple[str, str, str]]:
     """The cards beneath the headline: name, value, and whether it is good or bad."""
     before = content["baseline"]["held_out_log_likelihood"]
     gain = content["extended"]["held_out_log_likelihood"] - before
+    return [
+        *finding_cards(content),
+        ("gain on data held out", f"{gain:.3g} nats a step", ""),
+        ("simulator steps", f"{content['simulator_steps']:,}", ""),
+        ("time", f"{content['wall_time_s']:.1f} s", ""),
+    ]
+
+
+def finding_cards(content: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Make the cards that every diagnosis has.
+
+    Parameters
+    ----------
+    content : dict
+        Of diagnosis.json.
+
+    Returns
+    -------
+    list of (str, str, str)
+        The verdict and the causes, each as name, value, and whether it is good or bad.
+    """
     causes = ", ".join(words(_label(cause)) for cause in _causes_of(content)) or "none"
     return [
         ("verdict", content["verdict"], GOOD.get(content["verdict"], "")),
         ("cause", causes, ""),
-        ("gain on data held out", f"{gain:.3g} nats a step", ""),
-        ("simulator steps", f"{content['simulator_steps']:,}", ""),
-        ("time", f"{content['wall_time_s']:.1f} s", ""),
     ]
 
 
@@ -146,8 +164,18 @@ def _searched(found: FigureData) -> Section:
     return Section("What was tried", lead, grid(*shown) + ended)
 
 
-def _causes(content: dict[str, Any]) -> Section:
-    """The table of causes, and what they may be confused with."""
+def causes_section(content: dict[str, Any]) -> Section:
+    """Show the table of causes, and what they may be confused with.
+
+    Parameters
+    ----------
+    content : dict
+        Of diagnosis.json.
+
+    Returns
+    -------
+    Section
+    """
     causes = _causes_of(content)
     rows = [_estimate(cause, name) for cause in causes for name in cause.estimate]
     header = [

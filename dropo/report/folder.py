@@ -1,19 +1,28 @@
 """What a run left in its folder, read without its data or model."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dropo._version import __version__
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit import Fit
+from dropo.core.records.fit_files import WRITTEN
 from dropo.core.records.predictions import FILE, Predictions
+from dropo.core.records.saved_schema import (
+    SavedDiagnosis,
+    SavedMade,
+    SavedQuickDiagnosis,
+    SavedRun,
+)
 from dropo.core.services.errors import BadFile
+from dropo.core.services.file_schema import Saved, check_content, read_saved
+from dropo.core.services.saved_files import read_json
 from dropo.report.history import History, read_history
 
 RESULT = "a folder that `dropo fit --out` or `dropo diagnose --out` wrote"
 EVALUATION_LOG = "evaluations.jsonl"
+REGRESSION = "regression"
+"""The `method` of a diagnosis without simulation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +60,13 @@ class Result:
 
     @property
     def kind(self) -> str:
-        """What it is: "fit", "diagnosis" or "unfinished"."""
+        """What it is: "fit", "diagnosis", "quick diagnosis" or "unfinished"."""
         if self.fit is not None:
             return "fit"
-        return "diagnosis" if "verdict" in self.content else "unfinished"
+        if "verdict" not in self.content:
+            return "unfinished"
+        quick = self.content.get("method") == REGRESSION
+        return "quick diagnosis" if quick else "diagnosis"
 
     @property
     def problem(self) -> str:
@@ -83,20 +95,18 @@ def read_result(folder: str | Path) -> Result:
     folder = Path(folder)
     if not folder.is_dir():
         raise BadFile(folder, "", RESULT, "a file" if folder.exists() else "no such folder")
-    record = _json(folder / "run.json")
-    made = _json(folder / "made.json")
+    record = _optional(folder / "run.json", SavedRun, "what a run of dropo decided")
+    made = _optional(folder / "made.json", SavedMade, "how a run of dropo was made")
     predictions = Predictions.load(folder) if (folder / FILE).is_file() else None
     if (folder / "diagnosis.json").is_file():
-        content = _json(folder / "diagnosis.json")
-        _check(folder / "diagnosis.json", content, ("verdict", "headline", "causes", "remaining"))
+        content = _diagnosis(folder / "diagnosis.json")
         kept = content.get("pictures")
-        figures = _figures(folder, kept) if kept else None
+        figures = FigureData.from_json(kept) if kept else None
         return Result(folder, content, record, made, figures=figures, predictions=predictions)
     evaluation_log = folder / EVALUATION_LOG
     if (folder / "fit.json").is_file():
-        content = _json(folder / "fit.json")
-        _check(folder / "fit.json", content, ("method", "parameters", "status"))
         fit = Fit.load(folder)
+        content = read_json(folder / "fit.json", WRITTEN)
         history = None
         if evaluation_log.is_file():
             history = read_history(evaluation_log, len(fit.space))[1]
@@ -104,48 +114,22 @@ def read_result(folder: str | Path) -> Result:
     if not evaluation_log.is_file():
         raise BadFile(folder, "", RESULT, _listing(folder))
     header, history = read_history(evaluation_log, None)
-    _check(evaluation_log, header, ())
+    check_content(evaluation_log, header, SavedRun)
     return Result(folder, {}, header, made, history=history)
 
 
-def _json(path: Path) -> dict[str, Any]:
+def _optional(path: Path, schema: type[Saved], what: str) -> dict[str, Any]:
     """The content of a file, {} where there is none."""
-    if not path.is_file():
-        return {}
-    try:
-        content = json.loads(path.read_text())
-    except ValueError as error:
-        raise BadFile(path, "", "JSON", f"{error}") from None
-    if not isinstance(content, dict):
-        raise BadFile(path, "", "an object with keys", type(content).__name__)
+    return read_saved(path, schema, what) if path.is_file() else {}
+
+
+def _diagnosis(path: Path) -> dict[str, Any]:
+    """The content of diagnosis.json, of a search by simulation or of a regression alone."""
+    what = "a diagnosis written by `dropo diagnose --out`"
+    content = read_json(path, what)
+    quick = content.get("method") == REGRESSION
+    check_content(path, content, SavedQuickDiagnosis if quick else SavedDiagnosis)
     return content
-
-
-def _check(path: Path, content: dict[str, Any], keys: tuple[str, ...]) -> None:
-    """Refuse a file of a newer version, or one without some of its keys."""
-    version = str(content.get("version", ""))
-    if _numbers(version) > _numbers(__version__):
-        expected = f"{__version__} or older (a newer dropo reads it: pip install -U dropo)"
-        raise BadFile(path, "version", expected, version)
-    missing = [key for key in keys if key not in content]
-    if missing:
-        raise BadFile(path, missing[0], "what a run writes", "nothing")
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    """The numbers of a version, to compare it."""
-    parts = version.split("+")[0].split(".")
-    return tuple(int(part) for part in parts if part.isdigit())
-
-
-def _figures(folder: Path, kept: dict[str, Any]) -> FigureData:
-    """The figure data that a diagnosis kept."""
-    try:
-        return FigureData.from_json(kept)
-    except (KeyError, TypeError) as error:
-        got = f"{type(error).__name__}: {error}"
-        path = folder / "diagnosis.json"
-        raise BadFile(path, "pictures", "what a diagnosis writes", got) from None
 
 
 def _listing(folder: Path) -> str:

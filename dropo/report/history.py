@@ -1,13 +1,13 @@
 """How a search went, from the log of its evaluations."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dropo.core.services.errors import BadFile
+from dropo.core.services.evaluation_log import LOG, read_log
+from dropo.core.services.saved_files import refusing_faults
 from dropo.core.services.validation import Array
 
 
@@ -51,20 +51,12 @@ def read_history(path: Path, parameters: int | None) -> tuple[dict[str, Any], Hi
     Raises
     ------
     BadFile
-        If it is no evaluation log.
+        If it is no evaluation log, or a newer version wrote it.
     """
-    text = path.read_text()
-    lines = text.splitlines()
-    if not text.endswith("\n"):
-        lines = lines[:-1]
-    try:
-        entries = [json.loads(line) for line in lines]
-        header = dict(entries[0]["header"]) if entries else {}
+    header, entries = read_log(path)
+    with refusing_faults(path, LOG):
         d = len(header.get("parameters", ())) if parameters is None else parameters
-        return header, _history(entries[1:], d)
-    except (ValueError, KeyError, TypeError, IndexError) as error:
-        expected = "the evaluations of a run, one JSON line each"
-        raise BadFile(path, "", expected, f"{type(error).__name__}: {error}") from None
+        return header, _history(entries, d)
 
 
 def _history(entries: list[dict[str, Any]], d: int) -> History:

@@ -3,14 +3,14 @@
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.random import Generator
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.atomic_write import write_npz
-from dropo.core.services.errors import BadFile
+from dropo.core.services.saved_files import read_npz, require_shapes
 from dropo.core.services.validation import Array, require
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.policy import LinearPolicy, linear
@@ -19,6 +19,21 @@ from dropo.training.setup import Progress, TrainingSetup
 
 STATE_FILE = "ars.npz"
 """The file from which an interrupted search goes on."""
+STATE = {
+    "weights": "number q o",
+    "count": "whole",
+    "mean": "number o",
+    "square": "number o",
+    "best": "number q o",
+    "best_mean": "number o",
+    "best_deviation": "number o",
+    "best_return": "number",
+    "history": "number n 4",
+    "update": "whole",
+    "steps": "whole",
+    "failures": "whole",
+}
+"""The arrays of that file with their kinds and axes."""
 CONSTANT_BELOW = 1e-8
 """Standard deviation below which an observation counts as constant."""
 
@@ -110,8 +125,19 @@ class Search:
         write_npz(folder / STATE_FILE, asdict(self))
 
     @classmethod
-    def load(cls, folder: Path) -> Self:
+    def load(cls, folder: Path, actions: int, observations: int) -> Self:
         """Reads the state that `save` wrote into a folder.
+
+        Parameters
+        ----------
+        folder : Path
+            Where it was written.
+        actions, observations : int
+            Numbers of them, which the state must have too.
+
+        Returns
+        -------
+        Search
 
         Raises
         ------
@@ -119,13 +145,11 @@ class Search:
             If the file cannot be read or is no state of a search.
         """
         path = folder / STATE_FILE
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            return cls(**{name: a if a.ndim else a.item() for name, a in arrays.items()})
-        except (OSError, ValueError, TypeError, KeyError) as error:
-            got = f"{type(error).__name__}: {error}"
-            raise BadFile(path, "", "a search that was interrupted", got) from None
+        what = "a search that was interrupted"
+        kept = read_npz(path, what)
+        require_shapes(path, kept, STATE, {"q": actions, "o": observations})
+        state: dict[str, Any] = {name: kept[name] for name in STATE}
+        return cls(**{name: a if a.ndim else a.item() for name, a in state.items()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,10 +239,11 @@ class ARS:
         """
         batched_env = setup.batched_env(2 * self.directions)
         trial_env = setup.batched_env(self.trials, at_full_width=True)
+        sizes = (batched_env.limits.shape[1], batched_env.observations)
         if folder is not None and (folder / STATE_FILE).is_file():
-            search = Search.load(folder)
+            search = Search.load(folder, *sizes)
         else:
-            search = Search.new(batched_env.limits.shape[1], batched_env.observations)
+            search = Search.new(*sizes)
         seeds = draw_seeds(rng.spawn(1)[0], self.trials)
         rng.spawn(search.update)  # the children of the updates that are already made
         batched_env.steps = search.steps

@@ -3,7 +3,6 @@
 The optional dependency is `dropo[rl]`.
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,6 +15,7 @@ from numpy.random import Generator
 from dropo.core.services.atomic_write import atomic_write, write_json
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.optional_dependencies import need
+from dropo.core.services.saved_files import read_json
 from dropo.core.services.validation import Array, require
 from dropo.training.policy import Policy, write, written_limits
 from dropo.training.setup import Progress, TrainingSetup
@@ -344,7 +344,7 @@ class _Training:
         """Returns the model, the vector of environments and the steps made from a folder."""
         from stable_baselines3.common.vec_env import VecNormalize
 
-        done = int(json.loads((folder / STATE_FILE).read_text())["steps"])
+        done = int(read_json(folder / STATE_FILE, "a training that was interrupted")["steps"])
         vector = _vector(envs)
         if self.scaled:
             vector = VecNormalize.load(str(folder / SCALE_FILE), vector)

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from dropo._version import __version__
 from dropo.core.services.atomic_write import write_text
-from dropo.core.services.errors import BadFile, Incompatible
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.saved_files import read_json, refusing_faults
 from dropo.core.services.validation import Array, float_array
 
 FILE = "policy.json"
@@ -196,7 +198,7 @@ def write(path: str | Path, content: dict[str, Any]) -> Path:
     path : str or Path
         A file whose name ends with ".json", or a folder.
     content : dict
-        The content, one line a key.
+        The content, one line a key; the version is added.
 
     Returns
     -------
@@ -206,7 +208,7 @@ def write(path: str | Path, content: dict[str, Any]) -> Path:
     path = Path(path)
     path = path if path.suffix == ".json" else path / FILE
     lines = []
-    for name, value in content.items():
+    for name, value in {**content, "version": __version__}.items():
         lines.append(f" {json.dumps(name)}: {json.dumps(value, allow_nan=False)}")
     write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
     return path
@@ -228,22 +230,22 @@ def load_policy(path: str | Path) -> Policy:
     Raises
     ------
     BadFile
-        If there is no file, it does not hold a policy, or it holds a network and stable-baselines3
-        is not installed.
+        If there is no file, or it does not hold a policy.
+    MissingPackage
+        If it holds a network and stable-baselines3 is not installed.
     """
     path = Path(path)
     if path.is_dir():
         path = path / FILE
     elif path.suffix == ".zip":
         path = path.with_suffix(".json")
-    if not path.is_file():
-        raise BadFile(path, "", EXPECTED, "no such file")
-    try:
-        return _read(path, json.loads(path.read_text()))
-    except (BadFile, Incompatible):
-        raise
-    except (ValueError, KeyError, TypeError) as error:
-        raise BadFile(path, "", EXPECTED, f"{type(error).__name__}: {error}") from None
+    from dropo.core.services.file_schema import check_content
+    from dropo.training.policy_schema import SCHEMAS, SavedPolicy
+
+    content = read_json(path, EXPECTED)
+    check_content(path, content, SCHEMAS.get(str(content.get("kind")), SavedPolicy))
+    with refusing_faults(path, EXPECTED):
+        return _read(path, content)
 
 
 def _read(path: Path, content: dict[str, Any]) -> Policy:

@@ -27,6 +27,19 @@ def test_a_fit_then_its_report(problem, tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_a_quick_diagnosis_then_its_report(tmp_path, capsys):
+    """Causes and forces of a regression, and its command; run.json says that it was quick."""
+    out = tmp_path / "quick"
+    hidden = ["--hide", "joint_armature:elbow=0.01"]
+    assert main(["diagnose", "torque-arm", "--quick", *hidden, "--out", str(out), "--quiet"]) == 0
+    assert json.loads((out / "run.json").read_text())["settings"]["quick"] is True
+    assert main(["report", str(out)]) == 0
+    text = (out / "report.html").read_text()
+    for word in ("joint armature at elbow", "regression alone", "shoulder", "dropo diagnose"):
+        assert word in text
+    assert capsys.readouterr().err == ""
+
+
 def test_refusals(tmp_path, capsys):
     """Status 2, one line, nothing written."""
     assert main(["report", str(tmp_path)]) == 2

@@ -39,6 +39,7 @@ from dropo.core.records.search_records import (
     ParticlePosterior,
     ReturnSearch,
 )
+from dropo.core.services.errors import BadFile
 from tests.models.cart_task import fit_of
 
 SPACE = ParameterSpace((Parameter("a", 0.0, 1.0, "kg"), Parameter("b", 0.0, 2.0)))
@@ -183,3 +184,59 @@ def test_the_keys_of_the_file(tmp_path):
     kept = "phi correlation epsilon chain log_density diverging observed"
     kept += " group group_mean group_covariance"
     assert set(np.load(tmp_path / "fit.npz").files) == set(kept.split())
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("version", "99.0", "version: expected .* or older"),
+        ("method", None, "method: expected .*, got nothing"),
+        ("transitions", 0, "transitions: expected .*greater than or equal to 1, got 0"),
+        ("status", "asleep", "status: expected 'converged', .*, got 'asleep'"),
+        ("parameters", {}, "parameters: expected"),
+        ("parameters", [1], r"parameters: expected .*, got \[1\]"),
+        ("parameters", {"mass": {"mean": "x"}}, r"parameters\.mass\.mean: expected .*, got 'x'"),
+        ("warnings", "text", "warnings: expected .*array, got 'text'"),
+        ("phi", [None], r"phi\[0\]: expected .*number, got nothing"),
+        ("emulator_check", {"draws": 1}, r"emulator_check\.rows: expected what a run writes"),
+        ("tuning", [{}], r"tuning\[0\]\.epsilon: expected what a run writes, got nothing"),
+    ],
+)
+def test_entries_of_other_types_are_refused(tmp_path, key, value, message):
+    """By file, key, rule and what was got, in a line."""
+    EMPTY.save(tmp_path)
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    with pytest.raises(BadFile, match=message) as caught:
+        Fit.load(tmp_path)
+    assert str(caught.value).startswith(f"{path}: {key}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["fit.json", "fit.npz"])
+def test_files_that_were_cut_off_are_refused(tmp_path, name):
+    """Wherever they end."""
+    EMPTY.save(tmp_path)
+    path = tmp_path / name
+    whole = path.read_bytes()
+    for size in [*range(0, len(whole) - 2, 1 + len(whole) // 40)]:
+        path.write_bytes(whole[:size])
+        with pytest.raises(BadFile, match=name.replace(".", r"\.")):
+            Fit.load(tmp_path)
+    path.unlink()
+    with pytest.raises(BadFile, match="no such file"):
+        Fit.load(tmp_path)
+
+
+def test_arrays_of_other_shapes_are_refused(tmp_path):
+    EMPTY.save(tmp_path)
+    with np.load(tmp_path / "fit.npz") as kept:
+        arrays = dict(kept)
+    for changed, message in (
+        ({"phi": np.zeros((2, 2))}, r"phi: expected an array of numbers of shape \(m,\)"),
+        ({"correlation": np.zeros((1, 2))}, r"correlation: .* with d = 1"),
+        ({"epsilon": np.array(["a"])}, "epsilon: expected an array of numbers"),
+    ):
+        np.savez(tmp_path / "fit.npz", **{**arrays, **changed})
+        with pytest.raises(BadFile, match=message):
+            Fit.load(tmp_path)

@@ -486,7 +486,7 @@ def test_broken_archives(folder: Path, columns: Columns) -> None:
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(
         BadFile,
-        match=rf"log.npz: byte {len(whole) // 2}: .*it ends before the table of its contents",
+        match=r"log.npz: expected an .npz file, .*, got a file that cannot be read as one",
     ):
         runs(folder, path, PLAIN)
     at = whole.index(columns["q2"].tobytes())

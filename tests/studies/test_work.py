@@ -7,6 +7,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from dropo.core.services.journal import read_lines
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.problems.simulated.slide import slide
@@ -61,15 +62,14 @@ def test_what_is_finished_is_not_done_again(tmp_path):
     path = tmp_path / "kept.jsonl"
     with pytest.raises(ValueError, match="thirteen"):
         Work(threads=1, path=path).map(square, [1, 2, 13])
-    kept = [json.loads(line)[0] for line in path.read_text().splitlines()]
-    assert len(kept) == 2
-    path.write_text(path.read_text() + '["half a li')
+    assert len(read_lines(path, "answers")) == 1 + 2
+    path.write_text(path.read_text() + '{"n": 3, "half a li')
     CALLS.clear()
     again = Work(threads=1, path=path).map(square, [1, 2, 3])
     assert CALLS == [3]
     fresh = Work().map(square, [1, 2, 3])
     assert json.dumps(again) == json.dumps(fresh)
-    assert len(path.read_text().splitlines()) == 3
+    assert len(read_lines(path, "answers")) == 1 + 3
 
 
 def test_an_own_executor_does_the_work():

@@ -157,14 +157,17 @@ def test_files(policy, problem, tmp_path):
         load_policy(free.save(tmp_path / "free.json"))(np.full((1, 2), 50.0)), [[100.0]]
     )
     (tmp_path / "other.json").write_text(
-        '{"kind": "linear", "limits": [[-1], [1]], "about": {}, "weights": [[1, 2]], "mean": [0]}'
+        '{"kind": "linear", "limits": [[-1], [1]], "about": {}, "weights": [[1, 2]], "mean": [0], '
+        '"deviation": [1]}'
     )
     for name, got in (
         ("missing.json", "no such file"),
         ("other.json", "must be of shape"),
-        ("ars.json", "KeyError"),
+        ("ars.json", "kind: expected what a run writes, got nothing"),
+        ("newer.json", "version: expected .* or older"),
     ):
         (tmp_path / "ars.json").write_text("{}")
+        (tmp_path / "newer.json").write_text('{"version": "99.0"}')
         with pytest.raises((BadFile, BadArgument), match=got):
             load_policy(tmp_path / name)
 

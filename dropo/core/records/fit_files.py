@@ -1,6 +1,5 @@
 """How a fit is kept in a folder: fit.json, and fit.npz for its arrays."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,7 @@ from dropo.core.records.fit_parts import (
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.search_records import SEARCH_RECORDS
 from dropo.core.services.atomic_write import write_json, write_npz
-from dropo.core.services.errors import BadFile
+from dropo.core.services.saved_files import read_npz, refusing_faults, require_shapes
 from dropo.core.services.validation import Array
 
 PARTS: Mapping[str, type[FitPart]] = {
@@ -53,7 +52,8 @@ SCALARS = (
     "seed",
 )
 COLUMNS = ("mean", "scale", "sd", "mean_se", "scale_se")
-ARRAYS = ("phi", "correlation", "epsilon")
+ARRAYS: Mapping[str, str] = {"phi": "number m", "correlation": "number d d", "epsilon": "number p"}
+"""The arrays of every fit, with their kinds and axes."""
 WRITTEN = "a fit written by `dropo fit --out`"
 
 
@@ -127,16 +127,17 @@ def load_fit(folder: Path) -> Fit:
     Raises
     ------
     BadFile
-        Where there is none, or one that cannot be read.
+        Where there is none, or one that was cut off, is of a newer version or of wrong types.
     """
+    from dropo.core.records.saved_schema import SavedFit
+    from dropo.core.services.file_schema import read_saved
+
     path = folder / "fit.json"
-    if not path.is_file():
-        raise BadFile(path, "", WRITTEN, "no such file")
-    try:
-        content = json.loads(path.read_text())
-        return _fit_from(content, dict(np.load(folder / "fit.npz", allow_pickle=False)))
-    except (json.JSONDecodeError, KeyError, OSError) as error:
-        raise BadFile(path, "", WRITTEN, f"{type(error).__name__}: {error}") from None
+    content = read_saved(path, SavedFit, WRITTEN)
+    arrays = read_npz(folder / "fit.npz", "the arrays of a fit")
+    require_shapes(folder / "fit.npz", arrays, ARRAYS)
+    with refusing_faults(path, WRITTEN):
+        return _fit_from(content, arrays)
 
 
 def _rows_of(fit: Fit) -> dict[str, dict[str, Any]]:

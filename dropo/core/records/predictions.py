@@ -8,11 +8,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.atomic_write import write_npz
-from dropo.core.services.errors import BadFile
+from dropo.core.services.saved_files import read_npz, require_shapes
 from dropo.core.services.validation import Array
 
 FILE = "predictions.npz"
 SIDES = ("before", "after")
+SIDE_RULES = {
+    "name": "text",
+    "line": "number W L p",
+    "band": "number 2 W L p",
+    "by_horizon": "number H",
+    "by_signal": "number p",
+}
+RULES = {
+    "names": "text p",
+    "units": "text p",
+    "seconds": "number",
+    "begins": "whole W",
+    "measured": "number W L p",
+    "rows": "number W L P",
+    "spread": "number p",
+    "horizons": "whole H",
+    "noise": "number H",
+    "rows_after": "whole",
+    "held_out": "flag",
+    **{f"{side}.{name}": rule for side in SIDES for name, rule in SIDE_RULES.items()},
+    **{f"{side}.pit": f"number {side}" for side in SIDES},
+}
+"""The arrays of predictions.npz with their kinds and axes."""
 LEVEL = 0.9
 """The fraction of the measured motion that a band should hold."""
 
@@ -117,18 +140,12 @@ class Predictions:
         Raises
         ------
         BadFile
-            If there is no such file, or it cannot be read.
+            If there is no such file, or it cannot be read, or its arrays do not fit together.
         """
         path = Path(folder) / FILE
-        if not path.is_file():
-            expected = "what a run of `dropo fit --out` or `dropo diagnose --out` keeps"
-            raise BadFile(path, "", expected, "no such file")
-        try:
-            with np.load(path, allow_pickle=False) as kept:
-                return _from_arrays(cls, dict(kept))
-        except (KeyError, ValueError, OSError) as error:
-            got = f"{type(error).__name__}: {error}"
-            raise BadFile(path, "", "what a run of `dropo fit --out` keeps", got) from None
+        kept = read_npz(path, "what a run of `dropo fit --out` or `dropo diagnose --out` keeps")
+        require_shapes(path, kept, RULES)
+        return _from_arrays(cls, kept)
 
 
 def _arrays(found: Predictions) -> dict[str, Any]:

@@ -2,21 +2,23 @@
 
 Every part of a run is deterministic given its seed. A resumed run therefore evaluates the same
 points in the same order, and reads those that the file holds; nothing else needs to be saved,
-neither an optimizer's state nor a random generator's. The file holds one JSON line for each batch;
-numbers are written so that they are read bit for bit.
+neither an optimizer's state nor a random generator's. The file is a journal with an entry for each
+batch; numbers are written so that they are read bit for bit.
 """
 
-import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dropo.core.services.atomic_write import write_text
-from dropo.core.services.errors import BadFile, InvalidInput
+from dropo.core.services.errors import InvalidInput
+from dropo.core.services.journal import Journal, read_lines
+from dropo.core.services.saved_files import refusing_faults
 from dropo.core.services.validation import Array
+
+LOG = "the evaluations of a run, one JSON line each"
+"""What the file is, for messages."""
 
 Answer = tuple[Array, dict[str, int]]
 """The values of a batch, and what it cost by kind, such as {"steps": 1000}."""
@@ -37,20 +39,14 @@ class EvaluationLog:
     Raises
     ------
     BadFile
-        If the file is no evaluation log.
-    InvalidInput
-        If the file is of another run; the message names what differs.
+        If the file is no evaluation log, or of another run; the message names what differs.
     """
 
     def __init__(self, path: Path | None = None, header: dict[str, Any] | None = None):
         self.path = path
         self._next = 0
-        self._known: list[dict[str, Any]] = []
-        if path is None:
-            return
-        self._header = {"header": header or {}}
-        if path.exists():
-            self._known = _read(path, self._header)
+        self._journal = None if path is None else Journal(path, header or {}, LOG)
+        self._known: list[Any] = [] if self._journal is None else self._journal.entries
 
     @property
     def replayed(self) -> int:
@@ -80,51 +76,48 @@ class EvaluationLog:
             If the file holds another batch in this place.
         """
         if self._next < len(self._known):
-            entry = self._known[self._next]
-            self._next += 1
+            return self._replay(points)
+        answers, counts = function(points)
+        if self._journal is not None:
+            values = np.asarray(answers).tolist()
+            self._journal.append({"points": points.tolist(), "answers": values, "counts": counts})
+        return np.asarray(answers, dtype=float), counts
+
+    def _replay(self, points: Array) -> Answer:
+        """The answer that the file holds for the next batch."""
+        assert self.path is not None
+        entry = self._known[self._next]
+        self._next += 1
+        with refusing_faults(self.path, LOG):
             if not np.array_equal(np.asarray(entry["points"]), points):
                 sentence = (
                     f"batch {self._next} was asked for at other points, so another version "
                     "wrote it."
                 )
                 raise InvalidInput(f"{self.path}: {sentence} Use another --out.")
-            return np.array(entry["answers"], dtype=float), entry["counts"]
-        answers, counts = function(points)
-        if self.path is not None:
-            values = np.asarray(answers).tolist()
-            self._append({"points": points.tolist(), "answers": values, "counts": counts})
-        return np.asarray(answers, dtype=float), counts
-
-    def _append(self, entry: dict[str, Any]) -> None:
-        """Write one more line, behind the header."""
-        assert self.path is not None
-        new = not self.path.exists() or self.path.stat().st_size == 0
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("a") as file:
-            file.write((json.dumps(self._header) + "\n" if new else "") + json.dumps(entry) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+            return np.array(entry["answers"], dtype=float), dict(entry["counts"])
 
 
-def _read(path: Path, header: dict[str, Any]) -> list[dict[str, Any]]:
-    """The whole lines of an evaluation log; a half-written last line is cut off."""
-    text = path.read_text()
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        write_text(path, whole)
-    try:
-        lines = [json.loads(line) for line in whole.splitlines()]
-    except json.JSONDecodeError:
-        expected = "the evaluations of a run, one JSON line each"
-        raise BadFile(path, "", expected, "something else") from None
-    if not lines:
-        return []
-    if lines[0] != json.loads(json.dumps(header)):
-        ours = header["header"]
-        theirs = lines[0].get("header", {})
-        differ = sorted(key for key in {*ours, *theirs} if ours.get(key) != theirs.get(key))
-        raise InvalidInput(
-            f"{path}: holds another run; it differs in {', '.join(differ)}. Use another "
-            "--out, or the settings of that run."
-        )
-    return lines[1:]
+def read_log(path: Path) -> tuple[dict[str, Any], list[Any]]:
+    """Read an evaluation log without going on with its run.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    header : dict
+        What the run is; empty where the first line was cut off.
+    batches : list of dict
+        Its points, answers and counts, in order.
+
+    Raises
+    ------
+    BadFile
+        If it is no evaluation log, or a newer version wrote it.
+    """
+    lines = read_lines(path, LOG)
+    with refusing_faults(path, LOG):
+        return (dict(lines[0]), lines[1:]) if lines else ({}, [])

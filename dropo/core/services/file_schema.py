@@ -1,5 +1,6 @@
 """Schemas of files in pydantic, whose types say what they expect; faults become `BadFile`."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NoReturn, TypeVar, get_args
@@ -21,6 +22,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from dropo.core.services.errors import BadFile
 from dropo.core.services.file_content import FileContent, describe_options, describe_value
+from dropo.core.services.saved_files import read_json
 from dropo.core.services.strict_yaml import read_yaml
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -143,6 +145,12 @@ class Entry(BaseModel):
         return content
 
 
+class Saved(BaseModel):
+    """An object in a file that a run wrote; other keys may stand beside those that are known."""
+
+    model_config = ConfigDict(strict=True, extra="ignore", frozen=True, allow_inf_nan=False)
+
+
 def _expectation(field: FieldInfo) -> str:
     """What a field expects, which may stand inside `... | None`."""
     metadata = [*field.metadata]
@@ -227,6 +235,57 @@ def read_file(path: Path, schema: type[Checked], what: str) -> FileContent[Check
         raise _first_refusal(path, content, error) from None
 
 
+def read_saved(path: Path, schema: type[Saved], what: str) -> dict[str, Any]:
+    """Read a JSON file that a run wrote, and check it by its schema.
+
+    Parameters
+    ----------
+    path
+        The file.
+    schema
+        The class that its content must fit.
+    what
+        What it should be, for messages, such as "a fit written by `dropo fit --out`".
+
+    Returns
+    -------
+    dict
+        Its content as it stands there.
+
+    Raises
+    ------
+    BadFile
+        If there is no such file, it is of a newer version, or it does not fit, for the first
+        fault in the file's order.
+    """
+    content = read_json(path, what)
+    check_content(path, content, schema)
+    return content
+
+
+def check_content(path: Path, content: dict[str, Any], schema: type[Saved]) -> None:
+    """Check the content of a JSON file by its schema, as `read_saved` does.
+
+    Parameters
+    ----------
+    path
+        The file.
+    content
+        What stands in it.
+    schema
+        The class that it must fit.
+
+    Raises
+    ------
+    BadFile
+        If it does not fit.
+    """
+    try:
+        schema.model_validate_json(json.dumps(content), strict=True)
+    except ValidationError as error:
+        raise _first_refusal(path, content, error) from None
+
+
 def _first_refusal(path: Path, content: dict[Any, Any], error: ValidationError) -> BadFile:
     """The fault that comes first in the file, in the project's words."""
     faults = error.errors(include_url=False)
@@ -239,6 +298,9 @@ def _first_refusal(path: Path, content: dict[Any, Any], error: ValidationError) 
     if first["loc"][-1:] == ("[key]",):
         got = f"{got} (quote it)"
     expected = details.get("expected") or first["msg"].removeprefix("Input should be ")
+    if first["type"] == "missing":
+        expected = "what a run writes"
+        got = describe_value(None)
     return BadFile(path, key, expected, got)
 
 

@@ -1,8 +1,6 @@
 """NPZ archives of columns: one table, or many runs with arrays "000/time", "000/qpos" and so on."""
 
 import re
-import zipfile
-import zlib
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -12,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.errors import BadFile
+from dropo.core.services.saved_files import NPZ, names_in_npz, read_npz
 from dropo.logs.readers.reader import Arrays, Log, Progress, expand_columns
 
-EXPECTED = "an .npz file, as numpy.savez writes it"
 RUN_COLUMN = "run"
 """The column of an archive of runs that holds their names."""
 _RUN = re.compile(r"^(\d+)/(.+)$")
@@ -51,26 +49,12 @@ class NpzLog(Log):
     @cached_property
     def members(self) -> list[str]:
         """The names of the arrays."""
-        size = self.path.stat().st_size
-        try:
-            with zipfile.ZipFile(self.path) as archive:
-                return [name.removesuffix(".npy") for name in archive.namelist()]
-        except (zipfile.BadZipFile, OSError) as error:
-            reason = f"{error}: it ends before the table of its contents"
-            raise self.broken(EXPECTED, f"byte {size}", reason) from None
+        return names_in_npz(self.path, NPZ)
 
     @cached_property
     def arrays(self) -> Arrays:
         """All arrays by name."""
-        name = ""
-        try:
-            with np.load(self.path, allow_pickle=False) as content:
-                out = {}
-                for name in self.members:
-                    out[name] = np.asarray(content[name])
-                return out
-        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError) as error:
-            raise self.broken("an array of numbers", name, error) from None
+        return read_npz(self.path, NPZ)
 
     @cached_property
     def _table(self) -> Arrays:

@@ -69,6 +69,32 @@ def recover(
     BadFile
         If the study's block of the folder's README.md has no end.
     """
+    finished = run_study(
+        name,
+        seeds=seeds,
+        published=published,
+        problems=problems,
+        out=out,
+        executor=executor,
+        threads=threads,
+        progress=progress,
+    )
+    keep_study(finished, out)
+    return finished
+
+
+def run_study(
+    name: str,
+    *,
+    seeds: int | None = None,
+    published: bool = False,
+    problems: Sequence[str] = (),
+    out: str | Path | None = None,
+    executor: Executor | None = None,
+    threads: int = 0,
+    progress: Progress = silent,
+) -> Study:
+    """Runs a study without writing it: arguments, result and refusals are those of `recover`."""
     study = find("studies", name)
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "recover")
     options: dict[str, object] = {}
@@ -83,9 +109,32 @@ def recover(
     folder = Path(out)
     is_free = folder.is_dir() or not folder.exists()
     require(is_free, "out", "a folder", str(folder), "recover")
-    log = folder / f".{name}.jsonl"
-    work = Work(executor, threads=threads, progress=progress, path=log)
-    finished: Study = study(work, seeds, **options)
-    write(finished, folder)
-    log.unlink(missing_ok=True)
-    return finished
+    work = Work(executor, threads=threads, progress=progress, path=_journal(folder, name))
+    return study(work, seeds, **options)
+
+
+def keep_study(study: Study, out: str | Path | None) -> None:
+    """Writes a finished study, and removes the journal of its tasks.
+
+    Parameters
+    ----------
+    study : Study
+        The study.
+    out : str, Path or None
+        Its folder; None to write nothing.
+
+    Raises
+    ------
+    BadFile
+        If the study's block of the folder's README.md has no end.
+    """
+    if out is None:
+        return
+    folder = Path(out)
+    write(study, folder)
+    _journal(folder, study.name).unlink(missing_ok=True)
+
+
+def _journal(folder: Path, name: str) -> Path:
+    """Where the answers of finished tasks are kept until the study is written."""
+    return folder / f".{name}.jsonl"

@@ -13,7 +13,10 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.estimator import Progress, silent
-from dropo.core.services.atomic_write import write_text
+from dropo.core.services.journal import Journal
+
+ANSWERS = "the finished tasks of a study, one JSON line each"
+"""What the file is, for messages."""
 
 Task = Callable[[Any], dict[str, Any]]
 """A function of an item that JSON can hold; its answer depends on the item alone."""
@@ -33,8 +36,8 @@ class Work:
     progress : callable
         Called with the finished fraction and a text.
     path : Path or None
-        File that keeps the answers of finished tasks, one JSON line each; an interrupted study is
-        resumed from it.
+        File that keeps the answers of finished tasks, a journal; an interrupted study is resumed
+        from it.
     """
 
     def __init__(
@@ -49,7 +52,9 @@ class Work:
         self.threads = threads or os.cpu_count() or 1
         self.progress = progress
         self.path = path
-        self._answers = _read(path) if path is not None else {}
+        self._journal = None if path is None else Journal(path, {}, ANSWERS)
+        kept = [] if self._journal is None else self._journal.entries
+        self._answers: dict[str, str] = dict(kept)
 
     def map(self, task: Task, items: Iterable[Any]) -> list[dict[str, Any]]:
         """Runs a task on every item.
@@ -106,10 +111,8 @@ class Work:
         """Keeps a finished task's answer, in the file too."""
         answer = json.dumps(future.result())
         self._answers[key] = answer
-        if self.path is not None:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a") as file:
-                file.write(json.dumps([key, answer]) + "\n")
+        if self._journal is not None:
+            self._journal.append([key, answer])
 
 
 def _on_one_thread(task: Task, item: Any) -> dict[str, Any]:
@@ -121,14 +124,3 @@ def _on_one_thread(task: Task, item: Any) -> dict[str, Any]:
 def _key(task: Task, item: Any) -> str:
     """What identifies a task's answer: the function and the item."""
     return json.dumps([f"{task.__module__}.{task.__qualname__}", item])
-
-
-def _read(path: Path) -> dict[str, str]:
-    """The answers in the file by their keys; a half-written last line is cut off."""
-    if not path.is_file():
-        return {}
-    text = path.read_text()
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        write_text(path, whole)
-    return dict(json.loads(line) for line in whole.splitlines())

@@ -1,0 +1,382 @@
+"""What the files of a result folder must hold, for readers: fit.json, diagnosis.json, run.json and
+made.json.
+
+Keys that a reader needs are listed here; others may stand beside them.
+"""
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from dropo.core.records.figure_data import FigureData
+from dropo.core.records.fit import Status
+from dropo.core.services.file_schema import Saved
+
+Count = Annotated[int, Field(ge=0)]
+Known = float | None
+"""A number, or null where it is not known."""
+Texts = list[str]
+ByName = dict[str, Known]
+
+
+# fit.json
+
+
+class SavedParameter(Saved):
+    """A fitted parameter."""
+
+    mean: Known
+    scale: Known
+    sd: Known
+    mean_se: Known
+    scale_se: Known
+    degrees: Known = None
+    unit: str
+    low: float
+    high: float
+    lower: Known
+    upper: Known
+    search_scale: str
+
+
+class SavedEmulatorCheck(Saved):
+    """The simulator beside its emulator."""
+
+    draws: Count
+    rows: Count
+    simulator: Known
+    emulator: Known
+
+
+class SavedStartFilter(Saved):
+    """How filtered start states settled."""
+
+    moves: list[float]
+    resets: Count
+
+
+class SavedResidualSize(Saved):
+    """The size of the whitened residuals."""
+
+    mean_square: float
+    standard_error: float
+
+
+class SavedResidualStructure(Saved):
+    """The strongest dependence of residuals on state and action."""
+
+    signal: str
+    feature: str
+    z: float
+    held_out_signal: str
+    held_out_z: float
+
+
+class SavedModelCheck(Saved):
+    """Whether the model can be right."""
+
+    passed: bool
+    size: SavedResidualSize | None = None
+    structure: SavedResidualStructure | None = None
+
+
+class SavedHeldOut(Saved):
+    """Errors on trajectories that no fit has seen."""
+
+    rows: Count
+    steps: Count
+    rmse: ByName
+    rmse_nominal: ByName = {}
+
+
+class SavedVarianceTest(Saved):
+    """A test that a variance is 0."""
+
+    statistic: float
+    p_value: float
+
+
+class SavedGroupTests(SavedVarianceTest):
+    """Whether groups differ."""
+
+    parameters: dict[str, SavedVarianceTest]
+
+
+class SavedGroups(Saved):
+    """The groups that each have one draw of the parameters."""
+
+    of: str
+    fewest_rows: Count
+    most_rows: Count
+    shrinkage: ByName
+    median_sd: ByName
+
+
+class SavedPosterior(Saved):
+    """The convergence of a posterior's chains."""
+
+    autocorrelation_time: ByName
+    split_r_hat: ByName
+    effective_sample_size: ByName
+
+
+class SavedNoiseTrial(Saved):
+    """The fit at one noise variance."""
+
+    epsilon: float
+    total_variance: float
+    mse: float
+    log_likelihood: float
+
+
+class SavedHorizonTrial(Saved):
+    """The fit at one horizon."""
+
+    horizon: Count = Field(alias="lambda")
+    below_best: Known
+    paired_error: float
+    chosen: bool
+    mean: list[float]
+    mean_se: list[Known]
+
+
+class SavedSpan(Saved):
+    """A span of time that was left out."""
+
+    run: Count
+    held_out: bool
+    start: float = Field(alias="from")
+    end: float = Field(alias="to")
+    signal: str
+    unit: str
+    off: float
+    after: float
+
+
+class SavedFit(Saved):
+    """The content of fit.json."""
+
+    method: str
+    problem: str
+    seed: int | None
+    version: str
+    parameters: Annotated[dict[str, SavedParameter], Field(min_length=1)]
+    correlation: list[list[float]]
+    family: str
+    phi: list[float]
+    epsilon: list[float]
+    log_likelihood: Known
+    mse: Known
+    transitions: Annotated[int, Field(ge=1)]
+    simulator_steps: Count
+    failed_simulations: Count
+    objective_evaluations: Count
+    wall_time_s: float
+    status: Status
+    message: str
+    warnings: Texts
+    places: dict[str, dict[str, Any]] = {}
+    likelihood: str = ""
+    optimizer: str = ""
+    certified: Texts | None = None
+    identifiability: Texts | None = None
+    truth: dict[str, float] = {}
+    emulator_check: SavedEmulatorCheck | None = None
+    filter: SavedStartFilter | None = None
+    model_check: SavedModelCheck | None = None
+    held_out: SavedHeldOut | None = None
+    groups: SavedGroups | None = None
+    groups_differ: SavedGroupTests | None = None
+    predictive_sd: ByName = {}
+    posterior: SavedPosterior | None = None
+    tuning: list[SavedNoiseTrial] | None = None
+    mse_threshold: float | None = None
+    lambda_choice: list[SavedHorizonTrial] | None = None
+    disturbances: list[SavedSpan] | None = None
+
+
+# diagnosis.json
+
+
+class SavedEstimate(Saved):
+    """A quantity of an effect."""
+
+    value: float
+    se: Known
+    unit: str
+    model: Known = None
+
+
+class SavedAlternative(Saved):
+    """An effect that the data cannot tell from a cause."""
+
+    effect: str
+    target: str | None
+    variant: str = ""
+    why: str
+    to_tell: str | None = None
+
+
+class SavedCause(Saved):
+    """An effect that held-out data confirm."""
+
+    effect: str
+    target: str | None
+    variant: str = ""
+    estimate: dict[str, SavedEstimate]
+    p_value: float
+    held_out_gain: float
+    held_out_gain_se: float
+    rmse_before: float
+    rmse_after: float
+    confused_with: list[SavedAlternative]
+    acts_like: str | None = None
+
+
+class SavedSuspect(Saved):
+    """An effect that was not confirmed."""
+
+    effect: str
+    target: str | None
+    p_value: float
+    held_out_gain: float
+
+
+class SavedError(Saved):
+    """An error, and what sensor noise explains of it."""
+
+    rmse: Known
+    noise: float
+
+
+class SavedHorizon(SavedError):
+    """The errors after a horizon."""
+
+    steps: Annotated[int, Field(ge=1)]
+    seconds: Known
+    units: dict[str, SavedError]
+
+
+class SavedNominal(Saved):
+    """The errors of the model as it came."""
+
+    horizons: list[SavedHorizon]
+
+
+class SavedModel(SavedNominal):
+    """How a model does on data that nothing was fitted to."""
+
+    held_out_log_likelihood: float
+
+
+class SavedRemaining(Saved):
+    """What is still wrong."""
+
+    where: Texts
+
+
+class SavedOutlierRun(Saved):
+    """A run that disagrees with the others."""
+
+    run: int
+    parameter: str
+    unit: str
+    value: float
+    se: float
+    others: float
+    held_out: bool
+
+
+class SavedLeftOut(Saved):
+    """What was left out of a diagnosis."""
+
+    spans: list[SavedSpan]
+
+
+class SavedFinding(Saved):
+    """What every kind of diagnosis.json holds."""
+
+    verdict: str
+    headline: str
+    problem: str
+    causes: list[SavedCause]
+    suspects: list[SavedSuspect]
+    warnings: Texts
+    version: str
+    simulator_steps: Count
+    wall_time_s: float
+
+
+class SavedDiagnosis(SavedFinding):
+    """The content of diagnosis.json of a search by simulation."""
+
+    baseline: SavedModel
+    extended: SavedModel
+    remaining: SavedRemaining
+    nominal: SavedNominal | None = None
+    parameters: dict[str, float] = {}
+    odd_runs: list[SavedOutlierRun] = []
+    disturbances: SavedLeftOut | None = None
+    undetermined: Texts = []
+    pictures: FigureData | None = None
+
+
+class SavedFault(Saved):
+    """Commands or angles that do not mean what the model takes them for."""
+
+    kind: str
+    target: str
+    text: str
+
+
+class SavedForces(Saved):
+    """What a joint's drive gives, and what is not explained of it."""
+
+    joint: str
+    unit: str
+    drive: float
+    before: float
+    after: float
+    used: float
+
+
+class SavedQuickDiagnosis(SavedFinding):
+    """The content of diagnosis.json of a regression alone."""
+
+    faults: list[SavedFault]
+    forces: list[SavedForces]
+
+
+# run.json and made.json
+
+
+class SavedDeclared(Saved):
+    """A parameter as the problem declares it."""
+
+    name: str
+    unit: str = ""
+    low: float
+    high: float
+
+
+class SavedRun(Saved):
+    """The content of run.json, and the header of an evaluation log."""
+
+    problem: str | None = None
+    method: str | None = None
+    seed: int | None = None
+    version: str = ""
+    settings: dict[str, Any] = {}
+    parameters: list[SavedDeclared] = []
+    priors: dict[str, str] = {}
+    transitions: Count | None = None
+    data_sha256: str | None = None
+    model_sha256: str | None = None
+
+
+class SavedMade(Saved):
+    """The content of made.json."""
+
+    command: str
+    problem: str
+    versions: dict[str, str]

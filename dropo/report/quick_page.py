@@ -1,0 +1,52 @@
+"""The page of a diagnosis by regression alone."""
+
+from typing import Any
+
+from dropo.report import parts
+from dropo.report.diagnosis_page import causes_section, finding_cards
+from dropo.report.folder import Result
+from dropo.report.page import Cell, Section, notes, page, percent, plain, table
+
+
+def quick_page(result: Result) -> str:
+    """Write the page of what `dropo diagnose --quick` found.
+
+    Parameters
+    ----------
+    result : Result
+        The diagnosis.
+
+    Returns
+    -------
+    str
+        The HTML file's text.
+    """
+    content = result.content
+    cards = [
+        *finding_cards(content),
+        ("by", "regression alone", ""),
+        ("time", f"{content['wall_time_s']:.1f} s", ""),
+    ]
+    sections = [causes_section(content), _forces(content), parts.made(result)]
+    return page(f"dropo diagnose --quick · {result.problem}", content["headline"], cards, sections)
+
+
+def _forces(content: dict[str, Any]) -> Section:
+    """What is not explained at each joint, what is wrong in the log, and what is unusual."""
+    rows = [
+        [
+            Cell(joint["joint"]),
+            Cell(joint["unit"]),
+            *(Cell(plain(joint[key], 3), joint[key]) for key in ("drive", "before", "after")),
+            Cell(percent(joint["used"]), joint["used"]),
+        ]
+        for joint in content["forces"]
+    ]
+    header = ["joint", "unit", "drive", "unexplained as it is", "with what was found", "used"]
+    remarks = [*(fault["text"] for fault in content["faults"]), *content["warnings"]]
+    lead = (
+        "Root mean squares on data held out, by regression over inverse dynamics: diagnose "
+        "without --quick to confirm by simulation."
+    )
+    body = table(header, rows) + (notes(remarks) if remarks else "")
+    return Section("Forces", lead, body)
