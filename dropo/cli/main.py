@@ -46,9 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     open_standard_streams()
     try:
-        status = _run(argv)
-        sys.stdout.flush()
-        return status
+        return _run(argv)
     except BrokenPipeError:  # whoever reads the output has read enough
         close_standard_output()
         return DONE

@@ -148,14 +148,17 @@ def show(arguments: argparse.Namespace, result: object, content: Any) -> None:
     content : Any
         What is printed as JSON.
     """
-    if arguments.json:
-        print(json.dumps(content, indent=1, allow_nan=False))
-    elif not arguments.quiet:
-        if sys.stdout.isatty():
-            _draw(result)
-        else:
-            print(result)
-    sys.stdout.flush()
+    from dropo.core.services.atomic_write import naming
+
+    with naming("standard output"):
+        if arguments.json:
+            print(json.dumps(content, indent=1, allow_nan=False))
+        elif not arguments.quiet:
+            if sys.stdout.isatty():
+                _draw(result)
+            else:
+                print(result)
+        sys.stdout.flush()
 
 
 def _draw(result: object) -> None:

@@ -4,7 +4,7 @@ import argparse
 import json
 from typing import Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options
+from dropo.cli.output import NOTHING, computing_options, printing_options, show
 
 SCHEMAS = {
     "problem": ("dropo.problems.file.schema", "ProblemFile"),
@@ -55,6 +55,5 @@ def run(arguments: argparse.Namespace) -> int:
 
     module, name = SCHEMAS[known("kind of file", arguments.of, SCHEMAS)]
     schema = json_schema(getattr(import_module(module), name))
-    if not arguments.quiet:
-        print(json.dumps(schema, indent=1))
+    show(arguments, json.dumps(schema, indent=1), schema)
     return 0

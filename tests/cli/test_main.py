@@ -1,5 +1,6 @@
 """The command itself: quick help, one line for an error, exit statuses."""
 
+import os
 import subprocess
 import sys
 import time
@@ -89,3 +90,62 @@ def test_a_failure_is_status_1(
     monkeypatch.setattr("dropo.cli.fit.run", fail)
     assert main(["fit", "p"]) == 1
     assert capsys.readouterr().err == "dropo: It diverged at once.\n"
+
+
+PRINTED = "import sys; from dropo.cli.main import main; sys.exit(main(sys.argv[1:]))"
+
+
+def run(arguments: str, redirected: str, **environment: str) -> "subprocess.CompletedProcess[str]":
+    """A command of a shell, whose output goes elsewhere."""
+    command = f"'{sys.executable}' -c '{PRINTED}' {arguments} {redirected}"
+    return subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command}"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **environment},
+    )
+
+
+@pytest.mark.parametrize(
+    ("redirected", "status", "told"),
+    [
+        ("| head -c 1", 0, ""),
+        ("> /dev/full", 1, "dropo: standard output: No space left on device.\n"),
+        (">&-", 0, ""),
+        (">&- 2>&- <&-", 0, ""),
+        ("2> /dev/full", 0, ""),
+    ],
+)
+def test_output_that_cannot_be_written(redirected: str, status: int, told: str) -> None:
+    """Never a traceback: who has read enough is no error, a full device is one line."""
+    done = run("list effects", redirected)
+    assert (done.returncode, done.stderr) == (status, told)
+
+
+def test_any_character_in_the_locale_c() -> None:
+    """Characters that the locale lacks are written as their codes."""
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = run("fit λ", "", **ascii_only)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+
+
+def test_errors_of_the_system_are_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the file where it is known; so is a lack of memory."""
+    for error, told in (
+        (OSError(5, "Input/output error", "data.npz"), "data.npz: Input/output error."),
+        (OSError(5, "Input/output error"), "Input/output error."),
+        (OSError("odd"), "odd."),
+        (MemoryError(), "Out of memory."),
+        (MemoryError("Unable to allocate\n8 TiB"), "Out of memory. Unable to allocate 8 TiB"),
+    ):
+
+        def fail(arguments: object, error: BaseException = error) -> int:
+            raise error
+
+        monkeypatch.setattr("dropo.cli.fit.run", fail)
+        assert main(["fit", "p"]) == 1
+        assert capsys.readouterr() == ("", f"dropo: {told}\n")

@@ -33,12 +33,35 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        yield part
-        with part.open("rb+") as file:
-            os.fsync(file.fileno())
-        part.replace(path)
+        with naming(path):
+            yield part
+            with part.open("rb+") as file:
+                os.fsync(file.fileno())
+            part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def naming(what: str | Path) -> Iterator[None]:
+    """Give errors of the system inside the block the name of what was written.
+
+    Parameters
+    ----------
+    what : str or Path
+        The file, which a full disk does not name, or what else it is.
+
+    Raises
+    ------
+    OSError
+        The same, with its `filename`.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(what)
+        raise
 
 
 def write_text(path: str | Path, text: str) -> None:

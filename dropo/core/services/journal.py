@@ -12,6 +12,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from dropo.core.services.atomic_write import naming
 from dropo.core.services.errors import BadFile
 from dropo.core.services.saved_files import require_version
 
@@ -64,7 +65,7 @@ class Journal:
             What `json.dumps` takes.
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("ab+") as file:
+        with naming(self.path), self.path.open("ab+") as file:
             lines = [] if self._next else [self._header]
             lines.append(entry)
             text = "".join(map(self._line, lines))
