@@ -32,7 +32,7 @@ def add(commands: Any) -> None:
         "--fit", type=Path, metavar="DIR", help="draw the target's parameters from this fit"
     )
     parser.add_argument(
-        "--episodes", type=whole(1), default=100, metavar="N", help="100 by default"
+        "--episodes", type=whole(1, 10**6), default=100, metavar="N", help="100 by default"
     )
     parser.add_argument(
         "--steps",

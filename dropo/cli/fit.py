@@ -66,7 +66,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument(
         "--draws",
-        type=whole(2),
+        type=whole(2, 10**6),
         metavar="K",
         help="simulations for each transition in one evaluation",
     )

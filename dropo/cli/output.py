@@ -10,6 +10,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TextIO
 
+SHOWN = 40
+"""Characters of an argument that a message shows."""
+MOST_THREADS = 1024
+"""Threads that a computer may have cores for."""
 SOON = 0.02
 """Fraction of the work before which the time left is a guess, and is not shown."""
 
@@ -210,25 +214,33 @@ def computing_options(
         Help texts, where the options do not do the usual.
     """
     usual = "0, the default: all cores; results do not depend on it"
-    parser.add_argument("--seed", type=whole(0), default=0, metavar="S", help=seed)
-    parser.add_argument("--threads", type=whole(0), default=0, metavar="N", help=threads or usual)
+    parser.add_argument("--seed", type=whole(0, 2**64), default=0, metavar="S", help=seed)
+    parser.add_argument(
+        "--threads", type=whole(0, MOST_THREADS), default=0, metavar="N", help=threads or usual
+    )
 
 
 NOTHING = "taken by every command; without effect here"
 """What an option does where there is nothing to decide."""
 
 
-def whole(minimum: int) -> Callable[[str], int]:
-    """Make a type for argparse: a whole number of at least the `minimum`."""
+MOST = 10**9
+"""The largest whole number that makes sense as an option."""
+
+
+def whole(minimum: int, most: int = MOST) -> Callable[[str], int]:
+    """Make a type for argparse: a whole number of at least the `minimum`, at `most` another."""
 
     def convert(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
             value = minimum - 1
-        if value < minimum:
+        if not minimum <= value <= most:
+            beyond = f" and at most {most}" if value > most else ""
+            shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
             raise argparse.ArgumentTypeError(
-                f"expected a whole number of at least {minimum}, got {text!r}"
+                f"expected a whole number of at least {minimum}{beyond}, got {shown!r}"
             )
         return value
 

@@ -7,7 +7,14 @@ import numpy as np
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.data.checks.columns import Column, ColumnSettings, check_column, check_turns, unwrap
+from dropo.data.checks.columns import (
+    Column,
+    ColumnSettings,
+    check_column,
+    check_size,
+    check_turns,
+    unwrap,
+)
 from dropo.data.checks.findings import Finding, errors_first
 from dropo.data.checks.kinematics import (
     Displacements,
@@ -80,6 +87,7 @@ def check_runs(
                 found += check_turns(next(_columns(ordered, robot, name)))
                 ordered = replace(ordered, values=unwrap(ordered.values[:, 0])[:, None])
             for column in _columns(ordered, robot, name):
+                found += check_size(column)
                 found += check_column(column, settings.columns)
             series.append(ordered)
         for joint in robot.joints.values():

@@ -9,7 +9,7 @@ import numpy as np
 
 from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import BadArgument, UnknownName
-from dropo.core.services.validation import known, nearest
+from dropo.core.services.validation import known, nearest, require
 from dropo.mjmodel.names import element_names
 
 PREFIXES = {
@@ -38,6 +38,20 @@ MOVES_FRAMES = ("body_ipos", "body_iquat")
 """Fields that mj_setConst refuses unless the body was compiled with simple="false"."""
 
 
+NEVER_NEGATIVE = (
+    "body_mass",
+    "body_inertia",
+    "dof_armature",
+    "dof_frictionloss",
+    "tendon_frictionloss",
+    "geom_friction",
+    "pair_friction",
+    "density",
+    "viscosity",
+)
+"""Fields whose numbers have no meaning below 0."""
+
+
 @dataclass(frozen=True)
 class FieldParameter(Parameter):
     """A parameter that stands for a number of the model.
@@ -54,6 +68,11 @@ class FieldParameter(Parameter):
         Whether the value is a factor on the model's own number; without an index, on the whole row.
     derived : bool
         Whether constants derived from the model follow (mj_setConst). The thesis leaves them.
+
+    Raises
+    ------
+    BadArgument
+        As a `Parameter` does, and if `low` is below 0 where the field is never.
     """
 
     _: KW_ONLY
@@ -62,6 +81,12 @@ class FieldParameter(Parameter):
     index: int | None = None
     relative: bool = False
     derived: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rule = f"0 or more, since a {self.field} is never negative"
+        allowed = self.low >= 0 or self.field not in NEVER_NEGATIVE
+        require(allowed, "low", rule, self.low, f"Parameter {self.name!r}")
 
 
 class Binding:

@@ -6,8 +6,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array
+from dropo.mjmodel.loading import load_model
 from dropo.mjmodel.names import KINDS, actuator_names, driven_joints, joint_names
 
 _POSITION_UNITS = {
@@ -179,13 +179,7 @@ def load_model_joints(path: str | Path) -> ModelJoints:
     BadFile
         If there is no such file, or MuJoCo refuses it.
     """
-    if not Path(path).is_file():
-        raise BadFile(path, "", "an MJCF file", "no such file")
-    try:
-        return model_joints(mujoco.MjModel.from_xml_path(str(path)))
-    except ValueError as error:
-        got = f"one that MuJoCo refuses ({' '.join(str(error).split())})"
-        raise BadFile(path, "", "an MJCF file", got) from None
+    return model_joints(load_model(path))
 
 
 def model_joints(model: mujoco.MjModel) -> ModelJoints:

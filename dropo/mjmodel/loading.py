@@ -1,6 +1,7 @@
 """Models from files, specifications or compiled ones, ready to be simulated."""
 
 import copy
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +10,11 @@ import mujoco
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.core.services.validation import require
 from dropo.mjmodel.fields import MOVES_FRAMES
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
+
+NAN = "NaN"
+"""What MuJoCo's warning of a number in a file says that is none."""
+_ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
 
 
 def load_model(
@@ -77,7 +83,7 @@ def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.
     BadArgument
         If a compiled model is given, which has no MJCF.
     BadFile
-        If there is no such file, or MuJoCo refuses it.
+        If there is no such file, MuJoCo refuses it, or a number in it is NaN.
     """
     if isinstance(model, mujoco.MjSpec):
         return model.copy()
@@ -87,10 +93,13 @@ def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.
         )
     if not Path(model).is_file():
         raise BadFile(model, "", "an MJCF file", "no such file")
-    try:
-        spec = mujoco.MjSpec.from_file(str(model))
-    except ValueError as error:
-        raise _broken(model, error) from None
+    with suppress_mujoco_warnings() as messages:
+        try:
+            spec = mujoco.MjSpec.from_file(str(model))
+        except ValueError as error:
+            raise _broken(model, error) from None
+    if any(NAN in message for message in messages):
+        raise _not_a_number(Path(model))
     for name in ("meshdir", "texturedir"):
         folder = getattr(spec.compiler, name)
         if folder:
@@ -105,9 +114,20 @@ def _compile(model: str | Path | mujoco.MjSpec, fields: Sequence[str]) -> mujoco
         if set(fields) & set(MOVES_FRAMES):
             for body in spec.bodies:
                 body.simple = False
-        return spec.compile()
+        with suppress_mujoco_warnings():
+            return spec.compile()
     except (ValueError, RuntimeError) as error:
         raise _broken(model, error) from None
+
+
+def _not_a_number(path: Path) -> BadFile:
+    """The refusal of a file in which a number is NaN, with its line where it is in that file."""
+    for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
+        for name, value in _ATTRIBUTE.findall(line):
+            found = re.search(r"[-+]?\bnan\b", value, re.IGNORECASE)
+            if found and name != "name":
+                return BadFile(path, f"line {number}", "a number", found[0])
+    return BadFile(path, "", "numbers alone", "NaN, perhaps in a file that it includes")
 
 
 def _broken(model: str | Path | mujoco.MjSpec, error: Exception) -> BadFile:

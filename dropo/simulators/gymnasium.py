@@ -8,8 +8,8 @@ import gymnasium
 from dropo.core.services.errors import Incompatible, UnknownName
 from dropo.core.services.validation import nearest
 from dropo.mjmodel.fields import FieldParameter
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 
 
 class GymnasiumSimulator(MujocoSimulator):

@@ -16,9 +16,9 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
 from dropo.core.services.registry import names
 from dropo.core.services.validation import Array, nearest, require
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.gymnasium import make_environment, observed_columns
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.binding import bind, declare
 from dropo.training.distributions import ParameterDistribution, Point

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadArgument, UnknownName
-from dropo.mjmodel.fields import Binding, FieldParameter
+from dropo.mjmodel.fields import NEVER_NEGATIVE, Binding, FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.models.cases import BALL, BOX, CART, CASES, PENDULUM, VALVE, mass, places
 from tests.reference.stepping import load, replay_one_by_one
@@ -18,7 +18,8 @@ def model_of(xml):
 
 def parameter(field, element=None, **more):
     """A FieldParameter in [-100, 100]."""
-    return FieldParameter("x", -100.0, 100.0, field=field, element=element, **more)
+    low = 0.0 if field in NEVER_NEGATIVE else -100.0
+    return FieldParameter("x", low, 100.0, field=field, element=element, **more)
 
 
 def changed(before, after, field):

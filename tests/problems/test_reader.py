@@ -242,22 +242,22 @@ REFUSALS = {
     "wrong type": (
         "frame_skip: 2",
         "frame_skip: four",
-        "frame_skip: expected a whole number of at least 1, got 'four'.",
+        "frame_skip: expected a whole number from 1 to 100000, got 'four'.",
     ),
     "true is no number": (
         "frame_skip: 2",
         "frame_skip: true",
-        "frame_skip: expected a whole number of at least 1, got True.",
+        "frame_skip: expected a whole number from 1 to 100000, got True.",
     ),
     "a float is not whole": (
         "frame_skip: 2",
         "frame_skip: 2.5",
-        "frame_skip: expected a whole number of at least 1, got 2.5.",
+        "frame_skip: expected a whole number from 1 to 100000, got 2.5.",
     ),
     "zero": (
         "frame_skip: 2",
         "frame_skip: 0",
-        "frame_skip: expected a whole number of at least 1, got 0.",
+        "frame_skip: expected a whole number from 1 to 100000, got 0.",
     ),
     "no low": ("low: 1, ", "", "parameters.cart_mass.low: expected a number, got nothing."),
     "low is text": (

@@ -8,8 +8,8 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible, UnknownName
 from dropo.mjmodel.fields import FieldParameter
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.gymnasium import GymnasiumSimulator
-from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.testing import check_simulator
 
 

@@ -13,9 +13,9 @@ from dropo.core.contracts.effect import instances_of
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.mjmodel.fields import FieldParameter
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.problems.simulated.robots import masses, simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.testing import check_simulator
 from tests.models.cases import BOX, CART, CASES, CUTS, PENDULUM, SENSED, Case, mass, places
 from tests.reference.stepping import load, replay_one_by_one

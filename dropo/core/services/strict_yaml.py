@@ -2,11 +2,19 @@
 
 import io
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from dropo.core.services.errors import BadFile
+from dropo.core.services.file_content import describe_value
 
+LARGEST_FILE = 2**22
+"""Bytes of a file that somebody wrote by hand."""
+DEEPEST = 50
+"""Lists and mappings inside each other."""
+MOST_ENTRIES = 100_000
+"""Entries of a file, what an alias stands for counted each time."""
 WIDTH = 120
 """Characters in a line that `format_yaml` writes."""
 
@@ -85,6 +93,9 @@ def _read_text(path: Path, what: str) -> str:
     try:
         if not path.is_file():
             raise BadFile(path, "", what, "no such file")
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise BadFile(path, "", f"{what} of at most {LARGEST_FILE} bytes", f"{size}")
         return path.read_text(encoding="utf-8")
     except (UnicodeDecodeError, OSError) as error:
         got = f"a file that cannot be read as text ({error})"
@@ -96,11 +107,47 @@ def _parse(path: Path, text: str) -> Any:
     from ruamel.yaml import YAML
 
     try:
+        _require_plain(path, YAML(typ="safe", pure=True).parse(text))
         return YAML(typ="safe", pure=True).load(text)
+    except BadFile:
+        raise
     except Exception as error:  # the parser lets through what a tag or a long number raises
         mark = getattr(error, "problem_mark", None)
         key = f"line {mark.line + 1}" if mark else ""
         raise BadFile(path, key, "YAML", _describe_fault(error)) from None
+
+
+def _require_plain(path: Path, events: Iterable[Any]) -> None:
+    """Refuse tags, deep nesting, and aliases that stand for very many entries."""
+    sizes: dict[str, int] = {}  # of what each anchor names
+    entries = 0
+    open_ones: list[tuple[str | None, int]] = []  # anchors, and the entries before them
+    for event in events:
+        key = f"line {event.start_mark.line + 1}"
+        tag = getattr(event, "tag", None)
+        if tag is not None and str(tag) != "!":
+            shown = str(tag).replace("tag:yaml.org,2002:", "!!")
+            raise BadFile(path, key, "no tag", describe_value(shown))
+        kind = type(event).__name__
+        anchor = getattr(event, "anchor", None)
+        if kind.endswith("StartEvent") and not kind.startswith(("Stream", "Document")):
+            open_ones.append((anchor, entries))
+            if len(open_ones) > DEEPEST:
+                expected = f"lists and mappings at most {DEEPEST} deep"
+                raise BadFile(path, key, expected, "deeper ones")
+        elif kind in ("SequenceEndEvent", "MappingEndEvent"):
+            name, before = open_ones.pop()
+            if name is not None:
+                sizes[name] = entries - before
+        elif kind == "ScalarEvent":
+            entries += 1
+            if anchor is not None:
+                sizes[anchor] = 1
+        elif kind == "AliasEvent":
+            entries += sizes.get(anchor, 1)  # type: ignore[arg-type]
+        if entries > MOST_ENTRIES:
+            expected = f"at most {MOST_ENTRIES} entries, aliases counted in full"
+            raise BadFile(path, key, expected, "more")
 
 
 def _describe_fault(error: Exception) -> str:

@@ -14,7 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.validation import Array
-from dropo.data.checks.columns import Column, ColumnSettings, check_column, check_limits
+from dropo.data.checks.columns import Column, ColumnSettings, check_column, check_limits, check_size
 from dropo.data.checks.findings import Finding, Level, errors_first
 from dropo.data.checks.kinematics import (
     Displacements,
@@ -230,6 +230,8 @@ class _CheckedData:
 
 def _possible_errors(data: _CheckedData) -> Iterator[Finding]:
     """The findings of all checks that may find an error."""
+    for column in (*_columns(data), *_following_columns(data)):
+        yield from check_size(column)
     yield from _check_quaternions(data)
     yield from _check_time(data)
     yield from _check_rate(data)
@@ -320,6 +322,14 @@ def _columns(data: _CheckedData) -> Iterator[Column]:
         values = trajectories.observations[:, i]
         yield Column(signal.name, signal.unit, data.time, values, rows, True, limits.get(i), breaks)
     yield from _command_columns(data)
+
+
+def _following_columns(data: _CheckedData) -> Iterator[Column]:
+    """Every column of the observations that follow."""
+    following = data.trajectories.next_observations
+    rows = np.arange(len(following))
+    for i, signal in enumerate(columns(data.simulator, following.shape[1])):
+        yield Column(signal.name, signal.unit, data.time, following[:, i], rows)
 
 
 def _command_columns(data: _CheckedData) -> Iterator[Column]:

@@ -43,6 +43,8 @@ class ColumnSettings:
 
 
 DEFAULTS = ColumnSettings()
+LARGEST = 1e10
+"""Beyond it MuJoCo takes a state for one that has diverged (mjMAXVAL)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +137,30 @@ def check_column(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterato
         yield from _check_clipping(column, settings)
         yield from _check_quantisation(column, settings)
     yield from check_limits(column, settings)
+
+
+def check_size(column: Column) -> Iterator[Finding]:
+    """Find numbers that no sensor gives: marks for what was not measured.
+
+    Parameters
+    ----------
+    column : Column
+        The column.
+
+    Yields
+    ------
+    Finding
+    """
+    beyond = np.flatnonzero(np.abs(column.values) > LARGEST)
+    if len(beyond):
+        first = int(beyond[0])
+        value = column.format_value(column.values[first])
+        text = (
+            f"a number beyond {LARGEST:g} is no measurement; of {len(beyond)} the first is {value} "
+            f"in {column.format_place(first)}."
+        )
+        advice = "Take such rows out, and end the trajectory before them."
+        yield column.make_finding("error", first, text, advice)
 
 
 # Angles

@@ -35,6 +35,9 @@ MOTOR = "the name of a motor, or a mapping with its numbers"
 RESET = "'transition', 'start', or {set: [observation items]}"
 HELD_OUT = "a list of trajectory numbers, or data as in `data`"
 
+MOST_FRAMES = 100_000
+"""Physics steps in a control step, far more than any machine needs."""
+
 Function = Annotated[Word, Expected(FUNCTION)]
 Variance = Annotated[Finite, Field(ge=0), Expected("a variance, 0 or more")]
 Items = Annotated[list[Word], Field(min_length=1)]
@@ -154,7 +157,11 @@ class ProblemFile(Entry):
 
     model: Annotated[Word, Expected(MODEL)]
     """An MJCF file, by its path from this file, or the name of a built-in model."""
-    frame_skip: Count = 1
+    frame_skip: Annotated[
+        int,
+        Field(ge=1, le=MOST_FRAMES),
+        Expected(f"a whole number from 1 to {MOST_FRAMES}"),
+    ] = 1
     """Physics steps for which one action is held."""
     data: Annotated[
         Word | Annotated[list[Word], Field(min_length=1)],

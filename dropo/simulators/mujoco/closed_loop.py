@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array, check_shape, require
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.simulator import MAX_STATE
-from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 
 BatchPolicy = Callable[[Array, Ints, int], Array]
 """policy(states (m, nq + nv), ids (m,), step) -> actions (m, nu) of the simulations `ids`."""

@@ -14,6 +14,7 @@ from dropo.core.contracts.effect import ActiveEffects, EffectInstance, magnitude
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.closed_loop import advance
 from dropo.simulators.mujoco.layers import (
     change_commands,
@@ -23,7 +24,6 @@ from dropo.simulators.mujoco.layers import (
     total_delays,
 )
 from dropo.simulators.mujoco.simulator import MAX_STATE, MujocoSimulator
-from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.worker import (
     Worker,
     acts_after_clamp,

@@ -25,6 +25,7 @@ from dropo.mjmodel.loading import load_model, specification
 from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.layers import (
     changes_commands,
     commands_per_physics_step,
@@ -37,7 +38,6 @@ from dropo.simulators.mujoco.layers import (
     total_delays,
     true_starts,
 )
-from dropo.simulators.mujoco.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.worker import Worker, acts_after_clamp
 
 MAX_BYTES = 1 << 25

@@ -13,21 +13,23 @@ _handlers: list[Any] = []
 
 
 @contextmanager
-def suppress_mujoco_warnings() -> Iterator[None]:
+def suppress_mujoco_warnings() -> Iterator[list[str]]:
     """Keep MuJoCo from writing MUJOCO_LOG.TXT into the working directory.
 
-    Failures are found in the states instead. The handler belongs to the whole process: of
-    overlapping contexts on several threads, the last to end puts the user's own back.
+    Failures are found in the states, or in what MuJoCo said. The handler belongs to the whole
+    process: of overlapping contexts on several threads, the last to end puts the user's own back.
 
     Yields
     ------
-    None
+    list of str
+        What MuJoCo has said so far; what it says to overlapping contexts is in the latest one's.
     """
+    messages: list[str] = []
     with _LOCK:
         _handlers.append(mujoco.get_mju_user_warning())
-        mujoco.set_mju_user_warning(lambda message: None)
+        mujoco.set_mju_user_warning(messages.append)
     try:
-        yield
+        yield messages
     finally:
         with _LOCK:
             mujoco.set_mju_user_warning(_handlers.pop())
