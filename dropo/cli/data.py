@@ -225,7 +225,8 @@ def run_inputs(arguments: argparse.Namespace) -> int:
             "them under `inputs`."
         )
     problems = {
-        name: load(arguments.problem, threads=arguments.threads, input=name) for name in names
+        name: load(arguments.problem, threads=arguments.threads, input=name, trusted=False)
+        for name in names
     }
     found = choose_problem_input(problems)
     show(arguments, found, found.to_json())
@@ -254,7 +255,7 @@ def run_states(arguments: argparse.Namespace) -> int:
     from dropo.problems.file.writer import write_problem
     from dropo.problems.loading import load
 
-    measured = load(arguments.problem, threads=arguments.threads)
+    measured = load(arguments.problem, threads=arguments.threads, trusted=False)
     problem, found = with_states(measured, arguments.unmeasured, causal=arguments.causal)
     write_problem(problem, arguments.out)
     show(arguments, found, found.to_json())
@@ -366,7 +367,7 @@ def _target(target: str) -> tuple["Trajectories", "Problem | None"]:
     if target in names("problems") or target.endswith((".yaml", ".yml")):
         from dropo.problems.loading import load
 
-        problem = load(target, checked=False)
+        problem = load(target, checked=False, trusted=False)
         return problem.trajectories, problem
     if not (Path(target).exists() or target.startswith(MINARI) or target.endswith(".npz")):
         raise UnknownName(

@@ -157,5 +157,10 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
     from dropo.problems.simulated.hidden import hide
 
     if not arguments.hide:
-        return load(arguments.problem, threads=arguments.threads, checked=not arguments.unchecked)
+        return load(
+            arguments.problem,
+            threads=arguments.threads,
+            checked=not arguments.unchecked,
+            trusted=False,
+        )
     return hide(arguments.problem, arguments.hide, seed=arguments.seed, threads=arguments.threads)

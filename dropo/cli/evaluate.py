@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dropo.cli.fit import variance
-from dropo.cli.output import computing_options, printing_options, show, whole
+from dropo.cli.output import computing_options, printing_options, show, trusting_option, whole
 
 BESIDE = "beside the policy"
 
@@ -54,6 +54,7 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="also an episode as an .mp4",
     )
+    trusting_option(parser)
     computing_options(parser)
     printing_options(parser)
 
@@ -79,14 +80,16 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.video is not None and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
     from dropo.core.records.fit import Fit
+    from dropo.training.environments import resolve
     from dropo.training.evaluate import evaluate, motion
     from dropo.training.policy import load_policy
 
-    policy = load_policy(arguments.policy)
+    policy = load_policy(arguments.policy, trusted=arguments.trust)
+    target = resolve(arguments.on, trusted=arguments.trust)
     distribution = None if arguments.fit is None else Fit.load(arguments.fit)
     found = evaluate(
         policy,
-        arguments.on,
+        target,
         distribution=distribution,
         episodes=arguments.episodes,
         steps=arguments.steps,
@@ -101,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         place = arguments.policy if arguments.policy.is_dir() else arguments.policy.parent
         path = place / "policy.mp4" if arguments.video == Path(BESIDE) else arguments.video
-        shown = motion(policy, arguments.on, steps=arguments.steps, rng=arguments.seed)
+        shown = motion(policy, target, steps=arguments.steps, rng=arguments.seed)
         video = str(write_motion(*shown, path))
         content["video"] = video
     show(arguments, found if video is None else f"{found}\n{video}", content)

@@ -182,7 +182,12 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
     from dropo.data.checks.check import shorter_than_lambda
     from dropo.problems.loading import load
 
-    problem = load(arguments.problem, threads=arguments.threads, checked=not arguments.unchecked)
+    problem = load(
+        arguments.problem,
+        threads=arguments.threads,
+        checked=not arguments.unchecked,
+        trusted=False,
+    )
     if len(problem.space) == 0:
         raise BadFile(arguments.problem, "parameters", "at least one parameter to fit", "none")
     if arguments.length is not None and problem.reset == "start":

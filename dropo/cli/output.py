@@ -220,6 +220,16 @@ def computing_options(
     )
 
 
+def trusting_option(parser: argparse.ArgumentParser) -> None:
+    """Add --trust to a `parser`, for commands that may run code of others."""
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="run Python code that a problem file names under `task`, and read networks, which may "
+        "hold code",
+    )
+
+
 NOTHING = "taken by every command; without effect here"
 """What an option does where there is nothing to decide."""
 

@@ -6,6 +6,7 @@ The number of threads is not in it, since results do not depend on it.
 import argparse
 import hashlib
 import math
+import os
 import platform
 from dataclasses import asdict, fields
 from importlib.metadata import version
@@ -102,10 +103,15 @@ def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | No
     }
     made = {
         "command": arguments.command_line,
-        "problem": str(path.resolve()) if path.is_file() else arguments.problem,
+        "problem": _place(path, arguments.out) if path.is_file() else arguments.problem,
         "versions": versions,
     }
     write_json(arguments.out / "made.json", made)
+
+
+def _place(path: Path, folder: Path) -> str:
+    """The way to a file from a folder, which may move with it."""
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
 def problem_record(problem: Problem) -> dict[str, Any]:

@@ -84,7 +84,9 @@ def _simulator(result: "Result") -> "RobotSimulator":
             f"{result.folder} keeps no motion to show. Run `dropo fit --out` or `dropo "
             "diagnose --out`, or leave out --video."
         )
-    simulator = load(result.made["problem"], checked=False).simulator
+    place = result.folder / result.made["problem"]
+    named = place if place.is_file() else result.made["problem"]
+    simulator = load(named, checked=False, trusted=False).simulator
     if not isinstance(simulator, RobotSimulator):
         raise Incompatible(f"{type(simulator).__name__} has no bodies to show. Leave out --video.")
     if model_sum(simulator.model) != result.record.get("model_sha256"):

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from dropo.cli.fit import variance
 from dropo.cli.folder import RunFolder, run_folder
-from dropo.cli.output import Progress, computing_options, printing_options, show, whole
+from dropo.cli.output import (
+    Progress,
+    computing_options,
+    printing_options,
+    show,
+    trusting_option,
+    whole,
+)
 
 if TYPE_CHECKING:
     from dropo.training.distributions import ParameterDistribution
@@ -77,6 +84,7 @@ def add(commands: Any) -> None:
         metavar="DIR",
         help="write policy.json here; the same command resumes after any interruption",
     )
+    trusting_option(parser)
     computing_options(parser)
     printing_options(parser)
 
@@ -112,7 +120,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     from dropo.training.evaluate import Compared, broken, evaluate
     from dropo.training.train import train
 
-    target = resolve(arguments.problem)
+    target = resolve(arguments.problem, trusted=arguments.trust)
     algorithm = _algorithm(arguments)
     distribution = _distribution(arguments, target)
     folder.begin(_record(arguments, target, algorithm))

@@ -38,7 +38,7 @@ def load_model(
     BadArgument
         If a compiled model is given, and one of the fields needs bodies to be compiled anew.
     BadFile
-        If there is no such file, or the model does not compile.
+        If there is no such file, the model does not compile, or its timestep is not above 0.
 
     Notes
     -----
@@ -57,6 +57,9 @@ def load_model(
         compiled = copy.copy(model)
     else:
         compiled = _compile(model, fields)
+    step = compiled.opt.timestep
+    if not step > 0:
+        raise BadFile(_source(model), "timestep", "a number above 0", f"{step:g}")
     compiled.opt.disableflags |= (
         mujoco.mjtDisableBit.mjDSBL_WARMSTART | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     )
@@ -132,5 +135,10 @@ def _not_a_number(path: Path) -> BadFile:
 
 def _broken(model: str | Path | mujoco.MjSpec, error: Exception) -> BadFile:
     """The refusal of a model that MuJoCo does not compile."""
-    source = "the model" if isinstance(model, mujoco.MjSpec) else model
-    return BadFile(source, "", "a model that compiles", str(error).strip().replace("\n", "; "))
+    got = str(error).strip().replace("\n", "; ")
+    return BadFile(_source(model), "", "a model that compiles", got)
+
+
+def _source(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> str | Path:
+    """Where a model came from, for messages."""
+    return model if isinstance(model, str | Path) else "the model"

@@ -16,7 +16,12 @@ INPUTS = ("commanded", "current")
 
 
 def load(
-    problem: str | Path, *, threads: int = 0, checked: bool = True, input: str | None = None
+    problem: str | Path,
+    *,
+    threads: int = 0,
+    checked: bool = True,
+    input: str | None = None,
+    trusted: bool = True,
 ) -> Problem:
     """Load a built-in problem by its name, or the one that a YAML file describes.
 
@@ -31,6 +36,9 @@ def load(
     input : str or None
         Which of several logged commands drives the model, one of `inputs_of`; by default as the
         problem says.
+    trusted : bool
+        Import the Python functions that a problem file names under `task`. Without it their place
+        is kept, and a task that is used is refused.
 
     Returns
     -------
@@ -50,7 +58,9 @@ def load(
     if is_file(problem):
         from dropo.problems.file.reader import read_problem
 
-        return read_problem(Path(problem), threads=threads, checked=checked, input=input)
+        return read_problem(
+            Path(problem), threads=threads, checked=checked, input=input, trusted=trusted
+        )
     make = find("problems", known("problem", str(problem), names("problems")))
     chosen = {} if input is None else {"input": known("input", input, inputs_of(problem))}
     found = cast(Problem, make(threads=threads, **chosen))

@@ -103,13 +103,15 @@ def randomize(
     return TaskEnv(batch) if count is None else RandomizedVectorEnv(batch)
 
 
-def resolve(target: Target) -> Target:
+def resolve(target: Target, *, trusted: bool = True) -> Target:
     """Loads a problem by its name or file.
 
     Parameters
     ----------
     target : Problem, str, Path or gymnasium.Env
         The target. Ids of Gymnasium, problems and environments are returned as they are.
+    trusted : bool
+        As in `dropo.load`.
 
     Returns
     -------
@@ -126,7 +128,7 @@ def resolve(target: Target) -> Target:
     if not isinstance(target, str | Path) or target in gymnasium.registry:
         return target
     if is_file(target) or target in names("problems"):
-        return load(target)
+        return load(target, trusted=trusted)
     raise UnknownName(
         f"No problem and no Gymnasium environment called {str(target)!r}. "
         f"{nearest(target, [*names('problems'), *gymnasium.registry])}"

@@ -214,13 +214,15 @@ def write(path: str | Path, content: dict[str, Any]) -> Path:
     return path
 
 
-def load_policy(path: str | Path) -> Policy:
+def load_policy(path: str | Path, *, trusted: bool = True) -> Policy:
     """Reads the policy at a path.
 
     Parameters
     ----------
     path : str or Path
         The policy's file, or the folder that training wrote.
+    trusted : bool
+        Read networks too: the files of stable-baselines3 may hold code that runs as they are read.
 
     Returns
     -------
@@ -231,6 +233,8 @@ def load_policy(path: str | Path) -> Policy:
     ------
     BadFile
         If there is no file, or it does not hold a policy.
+    Incompatible
+        If it holds a network and is not trusted.
     MissingPackage
         If it holds a network and stable-baselines3 is not installed.
     """
@@ -244,6 +248,11 @@ def load_policy(path: str | Path) -> Policy:
 
     content = read_json(path, EXPECTED)
     check_content(path, content, SCHEMAS.get(str(content.get("kind")), SavedPolicy))
+    if content["kind"] == "network" and not trusted:
+        raise Incompatible(
+            f"{path}: a network, whose file may hold Python code, is read only where it is "
+            "trusted: give --trust, or load it in Python."
+        )
     with refusing_faults(path, EXPECTED):
         return _read(path, content)
 

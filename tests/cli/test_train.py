@@ -24,6 +24,13 @@ def near(before, actions, after):
 def still_there(states):
     return np.abs(states[:, 0]) < 5
 """
+MADE = """
+
+def task():
+    from dropo.core.records.task import Task
+
+    return Task(near, lambda rng, n: np.zeros((n, 2)), steps=5)
+"""
 TASK = "task: {reward: reward.py:near, alive: reward.py:still_there, steps: 15, bonus: 0.5}\n"
 
 
@@ -41,6 +48,7 @@ def arguments(problem, out="policy", budget=4):
     return [
         "train",
         str(problem),
+        "--trust",
         "--fit",
         str(folder / "fit"),
         "--budget",
@@ -62,13 +70,16 @@ def test_trains_saves_and_evaluates(trained, tmp_path, capsys):
     assert made["about"]["law"] == "dropo fit of problem"
     assert set(made["returns"]) == {"under the fit", "as it is"}
     assert set(made["returns"]["as it is"]["lengths"]) == {15}
-    assert main(["evaluate", str(tmp_path / "policy"), "--on", str(trained), "--json"]) == 0
+    assert (
+        main(["evaluate", str(tmp_path / "policy"), "--trust", "--on", str(trained), "--json"]) == 0
+    )
     assert json.loads(capsys.readouterr().out) == made["returns"]["as it is"]
     assert (
         main(
             [
                 "evaluate",
                 made["policy"],
+                "--trust",
                 "--on",
                 str(trained),
                 "--fit",
@@ -80,7 +91,19 @@ def test_trains_saves_and_evaluates(trained, tmp_path, capsys):
     )
     assert json.loads(capsys.readouterr().out) == made["returns"]["under the fit"]
     assert (
-        main(["evaluate", made["policy"], "--on", str(trained), "--episodes", "3", "--steps", "4"])
+        main(
+            [
+                "evaluate",
+                made["policy"],
+                "--trust",
+                "--on",
+                str(trained),
+                "--episodes",
+                "3",
+                "--steps",
+                "4",
+            ]
+        )
         == 0
     )
     assert capsys.readouterr().out.splitlines()[-1].split()[:2] == ["problem", "3"]
@@ -150,7 +173,7 @@ def test_a_task_travels_with_its_problem(trained, tmp_path):
 def test_bad_tasks(task, said, trained, capsys):
     """Each names the file, the key and what is wrong."""
     trained.write_text(trained.read_text().replace(TASK, f"task: {task}\n"))
-    assert main(["train", str(trained)]) == 2
+    assert main(["train", str(trained), "--trust"]) == 2
     assert said in capsys.readouterr().err
 
 
@@ -168,10 +191,13 @@ def test_refusals(trained, tmp_path, capsys, monkeypatch):
     cases = [
         (["train", str(without)], "has no task to train for"),
         (
-            ["train", str(other), "--fit", str(tmp_path / "fit")],
+            ["train", str(other), "--trust", "--fit", str(tmp_path / "fit")],
             "of another model, that of 'problem': not that of 'other'",
         ),
-        (["train", str(trained), "--fit", str(tmp_path)], "a fit written by `dropo fit --out`"),
+        (
+            ["train", str(trained), "--trust", "--fit", str(tmp_path)],
+            "a fit written by `dropo fit --out`",
+        ),
         (["train", str(trained), "--widen", "100"], "no --fit was given"),
         (["train", "hoper"], "Did you mean 'hopper'?"),
         (["train", str(trained), "--noise", "-1"], "expected a variance of 0 or more, got '-1'"),
@@ -186,7 +212,7 @@ def test_refusals(trained, tmp_path, capsys, monkeypatch):
     assert main(["evaluate", str(tmp_path / "policy"), "--on", "Hopper-v5"]) == 2
     assert "'Hopper-v5' has 11 and 3" in capsys.readouterr().err
     monkeypatch.setattr("dropo.core.services.optional_dependencies.find_spec", lambda name: None)
-    assert main(["train", str(trained), "--algorithm", "sac", "--out", str(out)]) == 2
+    assert main(["train", str(trained), "--trust", "--algorithm", "sac", "--out", str(out)]) == 2
     assert "pip install 'dropo[rl]'" in capsys.readouterr().err
     assert not out.exists()
     assert load_policy(tmp_path / "policy").about["algorithm"] == "ars"
@@ -203,6 +229,7 @@ def test_video(trained, tmp_path, capsys):
     line = [
         "evaluate",
         str(tmp_path / "policy"),
+        "--trust",
         "--on",
         str(trained),
         "--episodes",
@@ -227,3 +254,45 @@ def test_video(trained, tmp_path, capsys):
     ).reshape(-1, 96, 96, 3)
     assert len(frames) == 5  # 16 states, 0.01 s apart, at 30 a second
     assert frames.std() > 5
+
+
+CODE = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
+
+
+def test_code_of_a_problem_file_runs_only_where_it_is_trusted(trained, tmp_path, capsys):
+    """No command imports it without --trust: those that need none do without, training and
+    evaluation are refused and write nothing; with --trust, and in Python, it runs.
+    """
+    assert main([*arguments(trained), "--quiet"]) == 0
+    (tmp_path / "reward.py").write_text(CODE + REWARD)
+    ran = tmp_path / "ran"
+    play = ["evaluate", str(tmp_path / "policy"), "--on", str(trained), "--episodes", "1"]
+    fit = ["fit", str(trained), "--method", "least-squares", "--out", str(tmp_path / "new")]
+    check = ["data", "check", str(trained)]
+    for command, status in ((fit, 0), (check, 0), (play, 2)):
+        assert main(command) == status
+    untrusted = [word for word in arguments(trained, "other") if word != "--trust"]
+    assert main(untrusted) == 2
+    told = "task: 'reward.py:near' is Python code, which runs only where it is trusted"
+    assert capsys.readouterr().err.count(told) == 2
+    assert not (tmp_path / "other").exists()
+    assert not ran.exists()
+    assert main([*play, "--trust"]) == 0
+    assert ran.exists()
+
+
+def test_no_path_of_the_machine_is_kept(trained, tmp_path):
+    """Neither in what a run keeps of its problem, nor in a problem that is written elsewhere."""
+    from dropo.problems.file.writer import write_problem
+
+    for task in (TASK, "task: reward.py:task\n"):
+        base = trained.read_text().split("task:")[0]
+        (tmp_path / "reward.py").write_text(REWARD + MADE)
+        trained.write_text(base + task)
+        out = tmp_path / "runs" / "copy"
+        path = write_problem(load(trained, trusted=False), out)
+        assert str(tmp_path) not in path.read_text()
+        assert "../../reward.py:" in path.read_text()
+        assert load(path).task is not None
+    made = json.loads((tmp_path / "fit" / "made.json").read_text())
+    assert made["problem"] == "../problem.yaml"

@@ -110,13 +110,14 @@ def test_aliases_that_say_little_are_read(folder: Path) -> None:
         ('mass="2"', 'mass="nan"', "robot.xml: line 6: expected a number, got nan"),
         ('damping="0.5"', 'damping="NaN"', "robot.xml: line 5: expected a number, got NaN"),
         ('"0.01"', '"nan"', "robot.xml: line 3: expected a number, got nan"),
+        ('"0.01"', '"0"', "robot.xml: timestep: expected a number above 0, got 0"),
         ('"0.01"', '"0.01" gravity="0 0 -nan"', "robot.xml: line 3: expected a number, got -nan"),
     ],
 )
-def test_models_with_nan(
+def test_models_with_impossible_numbers(
     folder: Path, old: str, new: str, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By file and line; no log of MuJoCo's is left."""
+    """By file and line or name; no log of MuJoCo's is left."""
     (folder / "robot.xml").write_text(XML.replace(old, new))
     assert told in refusal(capsys)
 

@@ -20,7 +20,7 @@ from dropo._version import __version__
 from dropo.core.services.errors import BadFile, DropoError
 
 NPZ = "an .npz file, as numpy.savez writes it"
-LARGE = 2**30
+LARGE = 2**28
 """Bytes from which an array in an archive must not be packed too tightly."""
 TIGHT = 100
 """Times smaller than its content is an array in a large archive that somebody made as a trap."""

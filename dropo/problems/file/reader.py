@@ -30,7 +30,12 @@ KIND = "a problem file"
 
 
 def read_problem(
-    path: Path, *, threads: int = 0, checked: bool = True, input: str | None = None
+    path: Path,
+    *,
+    threads: int = 0,
+    checked: bool = True,
+    input: str | None = None,
+    trusted: bool = True,
 ) -> Problem:
     """Read the problem that a file describes.
 
@@ -38,7 +43,7 @@ def read_problem(
     ----------
     path : Path
         The problem file.
-    threads, checked, input : int, bool, str or None
+    threads, checked, input, trusted : int, bool, str or None, bool
         As in `dropo.load`.
 
     Returns
@@ -60,7 +65,7 @@ def read_problem(
     reset, set_columns = _read_reset(file, simulator)
     epsilon = _read_epsilon(file, simulator)
     priors = _read_priors(file, simulator)
-    task = make_task(file, simulator, fitted)
+    task = make_task(file, simulator, fitted, trusted=trusted)
     with file.at("lambda"):
         problem = Problem(
             path.stem,

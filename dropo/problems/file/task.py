@@ -2,9 +2,11 @@
 
 import importlib
 import importlib.util
+import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -16,9 +18,16 @@ from dropo.core.services.validation import Array
 from dropo.problems.file.schema import FUNCTION, ProblemFile, TaskEntry
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
+FUNCTIONS = ("reward", "alive", "starts")
+"""Entries of a task that name Python functions."""
+
 
 def make_task(
-    file: FileContent[ProblemFile], simulator: MujocoSimulator, data: Trajectories
+    file: FileContent[ProblemFile],
+    simulator: MujocoSimulator,
+    data: Trajectories,
+    *,
+    trusted: bool,
 ) -> Task | None:
     """Make the task that a problem file names.
 
@@ -30,11 +39,14 @@ def make_task(
         Its simulator.
     data : Trajectories
         Its recordings, in whose start states episodes begin where the file names no others.
+    trusted : bool
+        Whether the functions that are named may be imported.
 
     Returns
     -------
     Task or None
-        None where the file names none.
+        None where the file names none. Where it is not trusted, a task that is refused when it is
+        used.
 
     Raises
     ------
@@ -44,14 +56,13 @@ def make_task(
     entry = file.content.task
     if entry is None:
         return None
+    if not trusted:
+        return _refused_task(file, entry)
     if isinstance(entry, str):
-        return _call(file, entry)
+        return replace(_call(file, entry), source=_absolute(file.path, entry))
     functions = _import_functions(file, entry)
     functions.setdefault("starts", start_as_measured(simulator, data))
-    source = entry.model_dump(exclude_unset=True)
-    for name in ("reward", "alive", "starts"):
-        if name in source:
-            source[name] = _absolute(file.path, source[name])
+    source = _source(file.path, entry)
     return Task(**functions, steps=entry.steps, bonus=entry.bonus, source=source)
 
 
@@ -80,10 +91,63 @@ def start_as_measured(
     return lambda rng, n: kept[rng.integers(len(kept), size=n)]
 
 
+def _refused_task(file: FileContent[ProblemFile], entry: str | TaskEntry) -> Task:
+    """A task in the place of one whose functions may not be imported."""
+    text = entry if isinstance(entry, str) else entry.reward
+
+    def refuse(*_: object) -> NoReturn:
+        raise BadEntry(
+            file.path,
+            "task",
+            f"{text!r} is Python code, which runs only where it is trusted: give --trust, or "
+            "load the problem in Python.",
+        )
+
+    steps = 1 if isinstance(entry, str) else entry.steps
+    return Task(reward=refuse, starts=refuse, steps=steps, source=_source(file.path, entry))
+
+
+def _source(path: Path, entry: str | TaskEntry) -> Any:
+    """How a problem file in another folder names the task."""
+    if isinstance(entry, str):
+        return _absolute(path, entry)
+    source = entry.model_dump(exclude_unset=True)
+    for name in FUNCTIONS:
+        if name in source:
+            source[name] = _absolute(path, source[name])
+    return source
+
+
+def locate_from(source: Any, folder: Path) -> Any:
+    """Name the Python files of a task by their way from a folder, which may move with them.
+
+    Parameters
+    ----------
+    source : Any
+        `Task.source` of a task that a problem file names.
+    folder : Path
+        Where the problem file is going to be.
+
+    Returns
+    -------
+    Any
+        The same with relative paths.
+    """
+    if isinstance(source, dict):
+        return {
+            name: locate_from(text, folder) if name in FUNCTIONS else text
+            for name, text in source.items()
+        }
+    module, _, name = str(source).rpartition(":")
+    if not module.endswith(".py"):
+        return source
+    return f"{Path(os.path.relpath(module, folder.resolve())).as_posix()}:{name}"
+
+
 def _import_functions(file: FileContent[ProblemFile], entry: TaskEntry) -> dict[str, Any]:
     """The functions that an entry names."""
     functions = {}
-    for name in ("reward", "alive", "starts"):
+    for name in FUNCTIONS:
         text = getattr(entry, name)
         if text is not None:
             functions[name] = _import(file, f"task.{name}", text)

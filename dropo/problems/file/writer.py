@@ -14,6 +14,7 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.effects import make_effect_entry
 from dropo.problems.file.model_xml import format_model, is_in_model
 from dropo.problems.file.schema import EffectEntry, ParameterEntry, ProblemFile
+from dropo.problems.file.task import locate_from
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
@@ -46,8 +47,8 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
             f"{type(simulator).__name__} cannot be written as a problem file, which describes "
             "a MuJoCo model."
         )
-    content = _make_content(problem, simulator).model_dump(by_alias=True, exclude_unset=True)
     folder = Path(folder)
+    content = _make_content(problem, simulator, folder)
     write_text(folder / "model.xml", format_model(simulator))
     write_data(problem.trajectories, folder / "data.npz")
     if problem.held_out is not None:
@@ -57,8 +58,8 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
     return path
 
 
-def _make_content(problem: Problem, simulator: MujocoSimulator) -> ProblemFile:
-    """The content of the problem file, of keys that say more than their defaults."""
+def _make_content(problem: Problem, simulator: MujocoSimulator, folder: Path) -> dict[str, Any]:
+    """The content of a problem file in a folder, of keys that say more than their defaults."""
     content: dict[str, Any] = {
         "model": "model.xml",
         "frame_skip": simulator.frame_skip,
@@ -76,10 +77,10 @@ def _make_content(problem: Problem, simulator: MujocoSimulator) -> ProblemFile:
     if effects:
         content["effects"] = effects
     if problem.task is not None and problem.task.source is not None:
-        content["task"] = problem.task.source
+        content["task"] = locate_from(problem.task.source, folder)
     if problem.held_out is not None:
         content["held_out"] = "held_out.npz"
-    return ProblemFile.model_validate(content)
+    return ProblemFile.model_validate(content).model_dump(by_alias=True, exclude_unset=True)
 
 
 def _make_parameter(parameter: FieldParameter) -> ParameterEntry:
