@@ -1,6 +1,7 @@
 """The command itself: quick help, one line for an error, exit statuses."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -149,3 +150,20 @@ def test_errors_of_the_system_are_one_line(
         monkeypatch.setattr("dropo.cli.fit.run", fail)
         assert main(["fit", "p"]) == 1
         assert capsys.readouterr() == ("", f"dropo: {told}\n")
+
+
+@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("command", ["fit p", "diagnose p", "train p", "recover p"])
+def test_signals_end_every_command(
+    command: str,
+    kind: signal.Signals,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In one line where there is no result yet; the handler of the process is put back."""
+    before = signal.getsignal(signal.SIGTERM)
+    name = command.split()[0]
+    monkeypatch.setattr(f"dropo.cli.{name}.run", lambda arguments: os.kill(os.getpid(), kind))
+    assert main(command.split()) == 1
+    assert capsys.readouterr() == ("", "dropo: Interrupted before there was a result.\n")
+    assert signal.getsignal(signal.SIGTERM) is before

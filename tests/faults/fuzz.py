@@ -26,7 +26,9 @@ from numpy.random import Generator
 from dropo.cli.main import main
 
 LIMIT = 10
-"""Seconds that a command may take."""
+"""Seconds of computing that a command may take."""
+WAIT = 60
+"""Seconds that it may take in all, on a computer that is busy with other work."""
 LONGEST = 1500
 """Characters of a refusal."""
 XML = """<mujoco>
@@ -316,8 +318,10 @@ def _run(folder: Path, command: tuple[str, ...], before: dict[str, bytes | None]
     """What rule a command breaks."""
     out = io.StringIO()
     err = io.StringIO()
-    signal.signal(signal.SIGALRM, _hang)
-    signal.alarm(LIMIT)
+    for kind in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(kind, _hang)
+    signal.alarm(WAIT)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
     try:
         with (
             inside(folder),
@@ -334,6 +338,7 @@ def _run(folder: Path, command: tuple[str, ...], before: dict[str, bytes | None]
         return f"{type(error).__name__}: {str(error)[:100]} in {last[-1][0]}:{last[-1][1]}"
     finally:
         signal.alarm(0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
     refusal = err.getvalue()
     if "Interrupted" in refusal:
         raise KeyboardInterrupt

@@ -4,7 +4,7 @@ made.json.
 Keys that a reader needs are listed here; others may stand beside them.
 """
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -36,7 +36,7 @@ class SavedParameter(Saved):
     high: float
     lower: Known
     upper: Known
-    search_scale: str
+    search_scale: Literal["linear", "log"]
 
 
 class SavedEmulatorCheck(Saved):

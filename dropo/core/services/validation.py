@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from dropo.core.services.errors import BadArgument, UnknownName
 
+SHOWN = 300
+"""Characters of a value that a message shows."""
+
 Array = NDArray[np.float64]
 """An array of float64."""
 
@@ -35,7 +38,10 @@ def require(ok: bool, name: str, rule: str, got: object, caller: str) -> None:
         Unless `ok`.
     """
     if not ok:
-        raise BadArgument(f"The {name!r} of {caller} must be {rule}. Got {got!r} instead.")
+        shown = repr(got)
+        if len(shown) > SHOWN:
+            shown = f"{shown[:SHOWN]}..."
+        raise BadArgument(f"The {name!r} of {caller} must be {rule}. Got {shown} instead.")
 
 
 def float_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], caller: str) -> Array:
