@@ -22,6 +22,8 @@ from dropo.core.services.errors import BadArgument, DropoError, InvalidInput
 DONE = 0
 FAILED = 1
 REFUSED = 2
+LONGEST = 1200
+"""Characters of a message, whatever stands in a file."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -105,8 +107,11 @@ def _describe(error: OSError) -> str:
 
 def _fail(message: str, status: int) -> int:
     """Print a message on standard error, in one line."""
+    line = " ".join(message.split())
+    if len(line) > LONGEST:
+        line = f"{line[:LONGEST]}..."
     with suppress(OSError):  # where standard error is full, the status alone tells
-        print(f"dropo: {' '.join(message.split())}", file=sys.stderr, flush=True)
+        print(f"dropo: {line}", file=sys.stderr, flush=True)
     return status
 
 

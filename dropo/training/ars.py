@@ -20,15 +20,15 @@ from dropo.training.setup import Progress, TrainingSetup
 STATE_FILE = "ars.npz"
 """The file from which an interrupted search goes on."""
 STATE = {
-    "weights": "number q o",
+    "weights": "finite q o",
     "count": "whole",
-    "mean": "number o",
-    "square": "number o",
-    "best": "number q o",
-    "best_mean": "number o",
-    "best_deviation": "number o",
+    "mean": "finite o",
+    "square": "finite o",
+    "best": "finite q o",
+    "best_mean": "finite o",
+    "best_deviation": "finite o",
     "best_return": "number",
-    "history": "number n 4",
+    "history": "finite n 4",
     "update": "whole",
     "steps": "whole",
     "failures": "whole",

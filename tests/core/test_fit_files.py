@@ -233,9 +233,9 @@ def test_arrays_of_other_shapes_are_refused(tmp_path):
     with np.load(tmp_path / "fit.npz") as kept:
         arrays = dict(kept)
     for changed, message in (
-        ({"phi": np.zeros((2, 2))}, r"phi: expected an array of numbers of shape \(m,\)"),
+        ({"phi": np.zeros((2, 2))}, r"phi: expected an array of finite numbers of shape \(m,\)"),
         ({"correlation": np.zeros((1, 2))}, r"correlation: .* with d = 1"),
-        ({"epsilon": np.array(["a"])}, "epsilon: expected an array of numbers"),
+        ({"epsilon": np.array(["a"])}, "epsilon: expected an array of finite numbers"),
     ):
         np.savez(tmp_path / "fit.npz", **{**arrays, **changed})
         with pytest.raises(BadFile, match=message):

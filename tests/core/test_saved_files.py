@@ -139,13 +139,14 @@ def test_an_archive_that_unpacks_to_far_more(tmp_path, monkeypatch):
         ({"y": None}, r"y: expected an array of numbers of shape \(W, p\), got nothing"),
         ({"y": np.zeros(3)}, r"of shape \(W, p\), got one of float64 of shape \(3,\)"),
         ({"y": np.zeros((3, 2))}, r"with W = 4, got one of float64 of shape \(3, 2\)"),
-        ({"x": np.array(["a"] * 4)}, "x: expected an array of numbers"),
+        ({"x": np.array(["a"] * 4)}, "x: expected an array of finite numbers"),
         ({"z": np.zeros((2, 1))}, r"z: .*of shape \(1, p\), got"),
+        ({"x": np.array([0, 1, np.nan, 3])}, "x: expected an array of finite .* one with other"),
         ({"n": np.array(0.5)}, r"n: expected an array of whole numbers of shape \(\)"),
     ],
 )
 def test_shapes_that_do_not_fit(tmp_path, changed, message):
-    rules = {"x": "number W", "y": "number W p", "z": "number 1 p", "n": "whole"}
+    rules = {"x": "finite W", "y": "number W p", "z": "number 1 p", "n": "whole"}
     arrays = {"x": np.zeros(4), "y": np.ones((4, 2)), "z": np.ones((1, 2)), "n": np.array(3)}
     require_shapes(tmp_path, arrays, rules)
     require_shapes(tmp_path, arrays, rules, {"p": 2})

@@ -52,7 +52,7 @@ SCALARS = (
     "seed",
 )
 COLUMNS = ("mean", "scale", "sd", "mean_se", "scale_se")
-ARRAYS: Mapping[str, str] = {"phi": "number m", "correlation": "number d d", "epsilon": "number p"}
+ARRAYS: Mapping[str, str] = {"phi": "finite m", "correlation": "finite d d", "epsilon": "finite p"}
 """The arrays of every fit, with their kinds and axes."""
 WRITTEN = "a fit written by `dropo fit --out`"
 

@@ -39,6 +39,16 @@ class SavedParameter(Saved):
     search_scale: Literal["linear", "log"]
 
 
+class SavedPlace(Saved):
+    """Where in a model a parameter is."""
+
+    field: str = ""
+    element: str | None = None
+    index: Annotated[int, Field(ge=0)] | None = None
+    relative: bool = False
+    derived: bool = True
+
+
 class SavedEmulatorCheck(Saved):
     """The simulator beside its emulator."""
 
@@ -175,7 +185,7 @@ class SavedFit(Saved):
     status: Status
     message: str
     warnings: Texts
-    places: dict[str, dict[str, Any]] = {}
+    places: dict[str, SavedPlace] = {}
     likelihood: str = ""
     optimizer: str = ""
     certified: Texts | None = None

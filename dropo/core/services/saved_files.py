@@ -220,6 +220,8 @@ def require_shapes(
         got = f"one of {array.dtype} of shape {array.shape}"
         if array.dtype.kind not in KINDS[kind][0] or array.ndim != len(axes):
             raise BadFile(path, name, expected, got)
+        if kind == "finite" and not np.isfinite(array).all():
+            raise BadFile(path, name, expected, "one with other numbers")
         for axis, length in zip(axes, array.shape, strict=True):
             wanted = int(axis) if axis.isdigit() else known.setdefault(axis, length)
             if length != wanted:
@@ -229,6 +231,7 @@ def require_shapes(
 
 KINDS = {
     "number": ("biuf", "an array of numbers"),
+    "finite": ("biuf", "an array of finite numbers"),
     "whole": ("iu", "an array of whole numbers"),
     "flag": ("b", "an array of True and False"),
     "text": ("U", "an array of texts"),
