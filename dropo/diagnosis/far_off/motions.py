@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
@@ -36,7 +37,7 @@ class MotionSettings:
     few : int
         Windows of which it is found out whether the start's noise matters: ...
     start : float
-        ... if its variance on average over all steps is more than this fraction of the noise's.
+        ... if its variance on average over all steps is more than this fraction of the errors'.
     rate_noise : float
         Noise of a rate at the start, as a fraction of its spread, at least: rates were mostly
         estimated from positions.
@@ -134,10 +135,11 @@ def motions_of(
     start_sd = first_noise(problem, library, train, theta, noise_floor(library.simulator, train))
     least = settings.rate_noise * spread_of(library.simulator, train)
     start_sd = np.where(is_rate, np.maximum(start_sd, least), start_sd)
-    few = _motions(
-        library, theta, train.take(_spread(len(train), settings.few)), compared, start_sd
-    )
-    shares = (few.loadings * start_sd) ** 2 / np.tile(start_sd[compared], length)[:, None] ** 2
+    some = train.take(_spread(len(train), settings.few))
+    few = _motions(library, theta, some, compared, start_sd)
+    rows = few.residuals(library.predict(theta[None], some)[0]).reshape(-1, len(few.noise))
+    error = np.tile(np.fmax(few.noise, deviation(rows)), length)
+    shares = (few.loadings * start_sd / error[:, None]) ** 2
     matters = shares.sum(axis=2).mean() > settings.start
     make = _motions if matters else _from_known_starts
     return (
