@@ -1,0 +1,47 @@
+"""Effects of one kind at every joint or drive at once."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dropo.diagnosis.far_off.families import with_families
+from tests.models.far_off import torque_arm
+
+
+def labels(model):
+    """The labels of a model's effects."""
+    return [instance.label for instance, _ in model.numbers]
+
+
+def test_every_place_gets_the_effect():
+    """At both joints, 0; what the model has already stays as it is."""
+    arm = torque_arm("joint_friction:elbow")
+    arm = arm.at(np.append(arm.declared, 0.3))
+    found = with_families(arm, ["joint_friction", "joint_load_friction"])
+    assert labels(found) == [
+        "joint_friction:elbow",
+        "joint_load_friction:shoulder",
+        "joint_load_friction:elbow",
+    ]
+    assert found.theta.tolist() == [*arm.declared, 0.3, 0.0, 0.0]
+
+
+def test_the_effect_everywhere_gives_way():
+    """Every drive begins with what all drives had."""
+    arm = torque_arm("joint_armature:elbow", "actuator_gain")
+    arm = arm.at(np.concatenate([arm.declared, [0.01, -0.3]]))
+    found = with_families(arm, ["actuator_gain"])
+    assert labels(found) == [
+        "joint_armature:elbow",
+        "actuator_gain:shoulder_motor",
+        "actuator_gain:elbow_motor",
+    ]
+    assert found.theta.tolist() == [*arm.declared, 0.01, -0.3, -0.3]
+
+
+def test_declared_parameters_are_not_doubled():
+    """A mass that is fitted as a parameter is no effect beside it; one that is not fitted is."""
+    arm = torque_arm()
+    assert len(labels(with_families(arm, ["body_mass"]))) == 2
+    free = replace(arm, free=np.arange(2))
+    assert with_families(free, ["body_mass"]) is free
