@@ -1,4 +1,4 @@
-"""Long windows: as long as data and chaos allow, of positions, with the start's noise or without."""
+"""Long windows: as long as data and chaos allow, of positions, with the noise of their starts."""
 
 from dataclasses import replace
 
