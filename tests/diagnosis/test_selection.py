@@ -38,9 +38,9 @@ def test_hidden_effect_is_found(name, declared):
     assert screened[0].instance.effect == name
     last, _ = review(search, search.run(first, first, instances()))
     assert [instance.effect for instance in last.accepted] == [name]
-    told = estimate(search.library, last, last.accepted[0], standard_errors(search.library, last))[
-        "size"
-    ]
+    errors = np.zeros(len(last.theta))
+    errors[last.free] = standard_errors(search.library, last)
+    told = estimate(search.library, last, last.accepted[0], errors)["size"]
     assert abs(told.value - SIZES[name]) < 4 * told.se < 0.5 * abs(SIZES[name])
     assert gain_of(first.test, last.test)[0] > 20
 

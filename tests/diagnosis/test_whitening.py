@@ -160,3 +160,11 @@ def test_the_least_noise_holds():
     assert np.isfinite(
         Whitener(loadings, sigma, sigma).log_likelihood(np.zeros((20, STEPS * P)))
     ).all()
+
+
+def test_windows_whose_starts_are_known():
+    """Without latent numbers residuals are in units of the noise, for any number of predictions."""
+    whiten = Whitener(np.zeros((3, 4, 0)), np.zeros(0), np.array([0.5, 2.0]))
+    residuals = np.random.default_rng(0).normal(size=(5, 3, 4))
+    np.testing.assert_allclose(whiten(residuals), residuals / [0.5, 2.0, 0.5, 2.0])
+    np.testing.assert_allclose(whiten(residuals[0]), residuals[0] / [0.5, 2.0, 0.5, 2.0])

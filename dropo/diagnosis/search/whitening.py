@@ -6,6 +6,7 @@ z ~ N(0, diag(scale^2)): the error of the measured start, and where wanted unexp
 A = diag(1 / sigma) B diag(scale), the covariance is diag(sigma) (I + A A') diag(sigma).
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -63,7 +64,7 @@ class Whitener:
     def _latent(self, scaled: Array) -> Array:
         """The mean of z / scale (..., W, m) given residuals (..., W, n) in units of their noise."""
         mean = _windows_first(scaled) @ self.scaled @ self.inner
-        return np.asarray(np.moveaxis(mean, 0, -2).reshape(*scaled.shape[:-1], -1))
+        return np.asarray(np.moveaxis(mean, 0, -2).reshape(*scaled.shape[:-1], mean.shape[-1]))
 
     def _explained(self, z: Array) -> Array:
         """A z (..., W, n), in units of the noise."""
@@ -144,7 +145,8 @@ class Whitener:
 def _windows_first(rows: Array) -> Array:
     """(W, K, n) of (..., W, n)."""
     first = np.ascontiguousarray(np.moveaxis(rows, -2, 0))
-    return first.reshape(rows.shape[-2], -1, rows.shape[-1])
+    count = math.prod(rows.shape[:-2])
+    return first.reshape(rows.shape[-2], count, rows.shape[-1])
 
 
 def learn_noise(
