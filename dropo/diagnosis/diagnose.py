@@ -343,7 +343,7 @@ class Diagnose:
             outlier_runs=odd,
             figures=figures,
             motion=shown,
-            warnings=(*data.warnings, *setup.wiring),
+            warnings=(*data.warnings, *setup.warnings),
             simulator_steps=steps,
         )
 
@@ -474,6 +474,11 @@ class _Setup:
             )
             reviews[label] = Review(without, None, ())
         return first, last, reviews
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the answer doubtful, a sentence each."""
+        return self.wiring if self.explained is None else (*self.wiring, *self.explained.warnings)
 
     def errors(self) -> Array | None:
         """Standard errors (m,) of all numbers, where whole motions say how large they are."""

@@ -100,6 +100,22 @@ class Explained:
     without: dict[str, Array]
     length: int
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Numbers at a bound that is not nothing, a sentence each."""
+        space = self.model.library.simulator.space
+        totals = _totals(self.model)
+        found = []
+        for i in self.model.fitted.tolist():
+            value = self.model.theta[i]
+            at_bound = not space.low[i] < value < space.high[i]
+            if at_bound and abs(totals[i]) > 1e-9 * (space.high[i] - space.low[i]):
+                found.append(
+                    f"{space.names[i]} is at its bound, {value:.4g}: something else may act like"
+                    " it, or its interval is too narrow."
+                )
+        return tuple(found)
+
 
 class FarOffSearch:
     """The search for what a model lacks that is far off.

@@ -1,0 +1,77 @@
+"""The search for what a model lacks that is far off: what motions ask for, and what is certain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dropo.core.contracts.estimator import silent
+from dropo.diagnosis.far_off.motions import MotionSettings
+from dropo.diagnosis.far_off.search import FarOffSearch, FarOffSettings
+from tests.models.far_off import torque_arm
+
+TRUTH = 0.01  # [kg m^2] at the elbow
+SETTINGS = FarOffSettings(
+    laws=(),
+    families=(("joint_armature",), ("actuator_bias",)),
+    motions=MotionSettings(seconds=(0.1,), physics_steps=12_000),
+)
+
+
+def searched(model, settings=SETTINGS):
+    """What a search finds of a model's numbers."""
+    return FarOffSearch(settings, silent).run(model)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """An arm that lacks rotor inertia at its elbow, as a model with a gain alone."""
+    return searched(torque_arm("actuator_gain"))
+
+
+def test_a_group_that_motions_ask_for_is_added(found):
+    """The inertias, of which the elbow's is certain and right; offsets are not asked for."""
+    labels = [instance.label for instance, _ in found.model.numbers]
+    assert labels == ["actuator_gain", "joint_armature:shoulder", "joint_armature:elbow"]
+    assert found.certain == {"joint_armature:elbow"}
+    error = found.errors[-1]
+    assert abs(found.model.theta[-1] - TRUTH) < 4 * error < 0.4 * TRUTH
+
+
+def test_nothing_is_added_where_motions_are_explained():
+    """With the inertia among the numbers no group is tried."""
+    explained = searched(torque_arm("joint_armature:elbow"))
+    labels = [instance.label for instance, _ in explained.model.numbers]
+    assert labels == ["joint_armature:elbow"]
+
+
+def test_a_group_that_takes_too_little_away_is_left(found):
+    """No group takes all of the cost away."""
+    left = searched(torque_arm("actuator_gain"), replace(SETTINGS, share=1.0))
+    assert [instance.label for instance, _ in left.model.numbers] == ["actuator_gain"]
+
+
+def test_without_an_effect_the_others_make_up_for_it(found):
+    """The inertia left out is 0, and the gain has moved."""
+    without = found.without["joint_armature:elbow"]
+    assert without[-1] == 0.0
+    assert without[-3] != found.model.theta[-3]
+
+
+def test_errors_hold_the_accuracy_of_the_models_masses(found):
+    """A tenth of every number in place of 2 %: the errors are at least that."""
+    coarse = searched(torque_arm("joint_armature:elbow"), replace(SETTINGS, accuracy=0.1))
+    assert coarse.errors[-1] > 0.1 * TRUTH * 0.9
+    assert found.errors[-1] < coarse.errors[-1]
+
+
+def test_a_number_at_its_bound_is_warned_of(found):
+    """An interval that ends below what is missing; friction that is not there is no warning."""
+    assert found.warnings == ()
+    instance, sizes = torque_arm("joint_armature:elbow").numbers[0]
+    narrow = replace(instance.quantities[0], high=0.5 * TRUTH)
+    model = torque_arm()
+    model = replace(model, numbers=((replace(instance, quantities=(narrow,)), sizes),))
+    (warning,) = searched(model, replace(SETTINGS, families=())).warnings
+    assert "joint_armature:elbow/armature is at its bound, 0.005" in warning
+    assert np.isfinite(model.theta).all()
