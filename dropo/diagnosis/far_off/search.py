@@ -10,6 +10,7 @@ from dropo.diagnosis.far_off.families import with_families
 from dropo.diagnosis.far_off.fit import Fitted, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of
+from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.selection import Progress
 
 KNOWN = 1e-6
@@ -36,7 +37,9 @@ class FarOffSettings:
     share : float
         Fraction of the cost on data held out that a group must take away.
     rough : int
-        The first fit takes one window of so many.
+        The first fits take one window of so many.
+    simulated : int
+        Physics steps in all windows times numbers that the last fit takes about.
     certain : float
         Standard errors, on a scale of all forces that is known, that a number must be away from 0.
     scale : float
@@ -60,14 +63,15 @@ class FarOffSettings:
             "joint_friction",
             "joint_damping",
             "joint_armature",
-            "joint_load_friction",
         ),
         ("actuator_gain",),
         ("actuator_lag",),
+        ("joint_load_friction",),
     )
     misfit: float = 3.0
     share: float = 0.02
     rough: int = 3
+    simulated: int = 3_200_000
     certain: float = 3.0
     scale: float = 0.2
     accuracy: float = 0.02
@@ -163,7 +167,9 @@ class FarOffSearch:
             more = self._fit(more, _some(fitted, settings.rough), settings.rough_fit)
             if self._is_better(more, model, held_out):
                 model = more
-        self.progress(0.7, f"fitting {len(model.fitted)} numbers to all windows")
+        fitted = _some(fitted, self._thinning(model, fitted))
+        windows = len(fitted.windows)
+        self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
         model = self._fit(model, fitted, settings.fit)
         error = OutputError(model.library, fitted, settings.fit)
         end = error.linearize(model.theta, model.fitted, central=True)
@@ -183,6 +189,11 @@ class FarOffSearch:
         """A model with its numbers fitted to motions."""
         error = OutputError(model.library, motions, settings)
         return model.at(error.fit(model.theta, model.fitted))
+
+    def _thinning(self, model: FarOffModel, motions: Motions) -> int:
+        """One window of so many is as much as may be simulated for all of a model's numbers."""
+        steps = motions.windows.steps * robot_of(model.problem).steps_per_action
+        return round(np.ceil(steps * len(model.fitted) / self.settings.simulated))
 
     def _errors(
         self, model: FarOffModel, error: OutputError, end: Fitted, step: Array, scale: float
