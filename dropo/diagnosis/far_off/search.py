@@ -35,7 +35,9 @@ class FarOffSettings:
     misfit : float
         Multiple of the sensors' noise from which motions are not explained.
     share : float
-        Fraction of the cost on data held out that a group must take away.
+        Fraction of the cost on data held out that a group must take away ...
+    z : float
+        ... in standard errors by block of these.
     rough : int
         The first fits take one window of so many.
     simulated : int
@@ -69,7 +71,8 @@ class FarOffSettings:
         ("joint_load_friction",),
     )
     misfit: float = 3.0
-    share: float = 0.02
+    share: float = 0.005
+    z: float = 2.0
     rough: int = 3
     simulated: int = 3_200_000
     certain: float = 3.0
@@ -241,7 +244,11 @@ class FarOffSearch:
         after = OutputError(more.library, held_out, self.settings.fit)
         old = before.cost(before.whitened(residuals, scale))[0]
         new = after.cost(after.whitened(after.residuals(more.theta[None]), scale))[0]
-        return bool(new.sum() < (1 - self.settings.share) * old.sum())
+        block = np.unique(held_out.windows.block, return_inverse=True)[1]
+        gains = np.bincount(block, weights=old - new)
+        error = gains.std(ddof=1) * np.sqrt(len(gains)) if len(gains) > 1 else np.inf
+        least = max(self.settings.share * old.sum(), self.settings.z * error)
+        return bool(gains.sum() > least)
 
 
 def _some(motions: Motions, every: int) -> Motions:
