@@ -105,7 +105,8 @@ class Diagnose:
         them. If None, the problem's settings decide, else all are fitted.
     disturbances : bool
         Whether spans of time in which something else acts are looked for once the causes are known.
-        They are listed and left out, and the rest is diagnosed anew.
+        They are listed and left out, and the rest is diagnosed anew. Not where the model is far off:
+        whole motions are fitted robustly there.
     settings : DiagnosisSettings
         Numbers that decide.
     """
@@ -324,7 +325,8 @@ class Diagnose:
         steps = spent + library.simulator.steps
         names = [signal.name for signal in simulator.signals]
         wrong = not rest.calibrated
-        odd = outlier_runs(data, extended, declared) if self.disturbances and wrong else ()
+        compared = self.disturbances and wrong and not far_off
+        odd = outlier_runs(data, extended, declared) if compared else ()
         return Diagnosis(
             name=data.name,
             verdict=_verdict(found, wrong),
