@@ -105,8 +105,8 @@ class Diagnose:
         them. If None, the problem's settings decide, else all are fitted.
     disturbances : bool
         Whether spans of time in which something else acts are looked for once the causes are known.
-        They are listed and left out, and the rest is diagnosed anew. Not where the model is far off:
-        whole motions are fitted robustly there.
+        They are listed and left out, and the rest is diagnosed anew. Not where the model is far
+        off: whole motions are fitted robustly there.
     settings : DiagnosisSettings
         Numbers that decide.
     """
