@@ -37,7 +37,8 @@ def test_two_distributions(tmp_path):
     path = tmp_path / "kept.jsonl"
     size = Size(transitions=20, bounds=2, distributions=(TRUTH, UNIFORM), training=TINY)
     study = figure_6_3.figure_6_3(Work(threads=1, path=path), 1, size=size)
-    asked = [json.loads(json.loads(line)[0]) for line in path.read_text().splitlines()]
+    entries = [json.loads(line)["entry"] for line in path.read_text().splitlines()]
+    asked = [json.loads(entry[0]) for entry in entries if isinstance(entry, list)]
     policies = [item for task, item in asked if task.endswith("trained")]
     assert {(item["law"], item["number"], item["seed"]) for item in policies} == {
         (TRUTH, 0, 0),
