@@ -52,6 +52,8 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         if seconds.get(item.nodeid, 0.0) >= SLOW:
             item.add_marker(pytest.mark.slow)
+        if item.get_closest_marker("study"):
+            item.add_marker(pytest.mark.timeout(0))
     if "study" not in config.option.markexpr:
         studies = [item for item in items if item.get_closest_marker("study")]
         items[:] = [item for item in items if not item.get_closest_marker("study")]
