@@ -46,12 +46,14 @@ class RunFolder:
             If the folder holds another run, or a result without a record of its run.
         """
         from dropo.core.services.atomic_write import write_json
+        from dropo.core.services.journal import require_same
+        from dropo.core.services.saved_files import read_json
 
         if self.path is None:
             return
         kept = self.path / RECORD
         if kept.is_file():
-            _require_same(kept, record)
+            require_same(kept, record, read_json(kept, "what a run of dropo decided"))
             return
         for name in RESULTS:
             if (self.path / name).exists():
@@ -164,14 +166,3 @@ def _lock(file: IO[str]) -> bool:
     except OSError:  # a file system without locks
         return True
     return os.fstat(file.fileno()).st_nlink > 0
-
-
-def _require_same(path: Path, record: dict[str, Any]) -> None:
-    """Refuse the record of another run."""
-    from dropo.core.services.saved_files import read_json
-
-    before = read_json(path, "what a run of dropo decided")
-    differ = sorted(key for key in {*record, *before} if record.get(key) != before.get(key))
-    if differ:
-        got = "those of another run (use another --out, or the settings of that run)"
-        raise BadFile(path, ", ".join(differ), "the settings of this run", got)

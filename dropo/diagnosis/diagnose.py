@@ -31,12 +31,7 @@ from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.library import instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.review import Review, merge, review
-from dropo.diagnosis.search.selection import (
-    Progress,
-    Selection,
-    SelectionSettings,
-    State,
-)
+from dropo.diagnosis.search.selection import Progress, Selection, SelectionSettings, State
 from dropo.diagnosis.search.window_length import (
     WindowLengthSettings,
     choose_length,
@@ -246,10 +241,10 @@ class Diagnose:
         length = self._length(problem, explained)
         everything = [*instances, *impulses(simulator.model, length)]
         library = Library(simulator.with_effects(everything), everything, len(problem.space))
-        count = self._windows(problem)
+        windows = self._windows(problem)
         if explained is not None:
-            count = min(count, self.settings.judged)
-        train, test = split(problem, length, count)
+            windows = min(windows, self.settings.judged)
+        train, test = split(problem, length, windows)
         _refuse_constant(problem, train)
         selection = self._selection(library, train, with_cost(progress, library.simulator))
         count = len(instances)
@@ -275,6 +270,7 @@ class Diagnose:
         progress = selection.progress
         progress(0.0, "fitting the model as it is")
         far_off = setup.explained is not None
+        spent += setup.explained.simulator_steps if setup.explained is not None else 0
         first, last, reviews = setup.judged() if far_off else _search(setup)
         progress(0.9, "what remains")
         rest, forces = remaining(data, library, last, selection.floor, rng)

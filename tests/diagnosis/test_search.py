@@ -8,6 +8,7 @@ import pytest
 from dropo.core.contracts.estimator import silent
 from dropo.diagnosis.far_off.motions import MotionSettings
 from dropo.diagnosis.far_off.search import FarOffSearch, FarOffSettings
+from dropo.mjmodel.robot_simulator import RobotSimulator
 from tests.models.far_off import torque_arm
 
 TRUTH = 0.01  # [kg m^2] at the elbow
@@ -36,6 +37,20 @@ def test_a_group_that_motions_ask_for_is_added(found):
     assert found.certain == {"joint_armature:elbow"}
     error = found.errors[-1]
     assert abs(found.model.theta[-1] - TRUTH) < 4 * error < 0.4 * TRUTH
+
+
+def test_its_cost_is_what_was_simulated(found, monkeypatch):
+    """Every step of every simulator, those of shorter physics steps among them."""
+    counted = []
+    predict = RobotSimulator.predict
+
+    def counting(simulator, thetas, segments, **given):
+        steps = int(segments.lengths.sum()) * len(thetas) * simulator.steps_per_action
+        counted.append(steps)
+        return predict(simulator, thetas, segments, **given)
+
+    monkeypatch.setattr(RobotSimulator, "predict", counting)
+    assert searched(torque_arm("joint_armature:elbow")).simulator_steps == sum(counted)
 
 
 def test_nothing_is_added_where_motions_are_explained():

@@ -52,7 +52,7 @@ class Journal:
             return
         found = read_lines(path, what)
         if found:
-            self._require_same(found[0])
+            require_same(self.path, json.loads(json.dumps(self._header)), found[0])
             self._next = len(found)
             self.entries = found[1:]
 
@@ -79,14 +79,29 @@ class Journal:
         self._next += 1
         return line
 
-    def _require_same(self, header: Any) -> None:
-        """Refuse the journal of another run."""
-        ours = json.loads(json.dumps(self._header))
-        theirs = header if isinstance(header, dict) else {}
-        differ = sorted(key for key in {*ours, *theirs} if ours.get(key) != theirs.get(key))
-        if differ:
-            got = "those of another run (use another --out, or the settings of that run)"
-            raise BadFile(self.path, ", ".join(differ), "the settings of this run", got)
+
+def require_same(path: Path, ours: dict[str, Any], theirs: Any) -> None:
+    """Refuse what another run saved.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the message.
+    ours : dict
+        What this run decided, as JSON has it.
+    theirs : Any
+        What the file says.
+
+    Raises
+    ------
+    BadFile
+        If they differ; it names the keys.
+    """
+    before = theirs if isinstance(theirs, dict) else {}
+    differ = sorted(key for key in {*ours, *before} if ours.get(key) != before.get(key))
+    if differ:
+        got = "those of another run (use another --out, or the settings of that run)"
+        raise BadFile(path, ", ".join(differ), "the settings of this run", got)
 
 
 def read_lines(path: Path, what: str) -> list[Any]:

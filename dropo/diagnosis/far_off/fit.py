@@ -83,10 +83,12 @@ class Fitted:
         Which of them were fitted.
     scale : (p',) array
         Spread of the errors of what is compared.
+    residuals : (W, n) array
+        What is compared, measured less predicted.
     rows : (f, W, N) array
         Derivatives of the predictions, whitened and weighted.
     target : (W, N) array
-        The residuals, likewise.
+        The residuals, whitened and weighted likewise.
     cost : float
         Of the motions [nats].
     """
@@ -94,6 +96,7 @@ class Fitted:
     theta: Array
     free: Ints
     scale: Array
+    residuals: Array
     rows: Array
     target: Array
     cost: float
@@ -178,12 +181,11 @@ class OutputError:
         _, above, below = np.split(residuals, [1, 1 + len(free)])
         slopes = (below - above) / (upper - lower)[:, None, None]
         scale = self.scale_of(residuals[0])
-        whiten = self.motions.whitener(scale)
         whitened = self.whitened(residuals[0], scale)
         weights = self._weights(whitened)
-        rows = whiten(np.nan_to_num(slopes)) * weights
+        rows = self.motions.whitener(scale)(np.nan_to_num(slopes)) * weights
         cost = float(self.cost(whitened).sum())
-        return Fitted(theta, free, scale, rows, weights * whitened, cost)
+        return Fitted(theta, free, scale, residuals[0], rows, weights * whitened, cost)
 
     def _weights(self, whitened: Array) -> Array:
         """What rows are multiplied with, so that their squares are those of the robust cost."""
@@ -298,12 +300,12 @@ class OutputError:
         simulator = self.library.simulator
         if not isinstance(simulator, RobotSimulator):
             return np.zeros(len(fitted.free))
-        segments = self.motions.windows.segments
-        theta = fitted.theta[None]
-        coarse = self.library.predict(theta, self.motions.windows)[0]
-        finer = simulator.with_finer_steps(2).predict(theta, segments).reshape(coarse.shape)
-        change = np.nan_to_num(self.motions.of_compared(finer - coarse))
-        whitened = self.motions.whitener(fitted.scale)(change)
+        windows = self.motions.windows
+        finer = simulator.with_finer_steps(2)
+        predicted = finer.predict(fitted.theta[None], windows.segments)
+        simulator.steps += finer.steps
+        change = fitted.residuals - self.motions.residuals(predicted.reshape(len(windows), -1))
+        whitened = self.motions.whitener(fitted.scale)(np.nan_to_num(change))
         rows = fitted.rows.reshape(len(fitted.free), -1)
         size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
         moved = np.linalg.lstsq((rows / size[:, None]).T, whitened.ravel(), rcond=1e-6)[0]

@@ -1,16 +1,17 @@
 """What a model that is far off lacks: regression, whole motions, what else these ask for."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.validation import Array
 from dropo.diagnosis.far_off.families import with_families
 from dropo.diagnosis.far_off.fit import Fitted, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of
 from dropo.diagnosis.search.library import robot_of
+from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import Progress
 
 KNOWN = 1e-6
@@ -61,12 +62,12 @@ class FarOffSettings:
     laws: tuple[str, ...] = ("joint_friction", "joint_damping", "joint_armature")
     families: tuple[tuple[str, ...], ...] = (
         (
+            "actuator_gain",
             "actuator_bias",
             "joint_friction",
             "joint_damping",
             "joint_armature",
         ),
-        ("actuator_gain",),
         ("actuator_lag",),
         ("joint_load_friction",),
     )
@@ -99,6 +100,8 @@ class Explained:
         By effect's label, the numbers without it, the others moved to make up for it.
     length : int
         Control steps of the windows.
+    simulator_steps : int
+        What all of it took.
     """
 
     model: FarOffModel
@@ -106,6 +109,7 @@ class Explained:
     certain: frozenset[str]
     without: dict[str, Array]
     length: int
+    simulator_steps: int
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -138,6 +142,12 @@ class FarOffSearch:
     def __init__(self, settings: FarOffSettings, progress: Progress) -> None:
         self.settings = settings
         self.progress = progress
+        self._simulators: list[Simulator] = []
+
+    @property
+    def simulator_steps(self) -> int:
+        """What has been simulated so far."""
+        return sum(simulator.steps for simulator in self._simulators)
 
     def run(self, model: FarOffModel) -> Explained:
         """Fit a model's numbers to whole motions, with what else these ask for.
@@ -155,7 +165,8 @@ class FarOffSearch:
         present = {instance.effect for instance, _ in model.numbers}
         model = with_families(model, [name for name in settings.laws if name in present])
         self.progress(0.1, "how long windows can be")
-        fitted, held_out = motions_of(model.problem, model.library, model.theta, settings.motions)
+        library = self._library(model)
+        fitted, held_out = motions_of(model.problem, library, model.theta, settings.motions)
         length = fitted.windows.length
         self.progress(0.15, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
         model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)
@@ -174,23 +185,31 @@ class FarOffSearch:
         windows = len(fitted.windows)
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
         model = self._fit(model, fitted, settings.fit)
-        error = OutputError(model.library, fitted, settings.fit)
+        error = OutputError(self._library(model), fitted, settings.fit)
         end = error.linearize(model.theta, model.fitted, central=True)
         step = error.change_by_step(end)
         errors = self._errors(model, error, end, step, settings.scale)
         # What a number is beside the others does not depend on the scale of all forces.
         beside = self._errors(model, error, end, step, KNOWN)
         without = {
-            instance.label: _theta_without(model, end, [instance.label])
+            instance.label: _theta_without(model, end, instance.label)
             for instance, _ in model.numbers
         }
-        return Explained(model, errors, self._certain(model, errors, beside), without, length)
+        certain = self._certain(model, errors, beside)
+        return Explained(model, errors, certain, without, length, self.simulator_steps)
+
+    def _library(self, model: FarOffModel) -> Library:
+        """A model's library, whose simulator's steps are counted."""
+        library = model.library
+        if library.simulator not in self._simulators:
+            self._simulators.append(library.simulator)
+        return library
 
     def _fit(
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings
     ) -> FarOffModel:
         """A model with its numbers fitted to motions."""
-        error = OutputError(model.library, motions, settings)
+        error = OutputError(self._library(model), motions, settings)
         return model.at(error.fit(model.theta, model.fitted))
 
     def _thinning(self, model: FarOffModel, motions: Motions) -> int:
@@ -232,16 +251,16 @@ class FarOffSearch:
 
     def _is_misfit(self, model: FarOffModel, motions: Motions) -> bool:
         """Whether errors are beyond what the sensors' noise explains."""
-        error = OutputError(model.library, motions, self.settings.fit)
+        error = OutputError(self._library(model), motions, self.settings.fit)
         scale = error.scale_of(error.residuals(model.theta[None])[0])
         return bool(np.median(scale / motions.noise) > self.settings.misfit)
 
     def _is_better(self, more: FarOffModel, model: FarOffModel, held_out: Motions) -> bool:
         """Whether windows held out are predicted clearly better with more numbers."""
-        before = OutputError(model.library, held_out, self.settings.fit)
+        before = OutputError(self._library(model), held_out, self.settings.fit)
         residuals = before.residuals(model.theta[None])
         scale = before.scale_of(residuals[0])
-        after = OutputError(more.library, held_out, self.settings.fit)
+        after = OutputError(self._library(more), held_out, self.settings.fit)
         old = before.cost(before.whitened(residuals, scale))[0]
         new = after.cost(after.whitened(after.residuals(more.theta[None]), scale))[0]
         block = np.unique(held_out.windows.block, return_inverse=True)[1]
@@ -269,10 +288,10 @@ def _totals(model: FarOffModel) -> Array:
     return totals
 
 
-def _theta_without(model: FarOffModel, end: Fitted, labels: Sequence[str]) -> Array:
-    """The numbers (m,) without some effects, the others moved to make up for them."""
+def _theta_without(model: FarOffModel, end: Fitted, label: str) -> Array:
+    """The numbers (m,) without an effect, the others moved to make up for it."""
     space = model.library.simulator.space
-    place = np.concatenate([model.library.places[label] for label in labels])
+    place = model.library.places[label]
     own = np.isin(end.free, place)
     others = end.free[~own]
     # Scaled to a diagonal of ones, so that the least squares' cutoff means the same for all.
