@@ -39,8 +39,9 @@ def test_a_group_that_motions_ask_for_is_added(found):
     assert abs(found.model.theta[-1] - TRUTH) < 4 * error < 0.4 * TRUTH
 
 
-def test_its_cost_is_what_was_simulated(found, monkeypatch):
+def test_its_cost_is_what_was_simulated(monkeypatch):
     """Every step of every simulator, those of shorter physics steps among them."""
+    model = torque_arm("joint_armature:elbow")
     counted = []
     predict = RobotSimulator.predict
 
@@ -50,7 +51,7 @@ def test_its_cost_is_what_was_simulated(found, monkeypatch):
         return predict(simulator, thetas, segments, **given)
 
     monkeypatch.setattr(RobotSimulator, "predict", counting)
-    assert searched(torque_arm("joint_armature:elbow")).simulator_steps == sum(counted)
+    assert searched(model).simulator_steps == sum(counted) > 0
 
 
 def test_nothing_is_added_where_motions_are_explained():
