@@ -24,6 +24,7 @@ from dropo.diagnosis.findings.horizons import Horizon, errors_after, horizons
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
+from dropo.diagnosis.findings.replay import replay
 from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.parts import Cause
 from dropo.diagnosis.regression.quick import QuickSettings
@@ -323,6 +324,9 @@ class Diagnose:
         wrong = not rest.calibrated
         compared = self.disturbances and wrong and not far_off
         odd = outlier_runs(data, extended, declared) if compared else ()
+        replayed = None
+        if far_off and data.held_out is not None:
+            replayed = replay(library.simulator, data.held_out, [first.theta, last.theta])
         return Diagnosis(
             name=data.name,
             verdict=_verdict(found, wrong),
@@ -339,6 +343,7 @@ class Diagnose:
             undetermined=undetermined(library, last),
             disturbances=None if undisturbed is None else left_out(undisturbed, inside),
             outlier_runs=odd,
+            replay=replayed,
             figures=figures,
             motion=shown,
             warnings=(*data.warnings, *setup.warnings),

@@ -15,6 +15,7 @@ from dropo.core.services.tables import Report, Table, number
 from dropo.data.outliers.outlier_runs import OutlierRun
 from dropo.diagnosis.findings.disturbances import LeftOut
 from dropo.diagnosis.findings.horizons import Horizon
+from dropo.diagnosis.findings.replay import Replay
 from dropo.diagnosis.parts import Cause, Remaining, Suspect
 
 VERDICTS = {
@@ -85,6 +86,8 @@ class Diagnosis(Report):
         Spans in which something acts that no command explains, which were left out.
     outlier_runs : tuple of OutlierRun
         Runs that disagree with the others.
+    replay : Replay or None
+        Whole runs held out, by commands alone, where the model is far off.
     figures : FigureData or None
         What figures are drawn from.
     motion : Predictions or None
@@ -114,6 +117,7 @@ class Diagnosis(Report):
     undetermined: tuple[str, ...] = ()
     disturbances: LeftOut | None = None
     outlier_runs: tuple[OutlierRun, ...] = ()
+    replay: Replay | None = None
     figures: FigureData | None = None
     motion: Predictions | None = None
     warnings: tuple[str, ...] = ()
@@ -223,6 +227,7 @@ class Diagnosis(Report):
             "extended_problem": "extended/problem.yaml" if self.causes else None,
             "disturbances": self.disturbances.to_json() if self.disturbances else None,
             "odd_runs": [asdict(run) for run in self.outlier_runs],
+            "replay": self.replay.to_json() if self.replay else None,
             "parameters": dict(self.parameters),
             "nominal": {"horizons": [horizon.to_json() for horizon in self.nominal]},
             "undetermined": list(self.undetermined),
@@ -254,6 +259,8 @@ class Diagnosis(Report):
         lines: list[str | Table] = [self.headline()]
         if self.baseline.horizons:
             lines.append(self._error_table())
+        if self.replay:
+            lines.append(self.replay.table())
         if self.disturbances:
             lines += self.disturbances.lines()
         lines += [f"  {text}" for text in self.undetermined]

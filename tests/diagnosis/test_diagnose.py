@@ -61,6 +61,7 @@ BESIDE = {
     "window_steps",
     "disturbances",
     "odd_runs",
+    "replay",
     "parameters",
 }
 

@@ -297,6 +297,28 @@ class SavedOutlierRun(Saved):
     held_out: bool
 
 
+class SavedReplayedRun(Saved):
+    """The errors of a run by signal."""
+
+    seconds: float
+    nominal: ByName
+    extended: ByName
+
+
+class SavedReplayErrors(Saved):
+    """The errors of all runs."""
+
+    nominal: float
+    extended: float
+
+
+class SavedReplay(Saved):
+    """Whole runs held out, by commands alone."""
+
+    units: dict[str, SavedReplayErrors]
+    runs: list[SavedReplayedRun]
+
+
 class SavedLeftOut(Saved):
     """What was left out of a diagnosis."""
 
@@ -326,6 +348,7 @@ class SavedDiagnosis(SavedFinding):
     nominal: SavedNominal | None = None
     parameters: dict[str, float] = {}
     odd_runs: list[SavedOutlierRun] = []
+    replay: SavedReplay | None = None
     disturbances: SavedLeftOut | None = None
     undetermined: Texts = []
     pictures: FigureData | None = None
