@@ -6,6 +6,7 @@ broke a rule; `--first NUMBER --cases 1` makes it again.
 
 import argparse
 import contextlib
+import faulthandler
 import io
 import json
 import os
@@ -283,8 +284,8 @@ def _break_arrays(path: Path, rng: Generator) -> str:
 # Running
 
 
-class HangError(Exception):
-    """A command that takes too long."""
+class HangError(BaseException):
+    """A command that takes too long; no handler of exceptions takes it for another error."""
 
 
 def _hang(*_: object) -> None:
@@ -320,8 +321,9 @@ def _run(folder: Path, command: tuple[str, ...], before: dict[str, bytes | None]
     err = io.StringIO()
     for kind in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(kind, _hang)
-    signal.alarm(WAIT)
-    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    # Again and again, since an exception within a callback is lost.
+    signal.setitimer(signal.ITIMER_REAL, WAIT, 1)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT, 1)
     try:
         with (
             inside(folder),
@@ -337,7 +339,7 @@ def _run(folder: Path, command: tuple[str, ...], before: dict[str, bytes | None]
         last = [frame for frame in traceback.extract_tb(error.__traceback__) if "dropo" in frame[0]]
         return f"{type(error).__name__}: {str(error)[:100]} in {last[-1][0]}:{last[-1][1]}"
     finally:
-        signal.alarm(0)
+        signal.setitimer(signal.ITIMER_REAL, 0)
         signal.setitimer(signal.ITIMER_PROF, 0)
     refusal = err.getvalue()
     if "Interrupted" in refusal:
@@ -368,6 +370,8 @@ def main_fuzz() -> int:
         whole.mkdir()
         build(whole)
         for number in range(arguments.first, arguments.first + arguments.cases):
+            # Ends a command that hangs where no signal is heard.
+            faulthandler.dump_traceback_later(2 * WAIT, exit=True)
             found = run_case(whole, Path(place) / "case", number, arguments.seed, arguments.kind)
             if found:
                 broken += 1

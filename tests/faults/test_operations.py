@@ -19,7 +19,7 @@ def test_file_operations(tmp_path: Path, kind: str, step: int) -> None:
     """
     build_inputs(tmp_path)
     command = [sys.executable, str(SCRIPT), str(tmp_path), kind, str(step)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=400)
     *problems, count = done.stdout.splitlines()
     assert problems == []
     assert int(count.split()[0]) > 20 // step
