@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -267,20 +268,6 @@ FORCES = [
     ),
     (
         "arm",
-        "joint_load_friction:shoulder",
-        (0.1,),
-        "shoulder",
-        lambda d, v, q: friction(d, v, 0.1 * abs(d.qfrc_actuator[v])),
-    ),
-    (
-        "arm",
-        "joint_load_friction:elbow",
-        (0.1,),
-        "elbow",
-        lambda d, v, q: friction(d, v, 0.1 * abs(d.qfrc_actuator[v])),
-    ),
-    (
-        "arm",
         "joint_cogging:shoulder.12-a-turn",
         (0.6, -0.3),
         "shoulder",
@@ -314,13 +301,6 @@ FORCES = [
         "track",
         lambda d, v, q: weaker(d.actuator_force[4], d.qvel[v], 0.9),
     ),
-    (
-        "strange",
-        "joint_load_friction:track",
-        (0.2,),
-        "track",
-        lambda d, v, q: friction(d, v, 0.2 * abs(d.actuator_force[3] + d.actuator_force[4])),
-    ),
 ]
 
 
@@ -349,6 +329,61 @@ def test_force_step_by_step(name, label, magnitudes, joint, distribution):
         predicted(robot, label, *magnitudes),
         replay(mujoco.MjModel.from_xml_string(XML[name]), robot, applied_force=push),
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "share", "actuators"),
+    [
+        ("arm", "shoulder", 0.1, None),
+        ("arm", "elbow", 0.1, None),
+        ("strange", "track", 0.2, [3, 4]),
+    ],
+)
+def test_load_friction_step_by_step(name, joint, share, actuators):
+    """Predictions are those of a loop that sets the joint's dry friction before every step, by
+    MuJoCo's own motor forces.
+    """
+    robot = ROBOTS[name]()
+    dof, _ = on(robot, joint)
+    own = robot.simulator.model.dof_frictionloss[dof]
+
+    def grip(model, data):
+        load = (
+            data.qfrc_actuator[dof] if actuators is None else data.actuator_force[actuators].sum()
+        )
+        model.dof_frictionloss[dof] = own + share * abs(load)
+        return np.zeros(model.nv)
+
+    same(
+        robot,
+        predicted(robot, f"joint_load_friction:{joint}", share),
+        replay(mujoco.MjModel.from_xml_string(XML[name]), robot, applied_force=grip),
+    )
+
+
+LEVER = """<mujoco>
+  <option timestep="0.002"/>
+  <worldbody><body><joint name="pivot" axis="0 1 0"/>
+    <geom size="0.01" pos="0.2 0 0" mass="0.5097"/></body></worldbody>
+  <actuator><motor name="push" joint="pivot" gear="-1"/></actuator>
+</mujoco>"""
+
+
+def test_load_friction_holds():
+    """A lever that pulls down with 1 N m stays where a motor gives 0.8 N m, if a third of these are
+    friction; if a tenth, it falls.
+    """
+    spec = mujoco.MjSpec.from_string(LEVER)
+    motor = MujocoSimulator(spec, (), observation=["qpos"], threads=1)
+    blank = np.zeros((200, 1))
+    ends = np.arange(200) == 199
+    data = Trajectories(blank, np.full((200, 1), 0.8), blank, ends)
+    whole = data.segments(reset="start", every_step=True)
+    (found,) = find("effects", "joint_load_friction")(motor.effect_context)
+    lever = motor.with_effects([found])
+    held, falls = lever.predict(np.array([[1 / 3], [0.1]]), whole)[:, -1, 0]
+    assert abs(held) < 0.05 * falls
+    assert falls > 0.1
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,7 @@ class EffectInstance:
                          [s]
     ``command_feedback`` StepState of n simulations                    (n, nu) commands
     ``force``            StepState of n simulations                    (n, nv) forces
+    ``friction``         StepState of n simulations                    (n, nv) forces
     ``applied_force``    number of physics steps                       (steps, nv) forces
     ``wrench``           none                                          body, (6,) wrench
     ``sensor_delay``     none                                          (p,) delays [s]
@@ -125,6 +126,9 @@ class EffectInstance:
         Changes the commands of each physics step in dependence on the state.
     force : callable or None
         Generalised forces [N, N m] that depend on the state, in each physics step.
+    friction : callable or None
+        Dry friction [N, N m] that is added to the joints' own, in dependence on the state, in each
+        physics step. It holds what is at rest.
     applied_force : callable or None
         Generalised forces [N, N m] known beforehand, a row for each physics step of a segment. They
         belong to recorded motion and cannot act in new episodes.
@@ -168,6 +172,7 @@ class EffectInstance:
     actuation: Callable[[Array, float, Array], Array] | None = None
     command_feedback: Callable[[StepState, Array], Array] | None = None
     force: Callable[[StepState, Array], Array] | None = None
+    friction: Callable[[StepState, Array], Array] | None = None
     applied_force: Callable[[int, Array], Array] | None = None
     wrench: Callable[[Array], tuple[int, Array]] | None = None
     start: Callable[[Array, Array, Array], Array] | None = None

@@ -25,6 +25,7 @@ from dropo.simulators.mujoco.layers import (
 )
 from dropo.simulators.mujoco.simulator import MAX_STATE, MujocoSimulator
 from dropo.simulators.mujoco.worker import (
+    Reaction,
     Worker,
     acts_after_clamp,
     constant_wrenches,
@@ -229,9 +230,9 @@ class Episodes:
             for i, layer in zip(ids.tolist(), layers, strict=True):
                 if layer.reacting:
                     state = self._full(np.array([i]))
-                    command, force = layer.react(state, self._live["ctrl"][[i]])
-                    self._live["ctrl"][i] = command
-                    self._live["qfrc_applied"][i] = force
+                    reaction = layer.react(state, self._live["ctrl"][[i]])
+                    self._live["ctrl"][i] = reaction.commands[0]
+                    self._live["qfrc_applied"][i] = reaction.forces[0]
             failed |= advance(self.batch, ids, count if at_once else 1)
             for i, layer in zip(ids.tolist(), layers, strict=True):
                 if layer.delay_line is not None:
@@ -303,6 +304,7 @@ class _Layers:
         self._measures = any(instance.measurement is not None for instance, _ in active)
         self.delay_line: _DelayLine | None = None
         self.needs_every_step = bool(self.reacting) or bool(self._delays.any())
+        self._own_friction = worker.model.dof_frictionloss.copy()
         self._step = 0
 
     def reset(self, row: Array) -> Array:
@@ -322,11 +324,12 @@ class _Layers:
             return np.repeat(command[None], count, axis=0)
         return self._history.next(command, count)
 
-    def react(self, state: Array, commands: Array) -> tuple[Array, Array]:
-        """A command (nu,) and generalised forces (nv,) that follow from the state (1, s)."""
-        changed, forces = self._worker.react(state, commands, self._step, self.reacting)
+    def react(self, state: Array, commands: Array) -> Reaction:
+        """What follows from a state (1, s) and a command (1, nu); friction is set at once."""
+        found = self._worker.react(state, commands, self._step, self.reacting)
+        self._worker.model.dof_frictionloss[:] = self._own_friction + found.friction[0]
         self._step += 1
-        return changed[0], forces[0]
+        return found
 
     def measure(self, row: Array) -> Array:
         """(P,) an observation row as the sensors give it."""

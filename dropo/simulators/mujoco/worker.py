@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import mujoco.rollout
@@ -70,7 +71,9 @@ class Worker:
         unclamped = acts_after_clamp(active)
         if unclamped:
             self.model.actuator_ctrllimited[:] = 0
-        self._changed = unclamped or bool(changes)
+        # Whoever steps this copy sets its friction anew before every step.
+        frictions = any(one.friction is not None for one, _ in active)
+        self._changed = unclamped or frictions or bool(changes)
 
     def roll(
         self, states: Array, controls: Array, active: ActiveEffects = ()
@@ -120,13 +123,21 @@ class Worker:
         sensors = np.empty((len(states), steps, self.model.nsensordata))
         now = states
         given = np.empty((len(states), 1, inputs.shape[2]))
+        models = [self.model]
+        adds_friction = any(one.friction is not None for one, _ in reacting)
+        if adds_friction:
+            models = [copy.copy(self.model) for _ in states]
         for step in range(steps):
             given[:, 0] = inputs[:, step]
-            commands, forces = self.react(now, inputs[:, step, :nu], step, reacting)
-            given[:, 0, :nu] = commands
-            given[:, 0, nu : nu + nv] += forces
+            reaction = self.react(now, inputs[:, step, :nu], step, reacting)
+            given[:, 0, :nu] = reaction.commands
+            given[:, 0, nu : nu + nv] += reaction.forces
+            if adds_friction:
+                friction = self.model.dof_frictionloss + reaction.friction
+                for model, row in zip(models, friction, strict=True):
+                    model.dof_frictionloss[:] = row
             state, sensor = mujoco.rollout.rollout(
-                self.model, [self.data], now, given, control_spec=spec
+                models, [self.data], now, given, control_spec=spec
             )
             trace[:, step] = state[:, 0]
             sensors[:, step] = sensor[:, 0]
@@ -156,7 +167,7 @@ class Worker:
 
     def react(
         self, states: Array, commands: Array, step: int, reacting: ActiveEffects
-    ) -> tuple[Array, Array]:
+    ) -> "Reaction":
         """Evaluate the effects that depend on the state.
 
         Parameters
@@ -172,28 +183,49 @@ class Worker:
 
         Returns
         -------
-        commands : (n, nu) array
-        forces : (n, nv) array
-            Generalised forces [N, N m].
+        Reaction
         """
         sizes = [self.model.nq, self.model.nv, self.model.na]
         whole = states[:, 1 : 1 + sum(sizes)]
         qpos, qvel, act = np.split(whole, np.cumsum(sizes[:2]), axis=1)
         forces = np.zeros((len(states), self.model.nv))
+        friction = np.zeros_like(forces)
         for instance, magnitudes in reacting:
             state = StepState(qpos, qvel, commands, step, act, self.model)
             if instance.command_feedback is not None:
                 commands = instance.command_feedback(state, magnitudes)
             if instance.force is not None:
                 forces += instance.force(state, magnitudes)
-        return commands, forces
+            if instance.friction is not None:
+                friction += instance.friction(state, magnitudes)
+        return Reaction(commands, forces, friction)
+
+
+@dataclass(frozen=True, eq=False)
+class Reaction:
+    """What effects make of n states.
+
+    Attributes
+    ----------
+    commands : (n, nu) array
+        The commands.
+    forces : (n, nv) array
+        Generalised forces [N, N m].
+    friction : (n, nv) array
+        Dry friction beside the model's own [N, N m].
+    """
+
+    commands: Array
+    forces: Array
+    friction: Array
 
 
 def reacting_effects(active: ActiveEffects) -> list[tuple[EffectInstance, Array]]:
     """Select the effects that depend on the state of every physics step."""
     found = []
     for instance, magnitudes in active:
-        if instance.command_feedback is not None or instance.force is not None:
+        hooks = (instance.command_feedback, instance.force, instance.friction)
+        if any(hook is not None for hook in hooks):
             found.append((instance, magnitudes))
     return found
 
