@@ -17,6 +17,7 @@ HOOKS = (
     "actuation",
     "command_feedback",
     "force",
+    "friction",
     "wrench",
     "model",
     "measurement",
@@ -244,7 +245,7 @@ class _Watch:
             return None
         if self.name == "command_feedback":
             return np.shape(first.ctrl)
-        if self.name == "force":
+        if self.name in ("force", "friction"):
             return np.shape(first.qvel)
         if self.name == "wrench":
             return (6,)
