@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,7 +17,6 @@ FIXED = int(mujoco.mjtGain.mjGAIN_FIXED)
 AFFINE = int(mujoco.mjtGain.mjGAIN_AFFINE)
 NO_BIAS = int(mujoco.mjtBias.mjBIAS_NONE)
 AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_AFFINE)
-UNLIMITED = (-np.inf, np.inf)
 
 
 def motors(model: mujoco.MjModel) -> list[tuple[Joint, list[int]]]:
@@ -62,28 +62,36 @@ def motor_force(state: StepState, joint: Joint, ids: Sequence[int]) -> Array:
         [N or N m]
     """
     model = state.model
-    total = np.zeros(len(state.ctrl))
+    position = state.qpos[:, joint.qpos]
+    velocity = state.qvel[:, joint.qvel]
+    total = np.zeros(len(position))
     for i in ids:
-        gear = float(model.actuator_gear[i, 0])
-        gain, bias = _gain_and_bias(model, i, joint, state.qpos, state.qvel)
-        limits = model.actuator_forcerange[i] if model.actuator_forcelimited[i] else UNLIMITED
-        total += gear * np.clip(gain * _input_of(state, i) + bias, *limits)
+        gain, bias = _gain_and_bias(model, i, position, velocity)
+        force = gain * _input_of(state, i) + bias
+        if model.actuator_forcelimited[i]:
+            force = _within(force, model.actuator_forcerange[i])
+        total += float(model.actuator_gear[i, 0]) * force
     return total
 
 
 def _gain_and_bias(
-    model: mujoco.MjModel, i: int, joint: Joint, positions: Array, velocities: Array
-) -> tuple[Array, Array]:
-    """Gain and bias (n,) of the law of actuator i at a joint, at n states, before its gear."""
+    model: mujoco.MjModel, i: int, position: Array, velocity: Array
+) -> tuple[Array | float, Array | float]:
+    """Gain and bias (n,) of the law of actuator i before its gear, at n states of its joint."""
     gear = float(model.actuator_gear[i, 0])
-    position = gear * positions[:, joint.qpos]
-    velocity = gear * velocities[:, joint.qvel]
-    terms = np.stack([np.ones(len(positions)), position, velocity])
-    gain = model.actuator_gainprm[i, :3]
-    if model.actuator_gaintype[i] != AFFINE:
-        gain = gain * (1, 0, 0)
-    bias = model.actuator_biasprm[i, :3] * (model.actuator_biastype[i] == AFFINE_BIAS)
-    return gain @ terms, bias @ terms
+    gain = float(model.actuator_gainprm[i, 0])
+    bias = 0.0
+    if model.actuator_gaintype[i] == AFFINE:
+        gain = _affine(model.actuator_gainprm[i], gear * position, gear * velocity)
+    if model.actuator_biastype[i] == AFFINE_BIAS:
+        bias = _affine(model.actuator_biasprm[i], gear * position, gear * velocity)
+    return gain, bias
+
+
+def _affine(numbers: Array, position: Array, velocity: Array) -> Any:
+    """The affine law (n,) of an actuator at n states."""
+    constant, stiffness, damping = numbers[:3].tolist()
+    return constant + stiffness * position + damping * velocity
 
 
 def _input_of(state: StepState, i: int) -> Array:
@@ -92,8 +100,15 @@ def _input_of(state: StepState, i: int) -> Array:
     activation = int(model.actuator_actadr[i])
     if activation >= 0:
         return state.act[:, activation + int(model.actuator_actnum[i]) - 1]
-    limits = model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else UNLIMITED
-    return np.clip(state.ctrl[:, i], *limits)
+    if model.actuator_ctrllimited[i]:
+        return _within(state.ctrl[:, i], model.actuator_ctrlrange[i])
+    return state.ctrl[:, i]
+
+
+def _within(values: Array, limits: Array) -> Array:
+    """Values within limits; quicker than `np.clip` where they are few."""
+    low, high = limits.tolist()
+    return np.minimum(np.maximum(values, low), high)
 
 
 def torque_scale(model: mujoco.MjModel, joint: Joint) -> float:
@@ -234,7 +249,9 @@ def linear_drives(model: mujoco.MjModel, positions: Array, velocities: Array) ->
                 "servo of a hinge or slide, so its force is not known from the state."
             )
         gear = float(model.actuator_gear[i, 0])
-        gain, constant = _gain_and_bias(model, i, joint, positions, velocities)
+        gain, constant = _gain_and_bias(
+            model, i, positions[:, joint.qpos], velocities[:, joint.qvel]
+        )
         gains[:, i] = gear * gain
         bias[:, joint.qvel] += gear * constant
         dofs[i] = joint.qvel
