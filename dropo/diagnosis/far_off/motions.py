@@ -43,7 +43,7 @@ class MotionSettings:
         estimated from positions.
     """
 
-    seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+    seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0)
     tried: int = 8
     curved: float = 0.2
     physics_steps: int = 160_000

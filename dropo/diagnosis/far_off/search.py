@@ -17,7 +17,7 @@ from dropo.diagnosis.search.selection import Progress
 KNOWN = 1e-6
 """Standard deviation of a scale that is known."""
 
-ROUGH = OutputErrorSettings(jacobians=3, tolerance=0.01)
+ROUGH = OutputErrorSettings(jacobians=4, tolerance=0.003)
 """Enough to begin with."""
 
 
@@ -61,20 +61,15 @@ class FarOffSettings:
 
     laws: tuple[str, ...] = ("joint_friction", "joint_damping", "joint_armature")
     families: tuple[tuple[str, ...], ...] = (
-        (
-            "actuator_gain",
-            "actuator_bias",
-            "joint_friction",
-            "joint_damping",
-            "joint_armature",
-        ),
+        ("actuator_gain",),
+        ("actuator_bias", "joint_friction", "joint_damping", "joint_armature"),
         ("actuator_lag",),
         ("joint_load_friction",),
     )
     misfit: float = 3.0
     share: float = 0.005
     z: float = 2.0
-    rough: int = 3
+    rough: int = 2
     simulated: int = 3_200_000
     certain: float = 3.0
     scale: float = 0.2
