@@ -60,7 +60,7 @@ def diagnosis_page(result: Result) -> str:
     sections += [
         _fitted(content, result.record),
         parts.motion(predictions),
-        parts.errors(predictions, _errors(content)),
+        parts.errors(predictions, _errors(content) + _replay(content)),
         _remaining(content, found),
         parts.made(result),
     ]
@@ -269,6 +269,19 @@ def _errors(content: dict[str, Any]) -> str:
     if not rows:
         return ""
     return table(["after", "unit", *(name for name, _ in models), "by sensor noise"], rows)
+
+
+def _replay(content: dict[str, Any]) -> str:
+    """The table of whole runs held out, by commands alone, where there are such."""
+    replayed = content.get("replay")
+    if not replayed:
+        return ""
+    title = f"whole runs held out ({len(replayed['runs'])}), by commands alone"
+    rows = []
+    for unit, errors in replayed["units"].items():
+        values = (errors["nominal"], errors["extended"])
+        rows.append([Cell(title), Cell(unit), *(_cell(value, _short) for value in values)])
+    return table(["of", "unit", "as it came", "with what was found"], rows)
 
 
 def _cell(value: float | None, shown: Callable[[float], str]) -> Cell:

@@ -241,6 +241,10 @@ def test_what_was_left_out_and_what_disagrees_is_listed(diagnosis_folder, copy_o
         "disturbances": {"spans": [span]},
         "odd_runs": [odd],
         "undetermined": ["the data do not determine upper_mass"],
+        "replay": {
+            "units": {"rad": {"nominal": 0.0372, "extended": 0.0161}},
+            "runs": [{"seconds": 9.0, "nominal": {"q": 0.0372}, "extended": {"q": 0.0161}}],
+        },
     }
     (folder / "diagnosis.json").write_text(json.dumps(content))
     text = "".join(Seen(write_report(folder).read_text()).text)
@@ -250,6 +254,8 @@ def test_what_was_left_out_and_what_disagrees_is_listed(diagnosis_folder, copy_o
     )
     assert "Run 2 disagrees with the others: its lower_mass is 0.7 ± 0.01 kg, theirs 0.5." in text
     assert "the data do not determine upper_mass" in text
+    assert "whole runs held out (1), by commands alone" in text
+    assert "0.0161" in text
 
 
 def test_long_headlines_are_cut_between_sentences():

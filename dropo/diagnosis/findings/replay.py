@@ -54,7 +54,7 @@ class Replay:
             rows.append((signal, unit, *errors))
         for unit in dict.fromkeys(self.units):
             rows.append(("all", unit, *(number(error, 3) for error in self.overall(unit))))
-        title = f"{len(self.seconds)} whole runs held out, by commands alone"
+        title = f"Whole runs held out ({len(self.seconds)}), by commands alone"
         return Table(title, ("signal", "unit", "as it came", "with what was found"), tuple(rows))
 
     def to_json(self) -> dict[str, Any]:
