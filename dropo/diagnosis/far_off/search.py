@@ -39,6 +39,9 @@ class FarOffSettings:
         Fraction of the cost on data held out that a group must take away ...
     z : float
         ... in standard errors by block of these.
+    first : float
+        Length at most of the windows of the very first fit [s]: from far off, numbers that follow
+        long motions may end where only the slow ones are followed.
     rough : int
         The first fits take one window of so many.
     simulated : int
@@ -64,11 +67,11 @@ class FarOffSettings:
         ("actuator_gain",),
         ("actuator_bias", "joint_friction", "joint_damping", "joint_armature"),
         ("actuator_lag",),
-        ("joint_load_friction",),
     )
     misfit: float = 3.0
     share: float = 0.005
     z: float = 2.0
+    first: float = 5.0
     rough: int = 2
     simulated: int = 3_200_000
     certain: float = 3.0
@@ -159,12 +162,17 @@ class FarOffSearch:
         settings = self.settings
         present = {instance.effect for instance, _ in model.numbers}
         model = with_families(model, [name for name in settings.laws if name in present])
-        self.progress(0.1, "how long windows can be")
-        library = self._library(model)
-        fitted, held_out = motions_of(model.problem, library, model.theta, settings.motions)
-        length = fitted.windows.length
-        self.progress(0.15, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
-        model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)
+        every = settings.motions.seconds
+        short = tuple(seconds for seconds in every if seconds <= settings.first)
+        for at, seconds in ((0.1, short), (0.2, every)):
+            if not seconds:
+                continue
+            chosen = replace(settings.motions, seconds=seconds)
+            library = self._library(model)
+            fitted, held_out = motions_of(model.problem, library, model.theta, chosen)
+            length = fitted.windows.length
+            self.progress(at, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
+            model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)
         for number, names in enumerate(settings.families):
             if not self._is_misfit(model, fitted):
                 break
