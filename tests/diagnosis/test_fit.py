@@ -29,7 +29,7 @@ def rotor():
 def test_what_is_missing_is_found(rotor):
     """Within four standard errors, which are below a twentieth of it; what is not missing is 0."""
     model, error, end = rotor
-    sd = np.sqrt(np.diag(error.covariance(end, np.zeros(2))))
+    sd = np.sqrt(np.diag(error.covariance(end, np.zeros((2, 2)))))
     inertia, friction = end.theta[model.fitted]
     assert abs(inertia - TRUTH) < 4 * sd[0] < 0.2 * TRUTH
     assert abs(friction) < 4 * sd[1] + 1e-6
@@ -57,8 +57,8 @@ def test_directions_that_motions_do_not_tell_are_unknown():
         "actuator_gain:shoulder_motor",
         "actuator_gain:elbow_motor",
     )
-    free = np.sqrt(np.diag(error.covariance(end, np.zeros(4))))
-    known = np.sqrt(np.diag(error.covariance(end, np.array([0.0, 25.0, 25.0, 25.0]))))
+    free = np.sqrt(np.diag(error.covariance(end, np.zeros((4, 4)))))
+    known = np.sqrt(np.diag(error.covariance(end, np.diag([0.0, 25.0, 25.0, 25.0]))))
     assert (free[1:] > 1.0).all()
     assert (known[1:] > 0.05).all()
     assert (known[1:] < 0.25).all()

@@ -268,7 +268,7 @@ class OutputError:
     def covariance(self, fitted: Fitted, prior: Array) -> Array:
         """The covariance (f, f) of the fitted numbers, by the sandwich over pieces of motions.
 
-        prior: (f,) what is known of each number beside the motions, as one over its variance.
+        prior: (f, f) what is known of the numbers beside the motions, as information.
         """
         windows = self.motions.windows
         settings = self.settings
@@ -284,12 +284,12 @@ class OutputError:
         scores = (fitted.rows * fitted.target) @ of_piece
         rows = scores.reshape(f, -1).T
         label = np.arange(count * pieces)
-        information = fitted.gram + np.diag(prior)
+        information = fitted.gram + prior
         of_data = sandwich(rows, information, Units(label, False, label, "pieces"))[0]
         size = np.sqrt(np.maximum(np.diag(information), 1e-300))
         inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
         inverse /= np.outer(size, size)
-        return np.asarray(of_data + (inverse * prior) @ inverse)
+        return np.asarray(of_data + inverse @ prior @ inverse)
 
     def change_by_step(self, fitted: Fitted) -> Array:
         """How far the fitted numbers (f,) are off because physics steps are not short.

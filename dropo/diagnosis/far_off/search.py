@@ -14,7 +14,7 @@ from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import Progress
 
-KNOWN = 1e-6
+KNOWN = 1e-4
 """Standard deviation of a scale that is known."""
 
 ROUGH = OutputErrorSettings(jacobians=4, tolerance=0.003)
@@ -191,7 +191,7 @@ class FarOffSearch:
         error = OutputError(self._library(model), fitted, settings.fit)
         end = error.linearize(model.theta, model.fitted, central=True)
         step = error.change_by_step(end)
-        errors = self._errors(model, error, end, step, settings.scale)
+        errors = self._errors(model, error, end, step, np.inf)
         # What a number is beside the others does not depend on the scale of all forces.
         beside = self._errors(model, error, end, step, KNOWN)
         without = {
@@ -226,16 +226,20 @@ class FarOffSearch:
         """Standard errors (m,): of the data, of the physics step, and of the model's own scale.
 
         step: (f,) what the physics step makes of what was fitted.
-        scale: standard deviation of what is known of the drives' gains.
+        scale: standard deviation of what is known of the drives' mean gain, beside what is known of
+        each.
         """
         totals = _totals(model)
-        prior = np.zeros(len(totals))
+        gains = np.zeros(len(totals), dtype=bool)
         for instance, _ in model.numbers:
             if instance.effect == GAIN:
-                place = model.library.places[instance.label]
-                prior[place] = 1 / (scale * totals[place]) ** 2
+                gains[model.library.places[instance.label]] = True
+        relative = np.divide(1.0, totals, out=np.zeros(len(totals)), where=gains)[end.free]
+        mean = relative / max(1, gains.sum())
+        prior = np.diag((relative / self.settings.scale) ** 2)
+        prior += np.outer(mean, mean) / scale**2
         found = np.zeros(len(totals))
-        variance = np.maximum(np.diag(error.covariance(end, prior[end.free])), 0.0)
+        variance = np.maximum(np.diag(error.covariance(end, prior)), 0.0)
         found[end.free] = np.hypot(np.sqrt(variance), step)
         found[end.free] = np.hypot(found[end.free], self.settings.accuracy * totals[end.free])
         # What the data do not tell is anywhere within its bounds.
