@@ -1,13 +1,14 @@
 """The search for what a model lacks that is far off: what motions ask for, and what is certain."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dropo.core.contracts.estimator import silent
 from dropo.diagnosis.far_off.motions import MotionSettings
-from dropo.diagnosis.far_off.search import FarOffSearch, FarOffSettings
+from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch, FarOffSettings
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from tests.models.far_off import torque_arm
 
@@ -91,3 +92,16 @@ def test_a_number_at_its_bound_is_warned_of(found):
     (warning,) = searched(model, replace(SETTINGS, families=())).warnings
     assert "joint_armature:elbow/armature is at its bound, 0.005" in warning
     assert np.isfinite(model.theta).all()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_is_certain_holds_the_mean_of_gains_alone(count):
+    """Of motions that tell nothing, one gain is its own mean; of two, each is known to 0.2."""
+    gains = ("actuator_gain:shoulder_motor", "actuator_gain:elbow_motor")
+    model = torque_arm(*gains[:count])
+    nothing = SimpleNamespace(covariance=lambda end, prior: np.linalg.inv(prior))
+    end = SimpleNamespace(free=model.fitted)
+    search = FarOffSearch(SETTINGS, silent)
+    beside = search._errors(model, nothing, end, np.zeros(count), KNOWN)[model.fitted]
+    apart = SETTINGS.scale / np.sqrt(2) if count == 2 else 0.0
+    assert beside == pytest.approx(np.hypot(apart, SETTINGS.accuracy), rel=0.01)
