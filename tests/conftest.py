@@ -58,6 +58,11 @@ def pytest_collection_modifyitems(config, items):
         studies = [item for item in items if item.get_closest_marker("study")]
         items[:] = [item for item in items if not item.get_closest_marker("study")]
         config.hook.pytest_deselected(items=studies)
+    of_file = Counter()
+    for test, own in seconds.items():
+        of_file[file_of(test)] += own
+    # A worker takes whole files: with the longest first, all workers end at about the same time.
+    items.sort(key=lambda item: (-of_file[file_of(item.nodeid)], file_of(item.nodeid)))
 
 
 class Recorder:

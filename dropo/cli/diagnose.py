@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     """Diagnose, print and save; the exit status."""
     from dropo.cli.record import diagnosis_record, keep_for_report
-    from dropo.problems.file.writer import write_problem
+    from dropo.problems.file.plain_model import write_extended
 
     problem = _problem(arguments)
     folder.begin(diagnosis_record(arguments, problem))
@@ -112,8 +112,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     def save() -> None:
         if arguments.out is not None:
             found.save(arguments.out)
-            if found.causes:
-                write_problem(found.problem, arguments.out / "extended")
+            write_extended(found.problem, found.parameters, arguments.out / "extended")
             keep_for_report(arguments, None)
 
     show_and_save(arguments, found, found.to_json(), save)

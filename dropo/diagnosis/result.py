@@ -224,7 +224,7 @@ class Diagnosis(Report):
             "extended": self.extended.to_json(),
             "remaining": self.remaining.to_json(),
             "noise": dict(self.noise),
-            "extended_problem": "extended/problem.yaml" if self.causes else None,
+            "extended_problem": "extended/problem.yaml",
             "disturbances": self.disturbances.to_json() if self.disturbances else None,
             "odd_runs": [asdict(run) for run in self.outlier_runs],
             "replay": self.replay.to_json() if self.replay else None,

@@ -9,10 +9,10 @@ from dropo.core.records.fit import Fit
 from dropo.core.records.fit_files import WRITTEN
 from dropo.core.records.predictions import FILE, Predictions
 from dropo.core.records.saved_schema import (
-    SavedDiagnosis,
+    REGRESSION,
     SavedMade,
-    SavedQuickDiagnosis,
     SavedRun,
+    read_diagnosis,
 )
 from dropo.core.services.errors import BadFile
 from dropo.core.services.file_schema import Saved, check_content, read_saved
@@ -21,8 +21,6 @@ from dropo.report.history import History, read_history
 
 RESULT = "a folder that `dropo fit --out` or `dropo diagnose --out` wrote"
 EVALUATION_LOG = "evaluations.jsonl"
-REGRESSION = "regression"
-"""The `method` of a diagnosis without simulation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +97,7 @@ def read_result(folder: str | Path) -> Result:
     made = _optional(folder / "made.json", SavedMade, "how a run of dropo was made")
     predictions = Predictions.load(folder) if (folder / FILE).is_file() else None
     if (folder / "diagnosis.json").is_file():
-        content = _diagnosis(folder / "diagnosis.json")
+        content = read_diagnosis(folder / "diagnosis.json")
         kept = content.get("pictures")
         figures = FigureData.from_json(kept) if kept else None
         return Result(folder, content, record, made, figures=figures, predictions=predictions)
@@ -121,15 +119,6 @@ def read_result(folder: str | Path) -> Result:
 def _optional(path: Path, schema: type[Saved], what: str) -> dict[str, Any]:
     """The content of a file, {} where there is none."""
     return read_saved(path, schema, what) if path.is_file() else {}
-
-
-def _diagnosis(path: Path) -> dict[str, Any]:
-    """The content of diagnosis.json, of a search by simulation or of a regression alone."""
-    what = "a diagnosis written by `dropo diagnose --out`"
-    content = read_json(path, what)
-    quick = content.get("method") == REGRESSION
-    check_content(path, content, SavedQuickDiagnosis if quick else SavedDiagnosis)
-    return content
 
 
 def _listing(folder: Path) -> str:

@@ -4,19 +4,23 @@ made.json.
 Keys that a reader needs are listed here; others may stand beside them.
 """
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit import Status
-from dropo.core.services.file_schema import Saved
+from dropo.core.services.file_schema import Saved, check_content
+from dropo.core.services.saved_files import read_json
 
 Count = Annotated[int, Field(ge=0)]
 Known = float | None
 """A number, or null where it is not known."""
 Texts = list[str]
 ByName = dict[str, Known]
+REGRESSION = "regression"
+"""The method of a diagnosis by regression alone."""
 
 
 # fit.json
@@ -378,6 +382,30 @@ class SavedQuickDiagnosis(SavedFinding):
 
     faults: list[SavedFault]
     forces: list[SavedForces]
+
+
+def read_diagnosis(path: Path) -> dict[str, Any]:
+    """Read diagnosis.json, of a search by simulation or of a regression alone.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    dict
+        Its content as it stands there.
+
+    Raises
+    ------
+    BadFile
+        If there is no such file, it is of a newer version, or it does not fit its schema.
+    """
+    content = read_json(path, "a diagnosis written by `dropo diagnose --out`")
+    quick = content.get("method") == REGRESSION
+    check_content(path, content, SavedQuickDiagnosis if quick else SavedDiagnosis)
+    return content
 
 
 # run.json and made.json

@@ -349,7 +349,7 @@ class Segments:
             depth[i] = depth[self.previous[i]] + 1
         return [np.flatnonzero(depth == level) for level in range(int(depth.max()) + 1)]
 
-    @property
+    @cached_property
     def starts(self) -> Array:
         """Measured observation (N, p) at each segment's start."""
         return self.trajectories.observations[self.steps[:, 0]]

@@ -1,5 +1,6 @@
 """What a diagnosis by regression found."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,11 @@ class QuickDiagnosis(Report):
     warnings: tuple[str, ...] = ()
     wall_time_s: float = 0.0
 
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Declared parameters as fitted: none, regression leaves them as they are."""
+        return {}
+
     def headline(self) -> str:
         """The finding in a few sentences."""
         if self.faults:
@@ -161,7 +167,7 @@ class QuickDiagnosis(Report):
             "faults": [asdict(fault) for fault in self.faults],
             "suspects": [],
             "forces": [asdict(joint) for joint in self.forces],
-            "extended_problem": "extended/problem.yaml" if self.causes else None,
+            "extended_problem": "extended/problem.yaml",
             "warnings": list(self.warnings),
             "seed": None,
             "version": __version__,

@@ -1,37 +1,52 @@
 """The MJCF of a simulator's model, with those of its effects that MJCF has elements for."""
 
-import copy
-
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.validation import Array
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
+SLACK = 1e-5
+"""Fraction of an inertia that is lost where it is written with six digits."""
 
-def format_model(simulator: MujocoSimulator) -> str:
+
+def format_model(simulator: MujocoSimulator, values: Array | None = None) -> str:
     """Write the model of a simulator as MJCF.
 
     Parameters
     ----------
     simulator : MujocoSimulator
         Its fixed effects are written in, where they are numbers of the model.
+    values : (d,) array, optional
+        Its declared parameters, which are written in too; by default the model's own numbers.
 
     Returns
     -------
     str
         The MJCF, in which numbers have about six digits.
+
+    Raises
+    ------
+    Incompatible
+        If MuJoCo refuses the model with these numbers.
     """
     spec = mujoco.MjSpec.from_string(simulator.spec().to_xml())  # angles are in radians then
     spec.compile()
-    model = _apply_effects(simulator)
+    in_model = [pair for pair in simulator.fixed if is_in_model(pair[0])]
+    model = simulator.model_of(simulator.nominal if values is None else values, in_model)
     _write_bodies(spec, model)
     _write_joints(spec, model)
     _write_contacts(spec, model)
     _write_actuators(spec, model)
+    _write_tendons(spec, model)
     _write_option(spec, model)
-    spec.compile()
+    try:
+        spec.compile()
+    except ValueError as error:
+        raise Incompatible(f"MuJoCo refuses the model with what was found: {error}") from None
     return str(spec.to_xml())
 
 
@@ -51,15 +66,6 @@ def is_in_model(instance: EffectInstance) -> bool:
     return instance.model is not None and instance.time_profile is None
 
 
-def _apply_effects(simulator: MujocoSimulator) -> mujoco.MjModel:
-    """A copy of the model with the fixed effects that are numbers of it."""
-    model = copy.copy(simulator.model)
-    for instance, sizes in simulator.fixed:
-        if instance.model is not None and is_in_model(instance):
-            instance.model(model, sizes)
-    return model
-
-
 def _fill(old: ArrayLike, new: ArrayLike) -> NDArray[np.float64]:
     """The old numbers with the new ones in the first places."""
     filled = np.array(old)
@@ -75,10 +81,21 @@ def _write_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         if body.id > 0 and model.body_mass[body.id] > 0:
             body.explicitinertial = True
             body.mass = model.body_mass[body.id]
-            body.inertia = model.body_inertia[body.id]
+            body.inertia = _possible(model.body_inertia[body.id])
             body.ipos = model.body_ipos[body.id]
             body.iquat = model.body_iquat[body.id]
             body.fullinertia = [np.nan] * 6
+
+
+def _possible(inertia: Array) -> Array:
+    """Principal moments (3,) of which none is larger than the sum of the others, as MuJoCo demands.
+
+    Where one was fitted alone, about the axis of a joint, the others are raised.
+    """
+    largest = int(np.argmax(inertia))
+    missing = (1 + SLACK) * inertia[largest] - np.delete(inertia, largest).sum()
+    others = np.arange(3) != largest
+    return np.where(others, inertia + max(missing, 0.0) / 2, inertia)
 
 
 def _write_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
@@ -98,6 +115,7 @@ def _write_contacts(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     for geom in spec.geoms:
         geom.friction = model.geom_friction[geom.id]
         geom.solref = model.geom_solref[geom.id]
+        geom.solimp = model.geom_solimp[geom.id]
         geom.margin = model.geom_margin[geom.id]
 
 
@@ -106,6 +124,15 @@ def _write_actuators(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     for actuator in spec.actuators:
         actuator.gainprm = _fill(actuator.gainprm, model.actuator_gainprm[actuator.id])
         actuator.biasprm = _fill(actuator.biasprm, model.actuator_biasprm[actuator.id])
+
+
+def _write_tendons(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Armature, friction, damping and stiffness."""
+    for tendon in spec.tendons:
+        tendon.armature = model.tendon_armature[tendon.id]
+        tendon.frictionloss = model.tendon_frictionloss[tendon.id]
+        tendon.damping = _fill(tendon.damping, [model.tendon_damping[tendon.id]])
+        tendon.stiffness = _fill(tendon.stiffness, [model.tendon_stiffness[tendon.id]])
 
 
 def _write_option(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:

@@ -10,6 +10,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.atomic_write import write_npz, write_text
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.strict_yaml import format_yaml
+from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.effects import make_effect_entry
 from dropo.problems.file.model_xml import format_model, is_in_model
@@ -18,7 +19,7 @@ from dropo.problems.file.task import locate_from
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
-def write_problem(problem: Problem, folder: str | Path) -> Path:
+def write_problem(problem: Problem, folder: str | Path, values: Array | None = None) -> Path:
     """Write problem.yaml, model.xml and data.npz (held_out.npz) into a folder.
 
     Effects that change the model's numbers stand in model.xml, which keeps about six digits; the
@@ -30,6 +31,10 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
         A problem whose simulator is a `MujocoSimulator`.
     folder : str or Path
         Made where it is missing.
+    values : (d,) array, optional
+        What its declared parameters are in model.xml; by default the model's own numbers. Bounds of
+        a factor on the model's number are those of a factor on the new one, which is left out
+        where the number is 0.
 
     Returns
     -------
@@ -48,8 +53,10 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
             "a MuJoCo model."
         )
     folder = Path(folder)
-    content = _make_content(problem, simulator, folder)
-    write_text(folder / "model.xml", format_model(simulator))
+    if values is None:
+        values = np.asarray(simulator.nominal, dtype=float)
+    content = _make_content(problem, simulator, folder, values)
+    write_text(folder / "model.xml", format_model(simulator, values))
     write_data(problem.trajectories, folder / "data.npz")
     if problem.held_out is not None:
         write_data(problem.held_out, folder / "held_out.npz")
@@ -58,7 +65,9 @@ def write_problem(problem: Problem, folder: str | Path) -> Path:
     return path
 
 
-def _make_content(problem: Problem, simulator: MujocoSimulator, folder: Path) -> dict[str, Any]:
+def _make_content(
+    problem: Problem, simulator: MujocoSimulator, folder: Path, values: Array
+) -> dict[str, Any]:
     """The content of a problem file in a folder, of keys that say more than their defaults."""
     content: dict[str, Any] = {
         "model": "model.xml",
@@ -66,7 +75,11 @@ def _make_content(problem: Problem, simulator: MujocoSimulator, folder: Path) ->
         "data": "data.npz",
         "observation": list(simulator.observation),
         "action": list(simulator.action),
-        "parameters": {b.parameter.name: _make_parameter(b.parameter) for b in simulator.bindings},
+        "parameters": {
+            binding.parameter.name: _make_parameter(binding.parameter, value)
+            for binding, value in zip(simulator.bindings, values.tolist(), strict=False)
+            if value != 0 or not binding.parameter.relative
+        },
         "lambda": problem.horizon,
     }
     if problem.epsilon is not None:
@@ -83,13 +96,12 @@ def _make_content(problem: Problem, simulator: MujocoSimulator, folder: Path) ->
     return ProblemFile.model_validate(content).model_dump(by_alias=True, exclude_unset=True)
 
 
-def _make_parameter(parameter: FieldParameter) -> ParameterEntry:
-    """The entry of a parameter."""
-    content: dict[str, Any] = {
-        "field": parameter.field,
-        "low": float(parameter.low),
-        "high": float(parameter.high),
-    }
+def _make_parameter(parameter: FieldParameter, value: float) -> ParameterEntry:
+    """The entry of a parameter that has this value in model.xml."""
+    low, high = float(parameter.low), float(parameter.high)
+    if parameter.relative:
+        low, high = sorted((low / value, high / value))
+    content: dict[str, Any] = {"field": parameter.field, "low": low, "high": high}
     if parameter.element is not None:
         content["name"] = parameter.element
     if parameter.index is not None:

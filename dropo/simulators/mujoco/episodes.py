@@ -29,6 +29,7 @@ from dropo.simulators.mujoco.worker import (
     Worker,
     acts_after_clamp,
     constant_wrenches,
+    react,
     reacting_effects,
 )
 
@@ -326,7 +327,7 @@ class _Layers:
 
     def react(self, state: Array, commands: Array) -> Reaction:
         """What follows from a state (1, s) and a command (1, nu); friction is set at once."""
-        found = self._worker.react(state, commands, self._step, self.reacting)
+        found = react(self._worker.model, state, commands, self._step, self.reacting)
         self._worker.model.dof_frictionloss[:] = self._own_friction + found.friction[0]
         self._step += 1
         return found

@@ -238,6 +238,26 @@ class MujocoSimulator(RobotSimulator):
         """
         return specification(self._source)
 
+    def model_of(self, values: Array, active: ActiveEffects = ()) -> mujoco.MjModel:
+        """Make a copy of the model with parameters and effects written into it.
+
+        Parameters
+        ----------
+        values : (d,) array
+            The declared parameters; what follows them is left out.
+        active : sequence of (EffectInstance, (q,) array)
+            Effects with their magnitudes, of which those count that change numbers of the model.
+
+        Returns
+        -------
+        MjModel
+        """
+        general = any(instance.general for instance, _ in active)
+        worker = Worker(self.general if general else self.model, self.bindings)
+        numbers = [pair for pair in active if pair[0].model is not None]
+        worker.set(declared_values(values[: len(self.bindings)], active), numbers)
+        return worker.model
+
     def _start_threads(self) -> None:
         """Makes what one process alone has: threads, their copies of the model, cached arrays."""
         self._workers: tuple[queue.SimpleQueue[Worker], ...] = (
@@ -391,18 +411,33 @@ class MujocoSimulator(RobotSimulator):
     def _held_commands(self, segments: Segments) -> Array:
         """(N, L, nu) commands without effects, made once for each set of segments."""
         if segments not in self._commands:
-            self._commands[segments] = self._commands_of(segments.actions)
+            self._commands[segments] = self.commands_of(segments.actions)
         return self._commands[segments]
 
     def _changed_commands(self, segments: Segments, part: Ints, active: ActiveEffects) -> Array:
         """(N, L frame_skip, nu) commands as the effects change them, for a part of the segments."""
-        commands = self._commands_of(segments.trajectories.actions)
+        commands = self.commands_of(segments.trajectories.actions)
         return commands_per_physics_step(
             segments, part, commands, self.model, self.frame_skip, active
         )
 
-    def _commands_of(self, actions: Array) -> Array:
-        """Commands (..., nu) from actions (..., q)."""
+    def commands_of(self, actions: Array) -> Array:
+        """Make commands (..., nu) of actions (..., q); actuators without one get 0.
+
+        Parameters
+        ----------
+        actions : (..., q) array
+            In the order of the action columns.
+
+        Returns
+        -------
+        (..., nu) array
+
+        Raises
+        ------
+        BadArgument
+            If there are more or fewer columns.
+        """
         require(
             actions.shape[-1] == len(self.controls),
             "segments",

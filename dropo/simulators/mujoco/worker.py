@@ -129,7 +129,7 @@ class Worker:
             models = [copy.copy(self.model) for _ in states]
         for step in range(steps):
             given[:, 0] = inputs[:, step]
-            reaction = self.react(now, inputs[:, step, :nu], step, reacting)
+            reaction = react(self.model, now, inputs[:, step, :nu], step, reacting)
             given[:, 0, :nu] = reaction.commands
             given[:, 0, nu : nu + nv] += reaction.forces
             if adds_friction:
@@ -165,41 +165,6 @@ class Worker:
         )
         return np.concatenate([controls, for_all], axis=2), int(spec)
 
-    def react(
-        self, states: Array, commands: Array, step: int, reacting: ActiveEffects
-    ) -> "Reaction":
-        """Evaluate the effects that depend on the state.
-
-        Parameters
-        ----------
-        states : (n, s) array
-            Full physics states at the beginning of a physics step.
-        commands : (n, nu) array
-            The commands of that step.
-        step : int
-            Physics steps since the start.
-        reacting : sequence of (EffectInstance, (q,) array)
-            The effects, see `reacting_effects`.
-
-        Returns
-        -------
-        Reaction
-        """
-        sizes = [self.model.nq, self.model.nv, self.model.na]
-        whole = states[:, 1 : 1 + sum(sizes)]
-        qpos, qvel, act = np.split(whole, np.cumsum(sizes[:2]), axis=1)
-        forces = np.zeros((len(states), self.model.nv))
-        friction = np.zeros_like(forces)
-        for instance, magnitudes in reacting:
-            state = StepState(qpos, qvel, commands, step, act, self.model)
-            if instance.command_feedback is not None:
-                commands = instance.command_feedback(state, magnitudes)
-            if instance.force is not None:
-                forces += instance.force(state, magnitudes)
-            if instance.friction is not None:
-                friction += instance.friction(state, magnitudes)
-        return Reaction(commands, forces, friction)
-
 
 @dataclass(frozen=True, eq=False)
 class Reaction:
@@ -218,6 +183,48 @@ class Reaction:
     commands: Array
     forces: Array
     friction: Array
+
+
+def react(
+    model: mujoco.MjModel,
+    states: Array,
+    commands: Array,
+    step: int,
+    reacting: ActiveEffects,
+) -> Reaction:
+    """Evaluate the effects that depend on the state.
+
+    Parameters
+    ----------
+    model : MjModel
+        The model, with all parameters and effects written into it.
+    states : (n, s) array
+        Full physics states at the beginning of a physics step.
+    commands : (n, nu) array
+        The commands of that step.
+    step : int
+        Physics steps since the start.
+    reacting : sequence of (EffectInstance, (q,) array)
+        The effects, see `reacting_effects`.
+
+    Returns
+    -------
+    Reaction
+    """
+    sizes = [model.nq, model.nv, model.na]
+    whole = states[:, 1 : 1 + sum(sizes)]
+    qpos, qvel, act = np.split(whole, np.cumsum(sizes[:2]), axis=1)
+    forces = np.zeros((len(states), model.nv))
+    friction = np.zeros_like(forces)
+    for instance, magnitudes in reacting:
+        state = StepState(qpos, qvel, commands, step, act, model)
+        if instance.command_feedback is not None:
+            commands = instance.command_feedback(state, magnitudes)
+        if instance.force is not None:
+            forces += instance.force(state, magnitudes)
+        if instance.friction is not None:
+            friction += instance.friction(state, magnitudes)
+    return Reaction(commands, forces, friction)
 
 
 def reacting_effects(active: ActiveEffects) -> list[tuple[EffectInstance, Array]]:

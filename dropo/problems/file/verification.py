@@ -1,0 +1,298 @@
+"""What a diagnosis announced, once more: its extended model in plain MuJoCo."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dropo.core.contracts.effect import ActiveEffects
+from dropo.core.records.saved_schema import REGRESSION, read_diagnosis
+from dropo.core.records.trajectories import Ints, Segments
+from dropo.core.services.errors import BadFile
+from dropo.core.services.tables import Report, Table, number
+from dropo.core.services.validation import Array
+from dropo.evaluation.held_out import errors_of, held_out_part, held_out_windows
+from dropo.problems.file.plain_model import (
+    active_effects,
+    changed_numbers,
+    format_plain_model,
+    load_robot,
+    read_plain_model,
+    run_plain_model,
+)
+from dropo.problems.loading import load
+from dropo.simulators.mujoco.layers import (
+    delay_columns,
+    measured_signals,
+    split_by_time_profile,
+    start_speeds,
+    total_delays,
+    true_starts,
+)
+from dropo.simulators.mujoco.plain_robot import Robot, write_numbers
+from dropo.simulators.mujoco.simulator import MAX_STATE, MujocoSimulator
+
+TOLERANCE = 0.02
+"""Fraction of an announced error by which the verified one may differ."""
+ROUNDING = 1e-7
+"""Fraction of a signal's spread below which two errors are the same: of rounding alone."""
+
+
+@dataclass(frozen=True)
+class Verified:
+    """An error that was announced, and the same in plain MuJoCo.
+
+    Attributes
+    ----------
+    steps : int
+        The horizon in control steps.
+    seconds : float or None
+        The horizon [s].
+    unit : str
+        Of the signals.
+    announced, verified : float
+        Root mean square errors over the signals of that unit.
+    negligible : float
+        Differences below it are of rounding.
+    """
+
+    steps: int
+    seconds: float | None
+    unit: str
+    announced: float
+    verified: float
+    negligible: float
+
+    @property
+    def difference(self) -> float:
+        """The difference, as a fraction of what was announced; 0 where it is negligible."""
+        off = abs(self.verified - self.announced)
+        return 0.0 if off < self.negligible else off / self.announced
+
+
+@dataclass(frozen=True, repr=False)
+class Verification(Report):
+    """The errors of a diagnosis' extended model, announced and verified.
+
+    Attributes
+    ----------
+    name : str
+        The problem's.
+    errors : tuple of Verified
+        By horizon and unit.
+    """
+
+    name: str
+    errors: tuple[Verified, ...]
+
+    @property
+    def difference(self) -> float:
+        """The largest difference, as a fraction of an announced error."""
+        return max((one.difference for one in self.errors), default=0.0)
+
+    @property
+    def holds(self) -> bool:
+        """Whether every error is the announced one within `TOLERANCE`."""
+        return self.difference <= TOLERANCE
+
+    def parts(self) -> list[str | Table]:
+        """The table of errors, and whether they hold."""
+        rows = []
+        for one in self.errors:
+            seconds = "" if one.seconds is None else f", {number(one.seconds, 3)} s"
+            errors = (number(one.announced, 3), number(one.verified, 3))
+            steps = f"{one.steps} step{'s' if one.steps > 1 else ''}"
+            rows.append((f"{steps}{seconds}", one.unit, *errors, f"{one.difference:.2%}"))
+        header = ("after", "unit", "announced", "in plain MuJoCo", "difference")
+        table = Table("Errors on held-out data", header, tuple(rows))
+        said = "as announced" if self.holds else "NOT as announced"
+        return [table, f"The errors are {said}: at most {self.difference:.2%} off."]
+
+    def to_json(self) -> dict[str, Any]:
+        """As `dropo verify --json` prints it."""
+        errors = [
+            {
+                "steps": one.steps,
+                "seconds": one.seconds,
+                "unit": one.unit,
+                "announced": one.announced,
+                "verified": one.verified,
+                "difference": one.difference,
+            }
+            for one in self.errors
+        ]
+        return {"problem": self.name, "holds": self.holds, "errors": errors}
+
+
+def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
+    """Roll the extended model of a diagnosis out in plain MuJoCo, and compare its errors.
+
+    Parameters
+    ----------
+    folder : str or Path
+        What `dropo diagnose --out` wrote.
+    trusted : bool
+        Whether model.py is run even if it is not what this version writes.
+
+    Returns
+    -------
+    Verification
+
+    Raises
+    ------
+    BadFile
+        If the folder holds no diagnosis by simulation, a file of its extended model is missing or
+        broken, or model.py was changed and is not trusted.
+    """
+    folder = Path(folder)
+    kept = folder / "diagnosis.json"
+    content = read_diagnosis(kept)
+    if content.get("method") == REGRESSION:
+        rule = "a diagnosis by simulation, which `dropo diagnose` makes without --quick"
+        raise BadFile(kept, "method", rule, REGRESSION)
+    if not content.get("extended_problem"):
+        raise BadFile(kept, "extended_problem", "the path of an extended problem", "none")
+    path = folder / str(content["extended_problem"])
+    problem = load(path, checked=False, trusted=False)
+    simulator = problem.simulator
+    if not isinstance(simulator, MujocoSimulator):
+        raise BadFile(path, "model", "a MuJoCo model", type(simulator).__name__)
+    rollout = PlainRollout(simulator, _values(simulator, content), path.parent, trusted)
+    part = held_out_part(problem, int(content["window_steps"]))
+    errors: list[Verified] = []
+    for announced in content["extended"]["horizons"]:
+        windows = held_out_windows(part, announced["steps"])
+        if announced["rmse"] is None or not len(windows):
+            continue
+        predicted = rollout.predict(windows)
+        spread = np.ones(len(simulator.signals))
+        (found,) = errors_of(simulator, predicted[None], windows, spread)
+        scale = np.abs(simulator.targets(windows)).max()
+        for unit, value in found.by_unit.items():
+            errors.append(
+                Verified(
+                    announced["steps"],
+                    announced["seconds"],
+                    unit,
+                    announced["units"][unit]["rmse"],
+                    value,
+                    ROUNDING * float(scale),
+                )
+            )
+    return Verification(str(content["problem"]), tuple(errors))
+
+
+def _values(simulator: MujocoSimulator, content: dict[str, Any]) -> Array:
+    """The fitted parameters: model.xml has those of its fields, diagnosis.json those of effects."""
+    values = np.array(simulator.nominal, dtype=float)
+    for i, name in enumerate(simulator.space.names):
+        if i >= len(simulator.bindings):
+            values[i] = content["parameters"].get(name, values[i])
+    return values
+
+
+class PlainRollout:
+    """Predictions of windows by a robot that mujoco alone steps.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The extended one: its layout, and its effects on what is measured.
+    values : (d,) array
+        Its parameters.
+    folder : Path
+        Where model.xml, model.npz and model.py are.
+    trusted : bool
+        Whether model.py is run even if it is not what this version writes.
+
+    Raises
+    ------
+    BadFile
+        If a file is missing or broken, or model.py was changed and is not trusted.
+    """
+
+    def __init__(self, simulator: MujocoSimulator, values: Array, folder: Path, trusted: bool):
+        self.simulator = simulator
+        self.values = values
+        self.path = folder / "model.py"
+        self.active = active_effects(simulator, values)
+        expected = format_plain_model(simulator, self.active)
+        self.kept = run_plain_model(read_plain_model(self.path, expected, trusted), self.path)
+
+    def predict(self, windows: Segments) -> Array:
+        """Predict the signals at the end of windows.
+
+        Parameters
+        ----------
+        windows : Segments
+            W windows, of each of which the last step is compared.
+
+        Returns
+        -------
+        (W, p) array
+            NaN where the simulation diverges.
+        """
+        layout = self.simulator.layout
+        speeds = start_speeds(windows, layout, self.simulator.control_step)
+        out = np.empty((len(windows), len(self.simulator.signals)))
+        for own, active in split_by_time_profile(self.active, windows, np.arange(len(windows))):
+            starts = true_starts(windows.starts[own], speeds[own], layout, active)
+            rows = self._ends(self._robot(active), windows, own, starts, active)
+            out[own] = measured_signals(layout.coordinates(rows, windows.targets[own]), active)
+        return out
+
+    def _robot(self, active: ActiveEffects) -> Robot:
+        """The robot as it was written, or as it was at the time of some windows."""
+        robot: Robot = load_robot(self.kept, self.path)
+        if all(instance.time_profile is None for instance, _ in self.active):
+            return robot
+        then = run_plain_model(format_plain_model(self.simulator, active), self.path)
+        model = robot.given_model
+        write_numbers(model, changed_numbers(model, self.simulator.model_of(self.values, active)))
+        found: Robot = then.Robot(model, self.simulator.frame_skip, then.EFFECTS)
+        return found
+
+    def _ends(
+        self, robot: Robot, windows: Segments, own: Ints, starts: Array, active: ActiveEffects
+    ) -> Array:
+        """(n, P) the observed columns at the ends of n windows, as late as the sensors are."""
+        simulator = self.simulator
+        data = windows.trajectories
+        layout = simulator.layout
+        delays = layout.by_column(total_delays(active, len(simulator.signals)))
+        late = delays > 0
+        model = simulator.model
+        states = layout.full_states(starts, model)
+        commands: dict[int, Array] = {}
+        out = np.empty((len(own), len(layout)))
+        for i, (window, state) in enumerate(zip(own.tolist(), states, strict=True)):
+            steps = windows.steps[window]
+            run = int(data.trajectory[steps[0]])
+            first, last = data.spans[run]
+            if run not in commands:
+                commands[run] = robot.commands(simulator.commands_of(data.actions[first:last]))
+            begin = (steps[0] - first) * simulator.frame_skip
+            held = commands[run][begin : begin + len(steps) * simulator.frame_skip]
+            robot.reset(state[1 : 1 + model.nq], state[1 + model.nq : 1 + model.nq + model.nv])
+            trace = [self._observed(robot)] if late.any() else []
+            for command in held:
+                robot.advance(command)
+                if late.any():
+                    trace.append(self._observed(robot))
+            out[i] = self._observed(robot)
+            if late.any():
+                past = np.stack(trace)[None, :, late]
+                in_steps = delays[late] / model.opt.timestep
+                out[i, late] = delay_columns(past, in_steps)[0, -1]
+        return out
+
+    def _observed(self, robot: Robot) -> Array:
+        """(P,) the observed columns of the present state; NaN where it has diverged."""
+        layout = self.simulator.layout
+        state = robot.state()
+        if not (np.abs(state) < MAX_STATE).all():
+            return np.full(len(layout), np.nan)
+        sensors = robot.sensors() if layout.needs_sensors else None
+        found: Array = layout.observe(state, sensors, self.simulator.model)
+        return found
