@@ -3,6 +3,7 @@
 import ast
 import builtins
 import inspect
+import math
 import sys
 import textwrap
 from collections.abc import Collection
@@ -62,10 +63,12 @@ class SourceText:
         Incompatible
             If it is none of these.
         """
+        if isinstance(value, np.generic):
+            value = value.item()
+        if isinstance(value, float) and not math.isfinite(value):
+            return f"float('{value}')"
         if value is None or isinstance(value, bool | int | float | str):
             return repr(value)
-        if isinstance(value, np.generic):
-            return repr(value.item())
         if isinstance(value, np.ndarray):
             self.imports.add("import numpy as np")
             return f"np.array({value.tolist()!r})"
