@@ -18,7 +18,7 @@ from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
-from dropo.core.records.fit import Fit
+from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import StartFilter
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
@@ -28,6 +28,7 @@ from dropo.core.services.validation import Array, known, require
 from dropo.estimators.least_squares import estimate
 from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
 from dropo.estimators.support.filtered_starts import fit_from_filtered_starts
+from dropo.estimators.support.final_step import corrected_by_simulation
 from dropo.estimators.support.sobol_start import best_sobol_point
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
@@ -237,8 +238,17 @@ class DROPO(Estimator):
                 search, problem, run, family, noise, objective, found
             )
 
+        # Where nothing varies, the simulator itself has the last word on the means.
+        constant = tuple(parameters_without_spread(family, objective, found.point))
+        scales = {f"scale.{name}" for name in problem.space.names if name not in constant}
+        nothing_varies = scales.isdisjoint(objective.unknowns.names)
+        if nothing_varies and found.status is not Status.INTERRUPTED:
+            objective, found = corrected_by_simulation(problem, run, family, objective, found)
+
         # Compare the local model with the simulator at the fit.
-        check, warnings = check_emulator(problem, run, family, objective, found.point, rng)
+        check, warnings = check_emulator(
+            problem, run, family, objective, found.point, rng, alike=nothing_varies
+        )
         return self._summarise(
             problem,
             run,
@@ -248,7 +258,7 @@ class DROPO(Estimator):
             warnings=warnings,
             emulator_check=check,
             start_filter=start_filter,
-            constant_parameters=tuple(parameters_without_spread(family, objective, found.point)),
+            constant_parameters=constant,
         )
 
     def _local_optimizer(self, rng: np.random.Generator) -> MakeOptimizer:

@@ -29,7 +29,7 @@ from dropo.estimators.support.posterior_targets import (
     Target,
     log_posterior,
 )
-from dropo.estimators.support.summary import at_bounds
+from dropo.estimators.support.summary import at_bounds, with_model_check
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,7 @@ class Posterior(Estimator):
             diverging=draws.diverging,
             row_log_likelihood=self._row_log_likelihood(draws, target, len(targets)),
         )
-        return Fit(
+        fit = Fit(
             method=self.name,
             problem=problem.name,
             space=problem.space,
@@ -313,6 +313,7 @@ class Posterior(Estimator):
             warnings=(*problem.warnings, *notes, *at_bounds(family.unknowns, phi)),
             posterior=posterior,
         )
+        return with_model_check(problem, run, fit)
 
     def _row_log_likelihood(self, draws: Draws, target: Target, rows: int) -> Array | None:
         """(S, W, R) of a local model, if it is small enough to keep."""

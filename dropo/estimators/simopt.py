@@ -20,7 +20,7 @@ from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
 from dropo.estimators.support.distribution_fit import evaluate_fit
-from dropo.estimators.support.summary import at_bounds
+from dropo.estimators.support.summary import at_bounds, with_model_check
 
 SIGNATURE = "(fit, rng) -> Trajectories"
 
@@ -175,7 +175,8 @@ class SimOpt(InteractiveEstimator):
             warnings=tuple(at_bounds(family.unknowns, phi)),
             search_record=history,
         )
-        return evaluate_fit(whole, run, fit, self.draws, run.rng.spawn(1)[0])
+        fit = evaluate_fit(whole, run, fit, self.draws, run.rng.spawn(1)[0])
+        return with_model_check(whole, run, fit)
 
     def _call_collect(self, problem: Problem, calls: Callbacks, phi: Array) -> Trajectories:
         """The data of a policy trained under the member phi (m,), counted."""

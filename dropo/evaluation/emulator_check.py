@@ -23,6 +23,8 @@ class EmulatorCheckSettings:
     ----------
     draws : int
         Draws of the fitted distribution.
+    alike : int
+        Draws of one in which nothing varies.
     segments : int
         About how many segments are simulated.
     tolerance : float
@@ -30,6 +32,7 @@ class EmulatorCheckSettings:
     """
 
     draws: int = 32
+    alike: int = 16
     segments: int = 100
     tolerance: float = 0.1
 
@@ -44,6 +47,8 @@ def check_emulator(
     local: LocalLogLikelihood,
     phi: Array,
     rng: np.random.Generator,
+    *,
+    alike: bool = False,
     settings: EmulatorCheckSettings = SETTINGS,
 ) -> tuple[EmulatorCheck, list[str]]:
     """Compare the log-likelihoods of an emulator and of its simulator at a fit.
@@ -65,6 +70,8 @@ def check_emulator(
         The fit's unknowns, those of the family first.
     rng : numpy.random.Generator
         Draws the parameters.
+    alike : bool
+        Whether no parameter varies.
     settings : EmulatorCheckSettings
         How many draws and rows, and which difference is reported.
 
@@ -76,24 +83,25 @@ def check_emulator(
         Where simulator and emulator differ too much, or draws are physically impossible.
     """
     family_phi = phi[: len(family.unknowns)]
-    base = family.base(settings.draws, rng)
+    count = settings.alike if alike else settings.draws
+    base = family.base(count, rng)
     values = family.draw(family_phi, base)
     warnings = _impossible_draws(family, family.map(family_phi, base[0]))
     chosen = problem.segments.thin(settings.segments)
     segments = problem.segments.take(chosen)
     rows = np.isin(problem.segments.rows[0], chosen)
-    count = int(rows.sum())
+    compared = int(rows.sum())
     with run.counting(evaluations=1):
         simulated = problem.simulator.predict(values, segments)
-    gaussian = find("likelihoods", "monte-carlo")(draws=settings.draws)
+    gaussian = find("likelihoods", "monte-carlo")(draws=count)
     targets = problem.simulator.targets(segments)
     epsilon = local.epsilon(phi)
     true = gaussian.log_density(simulated, targets, epsilon).sum()
     emulated = gaussian.log_density(local.predict(values)[:, rows], targets, epsilon).sum()
     difference = float(true - emulated)
-    check = EmulatorCheck(settings.draws, count, _or_nan(true), _or_nan(emulated))
-    if not (np.isfinite(difference) and abs(difference) <= settings.tolerance * count):
-        apart = f"the simulator and its emulator differ by {difference / count:.2g} nat a row"
+    check = EmulatorCheck(count, compared, _or_nan(true), _or_nan(emulated))
+    if not (np.isfinite(difference) and abs(difference) <= settings.tolerance * compared):
+        apart = f"the simulator and its emulator differ by {difference / compared:.2g} nat a row"
         warnings.append(f"at the fit {apart}: check with likelihood 'monte-carlo'")
     return check, warnings
 

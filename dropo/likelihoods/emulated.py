@@ -1,6 +1,7 @@
 """The Gaussian likelihood with exact moments of a polynomial emulator, with Fisher information."""
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,14 @@ class EmulatedRows(GaussianRows):
     def predict(self, values: Array) -> Array:
         """Return the polynomials' predictions (K, R, p) at values (K, d)."""
         return self.emulator.predict(values)
+
+    def anchored(self, value: Array, predictions: Array) -> "EmulatedRows":
+        """Return the likelihood with the polynomials' constants shifted to be right at a value."""
+        coefficients = self.emulator.coefficients.copy()
+        coefficients[0] += predictions - self.predict(value[None])[0]
+        out = copy.copy(self)
+        out.emulator = replace(self.emulator, coefficients=coefficients)
+        return out
 
     def _member(self, own: Any) -> Any:
         """A (M, M): polynomials in the member's orthonormal ones, psi_j(x) = sum_k A_kj phi_k."""

@@ -3,7 +3,8 @@
 It takes 2 d + 1 simulations of each segment, and so suits many parameters.
 """
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -88,6 +89,13 @@ class LinearRows(GaussianRows):
         """Return the linear model's predictions (K, R, p) at values (K, d)."""
         away = coordinates(self.family, values) - self.centre
         return self.axial.value + np.moveaxis(self.axial.slope @ away.T, -1, 0)
+
+    def anchored(self, value: Array, predictions: Array) -> "LinearRows":
+        """Return the likelihood with all predictions shifted to be right at a value."""
+        shift = predictions - self.predict(value[None])[0]
+        out = copy.copy(self)
+        out.axial = replace(self.axial, value=self.axial.value + shift)
+        return out
 
     def _member(self, own: Any) -> Any:
         """The member's mean from the centre (d,) and covariance (d, d)."""

@@ -8,7 +8,7 @@ from dropo import plots
 from dropo.core.contracts.prior import Prior
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import PosteriorDraws
-from dropo.core.records.fit_report import span
+from dropo.core.records.fit_report import INTERVAL, span, z_scores
 from dropo.core.services.tables import estimate
 from dropo.plots.distribution import MOST
 from dropo.report import parts
@@ -105,7 +105,7 @@ def headline(fit: Fit, result: Result) -> str:
         before = percent(found.before.by_horizon[-1])
         after = percent(found.after.by_horizon[-1])
         begun += f": the error {ahead} goes from {before} to {after} of the motion's spread"
-    checked = CHECKED[None if fit.model_check is None else fit.trusted]
+    checked = CHECKED[fit.trusted]
     ended = {
         Status.INTERRUPTED: " The search was interrupted: this is the best so far.",
         Status.OUT_OF_BUDGET: " The search ran out of budget.",
@@ -134,13 +134,14 @@ def _cards(fit: Fit) -> list[tuple[str, str, str]]:
 def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
     """The table of parameters, and their distribution in the search intervals."""
     truth = fit.truth
+    scores = z_scores(fit) if truth else np.zeros(0)
     intervals = fit.interval()
     header = [
         "parameter",
         "unit",
         "mean",
         "standard error",
-        "95 % interval",
+        INTERVAL[fit.trusted],
         "sd",
         "searched from",
         "to",
@@ -148,7 +149,7 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
     if priors:
         header.append("prior")
     if truth:
-        header.append("truth")
+        header += ["truth", "z"]
     rows = []
     for i, p in enumerate(fit.space):
         row = [
@@ -164,7 +165,8 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
         if priors:
             row.append(Cell(str(priors.get(p.name, "uniform"))))
         if truth:
-            row.append(_number(truth[p.name], 7))
+            true = truth[p.name]
+            row += [Cell(estimate(true, fit.mean_se[i]), true), _number(scores[i], 2)]
         rows.append(row)
     values = "; ".join(
         f"{p.name} {plain(fit.mean[i])} {p.unit}, sd {plain(fit.sd[i], 2)}"

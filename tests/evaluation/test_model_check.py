@@ -10,7 +10,10 @@ from scipy import stats
 
 from dropo.core.contracts.problem import Problem
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.epopt import EPOpt
 from dropo.estimators.least_squares import LeastSquares
+from dropo.estimators.posterior import Posterior
+from dropo.optimizers.samplers.emcee import Emcee
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.studies.intervals.coverage import FEW, MANY, data_set
 from tests.reference.pushes import pushes
@@ -49,6 +52,30 @@ def test_draws_that_differ_between_groups_are_not_accused():
     group explains is left out.
     """
     assert sum(not LeastSquares().fit(pushes(seed)).trusted for seed in range(SETS)) < 3
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        Posterior(over="parameters", sampler=Emcee(steps=80, burn_in=40)),
+        EPOpt(particles=100, rounds=4),
+        LeastSquares(),
+    ],
+    ids=["posterior", "epopt", "least-squares"],
+)
+def test_every_method_that_fits_is_checked(estimator):
+    """With the right model and with friction missing; what was not checked is None, and the table's
+    header says what its intervals are then.
+    """
+    right = fitted("independent", 3, estimator=estimator)[0]
+    wrong = fitted("dry friction", 3, estimator=estimator)[0]
+    assert (right.trusted, wrong.trusted) == (True, False)
+    assert any("the model is wrong" in text for text in wrong.warnings)
+    assert "95 % interval" in str(right)
+    assert "(95 % if the model were right)" in str(wrong)
+    unchecked = replace(right, model_check=None)
+    assert unchecked.trusted is None
+    assert "95 % if the model is right" in str(unchecked)
 
 
 @pytest.mark.parametrize("size", [MANY, FEW])

@@ -189,6 +189,23 @@ class LocalLogLikelihood(LogLikelihood):
     def predict(self, values: Array) -> Array:
         """Predictions (K, R, p) of the local model at parameter vectors (K, d)."""
 
+    def anchored(self, value: Array, predictions: Array) -> "LocalLogLikelihood":
+        """Make the same likelihood with a local model that is right at one parameter vector.
+
+        Parameters
+        ----------
+        value : (d,) array
+            The parameter vector.
+        predictions : (R, p) array
+            The simulator's there.
+
+        Returns
+        -------
+        LocalLogLikelihood
+            Itself, of a local model that cannot be shifted.
+        """
+        return self
+
 
 class LocalLikelihood(Likelihood):
     """A likelihood with a local model of the simulator.

@@ -227,9 +227,12 @@ class Fit(Report):
         return np.asarray(np.clip(ends, self.space.low, self.space.high).T)
 
     @property
-    def trusted(self) -> bool:
-        """Whether nothing speaks against the model, on which errors and intervals rest."""
-        return self.model_check is None or self.model_check.passed
+    def trusted(self) -> bool | None:
+        """Whether nothing speaks against the model, on which errors and intervals rest.
+
+        None where that was not checked: then they hold if the model is right.
+        """
+        return None if self.model_check is None else self.model_check.passed
 
     @property
     def parameters_are_constant(self) -> bool:

@@ -4,7 +4,15 @@ import numpy as np
 
 from dropo.core.records.fit import Fit
 from dropo.core.records.fit_parts import HeldOutErrors
-from dropo.core.services.tables import Table, estimate, number
+from dropo.core.services.tables import MOST_DIGITS, Table, estimate, number
+from dropo.core.services.validation import Array
+
+INTERVAL = {
+    True: "95 % interval",
+    False: "(95 % if the model were right)",
+    None: "95 % if the model is right",
+}
+"""What intervals are, by what a check of the model said; None: there was none."""
 
 
 def fit_report(fit: Fit) -> list[str | Table]:
@@ -51,14 +59,30 @@ def span(low: float, high: float) -> str:
     size = max(abs(low), abs(high), 1e-300)
     digits = 3
     if high > low:
-        digits = int(np.clip(np.ceil(np.log10(size / (high - low))) + 2, 3, 12))
+        digits = int(np.clip(np.ceil(np.log10(size / (high - low))) + 2, 3, MOST_DIGITS))
     return f"{low:.{digits}g} .. {high:.{digits}g}"
+
+
+def z_scores(fit: Fit) -> Array:
+    """Count how many standard errors each mean is from the truth.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of a problem whose truth is known.
+
+    Returns
+    -------
+    (d,) array
+        NaN without a standard error.
+    """
+    truth = np.array([fit.truth[p.name] for p in fit.space])
+    return (fit.mean - truth) / np.where(fit.mean_se > 0, fit.mean_se, np.nan)
 
 
 def _parameter_table(fit: Fit) -> Table:
     """A row for each parameter, with the true value where it is known."""
-    ends = "95 % interval" if fit.trusted else "(95 % if the model were right)"
-    header = ("parameter", "unit", "mean", "se", ends, "scale", "sd")
+    header = ("parameter", "unit", "mean", "se", INTERVAL[fit.trusted], "scale", "sd")
     intervals = fit.interval()
     rows = [
         (
@@ -74,9 +98,11 @@ def _parameter_table(fit: Fit) -> Table:
     ]
     if not fit.truth:
         return Table("", header, tuple(rows))
-    truth = [number(fit.truth[p.name], 7) for p in fit.space]
-    with_truth = tuple((*row, true) for row, true in zip(rows, truth, strict=True))
-    return Table("", (*header, "truth"), with_truth)
+    with_truth = [
+        (*row, estimate(fit.truth[p.name], error), number(z, 2))
+        for row, p, error, z in zip(rows, fit.space, fit.mean_se, z_scores(fit), strict=True)
+    ]
+    return Table("", (*header, "truth", "z"), tuple(with_truth))
 
 
 def _held_out_sentence(found: HeldOutErrors) -> str:

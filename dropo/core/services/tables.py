@@ -109,6 +109,10 @@ def number(value: float, digits: int = 5) -> str:
     return f"{value:.{digits}g}" if np.isfinite(value) else "-"
 
 
+MOST_DIGITS = 15
+"""Digits that a float64 holds."""
+
+
 def estimate(value: float, error: float) -> str:
     """Print a number with as many decimals as two digits of its standard error have.
 
@@ -122,11 +126,12 @@ def estimate(value: float, error: float) -> str:
     Returns
     -------
     str
-        With twelve decimals at most; with seven digits where there is no error, or the number is
-        very small or large.
+        With fifteen digits at most, which is what a float64 holds; with seven where there is no
+        error, or the number is very small or large.
     """
     has_error = np.isfinite(value) and np.isfinite(error) and error > 0
     if not (has_error and 1e-6 < abs(value) < 1e7):
         return number(value, 7)
-    decimals = int(np.clip(1 - np.floor(np.log10(error)), 0, 12))
+    most = MOST_DIGITS - 1 - np.floor(np.log10(abs(value)))
+    decimals = int(np.clip(1 - np.floor(np.log10(error)), 0, most))
     return f"{value:.{decimals}f}"

@@ -15,7 +15,7 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 from dropo.estimators.support.epsilon import noise_shape
 from dropo.estimators.support.posterior_targets import PointLikelihood
-from dropo.estimators.support.summary import at_bounds
+from dropo.estimators.support.summary import at_bounds, with_model_check
 from dropo.evaluation.held_out import held_out_errors
 
 ROUNDING = 1e-12  # of an interval: the standard deviation of draws that are all the same
@@ -153,7 +153,7 @@ def posterior_fit(
         search_record=search_record,
         warnings=(*warnings, *at_bounds(family.unknowns, phi)),
     )
-    return replace(fit, **_of_every_fit(problem, run, fit))
+    return with_model_check(problem, run, replace(fit, **_of_every_fit(problem, run, fit)))
 
 
 def _of_every_fit(problem: Problem, run: Run, fit: Fit) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """From a member of a family to a fit: moments, standard errors, and what speaks against them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,10 +63,7 @@ def summarize(
     mean_prediction : (R, p) array
         Under the member.
     status : Status
-    status : Status
         How the method ended.
-        How the method ended.
-    message : str
     message : str
         The same in words.
     objective : LogLikelihood, optional
@@ -134,6 +132,37 @@ def summarize(
         **found,
         **further,
     )
+
+
+def with_model_check(problem: Problem, run: Run, fit: Fit) -> Fit:
+    """Check whether the model of a fit can be right, at its means.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+    fit : Fit
+        Of a method without a likelihood that is maximised.
+
+    Returns
+    -------
+    Fit
+        With the check, and what it says among the warnings. As it was where the search was
+        interrupted, whose residuals are the search's too, or the simulation fails there.
+    """
+    if fit.status is Status.INTERRUPTED:
+        return fit
+    try:
+        with run.counting(evaluations=1):
+            noise = np.asarray(fit.epsilon)
+            errors = standard_errors(problem, fit.mean, fit.sd, fit.correlation, noise)
+            predicted = problem.simulator.predict(fit.mean[None], problem.segments)[0]
+    except SimulationFailed:
+        return fit
+    if not np.isfinite(predicted).all():
+        return fit
+    check = check_model(problem, predicted, errors.jacobian, noise)
+    return replace(fit, model_check=check, warnings=(*fit.warnings, *check.sentences))
 
 
 def _standard_errors(

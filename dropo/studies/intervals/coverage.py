@@ -212,7 +212,7 @@ def replication(item: list[Any]) -> dict[str, Any]:
     sentences = [text for text in fit.warnings if text.startswith("the model is wrong")]
     return {
         "inside": ((low <= truth) & (truth <= high)).tolist(),
-        "flagged": not fit.trusted,
+        "flagged": fit.trusted is False,
         "sentences": sentences,
     }
 

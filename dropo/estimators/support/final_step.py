@@ -1,0 +1,110 @@
+"""The last step of a search that an emulator led: to where the simulator itself has its maximum."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.likelihood import LocalLogLikelihood
+from dropo.core.contracts.maximize import SearchResult
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.validation import Array
+
+
+@dataclass(frozen=True)
+class FinalStepSettings:
+    """When the steps end.
+
+    Attributes
+    ----------
+    simulations : int
+        Simulations of all segments, at most; each is followed by a step.
+    settled : float
+        A step below this fraction of the standard errors is the last.
+    """
+
+    simulations: int = 2
+    settled: float = 0.1
+
+
+SETTINGS = FinalStepSettings()
+
+
+def corrected_by_simulation(
+    problem: Problem,
+    run: Run,
+    family: Family,
+    objective: LocalLogLikelihood,
+    found: SearchResult,
+    settings: FinalStepSettings = SETTINGS,
+) -> tuple[LocalLogLikelihood, SearchResult]:
+    """Move the means of a distribution without spread to the simulator's own maximum.
+
+    An emulator is off by a little everywhere, its maximum with it. Shifted so that it is right at
+    that maximum, it is off by what its slopes are wrong over a step: a Gauss-Newton step on the
+    simulator, with the emulator's slopes. Its scores are those of the residuals alone: the least
+    scale that a search allows would pull the means to where predictions spread less.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+        Counts the simulations.
+    family : Family
+    objective : LocalLogLikelihood
+        Of all segments.
+    found : SearchResult
+        Its maximum.
+    settings : FinalStepSettings
+
+    Returns
+    -------
+    LocalLogLikelihood
+        The objective that is right near its maximum; the given one where the simulation fails
+        there, or a step leaves the region in which it holds.
+    SearchResult
+        Its maximum in the means.
+    """
+    names = objective.unknowns.names
+    places = np.array([names.index(f"mean.{name}") for name in problem.space.names])
+    targets = problem.simulator.targets(problem.segments)
+    corrected, point = objective, found.point
+    for _ in range(settings.simulations):
+        mean = family.mean(point[: len(family.unknowns)])
+        with run.counting(evaluations=1):
+            simulated = problem.simulator.predict(mean[None], problem.segments)[0]
+        if not np.isfinite(simulated).all():
+            break
+        shifted = corrected.anchored(mean, simulated)
+        without_residuals = corrected.anchored(mean, targets)
+        step, errors = _fisher_step(shifted, without_residuals, point, places)
+        moved = point.copy()
+        moved[places] += step
+        if np.any((moved < objective.unknowns.low) | (moved > objective.unknowns.high)):
+            break
+        corrected, point = shifted, moved
+        if np.all(np.abs(step) <= settings.settled * errors):
+            break
+    return corrected, replace(found, point=point, value=float(corrected(point)))
+
+
+def _fisher_step(
+    objective: LocalLogLikelihood, without_residuals: LocalLogLikelihood, phi: Array, places: Ints
+) -> tuple[Array, Array]:
+    """(d,) the step of the means that the residuals' scores ask for, 0 of those on a bound; (d,)
+    the means' standard errors behind it, by the sandwich of what the step leaves of the scores.
+    """
+    low, high = objective.unknowns.low[places], objective.unknowns.high[places]
+    free = (phi[places] > low) & (phi[places] < high)
+    chosen = places[free]
+    _, scores, information = objective.value_score_information(phi)
+    _, pull, _ = without_residuals.value_score_information(phi)
+    inverse = np.linalg.pinv(information[np.ix_(chosen, chosen)], hermitian=True)
+    own = (scores - pull)[:, chosen] @ inverse
+    step = np.zeros(len(places))
+    errors = np.zeros(len(places))
+    step[free] = own.sum(axis=0)
+    errors[free] = np.sqrt(np.sum((own - own.mean(axis=0)) ** 2, axis=0))
+    return step, errors
