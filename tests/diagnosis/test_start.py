@@ -13,6 +13,7 @@ from dropo.diagnosis.far_off.start import start_of, wiring_warnings
 from dropo.diagnosis.regression.quick import QuickSettings, sides
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
+from dropo.problems.panda.sliding import sliding
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.first_models.machines import problem_of
 from tests.models.first_models import recorded_machine, unknown_rotor
@@ -116,3 +117,8 @@ def test_wiring_is_warned_of(recording):
     assert wiring_warnings(problem) == ()
     exchanged = replace(problem, trajectories=replace(data, actions=data.actions[:, [2, 1, 0]]))
     assert "exchanged" in wiring_warnings(exchanged)[0]
+
+
+def test_a_position_that_is_not_observed_is_no_fault():
+    """Wiring cannot be checked then, and nothing is said of it: neither a fault nor a traceback."""
+    assert wiring_warnings(sliding(threads=1)) == ()

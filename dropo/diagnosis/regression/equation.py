@@ -251,7 +251,7 @@ def _drives_at_rest(simulator: RobotSimulator) -> LinearDrives:
 
 
 class Log:
-    """Positions and commands of each run, on a uniform grid."""
+    """Positions and commands of each run, on a uniform grid; refused without every position."""
 
     def __init__(self, simulator: RobotSimulator, trajectories: Trajectories):
         self.step = simulator.control_step
@@ -261,6 +261,12 @@ class Log:
             for i, column in enumerate(simulator.layout.columns)
             if column.field == "qpos"
         }
+        missing = sorted(set(range(model.nq)) - set(place))
+        if missing:
+            raise Incompatible(
+                f"qpos[{missing[0]}] is not observed. A regression over inverse dynamics needs "
+                "every position."
+            )
         columns = [place[i] for i in range(model.nq)]
         self.positions: list[Array] = []
         self.commands: list[Array] = []
