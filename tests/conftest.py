@@ -86,3 +86,11 @@ class Recorder:
         }
         found |= {test: round(s, 2) for test, s in self.seconds.items() if s >= RECORDED}
         DURATIONS.write_text(json.dumps(dict(sorted(found.items())), indent=0) + "\n")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _no_lines_of_progress():
+    """Commands say nothing of their progress, however slow the computer is."""
+    from dropo.cli import output
+
+    output.EVERY = float("inf")

@@ -14,46 +14,61 @@ SHOWN = 40
 """Characters of an argument that a message shows."""
 MOST_THREADS = 1024
 """Threads that a computer may have cores for."""
+EVERY = 10.0
+"""Seconds from one line of progress to the next, where no bar can be drawn."""
 SOON = 0.02
 """Fraction of the work before which the time left is a guess, and is not shown."""
 
 
 class Progress:
-    """Shows progress as one line on a terminal: a bar, the time spent and left, and a text.
+    """Shows progress: as one line on a terminal, with a bar, elsewhere a line now and then.
 
-    It is called with the fraction of the work that is done and the text. Into a pipe it writes
-    nothing.
+    It is called with the fraction of the work that is done and a text. What is shown never runs
+    backward.
 
     Parameters
     ----------
     silent : bool
-        Whether to write nothing on a terminal, too.
+        Whether to write nothing.
     stream : text file, optional
         Where to write; standard error by default.
     """
 
     def __init__(self, *, silent: bool = False, stream: TextIO | None = None):
         self.stream = sys.stderr if stream is None else stream
-        self.silent = silent or not self.stream.isatty()
-        self._begun = time.monotonic()
+        self.silent = silent
+        self._draws = self.stream.isatty()
+        self._begun = self._last_line = time.monotonic()
+        self._done = 0.0
         self._bar: Any = None
 
     def __call__(self, fraction: float, text: str) -> None:
         """Show the `fraction` that is done, with a `text`."""
         if self.silent:
             return
+        self._done = max(self._done, min(fraction, 1.0))
+        spent = time.monotonic() - self._begun
+        left = time_left(self._done, spent)
+        if self._draws:
+            self._draw(text, left)
+        elif time.monotonic() - self._last_line >= EVERY:
+            self._last_line = time.monotonic()
+            times = ", ".join(part for part in (_clock(spent), left) if part)
+            with suppress(OSError):  # a pipe that nobody reads ends no run
+                print(f"dropo: {self._done:.0%}, {times}: {text}", file=self.stream, flush=True)
+
+    def close(self) -> None:
+        """Remove the line from a terminal."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _draw(self, text: str, left: str) -> None:
+        """Draws the bar anew."""
         if self._bar is None:
             self._bar = _bar(self.stream)
             self._bar.start()
             self._bar.add_task(text, total=1.0, left="")
-        fraction = min(max(fraction, 0.0), 1.0)
-        left = time_left(fraction, time.monotonic() - self._begun)
-        self._bar.update(self._bar.task_ids[0], completed=fraction, description=text, left=left)
-
-    def close(self) -> None:
-        """Remove the line."""
-        if self._bar is not None:
-            self._bar.stop()
+        self._bar.update(self._bar.task_ids[0], completed=self._done, description=text, left=left)
 
 
 def time_left(fraction: float, spent: float) -> str:
@@ -73,8 +88,13 @@ def time_left(fraction: float, spent: float) -> str:
     """
     if fraction < SOON:
         return ""
-    minutes, seconds = divmod(round(spent * (1 - fraction) / fraction), 60)
-    return f"about {minutes // 60}:{minutes % 60:02}:{seconds:02} left"
+    return f"about {_clock(spent * (1 - fraction) / fraction)} left"
+
+
+def _clock(seconds: float) -> str:
+    """A time as hours, minutes and seconds."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{rest:02}"
 
 
 def _bar(stream: TextIO) -> Any:

@@ -4,20 +4,28 @@ import argparse
 import io
 import json
 import re
+import time
 from pathlib import Path
 
 import pytest
 
+from dropo.cli import output
 from dropo.cli.main import _parser, main
 from dropo.cli.output import Progress, show, time_left
 from dropo.core.services.tables import Report, Table
 
+EVERY = 10.0
 FURTHER = {"--threads", "--seed", "--json", "--quiet"}
 
 
 class _Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
+
+
+class _Unread(io.StringIO):
+    def write(self, text: str) -> int:
+        raise BrokenPipeError
 
 
 @pytest.fixture(autouse=True)
@@ -91,27 +99,42 @@ def test_quiet_list(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr() == ("", "")
 
 
-def test_progress_is_for_terminals() -> None:
-    """One line with the share, what was spent and what is left, taken away at the end; nothing into
-    a pipe or where it is silent.
+def test_progress_on_a_terminal() -> None:
+    """One line with the share, what was spent and what is left, taken away at the end; nothing
+    where it is silent; it never runs backward.
     """
-    pipe = io.StringIO()
     terminal = _Terminal()
     silent = _Terminal()
-    for progress in (
-        Progress(stream=pipe),
-        Progress(stream=terminal),
-        Progress(stream=silent, silent=True),
-    ):
+    for progress in (Progress(stream=terminal), Progress(stream=silent, silent=True)):
         progress._begun -= 30
         progress(0.5, "60 evaluations, 1,200 simulator steps")
+        progress(0.4, "a new round")
         progress.close()
-    assert pipe.getvalue() == silent.getvalue() == ""
+    assert silent.getvalue() == ""
     drawn = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", terminal.getvalue())
-    assert re.search(
-        r"50% 0:00:0\d about 0:00:30 left 60 evaluations, 1,200 simulator steps", drawn
-    )
+    assert re.search(r"50% 0:00:0\d about 0:00:30 left a new round", drawn)
+    assert "40%" not in drawn
     assert terminal.getvalue().rstrip("\r\n").endswith("\x1b[2K")
+
+
+def test_progress_into_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plain line at most every ten seconds, none before; a pipe that nobody reads is no error."""
+    monkeypatch.setattr(output, "EVERY", EVERY)
+    pipe = io.StringIO()
+    progress = Progress(stream=pipe)
+    progress(0.1, "too early")
+    for spent in (EVERY, 2 * EVERY):
+        progress._begun = time.monotonic() - spent
+        progress._last_line = time.monotonic() - EVERY
+        progress(spent / 40, "60 evaluations")
+        progress(spent / 40, "too early")
+    assert pipe.getvalue().splitlines() == [
+        "dropo: 25%, 0:00:10, about 0:00:30 left: 60 evaluations",
+        "dropo: 50%, 0:00:20, about 0:00:20 left: 60 evaluations",
+    ]
+    unread = Progress(stream=_Unread())
+    unread._last_line -= EVERY
+    unread(0.5, "60 evaluations")
 
 
 def test_time_left() -> None:
