@@ -186,7 +186,7 @@ def _distribution(arguments: argparse.Namespace, target: Any) -> "ParameterDistr
     """The fitted distribution, if it is one of the target's model."""
     from dropo.core.records.fit import Fit
     from dropo.core.services.errors import BadArgument
-    from dropo.training.distributions import Curriculum
+    from dropo.training.distributions import Curriculum, predictive
 
     if arguments.fit is None:
         if arguments.widen is not None:
@@ -194,7 +194,8 @@ def _distribution(arguments: argparse.Namespace, target: Any) -> "ParameterDistr
         return None
     fit = Fit.load(arguments.fit)
     _refuse_other_model(arguments.fit, target)
-    return fit if arguments.widen is None else Curriculum(fit, arguments.widen)
+    distribution = predictive(fit)
+    return distribution if arguments.widen is None else Curriculum(distribution, arguments.widen)
 
 
 def _refuse_other_model(folder: Path, target: Any) -> None:

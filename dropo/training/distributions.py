@@ -104,6 +104,53 @@ class Uniform:
 
 
 @dataclass(frozen=True, eq=False)
+class Predictive:
+    """A fit's distribution, with what is not known of its means added to its spread.
+
+    Attributes
+    ----------
+    fit : Fit
+        Whose means have standard errors; one without adds nothing.
+    """
+
+    fit: Fit
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The d parameters."""
+        return self.fit.space
+
+    @property
+    def mean(self) -> Array:
+        """The means (d,)."""
+        return self.fit.mean
+
+    def sample(self, draws: int, rng: Generator) -> Array:
+        """Returns independent draws (K, d), K = `draws`, all physically possible."""
+        values = self.fit.sample(draws, rng)
+        errors = np.nan_to_num(self.fit.mean_se)
+        return self.space.feasible(values + errors * rng.standard_normal(values.shape))
+
+
+def predictive(distribution: ParameterDistribution) -> ParameterDistribution:
+    """Adds to a fit's spread what is not known of its means.
+
+    Parameters
+    ----------
+    distribution : ParameterDistribution
+        Any.
+
+    Returns
+    -------
+    ParameterDistribution
+        The given one, if it is no fit, or a posterior of parameters, whose spread is just that.
+    """
+    if isinstance(distribution, Fit) and not distribution.parameters_are_constant:
+        return Predictive(distribution)
+    return distribution
+
+
+@dataclass(frozen=True, eq=False)
 class Curriculum:
     """A distribution whose width grows during training.
 
@@ -150,10 +197,10 @@ class Curriculum:
 
 
 def full_width(distribution: ParameterDistribution) -> ParameterDistribution:
-    """Returns a distribution at its full width: of a curriculum, the one that it grows to."""
-    while isinstance(distribution, Curriculum):
-        distribution = distribution.distribution
-    return distribution
+    """Returns what a curriculum grows to, and the fit of a predictive distribution."""
+    if isinstance(distribution, Curriculum):
+        return full_width(distribution.distribution)
+    return distribution.fit if isinstance(distribution, Predictive) else distribution
 
 
 def draw(distribution: ParameterDistribution, rng: Generator, done: int) -> Array:
@@ -190,7 +237,6 @@ def places_of(distribution: ParameterDistribution) -> dict[str, dict[str, Any]]:
 
     A fit keeps these. Magnitudes of effects and parameters of other simulators have no place.
     """
-    if isinstance(distribution, Curriculum):
-        return places_of(distribution.distribution)
+    distribution = full_width(distribution)
     own = {p.name: place for p in distribution.space if (place := p.place)}
     return {**(distribution.places if isinstance(distribution, Fit) else {}), **own}

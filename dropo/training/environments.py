@@ -21,7 +21,7 @@ from dropo.simulators.gymnasium import make_environment, observed_columns
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.binding import bind, declare
-from dropo.training.distributions import ParameterDistribution, Point
+from dropo.training.distributions import ParameterDistribution, Point, predictive
 from dropo.training.gymnasium_env import BatchedGymnasiumEnv
 from dropo.training.task_env import BatchedTaskEnv, task_of
 
@@ -40,6 +40,7 @@ def randomize(
     effects: ActiveEffects = (),
     steps: int | None = None,
     threads: int = 1,
+    uncertainty: bool = True,
     **options: Any,
 ) -> "RandomizedEnv | TaskEnv | RandomizedVectorEnv":
     """Makes a Gymnasium environment whose parameters are drawn anew for every episode.
@@ -66,6 +67,8 @@ def randomize(
         Steps of an episode, by default the target's.
     threads : int
         Number of threads, 0 for all cores.
+    uncertainty : bool
+        Whether draws of a fit hold what is not known of its means (see `Predictive`).
     **options
         Options of `gymnasium.make`.
 
@@ -87,6 +90,8 @@ def randomize(
     """
     require(count is None or count >= 1, "count", "None or at least 1", count, "randomize")
     target = resolve(target)
+    if uncertainty and distribution is not None:
+        distribution = predictive(distribution)
     if count is None and not isinstance(target, Problem):
         env = _gymnasium_env(target, steps, options)
         return RandomizedEnv(env, distribution, noise=noise, effects=effects)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from dropo.core.contracts.effect import ActiveEffects
 from dropo.training.ars import ARS
-from dropo.training.distributions import Curriculum, ParameterDistribution
+from dropo.training.distributions import Curriculum, ParameterDistribution, Predictive
 from dropo.training.environments import Target, resolve
 from dropo.training.policy import Policy
 from dropo.training.setup import Progress, TrainingSetup
@@ -164,6 +164,8 @@ def distribution_name(distribution: ParameterDistribution | None) -> str:
     if isinstance(distribution, Curriculum):
         full = distribution_name(distribution.distribution)
         return f"{full}, widening over {distribution.steps} steps"
+    if isinstance(distribution, Predictive):
+        return f"{distribution_name(distribution.fit)}, with the uncertainty of its means"
     method = getattr(distribution, "method", None)
     if method:
         return f"{method} fit of {getattr(distribution, 'problem', '?')}"
