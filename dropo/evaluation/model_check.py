@@ -48,6 +48,10 @@ class ModelCheckSettings:
         Residuals below this share of the signal are no evidence ...
     faint : float
         ... nor are those below this share of the noise.
+    lost : float
+        Residuals of this share of a signal's variance, which are smooth, have lost the motion.
+    smooth : float
+        Correlation of successive residuals from which they are smooth.
     regression : ResidualTestSettings
         Of the regression on state and command.
     """
@@ -61,6 +65,8 @@ class ModelCheckSettings:
     own: float = 0.05
     rounding: float = 1e-7
     faint: float = 1e-2
+    lost: float = 0.25
+    smooth: float = 0.5
     regression: ResidualTestSettings = field(default_factory=ResidualTestSettings)
 
 
@@ -151,7 +157,36 @@ def check_model(
         left = _Residuals(_cut(rest, settings.outlier), scaled_jacobian, group, units, names)
         structure, sentence = _structure(left, features, settings)
         sentences += sentence
+        sentences += _lost_motion(problem, residual, targets, settings)
     return ModelCheck(not sentences, size, structure, tuple(sentences))
+
+
+def _lost_motion(
+    problem: Problem, residual: Array, targets: Array, settings: ModelCheckSettings
+) -> list[str]:
+    """A sentence where residuals (R, p) are about as large as the motion, and as smooth.
+
+    Sensors' noise may be as large, but does not go on from row to row.
+    """
+    segments = problem.segments
+    run = segments.trajectories.trajectory[segments.steps[segments.rows[0], 0]]
+    follows = run[1:] == run[:-1]
+    if not follows.any():
+        return []
+    variance = np.maximum(targets.var(axis=0), 1e-300)
+    share = np.mean(residual**2, axis=0) / variance
+    pairs = np.mean((residual[1:] * residual[:-1])[follows], axis=0)
+    successive = pairs / np.maximum(np.mean(residual**2, axis=0), 1e-300)
+    lost = np.flatnonzero((share > settings.lost) & (successive > settings.smooth))
+    if not len(lost):
+        return []
+    worst = lost[np.argmax(share[lost])]
+    return [
+        f"the fit does not follow the motion: the residuals of "
+        f"{problem.simulator.signals[worst].name} are {np.sqrt(share[worst]):.0%} of the signal's "
+        "spread. The search may have ended in a local optimum: start elsewhere, or narrow the "
+        "bounds"
+    ]
 
 
 def _size(

@@ -4,16 +4,21 @@ what the residuals follow.
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from scipy import stats
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.epopt import EPOpt
 from dropo.estimators.least_squares import LeastSquares
 from dropo.estimators.posterior import Posterior
+from dropo.evaluation.model_check import check_model
+from dropo.mjmodel.fields import FieldParameter
 from dropo.optimizers.samplers.emcee import Emcee
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.studies.intervals.coverage import FEW, MANY, data_set
 from tests.reference.pushes import pushes
@@ -142,3 +147,35 @@ def test_signals_that_do_not_move_and_single_trajectories():
 def test_perfect_data_are_no_evidence():
     """Without noise the residuals are rounding, and their structure says nothing."""
     assert LeastSquares().fit(pushes(0, sd=0.0, noise=0.0, count=5)).trusted
+
+
+def swinging(noise):
+    """A mass on a spring of 100 N/m that swings freely for 4 s, with noise on every sensor [m]."""
+    xml = """<mujoco><option timestep="0.005"><flag contact="disable"/></option><worldbody><body>
+    <joint name="slide" type="slide" stiffness="100" damping="0.2"/><geom size="0.05" mass="1"/>
+    </body></worldbody></mujoco>"""
+    stiffness = FieldParameter("stiffness", 10.0, 1000.0, field="jnt_stiffness", element="slide")
+    spec = mujoco.MjSpec.from_string(xml)
+    simulator = MujocoSimulator(spec, [stiffness], observation=["qpos"], action=(), threads=1)
+    rows = np.zeros((800, 1))
+    rows[0] = 0.1
+    blank = Trajectories(rows, np.zeros((800, 0)), rows, np.arange(800) == 799)
+    motion = simulator.predict([[100.0]], blank.segments(reset="start"))[0]
+    measured = motion + noise * np.random.default_rng(0).standard_normal(motion.shape)
+    data = replace(
+        blank, observations=np.concatenate([rows[:1], measured[:-1]]), next_observations=measured
+    )
+    return Problem("spring", simulator, data, reset="start")
+
+
+def test_a_motion_that_is_not_followed_is_told():
+    """Another frequency leaves residuals as large as the motion; noise of that size is none of it,
+    nor are small errors.
+    """
+    for noise, stiffness, lost in ((1e-3, 140.0, True), (1e-3, 100.0, False), (0.1, 100.0, False)):
+        problem = swinging(noise)
+        at = np.array([[stiffness - 1], [stiffness], [stiffness + 1]])
+        below, predicted, above = problem.simulator.predict(at, problem.segments)
+        jacobian = (above - below)[..., None] / 2
+        check = check_model(problem, predicted, jacobian, np.array([noise**2]))
+        assert any("does not follow the motion" in text for text in check.sentences) == lost

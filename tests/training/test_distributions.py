@@ -14,7 +14,7 @@ DRAWS = 4000
 
 @pytest.fixture(scope="module")
 def fit():
-    """Of the cart: the mass' mean is known to 0.3 kg and varies by 0.1, the damping has no error."""
+    """Of the cart: the mean of its mass is known to 0.3 kg, that of the damping has no error."""
     found = fit_of(cart().space, [2.0, 0.5], [0.1, 0.02], epsilon=0.04)
     return replace(found, mean_se=np.array([0.3, np.nan]))
 
