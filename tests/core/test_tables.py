@@ -17,7 +17,7 @@ from dropo.core.services.tables import estimate
         (1.23456789, 0.0, "1.234568"),
         (2e-9, 1e-10, "2e-09"),
         (float("nan"), 0.1, "-"),
-        (1.0, 1e-20, "1.000000000000"),
+        (1.0, 1e-20, "1.00000000000000"),
     ],
 )
 def test_an_estimate_has_the_decimals_of_its_error(value, error, text):

@@ -106,7 +106,7 @@ def test_it_goes_where_the_target_is():
         assert np.abs(fit.mean - truth).max() < 0.1
         assert np.abs(fit.mean + truth).max() > 0.1
         assert (fit.transitions, fit.search_record.target_transitions) == (120, 120)
-        assert fit.objective_evaluations == 4 + 1 + 4 * 5 * 100 + 1
+        assert fit.objective_evaluations == 4 + 1 + 4 * 5 * 100 + 2
     slow = SimOpt(collect=lambda fit, rng: data(rng), iterations=2, updates=2, bound=0.05).fit(
         problem(), rng=1
     )
