@@ -22,6 +22,7 @@ from dropo.estimators.support.standard_errors import (
 )
 from dropo.evaluation.held_out import held_out_errors
 from dropo.evaluation.identifiability import blind_spots, determined, null_directions
+from dropo.evaluation.likely_cause import likely_cause
 from dropo.evaluation.model_check import check_model
 
 NEAR = 1e-3  # of an unknown's interval: an estimate so near to its bound is warned of
@@ -104,7 +105,7 @@ def summarize(
         if status in (Status.CONVERGED, Status.OUT_OF_BUDGET):
             check = _check_model(problem, family, objective, phi, mean_prediction, errors, epsilon)
             found["model_check"] = check
-            notes += check.sentences
+            notes += [*check.sentences, *_likely_cause(problem, run, mean, errors, check)]
 
     misfit = mean_prediction - problem.simulator.targets(problem.segments)
     return Fit(
@@ -162,7 +163,19 @@ def with_model_check(problem: Problem, run: Run, fit: Fit) -> Fit:
     if not np.isfinite(predicted).all():
         return fit
     check = check_model(problem, predicted, errors.jacobian, noise)
-    return replace(fit, model_check=check, warnings=(*fit.warnings, *check.sentences))
+    said = [*check.sentences, *_likely_cause(problem, run, fit.mean, errors, check)]
+    return replace(fit, model_check=check, warnings=(*fit.warnings, *said))
+
+
+def _likely_cause(
+    problem: Problem, run: Run, mean: Array, errors: StandardErrors, check: ModelCheck
+) -> list[str]:
+    """What the residuals look like, where they speak against the model."""
+    if check.passed:
+        return []
+    with run.counting():
+        sentence = likely_cause(problem, mean, errors.jacobian)
+    return [sentence] if sentence else []
 
 
 def _standard_errors(

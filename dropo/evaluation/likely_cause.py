@@ -1,0 +1,174 @@
+"""What the residuals of a fit look like: the usual effects that a model lacks, each tried once."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.trajectories import Segments
+from dropo.core.services.registry import find
+from dropo.core.services.tables import number
+from dropo.core.services.validation import Array
+from dropo.mjmodel.robot_simulator import RobotSimulator
+
+
+@dataclass(frozen=True)
+class LikelyCauseSettings:
+    """What is tried, and when it is said.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        The effects that first models lack most often, at every place; commands together.
+    segments : int
+        About how many segments are simulated ...
+    steps : int
+        ... with about so many control steps in all, at most.
+    places : int
+        Trials at most; beyond them, every second or third place is left out.
+    share : float
+        What an effect explains at least of the residuals' mean square.
+    outlier : float
+        Standard deviations at which a residual is cut.
+    factor : float
+        How many times larger or smaller than its trial an effect may come out that does not act in
+        proportion to its size.
+    """
+
+    effects: tuple[str, ...] = (
+        "actuator_delay",
+        "joint_friction",
+        "joint_damping",
+        "joint_armature",
+        "actuator_gain",
+        "joint_stiffness",
+    )
+    segments: int = 200
+    steps: int = 4000
+    places: int = 80
+    share: float = 0.2
+    outlier: float = 4.0
+    factor: float = 2.0
+
+
+SETTINGS = LikelyCauseSettings()
+
+
+def likely_cause(
+    problem: Problem, mean: Array, jacobian: Array, settings: LikelyCauseSettings = SETTINGS
+) -> str | None:
+    """Say which usual effect explains most of a fit's residuals.
+
+    To first order, with the declared parameters free beside each effect: a hint, and no diagnosis.
+
+    Parameters
+    ----------
+    problem : Problem
+        With R compared rows of p signals.
+    mean : (d,) array
+        The fitted means.
+    jacobian : (R, p, d) array
+        Of the predictions there.
+    settings : LikelyCauseSettings
+
+    Returns
+    -------
+    str or None
+        A sentence; None where no usual effect explains much, or the simulator is no robot's.
+    """
+    simulator = problem.simulator
+    if not isinstance(simulator, RobotSimulator):
+        return None
+    chosen = problem.segments.thin(_count(problem.segments, settings))
+    segments = problem.segments.take(chosen)
+    base = simulator.predict(mean[None], segments)[0]
+    residual = simulator.targets(segments) - base
+    good = np.isfinite(residual).all(axis=1)
+    rows = np.isin(problem.segments.rows[0], chosen)
+    free = _Free(residual, jacobian[rows], good, settings)
+    best = (settings.share, "")
+    for instance, size in _trials(simulator, settings):
+        changed = _with_effect(simulator, instance, size)
+        moved = changed.predict(mean[None], segments)[0]
+        simulator.steps += changed.steps
+        if not np.isfinite(moved[good]).all():
+            continue
+        share, coefficient = free.explained(moved - base)
+        within = 1 / settings.factor < coefficient < settings.factor
+        if share > best[0] and (within or (instance.quantities[0].smooth and coefficient)):
+            best = (share, _sentence(instance, size * coefficient, share))
+    return best[1] or None
+
+
+def _count(segments: Segments, settings: LikelyCauseSettings) -> int:
+    """How many segments are simulated."""
+    longest = int(segments.lengths.max())
+    return max(1, min(settings.segments, settings.steps // longest))
+
+
+def _trials(
+    simulator: RobotSimulator, settings: LikelyCauseSettings
+) -> Iterator[tuple[EffectInstance, float]]:
+    """Each effect with a size to try it at; several, where it does not act in proportion to it."""
+    found = []
+    for name in settings.effects:
+        for instance in find("effects", name)(simulator.effect_context):
+            if len(instance.quantities) > 1 or (name == "actuator_delay" and instance.target):
+                continue
+            quantity = instance.quantities[0]
+            probes = quantity.probes[1:2] if quantity.smooth else quantity.probes
+            found += [(instance, probe) for probe in probes]
+    stride = -(-len(found) // settings.places)
+    yield from found[:: max(1, stride)]
+
+
+def _with_effect(simulator: RobotSimulator, instance: EffectInstance, size: float) -> Simulator:
+    """The simulator with one effect more."""
+    return simulator.with_effects((), [(instance, np.array([size]))])
+
+
+class _Free:
+    """Residuals beside which the declared parameters are free, each signal in units of its own."""
+
+    def __init__(
+        self, residual: Array, jacobian: Array, good: Array, settings: LikelyCauseSettings
+    ):
+        self.good = good
+        kept = residual[good]
+        scale = np.sqrt(np.mean(kept**2, axis=0))
+        self.scale = np.where(scale > 0, scale, np.inf)
+        cut = np.clip(kept / self.scale, -settings.outlier, settings.outlier)
+        columns = (jacobian[good] / self.scale[:, None]).reshape(cut.size, -1)
+        self.basis = np.linalg.qr(columns)[0]
+        self.rest = self._without_parameters(cut.ravel())
+
+    def _without_parameters(self, values: Array) -> Array:
+        """What the declared parameters do not explain."""
+        out: Array = values - self.basis @ (self.basis.T @ values)
+        return out
+
+    def explained(self, response: Array) -> tuple[float, float]:
+        """The share of the residuals' square that a response explains, and how often it must be
+        taken.
+        """
+        own = self._without_parameters((response[self.good] / self.scale).ravel())
+        square = float(own @ own)
+        if square < 1e-12 * self.rest.size:
+            return 0.0, 0.0
+        product = float(own @ self.rest)
+        return product**2 / (square * float(self.rest @ self.rest)), product / square
+
+
+def _sentence(instance: EffectInstance, size: float, share: float) -> str:
+    """The effect, where, how large, and what it explains."""
+    quantity = instance.quantities[0]
+    place = "of all commands" if instance.target is None else f"at {instance.target}"
+    unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+    return (
+        f"the residuals look like {instance.effect.replace('_', ' ')} {place}, {quantity.name} "
+        f"about {number(size, 2)}{unit}, which explains {share:.0%} of their square: run `dropo "
+        "diagnose`"
+    )
