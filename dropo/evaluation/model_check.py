@@ -146,8 +146,8 @@ def check_model(
         rest = _without_draws(white, scaled_jacobian, group)
         signals = zip(problem.simulator.signals, evident, strict=True)
         names = [signal.name for signal, kept in signals if kept]
-        # The noise that was stated, where another one was fitted.
-        if problem.epsilon is not None and learned:
+        # The noise that was stated, where another one was fitted; that of starts is carried along.
+        if problem.epsilon is not None and learned and not problem.start_noise:
             stated = np.asarray(problem.epsilon, dtype=float)
             stated = np.broadcast_to(stated, evident.shape)[evident]
             factor = len(scaled_jacobian) / max(len(scaled_jacobian) - 1, 1)
