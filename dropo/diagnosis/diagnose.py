@@ -1,7 +1,7 @@
 """Data and a model in; what the model gets wrong, and why, out."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from dropo.diagnosis.far_off.start import start_of, wiring_warnings
 from dropo.diagnosis.findings.causes import causes, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import figure_data
-from dropo.diagnosis.findings.horizons import Horizon, errors_after, horizons
+from dropo.diagnosis.findings.horizons import Horizon, errors_after, horizons, signal_noise
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
@@ -186,7 +186,7 @@ class Diagnose:
         length = self._length(problem)
         train, test = split(problem, length, self._windows(problem))
         library = Library(problem.simulator, (), len(problem.space))
-        selection = self._selection(library, train)
+        selection = self._selection(library, train, problem.estimated)
         free = _free(problem, self.parameters)
         setup = _Setup(problem, None, library, selection, train, test, free, 0, ())
         return per_step(setup.first())
@@ -222,10 +222,20 @@ class Diagnose:
         return choose_length(problem, self.settings.window_length)
 
     def _selection(
-        self, library: Library, train: Windows, progress: Progress = silent
+        self,
+        library: Library,
+        train: Windows,
+        estimated: Collection[str] = (),
+        progress: Progress = silent,
     ) -> Selection:
-        """A search that has not begun."""
+        """A search that has not begun.
+
+        Of signals that are estimated it knows nothing: a smoother's errors are common to the states
+        around it, so that they look like a cause, mostly a late sensor.
+        """
         floor = noise_floor(library.simulator, train, self.settings.window_length)
+        unknown = [signal.name in estimated for signal in library.simulator.signals]
+        floor = np.where(unknown, spread_of(library.simulator, train), floor)
         return Selection(library, floor, progress, self.settings.selection)
 
     def _set_up(self, problem: Problem, progress: Progress) -> "_Setup":
@@ -247,7 +257,9 @@ class Diagnose:
             windows = min(windows, self.settings.judged)
         train, test = split(problem, length, windows)
         _refuse_constant(problem, train)
-        selection = self._selection(library, train, with_cost(progress, library.simulator))
+        estimated = problem.estimated if explained is None else ()
+        with_steps = with_cost(progress, library.simulator)
+        selection = self._selection(library, train, estimated, with_steps)
         count = len(instances)
         return _Setup(problem, explained, library, selection, train, test, free, count, wiring)
 
@@ -336,7 +348,7 @@ class Diagnose:
             extended=HeldOut(per_step(last), tuple(with_causes)),
             remaining=rest,
             problem=extended,
-            noise=dict(zip(names, last.train.whiten.sigma.tolist(), strict=True)),
+            noise=dict(zip(names, signal_noise(data, last).tolist(), strict=True)),
             window_steps=length,
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),

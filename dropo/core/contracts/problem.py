@@ -57,6 +57,9 @@ class Problem:
         What a policy is to do on the simulator, for training.
     warnings : tuple of str
         What is suspicious in the data, a sentence each.
+    estimated : mapping of str to float
+        The signals that were not measured, but estimated from measurements before and after, with
+        the standard deviation of their errors.
     settings : mapping of str to object
         Settings of a fit where its caller gives none, for example {"draws": 20}.
 
@@ -86,6 +89,7 @@ class Problem:
     priors: Mapping[str, Prior] = field(default_factory=dict)
     task: Task | None = None
     warnings: tuple[str, ...] = ()
+    estimated: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -113,7 +113,7 @@ def horizons(
     different, which = np.unique(np.stack(models), axis=0, return_inverse=True)
     which = which.ravel()
     simulator = library.simulator
-    sigma = last.train.whiten.sigma
+    sigma = signal_noise(problem, last)
     part, spread = _part_and_spread(problem, library, last)
     for steps in sorted({*settings.horizons, last.train.windows.length}):
         windows = held_out_windows(part, steps, settings)
@@ -157,7 +157,25 @@ def errors_after(
 def _part_and_spread(problem: Problem, library: Library, last: State) -> tuple[DataPart, Array]:
     """The data that are held out, and the spread (p,) of their signals without the noise."""
     part = held_out_part(problem, last.train.windows.length)
-    return part, noise_free_spread(library.simulator, part, last.train.whiten.sigma**2)
+    return part, noise_free_spread(library.simulator, part, signal_noise(problem, last) ** 2)
+
+
+def signal_noise(problem: Problem, last: State) -> Array:
+    """Return the standard deviations (p,) of the signals' noise, as the last state has it.
+
+    Of signals that were estimated, those of their errors: the windows know nothing of them.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose data are diagnosed.
+    last : State
+        Of the search.
+    """
+    names = [signal.name for signal in problem.simulator.signals]
+    sigma = last.train.whiten.sigma
+    stated = [problem.estimated.get(name, np.inf) for name in names]
+    return np.minimum(sigma, stated)
 
 
 def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array) -> Horizon:

@@ -43,8 +43,10 @@ def with_velocities(problem: Problem) -> Problem:
         held_out, _ = _add_velocities(held_out, columns, step)
     items = [f"qvel[{dof}]" for dof in unmeasured.values()]
     observing = simulator.observing([*simulator.observation, *items])
-    names = ", ".join(signal.name for signal in observing.signals[-len(items) :])
-    warning = f"{names}: estimated from the positions before and after, since not measured."
+    names = [signal.name for signal in observing.signals[-len(items) :]]
+    warning = (
+        f"{', '.join(names)}: estimated from the positions before and after, since not measured."
+    )
     return replace(
         problem,
         simulator=observing,
@@ -53,6 +55,7 @@ def with_velocities(problem: Problem) -> Problem:
         start_noise=True,
         epsilon=_all_variances(problem, variance),
         warnings=(*problem.warnings, warning),
+        estimated=dict(zip(names, np.sqrt(variance).tolist(), strict=True)),
     )
 
 

@@ -1,0 +1,64 @@
+"""Logs of positions alone: what is estimated is no cause, and what is hidden is found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dropo import Diagnose
+from dropo.problems.file.estimated_velocities import with_velocities
+from tests.models.hidden_in_arm import problem
+
+ENCODER = 2 * np.pi / 4096
+SOME = ["joint_damping", "joint_friction", "sensor_delay", "actuator_delay", "actuator_gain"]
+
+
+def positions_alone(hidden, seed=3):
+    """The arm's log by encoders of 4096 steps a turn, without velocities."""
+    found = problem(hidden, sigma=1e-5, seed=seed, episodes=24, steps=60)
+    data = found.trajectories
+    read = lambda rows: np.round(rows[:, :2] / ENCODER) * ENCODER
+    log = replace(
+        data,
+        observations=read(data.observations),
+        next_observations=read(data.next_observations),
+    )
+    whole = found.simulator
+    simulator = whole.observing(["qpos"])
+    return with_velocities(replace(found, simulator=simulator, trajectories=log))
+
+
+@pytest.fixture(scope="module")
+def nothing():
+    """A log of the model itself."""
+    return positions_alone([])
+
+
+def test_estimates_are_known_as_such(nothing):
+    """By name, with the size of their errors in rad/s."""
+    assert set(nothing.estimated) == {"qvel.shoulder", "qvel.elbow"}
+    assert all(0.005 < size < 0.5 for size in nothing.estimated.values())
+
+
+def test_estimates_are_no_cause(nothing):
+    """With nothing hidden nothing is named. The control: taken for measured, estimates speak
+    against the model.
+    """
+    diagnose = Diagnose(SOME, windows=60, disturbances=False)
+    assert diagnose.run(nothing).verdict == "consistent"
+    assert diagnose.run(replace(nothing, estimated={})).verdict != "consistent"
+
+
+def test_what_is_hidden_is_found():
+    """A damping at its place, within a twentieth; the noise that is reported of a velocity is that
+    of its estimate, which windows leave out.
+    """
+    found = Diagnose(SOME, windows=60, disturbances=False).run(
+        positions_alone([("joint_damping:elbow", [0.05])])
+    )
+    ((effect, target, size),) = [
+        (one.effect, one.target, one.estimate["damping"]) for one in found.causes
+    ]
+    assert (effect, target) == ("joint_damping", "elbow")
+    assert size.value == pytest.approx(0.05, rel=0.05)
+    assert found.noise["qvel.elbow"] < 0.5
