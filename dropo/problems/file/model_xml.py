@@ -1,5 +1,7 @@
 """The MJCF of a simulator's model, with those of its effects that MJCF has elements for."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -7,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
+from dropo.problems.file.model_assets import with_absolute_assets
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 SLACK = 1e-5
@@ -26,14 +29,17 @@ def format_model(simulator: MujocoSimulator, values: Array | None = None) -> str
     Returns
     -------
     str
-        The MJCF, in which numbers have about six digits.
+        The MJCF, in which numbers have about six digits, and paths of files are absolute.
 
     Raises
     ------
     Incompatible
         If MuJoCo refuses the model with these numbers.
     """
-    spec = mujoco.MjSpec.from_string(simulator.spec().to_xml())  # angles are in radians then
+    # Read anew, angles are in radians.
+    source = simulator.spec()
+    text = with_absolute_assets(source.to_xml(), Path(source.modelfiledir).absolute())
+    spec = mujoco.MjSpec.from_string(text)
     spec.compile()
     in_model = [pair for pair in simulator.fixed if is_in_model(pair[0])]
     model = simulator.model_of(simulator.nominal if values is None else values, in_model)

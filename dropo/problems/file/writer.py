@@ -13,6 +13,7 @@ from dropo.core.services.strict_yaml import format_yaml
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.effects import make_effect_entry
+from dropo.problems.file.model_assets import with_assets_beside
 from dropo.problems.file.model_xml import format_model, is_in_model
 from dropo.problems.file.schema import EffectEntry, ParameterEntry, ProblemFile
 from dropo.problems.file.task import locate_from
@@ -56,7 +57,7 @@ def write_problem(problem: Problem, folder: str | Path, values: Array | None = N
     if values is None:
         values = np.asarray(simulator.nominal, dtype=float)
     content = _make_content(problem, simulator, folder, values)
-    write_text(folder / "model.xml", format_model(simulator, values))
+    write_text(folder / "model.xml", with_assets_beside(format_model(simulator, values), folder))
     write_data(problem.trajectories, folder / "data.npz")
     if problem.held_out is not None:
         write_data(problem.held_out, folder / "held_out.npz")
