@@ -25,7 +25,7 @@ def with_absolute_assets(xml: str, base: Path) -> str:
     str
         Without `meshdir`, `texturedir`, `assetdir` and `strippath`.
     """
-    folders = dict(_FOLDERS.findall(xml))
+    folders: dict[str, str] = dict(_FOLDERS.findall(xml))
     common = folders.get("assetdir", "")
 
     def absolute(match: re.Match[str]) -> str:
