@@ -67,7 +67,7 @@ def test_trains_saves_and_evaluates(trained, tmp_path, capsys):
     assert main([*arguments(trained), "--json"]) == 0
     made = json.loads(capsys.readouterr().out)
     assert made["policy"] == str(tmp_path / "policy" / "policy.json")
-    assert made["about"]["law"] == "dropo fit of problem"
+    assert made["about"]["law"] == "dropo fit of problem, with the uncertainty of its means"
     assert set(made["returns"]) == {"under the fit", "as it is"}
     assert set(made["returns"]["as it is"]["lengths"]) == {15}
     assert (
