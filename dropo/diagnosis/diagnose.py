@@ -20,7 +20,13 @@ from dropo.diagnosis.far_off.start import start_of, wiring_warnings
 from dropo.diagnosis.findings.causes import causes, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import figure_data
-from dropo.diagnosis.findings.horizons import Horizon, errors_after, horizons, signal_noise
+from dropo.diagnosis.findings.horizons import (
+    Horizon,
+    beyond_windows,
+    errors_after,
+    horizons,
+    signal_noise,
+)
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
@@ -327,13 +333,15 @@ class Diagnose:
             own_horizon = replace(HELD_OUT, horizons=())
             inside = horizons(whole, library, thetas, last, draws, own_horizon)
 
+        wrong = not rest.calibrated
+        verdict = _verdict(found, wrong)
+        beyond = () if far_off else _beyond(verdict, with_causes, length)
+
         # What figures and tables show.
         progress(0.95, "what the pictures show")
         figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
         steps = spent + library.simulator.steps
-        names = [signal.name for signal in simulator.signals]
-        wrong = not rest.calibrated
         compared = self.disturbances and wrong and not far_off
         odd = outlier_runs(data, extended, declared) if compared else ()
         replayed = None
@@ -341,14 +349,14 @@ class Diagnose:
             replayed = replay(library.simulator, data.held_out, [first.theta, last.theta])
         return Diagnosis(
             name=data.name,
-            verdict=_verdict(found, wrong),
+            verdict=verdict,
             causes=found,
             suspects=suspects(selection, last, setup.count),
             baseline=HeldOut(per_step(first), tuple(fitted)),
             extended=HeldOut(per_step(last), tuple(with_causes)),
             remaining=rest,
             problem=extended,
-            noise=dict(zip(names, signal_noise(data, last).tolist(), strict=True)),
+            noise=signal_noise(data, last),
             window_steps=length,
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
@@ -358,7 +366,7 @@ class Diagnose:
             replay=replayed,
             figures=figures,
             motion=shown,
-            warnings=(*data.warnings, *setup.warnings),
+            warnings=(*data.warnings, *setup.warnings, *beyond),
             simulator_steps=steps,
         )
 
@@ -553,6 +561,12 @@ def _refuse_constant(problem: Problem, train: Windows) -> None:
                 f"The signal {signal.name!r} is the same in all the data: a stuck sensor? Leave "
                 "it out of the observation."
             )
+
+
+def _beyond(verdict: str, last: Sequence[Horizon], length: int) -> tuple[str, ...]:
+    """What the printed errors show beyond a verdict that nothing remains."""
+    told = beyond_windows(last, length) if verdict in ("consistent", "explained") else None
+    return () if told is None else (told,)
 
 
 def _verdict(found: Sequence[Cause], wrong: bool) -> str:

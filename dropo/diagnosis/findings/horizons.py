@@ -113,7 +113,7 @@ def horizons(
     different, which = np.unique(np.stack(models), axis=0, return_inverse=True)
     which = which.ravel()
     simulator = library.simulator
-    sigma = signal_noise(problem, last)
+    sigma = np.array(list(signal_noise(problem, last).values()))
     part, spread = _part_and_spread(problem, library, last)
     for steps in sorted({*settings.horizons, last.train.windows.length}):
         windows = held_out_windows(part, steps, settings)
@@ -154,14 +154,52 @@ def errors_after(
     return errors_of(library.simulator, predicted, windows, spread)
 
 
+def beyond_windows(found: Sequence[Horizon], window: int, times: float = 2.0) -> str | None:
+    """Say after which horizon errors are larger than windows and noise lead to expect.
+
+    Parameters
+    ----------
+    found : sequence of Horizon
+        Of the last model.
+    window : int
+        Control steps in a window, by which the verdict was found.
+    times : float
+        How many times larger they are than noise explains, beside what they are after a window.
+
+    Returns
+    -------
+    str or None
+        A sentence on the unit where it stands out most; None where it does nowhere.
+    """
+    own = next((one for one in found if one.steps == window), None)
+    if own is None:
+        return None
+    worst: tuple[float, int, str] | None = None
+    for one in found:
+        for unit, (error, noise) in one.units.items():
+            off, expected = own.units[unit]
+            ratio = error / max(noise, 1e-300)
+            usual = max(off / max(expected, 1e-300), 1.0)
+            if one.steps > window and ratio > times * usual and ratio > (worst or (0.0,))[0]:
+                worst = (ratio, one.steps, unit)
+    if worst is None:
+        return None
+    ratio, steps, unit = worst
+    return (
+        f"after {steps} steps errors are {ratio:.2g} times what noise explains ({unit}), and the "
+        f"verdict is that of windows of {window}: diagnose with --steps {steps}"
+    )
+
+
 def _part_and_spread(problem: Problem, library: Library, last: State) -> tuple[DataPart, Array]:
     """The data that are held out, and the spread (p,) of their signals without the noise."""
     part = held_out_part(problem, last.train.windows.length)
-    return part, noise_free_spread(library.simulator, part, signal_noise(problem, last) ** 2)
+    sigma = np.array(list(signal_noise(problem, last).values()))
+    return part, noise_free_spread(library.simulator, part, sigma**2)
 
 
-def signal_noise(problem: Problem, last: State) -> Array:
-    """Return the standard deviations (p,) of the signals' noise, as the last state has it.
+def signal_noise(problem: Problem, last: State) -> dict[str, float]:
+    """Return the standard deviations of the p signals' noise, by name, as the last state has them.
 
     Of signals that were estimated, those of their errors: the windows know nothing of them.
 
@@ -172,10 +210,10 @@ def signal_noise(problem: Problem, last: State) -> Array:
     last : State
         Of the search.
     """
-    names = [signal.name for signal in problem.simulator.signals]
-    sigma = last.train.whiten.sigma
-    stated = [problem.estimated.get(name, np.inf) for name in names]
-    return np.minimum(sigma, stated)
+    found = {}
+    for signal, size in zip(problem.simulator.signals, last.train.whiten.sigma, strict=True):
+        found[signal.name] = min(float(size), problem.estimated.get(signal.name, np.inf))
+    return found
 
 
 def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array) -> Horizon:
