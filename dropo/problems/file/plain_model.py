@@ -154,7 +154,7 @@ def _is_float(value: Any) -> bool:
 
 
 def format_plain_model(simulator: MujocoSimulator, active: ActiveEffects) -> str:
-    """Write the robot's effects as a module that imports mujoco and numpy alone.
+    """Write the robot's effects as a module that does not import this package.
 
     Parameters
     ----------
