@@ -240,14 +240,15 @@ def computing_options(
     )
 
 
-def trusting_option(parser: argparse.ArgumentParser) -> None:
-    """Add --trust to a `parser`, for commands that may run code of others."""
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="run Python code that a problem file names under `task`, and read networks, which may "
-        "hold code",
-    )
+TASK = (
+    "run Python code that a problem file names under `task`, and read networks, which may hold code"
+)
+"""What --trust allows the commands that know tasks and policies."""
+
+
+def trusting_option(parser: argparse.ArgumentParser, allowed: str = TASK) -> None:
+    """Add --trust to a `parser`, for commands that may run code of others; what it allows."""
+    parser.add_argument("--trust", action="store_true", help=allowed)
 
 
 NOTHING = "taken by every command; without effect here"

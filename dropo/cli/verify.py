@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options, show
+from dropo.cli.output import NOTHING, computing_options, printing_options, show, trusting_option
 
 
 def add(commands: Any) -> None:
@@ -21,11 +21,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "folder", type=Path, metavar="DIR", help="what `dropo diagnose --out` wrote"
     )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="run extended/model.py even if it is not what dropo writes",
-    )
+    trusting_option(parser, "run extended/model.py even if it is not what dropo writes")
     computing_options(parser, seed=NOTHING, threads=NOTHING)
     printing_options(parser)
 

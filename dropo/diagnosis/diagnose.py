@@ -234,14 +234,9 @@ class Diagnose:
         estimated: Collection[str] = (),
         progress: Progress = silent,
     ) -> Selection:
-        """A search that has not begun.
-
-        Of signals that are estimated it knows nothing: a smoother's errors are common to the states
-        around it, so that they look like a cause, mostly a late sensor.
-        """
-        floor = noise_floor(library.simulator, train, self.settings.window_length)
-        unknown = [signal.name in estimated for signal in library.simulator.signals]
-        floor = np.where(unknown, spread_of(library.simulator, train), floor)
+        """A search that has not begun."""
+        settings = self.settings.window_length
+        floor = noise_floor(library.simulator, train, settings, estimated)
         return Selection(library, floor, progress, self.settings.selection)
 
     def _set_up(self, problem: Problem, progress: Progress) -> "_Setup":
@@ -356,7 +351,10 @@ class Diagnose:
             extended=HeldOut(per_step(last), tuple(with_causes)),
             remaining=rest,
             problem=extended,
-            noise=signal_noise(data, last),
+            noise={
+                signal.name: float(size)
+                for signal, size in zip(simulator.signals, signal_noise(data, last), strict=True)
+            },
             window_steps=length,
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),

@@ -11,7 +11,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.predictions import Predictions
 from dropo.core.services.atomic_write import write_json
-from dropo.core.services.tables import Report, Table, number
+from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.data.outliers.outlier_runs import OutlierRun
 from dropo.diagnosis.findings.disturbances import LeftOut
 from dropo.diagnosis.findings.horizons import Horizon
@@ -163,7 +163,7 @@ class Diagnosis(Report):
         if unit in ("m", "rad", "m/s", "rad/s") and error < 0.1:
             factor = 1e3
             shown = f"m{unit}"
-        off = f"{number(factor * error, 3)} {shown} after {_steps(steps)}"
+        off = f"{number(factor * error, 3)} {shown} after {steps_text(steps)}"
         explained = number(factor * noise, 3)
         return (
             f"On held-out data the simulation is off by {off}; sensor noise explains {explained}."
@@ -179,9 +179,8 @@ class Diagnosis(Report):
         rows = []
         for at in zip(*(horizons for _, horizons in models), strict=True):
             last = at[-1]
-            seconds = "" if last.seconds is None else f", {number(last.seconds, 3)} s"
             of_motion = [_percent(horizon.rmse) for horizon in at]
-            label = f"{_steps(last.steps)}{seconds}"
+            label = steps_text(last.steps, last.seconds)
             rows.append((label, "of the motion", *of_motion, f"{last.noise:.2%}"))
             for unit, (_, noise) in last.units.items():
                 errors = [_number(horizon.units[unit][0]) for horizon in at]
@@ -291,8 +290,3 @@ def _cause_sentences(cause: Cause) -> list[str]:
         if first.to_tell is not None:
             sentences.append(f"To tell it from {first.place}, {first.to_tell}.")
     return sentences
-
-
-def _steps(count: int) -> str:
-    """Write "1 step" or "20 steps"."""
-    return f"{count} step{'s' if count > 1 else ''}"

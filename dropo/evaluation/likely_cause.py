@@ -1,13 +1,11 @@
 """What the residuals of a fit look like: the usual effects that a model lacks, each tried once."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
-from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.registry import find
 from dropo.core.services.tables import number
@@ -89,11 +87,11 @@ def likely_cause(
     good = np.isfinite(residual).all(axis=1)
     rows = np.isin(problem.segments.rows[0], chosen)
     free = _Free(residual, jacobian[rows], good, settings)
+    trials = _trials(simulator, settings)
     best = (settings.share, "")
-    for instance, size in _trials(simulator, settings):
-        changed = _with_effect(simulator, instance, size)
-        moved = changed.predict(mean[None], segments)[0]
-        simulator.steps += changed.steps
+    for (instance, size), moved in zip(
+        trials, _tried(simulator, mean, trials, segments), strict=True
+    ):
         if not np.isfinite(moved[good]).all():
             continue
         share, coefficient = free.explained(moved - base)
@@ -111,7 +109,7 @@ def _count(segments: Segments, settings: LikelyCauseSettings) -> int:
 
 def _trials(
     simulator: RobotSimulator, settings: LikelyCauseSettings
-) -> Iterator[tuple[EffectInstance, float]]:
+) -> list[tuple[EffectInstance, float]]:
     """Each effect with a size to try it at; several, where it does not act in proportion to it."""
     found = []
     for name in settings.effects:
@@ -122,12 +120,25 @@ def _trials(
             probes = quantity.probes[1:2] if quantity.smooth else quantity.probes
             found += [(instance, probe) for probe in probes]
     stride = -(-len(found) // settings.places)
-    yield from found[:: max(1, stride)]
+    return found[:: max(1, stride)]
 
 
-def _with_effect(simulator: RobotSimulator, instance: EffectInstance, size: float) -> Simulator:
-    """The simulator with one effect more."""
-    return simulator.with_effects((), [(instance, np.array([size]))])
+def _tried(
+    simulator: RobotSimulator,
+    mean: Array,
+    trials: list[tuple[EffectInstance, float]],
+    segments: Segments,
+) -> Array:
+    """(K, R, p) predictions at the means with each of K effects, one at a time."""
+    instances = list(dict.fromkeys(instance for instance, _ in trials))
+    values = np.zeros((len(trials), len(mean) + len(instances)))
+    values[:, : len(mean)] = mean
+    for row, (instance, size) in zip(values, trials, strict=True):
+        row[len(mean) + instances.index(instance)] = size
+    changed = simulator.with_effects(instances)
+    predicted = changed.predict(values, segments)
+    simulator.steps += changed.steps
+    return predicted
 
 
 class _Free:

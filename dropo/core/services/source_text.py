@@ -6,7 +6,7 @@ import inspect
 import math
 import sys
 import textwrap
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import fields, is_dataclass
 from functools import partial
 from types import FunctionType, ModuleType
@@ -114,10 +114,14 @@ class SourceText:
         if module.partition(".")[0] != PACKAGE and module not in self._modules:
             self.imports.add(f"from {module} import {name}")
             return name
+        return self._collected(module, name, partial(self._copy, value))
+
+    def _collected(self, module: str, name: str, write: Callable[[str], str]) -> str:
+        """What is called so in a module is called in the text, where it is written once."""
         key = (module, name)
         if key not in self._names:
             self._names[key] = _unique_name(module, name, set(self._names.values()))
-            self._blocks.append(self._copy(value, self._names[key]))
+            self._blocks.append(write(self._names[key]))
         return self._names[key]
 
     def _copy(self, value: Any, name: str) -> str:
@@ -143,11 +147,7 @@ class SourceText:
         if callable(value):  # a function of C
             self.imports.add(f"from {value.__module__} import {name}")
             return name
-        key = (module, name)
-        if key not in self._names:
-            self._names[key] = _unique_name(module, name, set(self._names.values()))
-            self._blocks.append(f"{self._names[key]} = {self.expression(value)}")
-        return self._names[key]
+        return self._collected(module, name, lambda own: f"{own} = {self.expression(value)}")
 
 
 class _WithoutAnnotations(ast.NodeTransformer):

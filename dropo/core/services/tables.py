@@ -109,6 +109,24 @@ def number(value: float, digits: int = 5) -> str:
     return f"{value:.{digits}g}" if np.isfinite(value) else "-"
 
 
+def steps_text(count: int, seconds: float | None = None) -> str:
+    """Write "1 step" or "20 steps, 0.4 s".
+
+    Parameters
+    ----------
+    count : int
+        Control steps.
+    seconds : float, optional
+        The time that they take [s].
+
+    Returns
+    -------
+    str
+    """
+    time = "" if seconds is None else f", {number(seconds, 3)} s"
+    return f"{count} step{'s' if count > 1 else ''}{time}"
+
+
 MOST_DIGITS = 15
 """Digits that a float64 holds."""
 

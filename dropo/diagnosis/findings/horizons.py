@@ -113,7 +113,7 @@ def horizons(
     different, which = np.unique(np.stack(models), axis=0, return_inverse=True)
     which = which.ravel()
     simulator = library.simulator
-    sigma = np.array(list(signal_noise(problem, last).values()))
+    sigma = signal_noise(problem, last)
     part, spread = _part_and_spread(problem, library, last)
     for steps in sorted({*settings.horizons, last.train.windows.length}):
         windows = held_out_windows(part, steps, settings)
@@ -194,12 +194,11 @@ def beyond_windows(found: Sequence[Horizon], window: int, times: float = 2.0) ->
 def _part_and_spread(problem: Problem, library: Library, last: State) -> tuple[DataPart, Array]:
     """The data that are held out, and the spread (p,) of their signals without the noise."""
     part = held_out_part(problem, last.train.windows.length)
-    sigma = np.array(list(signal_noise(problem, last).values()))
-    return part, noise_free_spread(library.simulator, part, sigma**2)
+    return part, noise_free_spread(library.simulator, part, signal_noise(problem, last) ** 2)
 
 
-def signal_noise(problem: Problem, last: State) -> dict[str, float]:
-    """Return the standard deviations of the p signals' noise, by name, as the last state has them.
+def signal_noise(problem: Problem, last: State) -> Array:
+    """Return the standard deviations (p,) of the signals' noise, as the last state has them.
 
     Of signals that were estimated, those of their errors: the windows know nothing of them.
 
@@ -210,10 +209,9 @@ def signal_noise(problem: Problem, last: State) -> dict[str, float]:
     last : State
         Of the search.
     """
-    found = {}
-    for signal, size in zip(problem.simulator.signals, last.train.whiten.sigma, strict=True):
-        found[signal.name] = min(float(size), problem.estimated.get(signal.name, np.inf))
-    return found
+    signals = problem.simulator.signals
+    stated = [problem.estimated.get(signal.name, np.inf) for signal in signals]
+    return np.minimum(last.train.whiten.sigma, stated)
 
 
 def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array) -> Horizon:

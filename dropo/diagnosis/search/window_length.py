@@ -1,5 +1,6 @@
 """How long windows must be for errors of the model to stand out from the sensors' noise."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,9 +120,15 @@ def _errors_and_curvature(
 
 
 def noise_floor(
-    simulator: Simulator, train: Windows, settings: WindowLengthSettings = SETTINGS
+    simulator: Simulator,
+    train: Windows,
+    settings: WindowLengthSettings = SETTINGS,
+    estimated: Collection[str] = (),
 ) -> Array:
     """Return the lower bound (p,) of the noise in a diagnosis.
+
+    Of signals that are estimated nothing is taken as known: a smoother's errors are common to the
+    states around it, so that they look like a cause, mostly a late sensor.
 
     Parameters
     ----------
@@ -131,13 +138,17 @@ def noise_floor(
         Windows to fit, which give each signal's spread.
     settings : WindowLengthSettings
         Which fraction of the spread it is.
+    estimated : collection of str
+        Names of the signals whose bound is the whole spread.
 
     Returns
     -------
     (p,) array
         Standard deviations, in the signals' units.
     """
-    return np.maximum(settings.least_noise * spread_of(simulator, train), 1e-12)
+    unknown = [signal.name in estimated for signal in simulator.signals]
+    fraction = np.where(unknown, 1.0, settings.least_noise)
+    return np.maximum(fraction * spread_of(simulator, train), 1e-12)
 
 
 def first_noise(

@@ -29,7 +29,6 @@ HOOKS = (
     "command_feedback",
     "force",
     "friction",
-    "applied_force",
     "wrench",
 )
 """The hooks of effects that act on a plain model in each step."""

@@ -10,7 +10,7 @@ from dropo.core.contracts.effect import ActiveEffects
 from dropo.core.records.saved_schema import REGRESSION, read_diagnosis
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadFile
-from dropo.core.services.tables import Report, Table, number
+from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.core.services.validation import Array
 from dropo.evaluation.held_out import errors_of, held_out_part, held_out_windows
 from dropo.problems.file.plain_model import (
@@ -100,10 +100,9 @@ class Verification(Report):
         """The table of errors, and whether they hold."""
         rows = []
         for one in self.errors:
-            seconds = "" if one.seconds is None else f", {number(one.seconds, 3)} s"
+            after = steps_text(one.steps, one.seconds)
             errors = (number(one.announced, 3), number(one.verified, 3))
-            steps = f"{one.steps} step{'s' if one.steps > 1 else ''}"
-            rows.append((f"{steps}{seconds}", one.unit, *errors, f"{one.difference:.2%}"))
+            rows.append((after, one.unit, *errors, f"{one.difference:.2%}"))
         header = ("after", "unit", "announced", "in plain MuJoCo", "difference")
         table = Table("Errors on held-out data", header, tuple(rows))
         said = "as announced" if self.holds else "NOT as announced"
@@ -262,6 +261,7 @@ class PlainRollout:
         layout = simulator.layout
         delays = layout.by_column(total_delays(active, len(simulator.signals)))
         late = delays > 0
+        is_late = bool(late.any())
         model = simulator.model
         states = layout.full_states(starts, model)
         commands: dict[int, Array] = {}
@@ -275,13 +275,13 @@ class PlainRollout:
             begin = (steps[0] - first) * simulator.frame_skip
             held = commands[run][begin : begin + len(steps) * simulator.frame_skip]
             robot.reset(state[1 : 1 + model.nq], state[1 + model.nq : 1 + model.nq + model.nv])
-            trace = [self._observed(robot)] if late.any() else []
+            trace = [self._observed(robot)] if is_late else []
             for command in held:
                 robot.advance(command)
-                if late.any():
+                if is_late:
                     trace.append(self._observed(robot))
             out[i] = self._observed(robot)
-            if late.any():
+            if is_late:
                 past = np.stack(trace)[None, :, late]
                 in_steps = delays[late] / model.opt.timestep
                 out[i, late] = delay_columns(past, in_steps)[0, -1]
