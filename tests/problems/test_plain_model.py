@@ -4,9 +4,12 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadFile
 from dropo.core.services.registry import find, names
 from dropo.diagnosis.search.library import declared
@@ -15,6 +18,7 @@ from dropo.problems.file.plain_model import write_extended
 from dropo.problems.file.verification import PlainRollout
 from dropo.problems.loading import load
 from dropo.problems.simulated.robots import simulated_robot
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.models.hidden_in_arm import UPPER, instance, problem
 
 SAME = 1e-9
@@ -140,3 +144,22 @@ def test_broken_files_are_refused(arm, tmp_path, capsys, name, content, told):
     with pytest.raises(BadFile, match=told):
         PlainRollout(arm.simulator, np.ones(1), tmp_path, trusted=False).predict(windows)
     assert capsys.readouterr().out == ""
+
+
+def test_states_of_actuators_begin_as_observed(tmp_path):
+    """A lag inside of an actuator, whose state is part of the observation."""
+    xml = """<mujoco><option timestep="0.005"/><worldbody><body name="link">
+    <joint name="hinge" axis="0 1 0"/><geom size="0.1" mass="1"/></body></worldbody><actuator>
+    <general name="motor" joint="hinge" dyntype="filter" dynprm="0.1"/></actuator></mujoco>"""
+    simulator = MujocoSimulator(
+        mujoco.MjSpec.from_string(xml), [], observation=["qpos", "qvel", "act"], threads=1
+    )
+    rows = np.random.default_rng(0).normal(size=(10, 3))
+    data = Trajectories(rows, np.zeros((10, 1)), rows, np.arange(10) == 9)
+    found = Problem("lag", simulator, data)
+    write_extended(found, {}, tmp_path)
+    windows = data.from_rows(np.arange(3), 5)
+    plain = PlainRollout(simulator, np.zeros(0), tmp_path, trusted=False).predict(windows)
+    ours = simulator.predict(np.zeros((1, 0)), windows)[0]
+    np.testing.assert_allclose(plain, ours, atol=SAME)
+    assert np.abs(ours[:, 2]).min() > 100 * SAME

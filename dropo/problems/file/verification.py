@@ -274,7 +274,8 @@ class PlainRollout:
                 commands[run] = robot.commands(simulator.commands_of(data.actions[first:last]))
             begin = (steps[0] - first) * simulator.frame_skip
             held = commands[run][begin : begin + len(steps) * simulator.frame_skip]
-            robot.reset(state[1 : 1 + model.nq], state[1 + model.nq : 1 + model.nq + model.nv])
+            qpos, qvel, act = np.split(state[1:], [model.nq, model.nq + model.nv])
+            robot.reset(qpos, qvel, act[: model.na])
             trace = [self._observed(robot)] if is_late else []
             for command in held:
                 robot.advance(command)

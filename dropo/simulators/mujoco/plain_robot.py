@@ -57,11 +57,12 @@ class Robot:
         self._reacting = reacting_effects(effects)
         self.reset(model.qpos0, np.zeros(model.nv))
 
-    def reset(self, qpos: Array, qvel: Array) -> None:
-        """Begin anew at positions (nq,) and velocities (nv,)."""
+    def reset(self, qpos: Array, qvel: Array, act: Array | float = 0.0) -> None:
+        """Begin anew at positions (nq,), velocities (nv,) and states (na,) of the actuators."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = qpos
         self.data.qvel[:] = qvel
+        self.data.act[:] = act
         self.data.xfrc_applied[:] = constant_wrenches(self.effects, self.model.nbody)
         self._given: list[Array] = []
         self._steps = 0
