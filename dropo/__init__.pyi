@@ -18,6 +18,7 @@ from .core.records.trajectories import (
 )
 from .core.services.errors import DropoError as DropoError
 from .core.services.errors import InvalidInput as InvalidInput
+from .core.services.registry import register as register
 from .data.checks.check import check as check
 from .data.describe import describe as describe
 from .data.reading import read as read
@@ -121,6 +122,7 @@ __all__ = [
     "randomize",
     "rank_next",
     "read",
+    "register",
     "resample",
     "resample_rotations",
     "train",

@@ -73,7 +73,17 @@ def _run(argv: Sequence[str] | None) -> int:
         return int(stop.code or DONE)
     arguments.command_line = shlex.join(["dropo", *(sys.argv[1:] if argv is None else argv)])
     with _terminable():
+        _load_plugins(arguments.plugin)
         return int(arguments.run(arguments))
+
+
+def _load_plugins(files: Sequence[str]) -> None:
+    """Import the files of `--plugin`."""
+    if files:
+        from dropo.core.services.plugin_files import load_plugins
+
+        for file in files:
+            load_plugins(file)
 
 
 @contextmanager

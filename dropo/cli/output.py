@@ -224,7 +224,7 @@ def printing_options(parser: argparse.ArgumentParser) -> None:
 def computing_options(
     parser: argparse.ArgumentParser, *, seed: str = "0 by default", threads: str = ""
 ) -> None:
-    """Add --seed and --threads to a parser; every command has them.
+    """Add --seed, --threads and --plugin to a parser; every command has them.
 
     Parameters
     ----------
@@ -237,6 +237,13 @@ def computing_options(
     parser.add_argument("--seed", type=whole(0, 2**64), default=0, metavar="S", help=seed)
     parser.add_argument(
         "--threads", type=whole(0, MOST_THREADS), default=0, metavar="N", help=threads or usual
+    )
+    parser.add_argument(
+        "--plugin",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="run this Python file first, which registers parts of your own; may be repeated",
     )
 
 

@@ -23,6 +23,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.predictions import Predictions
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.atomic_write import write_json
+from dropo.core.services.plugin_files import plugin_sums
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
@@ -115,7 +116,8 @@ def _place(path: Path, folder: Path) -> str:
 
 
 def problem_record(problem: Problem) -> dict[str, Any]:
-    """Make a dict of the settings of a `problem`, with SHA-256 sums of its data and model."""
+    """Make a dict of the settings of a `problem`, with SHA-256 sums of all that is behind it."""
+    plugins = plugin_sums()
     simulator = problem.simulator
     model = simulator.model if isinstance(simulator, RobotSimulator) else None
     return {
@@ -135,6 +137,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "transitions": len(problem.trajectories),
         "data_sha256": data_sum(problem.trajectories),
         "model_sha256": None if model is None else model_sum(model),
+        **({"plugins": plugins} if plugins else {}),
     }
 
 

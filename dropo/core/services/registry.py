@@ -1,7 +1,7 @@
 """The names of plug-ins; each is imported when it is asked for, so `dropo list` imports none.
 
 Other packages announce theirs as entry points of the group `dropo.<kind>`, for example
-`dropo.optimizers`; a script or a notebook calls `register`.
+`dropo.optimizers`; a script, a notebook or a file that `--plugin` names calls `register`.
 """
 
 import importlib
@@ -182,6 +182,15 @@ def register(kind: str, name: str, plugin: Callable[..., Any]) -> None:
         If there is no such kind.
     """
     _registered[known("kind of plug-in", kind, BUILT_IN)][name] = plugin
+
+
+def registered() -> dict[tuple[str, str], Any]:
+    """Give what `register` made available, by kind and name."""
+    parts = {}
+    for kind, plugins in _registered.items():
+        for name, plugin in plugins.items():
+            parts[kind, name] = plugin
+    return parts
 
 
 def kinds() -> list[str]:

@@ -1,0 +1,86 @@
+"""Plug-ins from files of one's own: `--plugin FILE`.
+
+Such a file is Python code that calls `register` for each of its parts when it is imported.
+"""
+
+import hashlib
+import importlib.util
+import sys
+import traceback
+from pathlib import Path
+
+from dropo.core.services.errors import BadArgument, BadFile
+from dropo.core.services.registry import registered
+
+_sums: dict[str, str] = {}
+
+
+def load_plugins(path: str | Path) -> list[str]:
+    """Import a file, whose plug-ins are then found by their names in this process.
+
+    Parameters
+    ----------
+    path : str or Path
+        A Python file, which is run.
+
+    Returns
+    -------
+    list of str
+        What it registered, such as "optimizers: random-search".
+
+    Raises
+    ------
+    BadFile
+        If there is no such file, its name is no Python module's, it cannot be imported, or it
+        registers nothing.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise BadFile(file, "--plugin", "a Python file", "no file")
+    if file.suffix != ".py" or not file.stem.isidentifier():
+        rule = "a name like my_parts.py, which Python can import"
+        raise BadFile(file, "--plugin", rule, file.name)
+    own = getattr(sys.modules.get(file.stem), "__file__", None)
+    is_free = file.stem not in sys.modules or own == str(file.resolve())
+    if not is_free:
+        raise BadFile(file, "--plugin", "a name that no imported module has", file.stem)
+    before = registered()
+    _run(file)
+    new = [key for key, part in registered().items() if before.get(key) is not part]
+    if not new:
+        rule = "a call of dropo.register(kind, name, plugin)"
+        raise BadFile(file, "--plugin", rule, "none when it was imported")
+    _sums[file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+    return [f"{kind}: {name}" for kind, name in sorted(new)]
+
+
+def plugin_sums() -> dict[str, str]:
+    """SHA-256 sums of the plug-in files of this process by name, for the records of runs."""
+    return dict(_sums)
+
+
+def _run(file: Path) -> None:
+    """Import a file as the module of its name; its folder is where it finds its neighbours."""
+    place = file.resolve()
+    if str(place.parent) not in sys.path:
+        sys.path.append(str(place.parent))
+    spec = importlib.util.spec_from_file_location(file.stem, place)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[file.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[file.stem]
+        got = f"{type(error).__name__}: {error}".rstrip(".")
+        raise BadFile(file, _line(error, place), "code that can be imported", got) from error
+
+
+def _line(error: Exception, place: Path) -> str:
+    """The last line of the file that an error passed, such as "line 3"."""
+    if isinstance(error, SyntaxError):
+        return f"line {error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == str(place)]
+    return f"line {lines[-1]}" if lines else ""
