@@ -3,10 +3,21 @@
 import argparse
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dropo.cli.folder import run_folder
 from dropo.cli.output import Progress, computing_options, printing_options, show_and_save, whole
+
+if TYPE_CHECKING:
+    from dropo.studies.engine.variants import Variant
+
+PARTS = {
+    "method": "methods",
+    "likelihood": "likelihoods",
+    "optimizer": "optimizers",
+    "family": "families",
+}
+"""Options that name parts, and their kinds."""
 
 
 def add(commands: Any) -> None:
@@ -34,6 +45,7 @@ def add(commands: Any) -> None:
         metavar="NAME",
         help="these alone, in a study of several problems",
     )
+    part_options(parser)
     parser.add_argument(
         "--out",
         type=Path,
@@ -44,6 +56,38 @@ def add(commands: Any) -> None:
         parser, seed="without effect: the data sets of a study have seeds of their own"
     )
     printing_options(parser)
+
+
+def part_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name parts to exchange to a `parser`; each takes several names."""
+    for name, kind in PARTS.items():
+        parser.add_argument(
+            f"--{name}",
+            nargs="+",
+            action="extend",
+            default=[],
+            metavar="NAME",
+            help=f"with each of these too, see `dropo list {kind}`; may be repeated",
+        )
+    parser.add_argument(
+        "--budget",
+        type=whole(1),
+        metavar="N",
+        help="evaluations of these at most, inside an emulator too",
+    )
+
+
+def named_variants(arguments: argparse.Namespace) -> "list[Variant]":
+    """Make the variants that the options of `part_options` name."""
+    from dropo.studies.engine.variants import variants_of
+
+    return variants_of(
+        arguments.method,
+        arguments.budget,
+        likelihood=arguments.likelihood,
+        optimizer=arguments.optimizer,
+        family=arguments.family,
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -69,6 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dropo.core.services.errors import DropoError
     from dropo.studies.engine.recover import keep_study, run_study
 
+    variants = named_variants(arguments)
     progress = Progress(silent=arguments.quiet)
     try:
         with run_folder(arguments.out):
@@ -77,6 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
                 seeds=arguments.seeds,
                 published=arguments.published,
                 problems=arguments.problems,
+                variants=variants,
                 out=arguments.out,
                 threads=arguments.threads,
                 progress=progress,

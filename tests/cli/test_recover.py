@@ -75,6 +75,20 @@ def test_some_problems_alone(monkeypatch, capsys):
     assert capsys.readouterr().out == "a b c\nc a\n"
 
 
+def test_parts_are_exchanged(monkeypatch, capsys):
+    """Every combination is handed to a study that takes them; names are repeated either way."""
+    takes = lambda work, seeds=None, *, variants=(): Study(
+        "takes", "; ".join(variant.label for variant in variants), ()
+    )
+    monkeypatch.setitem(catalogue._registered["studies"], "takes", takes)
+    parts = ["--optimizer", "cma-es", "nlopt-sbplx", "--optimizer", "nlopt-bobyqa", "--budget", "9"]
+    assert main(["recover", "takes", *parts]) == 0
+    assert capsys.readouterr().out == (
+        "dropo, optimizer cma-es, budget 9; dropo, optimizer nlopt-sbplx, budget 9;"
+        " dropo, optimizer nlopt-bobyqa, budget 9\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from dropo.core.services.errors import Incompatible
 from dropo.studies.engine.pages import picture
+from dropo.studies.engine.variants import variants_of
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import distribution_recovery, figure_6_2, figure_6_4, hopper_fits
 from dropo.studies.tiboni_2021.hopper_fits import fitted, item
@@ -104,3 +106,43 @@ def test_a_task_depends_on_its_item_alone():
         {key: value for key, value in fitted(asked).items() if key != "seconds"} for _ in range(2)
     )
     assert str(first) == str(second)
+
+
+def test_parts_exchanged(work, monkeypatch):
+    """A variant has rows beside the default's in the tables of the masses, and is tested in pairs.
+
+    The inner optimizer is another, the maximum the same: no difference is found, and none of the
+    evaluations that it makes on the emulator is missing.
+    """
+    monkeypatch.setattr(distribution_recovery, "EPSILON", {"clean": 1e-8})
+    variants = variants_of(optimizer=["nlopt-lbfgs"])
+    study = table_6_2(work, 2, variants=variants, size=SMALL)
+    title = "table 6.2, clean, epsilon 1e-08"
+    label = "dropo, optimizer nlopt-lbfgs"
+    assert column(study, f"{title}: means", "m1")[label]
+    compared = column(study, f"{title}: parts exchanged", "inner")
+    assert list(compared) == ["dropo", label]
+    assert int(compared[label].replace(",", "")) > 0
+    rows = study.data["clean"]["data_sets"]
+    for default, row in zip(rows["dropo"], rows[label], strict=True):
+        assert abs(row["log_likelihood"] - default["log_likelihood"]) < 0.5
+    assert any("no p below 0.5 is possible" in remark for remark in study.remarks)
+
+
+def test_parts_exchanged_in_the_other_studies(work, monkeypatch):
+    """Table 6.1, table 6.4 and both figures have the variant's rows too."""
+    monkeypatch.setattr(figure_6_2, "EPSILON", {"clean": 1e-8})
+    monkeypatch.setattr(figure_6_4, "SWEEP", (1e-5, 1e-4))
+    variants = variants_of(likelihood=["linear"])
+    label = "dropo, likelihood linear"
+    first = table_6_1(work, 1, variants=variants, size=SMALL)
+    assert label in column(first, "our data, noisy, epsilon 1e-05: parts exchanged", "steps")
+    assert label in column(first, "our data, noisy, epsilon 1e-05: likelihoods", "value")
+    light = table_6_4(work, 1, variants=variants, size=SMALL)
+    assert label in column(light, "our data set 0: fits", "steps")
+    panels = figure_6_2.figure_6_2(work, variants=variants, size=SMALL)
+    assert f"{label}, clean" in column(panels, "m1, data of table 6.2", "mean [kg]")
+    sweep = figure_6_4.figure_6_4(work, 1, variants=variants, size=SMALL)
+    assert column(sweep, f"{label}, the same data", "chosen") == {"1e-05": "1", "1e-04": "0"}
+    with pytest.raises(Incompatible, match="Leave --method out"):
+        figure_6_4.figure_6_4(work, 1, variants=variants_of(["droid"]), size=SMALL)

@@ -66,6 +66,8 @@ class Run:
         Simulations so far that diverged.
     evaluations : int
         Evaluations of the objective so far.
+    inner_evaluations : int
+        Evaluations so far of local models of the objective, which simulate nothing.
     """
 
     problem: Problem
@@ -75,6 +77,7 @@ class Run:
     steps: int = 0
     failures: int = 0
     evaluations: int = 0
+    inner_evaluations: int = 0
 
     def evaluate(self, points: Array, function: Callable[[Array], Array]) -> Array:
         """Evaluate a function, or read its recorded values, and count what it costs.
@@ -96,15 +99,20 @@ class Run:
             simulator = self.problem.simulator
             steps_before = simulator.steps
             failures_before = simulator.failures
+            inner_before = self.inner_evaluations
             answers = function(points)
+            inner = self.inner_evaluations - inner_before
+            self.inner_evaluations = inner_before
             return answers, {
                 "steps": simulator.steps - steps_before,
                 "failures": simulator.failures - failures_before,
+                "inner": inner,
             }
 
         answers, counts = self.evaluation_log.evaluate(points, counted)
         self.steps += counts["steps"]
         self.failures += counts["failures"]
+        self.inner_evaluations += counts["inner"]
         self.evaluations += len(points)
         return answers
 
@@ -190,6 +198,7 @@ class Estimator(ABC):
             simulator_steps=run.steps,
             failed_simulations=run.failures,
             objective_evaluations=run.evaluations,
+            inner_evaluations=run.inner_evaluations,
         )
 
     @abstractmethod

@@ -64,6 +64,8 @@ class Fit(Report):
         Those fitted.
     simulator_steps, failed_simulations, objective_evaluations : int
         What the fit cost.
+    inner_evaluations : int
+        Evaluations beside these of local models of the objective, which simulate nothing.
     status : Status
         How it ended, and `message` in words.
     message : str
@@ -132,6 +134,7 @@ class Fit(Report):
     message: str
     warnings: tuple[str, ...] = ()
     wall_time_s: float = 0.0
+    inner_evaluations: int = 0
     seed: int | None = None
     degrees_of_freedom: Array | None = None
     places: Mapping[str, dict[str, Any]] = field(default_factory=dict)

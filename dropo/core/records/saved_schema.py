@@ -185,6 +185,7 @@ class SavedFit(Saved):
     simulator_steps: Count
     failed_simulations: Count
     objective_evaluations: Count
+    inner_evaluations: Count
     wall_time_s: float
     status: Status
     message: str

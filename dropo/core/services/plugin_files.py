@@ -9,7 +9,7 @@ import sys
 import traceback
 from pathlib import Path
 
-from dropo.core.services.errors import BadArgument, BadFile
+from dropo.core.services.errors import BadFile
 from dropo.core.services.registry import registered
 
 _sums: dict[str, str] = {}

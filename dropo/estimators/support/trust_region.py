@@ -412,12 +412,14 @@ class OuterIterations:
         """The local maximum (m,), and whether the search came to its own end."""
         if self.make_optimizer is None:
             maximum = maximize_locally(local, start)
+            self.run.inner_evaluations += maximum.evaluations
             return maximum.phi, maximum.converged
         unit = _unit_point(local.unknowns, start)
         optimizer = self.make_optimizer(len(start), unit)
-        # The evaluations of a local model are cheap: they are neither logged nor shown.
+        # The evaluations of a local model are cheap: counted apart, neither logged nor shown.
         inner = replace(self.run, evaluation_log=EvaluationLog(), progress=lambda share, text: None)
         found = maximize(local, local.unknowns, optimizer, inner)
+        self.run.inner_evaluations += found.evaluations
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         return found.point, found.status is Status.CONVERGED

@@ -11,13 +11,17 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import require
 from dropo.studies.engine.pages import write
 from dropo.studies.engine.study import Study
+from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
 
 LACKS = {
     "published": "has no runs of the published method",
     "problems": "is not one of several problems",
+    "variants": "has parts of its own",
 }
 """Option -> what a study says that does not take it."""
+NAMES = {"variants": "--method, --likelihood, --optimizer, --family and --budget"}
+"""Option -> its name on the command line, where that is another."""
 
 
 def recover(
@@ -26,6 +30,7 @@ def recover(
     seeds: int | None = None,
     published: bool = False,
     problems: Sequence[str] = (),
+    variants: Sequence[Variant] = (),
     out: str | Path | None = None,
     executor: Executor | None = None,
     threads: int = 0,
@@ -43,6 +48,9 @@ def recover(
         Whether the method is also run as published, in studies that have it.
     problems : sequence of str
         In studies of several problems, the names of those to run; all if empty.
+    variants : sequence of Variant
+        Methods with parts exchanged, whose rows stand beside the others; `variants_of` makes them
+        of names.
     out : str, Path or None
         Folder to write the study into, where an interrupted study is resumed; None to write
         nothing.
@@ -65,7 +73,7 @@ def recover(
     BadArgument
         If `seeds` is below 1, or `out` is a file.
     Incompatible
-        If the study does not take `published` or `problems`.
+        If the study does not take `published`, `problems` or `variants`.
     BadFile
         If the study's block of the folder's README.md has no end.
     """
@@ -74,6 +82,7 @@ def recover(
         seeds=seeds,
         published=published,
         problems=problems,
+        variants=variants,
         out=out,
         executor=executor,
         threads=threads,
@@ -89,6 +98,7 @@ def run_study(
     seeds: int | None = None,
     published: bool = False,
     problems: Sequence[str] = (),
+    variants: Sequence[Variant] = (),
     out: str | Path | None = None,
     executor: Executor | None = None,
     threads: int = 0,
@@ -102,8 +112,11 @@ def run_study(
         options["published"] = published
     if problems:
         options["problems"] = tuple(problems)
+    if variants:
+        options["variants"] = tuple(variants)
     for option in sorted(options.keys() - inspect.signature(study).parameters.keys()):
-        raise Incompatible(f"The study {name!r} {LACKS[option]}. Leave --{option} out.")
+        options_of = NAMES.get(option, f"--{option}")
+        raise Incompatible(f"The study {name!r} {LACKS[option]}. Leave {options_of} out.")
     if out is None:
         return study(Work(executor, threads=threads, progress=progress), seeds, **options)
     folder = Path(out)

@@ -1,14 +1,25 @@
 """Tables 6.2 and 6.3: masses drawn anew every 10 transitions, fitted by every method."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from dropo.studies.engine.comparison_table import note_on_tests
 from dropo.studies.engine.study import Study, Table
+from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
-from dropo.studies.tiboni_2021.hopper_fits import compared, fitted, item
+from dropo.studies.tiboni_2021.hopper_fits import compared, fitted, item, variant_item
 from dropo.studies.tiboni_2021.hopper_sets import EPSILON, MEAN, SPREAD, THESIS, Size
-from dropo.studies.tiboni_2021.rows import Rows, costs, likelihoods, means, over_data_sets, spreads
+from dropo.studies.tiboni_2021.rows import (
+    Rows,
+    comparison_of,
+    costs,
+    likelihoods,
+    means,
+    over_data_sets,
+    spreads,
+)
 
 FAST = ("dropo", "random effects", "least squares")
 SLOW = ("droid",)
@@ -25,7 +36,13 @@ NOTES = (
 
 
 def recovered(
-    name: str, table: str, work: Work, seeds: int | None, published: bool, size: Size
+    name: str,
+    table: str,
+    work: Work,
+    seeds: int | None,
+    published: bool,
+    size: Size,
+    variants: Sequence[Variant] = (),
 ) -> Study:
     """The study of table 6.2 or 6.3.
 
@@ -43,6 +60,8 @@ def recovered(
         Whether the method is also run as published.
     size : Size
         How large the study is.
+    variants : sequence of Variant
+        Methods with parts exchanged, which fit every data set too.
 
     Returns
     -------
@@ -51,14 +70,19 @@ def recovered(
     """
     count = seeds or size.seeds
     methods = (*FAST, *SLOW, *(("dropo, published",) if published else ()))
+    labels = [variant.label for variant in variants]
     keys = []
     for kind in EPSILON:
         for seed in range(count):
             keys += [(kind, seed, method) for method in (methods if seed == 0 else FAST)]
     items = [item(table, kind, seed, size, method=method) for kind, seed, method in keys]
+    for kind in EPSILON:
+        for seed in range(count):
+            keys += [(kind, seed, variant.label) for variant in variants]
+            items += [variant_item(table, kind, seed, size, variant) for variant in variants]
     fits = dict(zip(keys, work.map(fitted, items), strict=True))
     firsts: dict[str, Rows] = {
-        kind: {method: fits[kind, 0, method] for method in methods} for kind in EPSILON
+        kind: {method: fits[kind, 0, method] for method in (*methods, *labels)} for kind in EPSILON
     }
     items = [_distributions(table, kind, size, rows) for kind, rows in firsts.items()]
     compared_by_kind = work.map(compared, items)
@@ -66,13 +90,16 @@ def recovered(
     data: dict[str, Any] = {}
     for (kind, rows), values in zip(firsts.items(), compared_by_kind, strict=True):
         title = f"table {table}, {kind}, epsilon {EPSILON[kind]:.0e}"
-        over = {method: [fits[kind, seed, method] for seed in range(count)] for method in FAST}
+        over = {}
+        for method in (*FAST, *labels):
+            over[method] = [fits[kind, seed, method] for seed in range(count)]
         tables += [
             means(title, rows, table, kind),
             spreads(title, rows, table, kind),
             likelihoods(title, values, size.draws),
             over_data_sets(title, over),
             costs(title, over),
+            *comparison_of(title, over, variants),
         ]
         data[kind] = {"first": rows, "data_sets": over, "laws": values}
     what = "the torso's mass varies" if table == "6.2" else "thigh, leg and foot vary"
@@ -81,7 +108,9 @@ def recovered(
         f"{count} data sets"
     )
     small = (reduced(size),) if published else ()
-    return Study(name, title, tuple(tables), (*NOTES, *small, *_remarks(table, data)), data)
+    tests = (note_on_tests(count),) if variants else ()
+    remarks = (*NOTES, *small, *tests, *_remarks(table, data))
+    return Study(name, title, tuple(tables), remarks, data)
 
 
 def reduced(size: Size) -> str:

@@ -1,5 +1,7 @@
 """Figure 6.2: the fitted distributions of the masses that vary."""
 
+from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -8,8 +10,9 @@ from scipy.stats import norm
 from dropo.core.services.tables import number
 from dropo.core.services.validation import require
 from dropo.studies.engine.study import Study, Table
+from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
-from dropo.studies.tiboni_2021.hopper_fits import fitted, item
+from dropo.studies.tiboni_2021.hopper_fits import fitted, item, variant_item
 from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, MASSES, MEAN, SPREAD, THESIS, Size
 
 PANELS = (("6.2", 0), ("6.3", 1), ("6.3", 2), ("6.3", 3))
@@ -26,7 +29,13 @@ Fits = dict[tuple[str, str, str], dict[str, Any]]
 COLORS = {"clean": "tab:orange", "noisy": "tab:red"}
 
 
-def figure_6_2(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
+def figure_6_2(
+    work: Work,
+    seeds: int | None = None,
+    *,
+    variants: Sequence[Variant] = (),
+    size: Size = FULL,
+) -> Study:
     """Fitted distributions of the masses that vary, beside the true ones (figure 6.2).
 
     Parameters
@@ -35,6 +44,8 @@ def figure_6_2(work: Work, seeds: int | None = None, *, size: Size = FULL) -> St
         Runs the fits.
     seeds : int or None
         None or 1, as the figure shows one data set.
+    variants : sequence of Variant
+        Methods with parts exchanged, in the tables beside the others.
     size : Size
         How large the study is.
 
@@ -53,14 +64,18 @@ def figure_6_2(work: Work, seeds: int | None = None, *, size: Size = FULL) -> St
         (table, kind, method) for table in ("6.2", "6.3") for kind in EPSILON for method in METHODS
     ]
     items = [item(table, kind, 0, size, method=method) for table, kind, method in keys]
+    for table, kind in product(("6.2", "6.3"), EPSILON):
+        keys += [(table, kind, variant.label) for variant in variants]
+        items += [variant_item(table, kind, 0, size, variant) for variant in variants]
     fits = dict(zip(keys, work.map(fitted, items), strict=True))
-    tables = tuple(_panel(table, i, fits) for table, i in PANELS)
+    methods = (*METHODS, *(variant.label for variant in variants))
+    tables = tuple(_panel(table, i, fits, methods) for table, i in PANELS)
     data: dict[str, Any] = {" ".join(key): fit for key, fit in fits.items()}
     title = "Figure 6.2: distributions of the masses that vary, data set 0 of tables 6.2 and 6.3"
     return Study("figure-6.2", title, tables, REMARKS, data, lambda figure: _draw(figure, fits))
 
 
-def _panel(table: str, i: int, rows: Fits) -> Table:
+def _panel(table: str, i: int, rows: Fits, methods: Sequence[str]) -> Table:
     """Means and standard deviations of the i-th mass by method, the thesis' own beneath."""
     sample = rows[table, "clean", "dropo"]
     lines = [
@@ -68,7 +83,7 @@ def _panel(table: str, i: int, rows: Fits) -> Table:
         ("drawn sample", f"{sample['drawn_mean'][i]:.4f}", number(sample["drawn_sd"][i], 3)),
     ]
     for kind in EPSILON:
-        for method in METHODS:
+        for method in methods:
             row = rows[table, kind, method]
             lines.append((f"{method}, {kind}", f"{row['mean'][i]:.4f}", number(row["sd"][i], 3)))
             if (table, kind, method) in THESIS:

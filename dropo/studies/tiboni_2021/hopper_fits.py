@@ -22,6 +22,7 @@ from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.published import hopper_published, hopper_published_noisy, published
+from dropo.studies.engine.variants import Variant
 from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size, data_set, every
 
 AUTHORS = "authors' data"
@@ -48,6 +49,11 @@ def item(table: str, kind: str, seed: int, size: Size, **more: Any) -> Item:
         What else the task takes, such as `method`.
     """
     return {"table": table, "kind": kind, "seed": seed, "size": asdict(size), **more}
+
+
+def variant_item(table: str, kind: str, seed: int, size: Size, variant: Variant) -> Item:
+    """The item of a task that fits by a `variant`; the others are as of `item`."""
+    return item(table, kind, seed, size, method=variant.label, variant=variant.to_json())
 
 
 def problem_of(item: Item) -> tuple[Problem, Array]:
@@ -124,7 +130,8 @@ def fitted(item: Item) -> dict[str, Any]:
     Parameters
     ----------
     item : dict
-        As `item` gives it, with `method` and perhaps `start`, a seed of the fit.
+        As `item` gives it, with `method` and perhaps `start`, a seed of the fit, and `variant`, the
+        method itself.
 
     Returns
     -------
@@ -136,7 +143,11 @@ def fitted(item: Item) -> dict[str, Any]:
     size = Size(**item["size"])
     if item["method"] == "dropo, published":
         problem = every(size.published[2], problem)
-    fit = estimator(item["method"], size).fit(problem, rng=item.get("start", 0))
+    if "variant" in item:
+        made = Variant(**item["variant"]).estimator(problem)
+    else:
+        made = estimator(item["method"], size)
+    fit = made.fit(problem, rng=item.get("start", 0))
     return {
         **found(fit),
         "drawn_mean": drawn.mean(axis=0).tolist(),
@@ -162,6 +173,7 @@ def found(fit: Fit) -> dict[str, Any]:
         "mse": fit.mse,
         "steps": fit.simulator_steps,
         "evaluations": fit.objective_evaluations,
+        "inner": fit.inner_evaluations,
         "seconds": fit.wall_time_s,
         "status": fit.status.value,
         "certified": list(fit.constant_parameters or ()),

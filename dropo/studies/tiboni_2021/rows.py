@@ -1,11 +1,14 @@
 """Tables of the studies: estimates with their z, the thesis' own beneath, errors over data sets."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from dropo.core.services.tables import number
+from dropo.studies.engine.comparison_table import comparison_table
 from dropo.studies.engine.study import Table
+from dropo.studies.engine.variants import Variant
 from dropo.studies.tiboni_2021.hopper_sets import MASSES, PUBLISHED_STEPS, THESIS
 
 Rows = dict[str, dict[str, Any]]
@@ -149,6 +152,30 @@ def costs(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
         )
     header = ("cost of a fit", "steps, median", "most", "fewer, least", "s, median", "most")
     return Table(f"{title}: cost", header, tuple(lines))
+
+
+def comparison_of(
+    title: str, found: dict[str, list[dict[str, Any]]], variants: Sequence[Variant]
+) -> list[Table]:
+    """The variants beside DROPO's default on the same data sets; nothing where there are none.
+
+    Parameters
+    ----------
+    title : str
+        What the data are.
+    found : dict
+        Fits of each data set by method, the variants' by their labels.
+    variants : sequence of Variant
+        Methods with parts exchanged.
+    """
+    if not variants:
+        return []
+    rows = {"dropo": found["dropo"]}
+    comparable = {}
+    for variant in variants:
+        rows[variant.label] = found[variant.label]
+        comparable[variant.label] = variant.shares_likelihood(Variant())
+    return [comparison_table(f"{title}: parts exchanged", rows, comparable)]
 
 
 def likelihoods(title: str, distributions: dict[str, dict[str, float]], draws: int) -> Table:

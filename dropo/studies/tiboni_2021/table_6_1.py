@@ -1,5 +1,6 @@
 """Table 6.1: four masses that do not vary."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,15 +9,33 @@ from scipy.special import ndtr
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.problems.hopper.model import BODIES
+from dropo.studies.engine.comparison_table import note_on_tests
 from dropo.studies.engine.study import Study, Table
+from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.distribution_recovery import reduced
-from dropo.studies.tiboni_2021.hopper_fits import AUTHORS, at_hand, evaluated, fitted, item
+from dropo.studies.tiboni_2021.hopper_fits import (
+    AUTHORS,
+    at_hand,
+    evaluated,
+    fitted,
+    item,
+    variant_item,
+)
 from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, MASSES, MEAN, Size
-from dropo.studies.tiboni_2021.rows import Rows, costs, means, over_data_sets, spreads
+from dropo.studies.tiboni_2021.rows import (
+    Rows,
+    comparison_of,
+    costs,
+    means,
+    over_data_sets,
+    spreads,
+)
 
 FAST = ("dropo", "least squares")
 SLOW = ("droid",)
+EXTRA = ("dropo, learned epsilon", "dropo, all data")
+"""Fits with another noise or other data, whose likelihoods are on other scales."""
 PRINTED = 5e-4  # [kg] half the last digit that the thesis prints
 POINT = [1e-5] * 4  # [kg] the standard deviation of a distribution that is a point
 
@@ -35,7 +54,12 @@ Fits = dict[tuple[str, str, int, str], dict[str, Any]]
 
 
 def table_6_1(
-    work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
+    work: Work,
+    seeds: int | None = None,
+    *,
+    published: bool = False,
+    variants: Sequence[Variant] = (),
+    size: Size = FULL,
 ) -> Study:
     """Four masses that do not vary, from 1000 transitions, without and with noise (table 6.1).
 
@@ -49,6 +73,8 @@ def table_6_1(
         Number of our own data sets; None for that of `size`.
     published : bool
         Whether the method is also run as published.
+    variants : sequence of Variant
+        Methods with parts exchanged, beside the others.
     size : Size
         How large the study is.
 
@@ -58,13 +84,14 @@ def table_6_1(
         Means, spreads, likelihoods, random starts and costs of each data set.
     """
     count = seeds or size.seeds
-    fits = _fits(work, count, published, size)
+    fits = _fits(work, count, published, variants, size)
     sets = sorted({key[:2] for key in fits})
     starts = _from_random_starts(work, sets, size)
     log_likelihoods = _log_likelihoods(work, sets, fits, size)
     tables: list[Table] = []
     data: dict[str, Any] = {}
     remarks = [*NOTES, *([reduced(size)] if published else [])]
+    remarks += [note_on_tests(count)] if variants else []
     for table, kind in sets:
         title = f"{table if table == AUTHORS else 'our data'}, {kind}, epsilon {EPSILON[kind]:.0e}"
         rows: Rows = {}
@@ -86,9 +113,10 @@ def table_6_1(
         }
         if table == "6.1":
             over = {}
-            for method in FAST:
+            for method in (*FAST, *(variant.label for variant in variants)):
                 over[method] = [fits[table, kind, seed, method] for seed in range(count)]
             tables += [over_data_sets(title, over), costs(title, over)]
+            tables += comparison_of(title, over, variants)
             data[title]["data_sets"] = over
         remarks += _remarks(title, rows, own_likelihoods)
     if not any(table == AUTHORS for table, _ in sets):
@@ -102,8 +130,8 @@ def table_6_1(
     )
 
 
-def _fits(work: Work, count: int, published: bool, size: Size) -> Fits:
-    """All methods on the first data sets, the fast ones on the others."""
+def _fits(work: Work, count: int, published: bool, variants: Sequence[Variant], size: Size) -> Fits:
+    """All methods on the first data sets, the fast ones and the variants on the others."""
     methods = (*FAST, *SLOW, *(("dropo, published",) if published else ()))
     keys = []
     for kind in EPSILON:
@@ -111,9 +139,13 @@ def _fits(work: Work, count: int, published: bool, size: Size) -> Fits:
             keys += [("6.1", kind, seed, method) for method in (methods if seed == 0 else FAST)]
     if at_hand():
         keys += [(AUTHORS, kind, 0, method) for kind in EPSILON for method in methods]
-        keys.append((AUTHORS, "noisy", 0, "dropo, learned epsilon"))
-        keys.append((AUTHORS, "noisy", 0, "dropo, all data"))
+        keys += [(AUTHORS, "noisy", 0, method) for method in EXTRA]
     items = [item(table, kind, seed, size, method=method) for table, kind, seed, method in keys]
+    sets = [("6.1", kind, seed) for kind in EPSILON for seed in range(count)]
+    sets += [(AUTHORS, kind, 0) for kind in EPSILON] if at_hand() else []
+    for table, kind, seed in sets:
+        keys += [(table, kind, seed, variant.label) for variant in variants]
+        items += [variant_item(table, kind, seed, size, variant) for variant in variants]
     return dict(zip(keys, work.map(fitted, items), strict=True))
 
 
@@ -137,9 +169,8 @@ def _log_likelihoods(
     items = []
     for table, kind in sets:
         distributions = {}
-        for method in (*FAST, *SLOW, "dropo, published"):
-            if (table, kind, 0, method) in fits:
-                fit = fits[table, kind, 0, method]
+        for (own_table, own_kind, seed, method), fit in fits.items():
+            if (own_table, own_kind, seed) == (table, kind, 0) and method not in EXTRA:
                 distributions[method] = [fit["mean"], fit["sd"]]
         distributions["truth, scale 1e-5"] = [MEAN.tolist(), POINT]
         items.append(item(table, kind, 0, size, distributions=distributions))

@@ -1,13 +1,21 @@
 """Table 6.3: the masses of thigh, leg and foot vary."""
 
+from collections.abc import Sequence
+
 from dropo.studies.engine.study import Study
+from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.distribution_recovery import recovered
 from dropo.studies.tiboni_2021.hopper_sets import FULL, Size
 
 
 def table_6_3(
-    work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
+    work: Work,
+    seeds: int | None = None,
+    *,
+    published: bool = False,
+    variants: Sequence[Variant] = (),
+    size: Size = FULL,
 ) -> Study:
     """The spread of three masses from 1000 transitions, without and with noise (table 6.3).
 
@@ -19,7 +27,9 @@ def table_6_3(
         Number of data sets; None for that of `size`.
     published : bool
         Whether the method is also run as published.
+    variants : sequence of Variant
+        Methods with parts exchanged, beside the others.
     size : Size
         How large the study is.
     """
-    return recovered("table-6.3", "6.3", work, seeds, published, size)
+    return recovered("table-6.3", "6.3", work, seeds, published, size, variants)

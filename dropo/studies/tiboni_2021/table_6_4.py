@@ -1,12 +1,13 @@
 """Table 6.4: the torso is fixed 1 kg too light, and the other three masses are fitted."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.services.registry import find
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.estimators.droid import DROID
@@ -17,8 +18,17 @@ from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.model import hopper_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.engine.study import Study, Table
+from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
-from dropo.studies.tiboni_2021.hopper_fits import AUTHORS, Item, at_hand, found, item, problem_of
+from dropo.studies.tiboni_2021.hopper_fits import (
+    AUTHORS,
+    Item,
+    at_hand,
+    found,
+    item,
+    problem_of,
+    variant_item,
+)
 from dropo.studies.tiboni_2021.hopper_sets import FULL, Size
 
 MISSING = 1.0  # [kg] of the torso
@@ -37,7 +47,13 @@ THESIS = {
 MASSES = ("m2", "m3", "m4")
 
 
-def table_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
+def table_6_4(
+    work: Work,
+    seeds: int | None = None,
+    *,
+    variants: Sequence[Variant] = (),
+    size: Size = FULL,
+) -> Study:
     """A torso fixed 1 kg too light, three masses fitted, beside the thesis' fit (table 6.4).
 
     The data are the authors' clean transitions, if they are at hand, and our own.
@@ -48,6 +64,8 @@ def table_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Stu
         Runs the fits.
     seeds : int or None
         Number of our own data sets; None for one.
+    variants : sequence of Variant
+        Methods with parts exchanged, at the thesis' epsilon where they take one.
     size : Size
         How large the study is.
 
@@ -60,10 +78,14 @@ def table_6_4(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Stu
     sets += [("6.1", seed) for seed in range(seeds or 1)]
     keys = [(table, seed, method) for table, seed in sets for method in METHODS]
     items = [item(table, "clean", seed, size, method=method) for table, seed, method in keys]
+    for table, seed in sets:
+        keys += [(table, seed, variant.label) for variant in variants]
+        items += [variant_item(table, "clean", seed, size, variant) for variant in variants]
     all_fits = dict(zip(keys, work.map(light, items), strict=True))
     fits = {}
     for table, seed in sets:
-        fits[table, seed] = {method: all_fits[table, seed, method] for method in METHODS}
+        methods = (*METHODS, *(variant.label for variant in variants))
+        fits[table, seed] = {method: all_fits[table, seed, method] for method in methods}
     items = []
     for (table, seed), own in fits.items():
         items.append(item(table, "clean", seed, size, distributions=_distributions(own)))
@@ -121,7 +143,7 @@ def light(item: Item) -> dict[str, Any]:
     Parameters
     ----------
     item : dict
-        As `hopper_fits.item` gives it, with `method`, one of `METHODS`.
+        As `hopper_fits.item` gives it, with `method`, one of `METHODS`, or with a `variant`.
 
     Returns
     -------
@@ -131,12 +153,22 @@ def light(item: Item) -> dict[str, Any]:
     problem = light_torso(item)
     method = item["method"]
     size = Size(**item["size"])
+    if "variant" in item:
+        return found(_at_thesis_epsilon(item["variant"]).estimator(problem).fit(problem, rng=0))
     if method == "droid":
         return found(DROID(budget=size.droid).fit(problem, rng=0))
     if method == "least squares":
         return found(LeastSquares(weights="equal").fit(problem, rng=0))
     epsilon: Any = "learn" if "learned" in method else float(method.split()[-1])
     return found(DROPO(epsilon=epsilon).fit(problem, rng=0))
+
+
+def _at_thesis_epsilon(variant: dict[str, Any]) -> Variant:
+    """The variant with the thesis' epsilon, where its method takes one."""
+    settings = dict(variant["settings"])
+    if "epsilon" in [setting.name for setting in fields(find("methods", variant["method"]))]:
+        settings["epsilon"] = EPSILONS[0]
+    return Variant(variant["method"], settings)
 
 
 def likelihoods(item: Item) -> dict[str, Any]:
