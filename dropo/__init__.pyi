@@ -61,6 +61,7 @@ from .simulators.function import (
 )
 from .simulators.gymnasium import GymnasiumSimulator as GymnasiumSimulator
 from .simulators.mujoco.simulator import MujocoSimulator as MujocoSimulator
+from .studies.comparison.compare import compare as compare
 from .training.ars import ARS as ARS
 from .training.environments import randomize as randomize
 from .training.evaluate import evaluate as evaluate
@@ -104,6 +105,7 @@ __all__ = [
     "UniformRandomization",
     "bootstrap",
     "check",
+    "compare",
     "describe",
     "diagnose",
     "estimate_clock",

@@ -14,7 +14,7 @@ from typing import NoReturn
 
 import dropo
 from dropo._version import __version__
-from dropo.cli import data, diagnose, evaluate, fit, recover, report, schema, train, verify
+from dropo.cli import compare, data, diagnose, evaluate, fit, recover, report, schema, train, verify
 from dropo.cli import list as list_
 from dropo.cli.output import close_standard_output, open_standard_streams
 from dropo.core.services.errors import BadArgument, DropoError, InvalidInput
@@ -104,7 +104,19 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="dropo", description=dropo.__doc__, allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"dropo {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (fit, diagnose, verify, train, evaluate, report, recover, data, list_, schema):
+    for command in (
+        fit,
+        diagnose,
+        verify,
+        train,
+        evaluate,
+        report,
+        recover,
+        compare,
+        data,
+        list_,
+        schema,
+    ):
         command.add(commands)
     return parser
 

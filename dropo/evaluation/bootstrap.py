@@ -169,6 +169,29 @@ def resampled(
     )
 
 
+def redrawn(problem: Problem, rng: np.random.Generator) -> Problem:
+    """Make the same problem on as much data of pieces drawn with replacement.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    rng : numpy.random.Generator
+        Draws the pieces, which are those of `bootstrap`.
+
+    Returns
+    -------
+    Problem
+    """
+    return _drawn(problem, _pieces(problem)[0], rng)
+
+
+def _drawn(problem: Problem, pieces: list[Ints], rng: np.random.Generator) -> Problem:
+    """The problem on pieces drawn anew."""
+    data = resampled(problem.trajectories, pieces, len(problem.trajectories), rng)
+    return replace(problem, trajectories=data, everything=None, held_out=None)
+
+
 def _new_groups(group: Ints, piece: Ints) -> Ints:
     """A group in two pieces is two groups: drawn twice, it is another draw of the parameters."""
     pairs = np.stack([piece, group])
@@ -197,8 +220,7 @@ def _replication(
 ) -> tuple[ArrayLike, ArrayLike]:
     """The mean and scale (d,) of a fit on data drawn anew; NaN where it fails."""
     rng = np.random.default_rng(seed)
-    data = resampled(problem.trajectories, pieces, len(problem.trajectories), rng)
-    drawn = replace(problem, trajectories=data, everything=None, held_out=None)
+    drawn = _drawn(problem, pieces, rng)
     try:
         fit = estimator.fit(drawn, rng=rng)
     except DropoError:

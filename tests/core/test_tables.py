@@ -2,7 +2,7 @@
 
 import pytest
 
-from dropo.core.services.tables import estimate
+from dropo.core.services.tables import Table, estimate
 
 
 @pytest.mark.parametrize(
@@ -23,3 +23,21 @@ from dropo.core.services.tables import estimate
 def test_an_estimate_has_the_decimals_of_its_error(value, error, text):
     """Two digits of the standard error decide; without one, seven digits."""
     assert estimate(value, error) == text
+
+
+def test_a_table_for_a_paper() -> None:
+    """LaTeX with its commands escaped, Markdown with its bars, pandas with columns of one title."""
+    table = Table("50 % of_all", ("what", "p", "p"), (("a|b", "1", "2"), ("~{x}", "3", "4")))
+    assert table.to_latex() == (
+        "\\begin{table}\n\\caption{50 \\% of\\_all}\n\\begin{tabular}{lrr}\n\\toprule\n"
+        "what & p & p \\\\\n\\midrule\na|b & 1 & 2 \\\\\n"
+        "\\textasciitilde{}\\{x\\} & 3 & 4 \\\\\n\\bottomrule\n\\end{tabular}\n\\end{table}\n"
+    )
+    assert table.to_markdown() == (
+        "**50 % of_all**\n\n| what | p | p |\n|---|---:|---:|\n"
+        "| a\\|b | 1 | 2 |\n| ~{x} | 3 | 4 |\n"
+    )
+    frame = table.to_pandas()
+    assert list(frame.columns) == ["p", "p"]
+    assert frame.iloc[1].tolist() == ["3", "4"]
+    assert frame.index.tolist() == ["a|b", "~{x}"]

@@ -310,3 +310,29 @@ def test_libraries_are_imported_late():
     command = [sys.executable, "-c", late]
     found = subprocess.run(command, capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+class Outside(Optimizer):
+    """Asks beyond the box, by as much as it is told."""
+
+    beyond = 0.0
+
+    def _ask(self):
+        return np.full((1, self.dimension), 1.0 + self.beyond)
+
+    def _tell(self, points, costs, gradients):
+        pass
+
+    def _stop(self):
+        return None
+
+
+def test_points_outside_the_box_are_refused():
+    """Rounding is taken for the bound; more is the optimizer's mistake, as NaN is."""
+    optimizer = Outside(2, np.random.default_rng(0))
+    optimizer.beyond = 1e-12
+    assert optimizer.ask().tolist() == [[1.0, 1.0]]
+    for beyond, shown in ((0.3, r"\[1.3, 1.3\]"), (np.nan, "nan")):
+        optimizer.beyond = beyond
+        with pytest.raises(BadArgument, match=rf"inside the unit box \[0, 1\]. Got .*{shown}"):
+            optimizer.ask()

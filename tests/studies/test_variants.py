@@ -38,6 +38,7 @@ def test_variants_travel_as_json() -> None:
 def test_a_likelihood_of_its_own_is_on_another_scale() -> None:
     assert Variant("dropo", {"optimizer": "cma-es"}).shares_likelihood(Variant())
     assert not Variant("dropo", {"likelihood": "linear"}).shares_likelihood(Variant())
+    assert Variant("dropo", {"likelihood": "emulated"}).shares_likelihood(Variant())
     assert not Variant("droid").shares_likelihood(Variant())
 
 

@@ -56,7 +56,7 @@ class Shared(Shrinking):
 
     def _ask(self):
         Shared.count += 1
-        return super()._ask() * (0.9 + 0.01 * Shared.count)
+        return np.clip(super()._ask() * (0.9 + 0.01 * Shared.count), 0.0, 1.0)
 
 
 class ForgetsTheBest(Shrinking):

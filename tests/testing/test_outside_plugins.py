@@ -90,9 +90,8 @@ class RandomSearch(Optimizer):
     def _ask(self):
         self.asked += 1
         width = self.step / math.sqrt(1 + self.asked / (10 * self.dimension))
-        return self.best[0] + width * self.rng.standard_normal(
-            (8, self.dimension)
-        ) * self.rng.random((8, 1))
+        steps = self.rng.standard_normal((8, self.dimension)) * self.rng.random((8, 1))
+        return np.clip(self.best[0] + width * steps, 0.0, 1.0)
 
     def _tell(self, points, costs, gradients):
         pass

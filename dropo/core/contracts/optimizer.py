@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 
 from dropo.core.services.validation import Array, check_shape, float_array, require
 
+ROUNDING = 1e-9
+"""How far outside the box a point may lie."""
+
 
 class Optimizer(ABC):
     """Minimises a cost over the unit box [0, 1]^m.
@@ -82,11 +85,17 @@ class Optimizer(ABC):
         Raises
         ------
         BadArgument
-            If the optimizer has stopped, or its points have another dimension.
+            If the optimizer has stopped, or its points have another dimension or lie outside the
+            box by more than rounding.
         """
+        caller = type(self).__name__
         points = np.atleast_2d(self._ask())
-        check_shape("points", points, (None, self.dimension), type(self).__name__)
-        return np.clip(points, 0.0, 1.0)
+        check_shape("points", points, (None, self.dimension), caller)
+        inside = np.clip(points, 0.0, 1.0)
+        outside = ~(np.abs(points - inside) <= ROUNDING)
+        rule = "inside the unit box [0, 1]"
+        require(not outside.any(), "points", rule, points[outside][:3].tolist(), f"{caller}.ask")
+        return inside
 
     def tell(self, points: ArrayLike, costs: ArrayLike, gradients: ArrayLike | None = None) -> None:
         """Tell the costs of the points that `ask` gave.
@@ -130,7 +139,7 @@ class Optimizer(ABC):
 
     @abstractmethod
     def _ask(self) -> Array:
-        """Points (P, m), or one point (m,), to evaluate next; `ask` clips them to the box."""
+        """Points (P, m), or one point (m,), of the unit box to evaluate next."""
 
     @abstractmethod
     def _tell(self, points: Array, costs: Array, gradients: Array | None) -> None:

@@ -3,8 +3,15 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import numpy as np
+
+LATEX = str.maketrans(
+    {character: f"\\{character}" for character in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+)
+"""Characters that LaTeX reads as commands, and how they are written."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +36,61 @@ class Table:
         text = text_table(list(self.header), [list(row) for row in self.rows])
         return f"{self.title}\n{text}" if self.title else text
 
+    def to_latex(self) -> str:
+        """Write a LaTeX tabular with booktabs' rules, and the title as its caption."""
+        columns = "l" + "r" * (len(self.header) - 1)
+        lines = [_latex_row(self.header), r"\midrule", *map(_latex_row, self.rows)]
+        body = "\n".join([r"\toprule", *lines, r"\bottomrule"])
+        tabular = f"\\begin{{tabular}}{{{columns}}}\n{body}\n\\end{{tabular}}"
+        caption = f"\\caption{{{_latex(self.title)}}}\n" if self.title else ""
+        return f"\\begin{{table}}\n{caption}{tabular}\n\\end{{table}}\n"
+
+    def to_markdown(self) -> str:
+        """Write a Markdown table, the title above it."""
+        rule = "|".join(["---", *["---:"] * (len(self.header) - 1)])
+        lines = [_markdown_row(self.header), f"|{rule}|", *map(_markdown_row, self.rows)]
+        table = "\n".join(lines) + "\n"
+        return f"**{self.title}**\n\n{table}" if self.title else table
+
+    def to_pandas(self) -> Any:
+        """Make a pandas.DataFrame of the cells as they are printed; needs the extra `tables`.
+
+        Raises
+        ------
+        MissingPackage
+            If pandas is not installed.
+        """
+        from dropo.core.services.data_frames import frame
+
+        # By their places, since columns may share a title.
+        rows = [{str(place): cell for place, cell in enumerate(row)} for row in self.rows]
+        cells = frame(rows, "0")
+        if self.rows:
+            cells.columns = list(self.header[1:])
+            cells.index.name = self.header[0]
+        return cells
+
     def _repr_html_(self) -> str:
         caption = f"<caption>{escape(self.title)}</caption>" if self.title else ""
         head = f"<thead>{_html_row('th', self.header)}</thead>"
         rows = "".join(_html_row("td", row) for row in self.rows)
         return f"<table>{caption}{head}<tbody>{rows}</tbody></table>"
+
+
+def _latex_row(cells: tuple[str, ...]) -> str:
+    """A row of a tabular."""
+    return f"{' & '.join(map(_latex, cells))} \\\\"
+
+
+def _latex(text: str) -> str:
+    """Text with the characters escaped that LaTeX reads as commands."""
+    return text.translate(LATEX)
+
+
+def _markdown_row(cells: tuple[str, ...]) -> str:
+    """A row of a Markdown table."""
+    escaped = [cell.replace("|", r"\|") for cell in cells]
+    return f"| {' | '.join(escaped)} |"
 
 
 def _html_row(tag: str, cells: tuple[str, ...]) -> str:

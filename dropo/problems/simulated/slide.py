@@ -3,6 +3,7 @@
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.services.validation import Array
 from dropo.simulators.toy import SlidingBlock, simulate
 
 MEAN = np.array([1.5, 0.8])  # [kg], [N s/m]
@@ -21,11 +22,29 @@ def slide(threads: int = 0) -> Problem:
     threads : int
         Not used; every problem takes it.
     """
-    values_rng, forces_rng, noise_rng = np.random.default_rng(50).spawn(3)
+    return slide_data(50)[0]
+
+
+def slide_data(seed: int) -> tuple[Problem, Array]:
+    """The pushes of a seed.
+
+    Parameters
+    ----------
+    seed : int
+        Of parameters, forces and noise.
+
+    Returns
+    -------
+    problem : Problem
+        As `slide`.
+    values : (50, 2) array
+        The parameters of each push.
+    """
+    values_rng, forces_rng, noise_rng = np.random.default_rng(seed).spawn(3)
     simulator = SlidingBlock()
     values = MEAN + SD * values_rng.standard_normal((PUSHES, 2))
     # Each push is four forces, held for five control steps each.
     actions = np.repeat(forces_rng.normal(0.0, 3.0, (PUSHES, 4, 1)), 5, axis=1)
     data = simulate(simulator, values, actions, np.zeros(2), noise_variance=NOISE, rng=noise_rng)
     truth = dict(zip(simulator.space.names, MEAN.tolist(), strict=True))
-    return Problem("slide", simulator, data, epsilon=NOISE, truth=truth)
+    return Problem("slide", simulator, data, epsilon=NOISE, truth=truth), values

@@ -19,7 +19,7 @@ HEADER = (
     "inner",
     "s",
     "error [se]",
-    "p",
+    "p of it",
     "RMS z",
     "log-lik. to the first",
     "p",

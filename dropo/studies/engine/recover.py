@@ -119,10 +119,7 @@ def run_study(
         raise Incompatible(f"The study {name!r} {LACKS[option]}. Leave {options_of} out.")
     if out is None:
         return study(Work(executor, threads=threads, progress=progress), seeds, **options)
-    folder = Path(out)
-    is_free = folder.is_dir() or not folder.exists()
-    require(is_free, "out", "a folder", str(folder), "recover")
-    work = Work(executor, threads=threads, progress=progress, path=_journal(folder, name))
+    work = Work(executor, threads=threads, progress=progress, path=journal_of(out, name))
     return study(work, seeds, **options)
 
 
@@ -145,9 +142,25 @@ def keep_study(study: Study, out: str | Path | None) -> None:
         return
     folder = Path(out)
     write(study, folder)
-    _journal(folder, study.name).unlink(missing_ok=True)
+    journal_of(folder, study.name).unlink(missing_ok=True)
 
 
-def _journal(folder: Path, name: str) -> Path:
-    """Where the answers of finished tasks are kept until the study is written."""
+def journal_of(out: str | Path, name: str) -> Path:
+    """Where the answers of finished tasks are kept until the study is written.
+
+    Parameters
+    ----------
+    out : str or Path
+        The study's folder.
+    name : str
+        Its name.
+
+    Raises
+    ------
+    BadArgument
+        If `out` is a file.
+    """
+    folder = Path(out)
+    is_free = folder.is_dir() or not folder.exists()
+    require(is_free, "out", "a folder", str(folder), "recover")
     return folder / f".{name}.jsonl"

@@ -60,8 +60,12 @@ class Variant:
 
     def shares_likelihood(self, other: "Variant") -> bool:
         """Tell whether log-likelihoods of both are on one scale: the same method and likelihood."""
-        own = (self.method, self.settings.get("likelihood"))
-        return own == (other.method, other.settings.get("likelihood"))
+        return self._scale() == other._scale()
+
+    def _scale(self) -> tuple[str, Any]:
+        """The method, and the name of its likelihood, if it has one."""
+        own = getattr(find("methods", self.method), "likelihood", None)
+        return self.method, self.settings.get("likelihood", own)
 
     def to_json(self) -> dict[str, Any]:
         """The variant as the item of a task holds it; `Variant(**item)` reads it."""

@@ -1,0 +1,116 @@
+"""`dropo compare`: parts side by side on the same data sets, all costs counted, with tests."""
+
+import argparse
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from dropo.cli.folder import run_folder
+from dropo.cli.output import (
+    NOTHING,
+    Progress,
+    computing_options,
+    printing_options,
+    show_and_save,
+    whole,
+)
+from dropo.cli.recover import named_variants, part_options
+
+PROBLEMS = ("slide", "hopper-noisy")
+"""What is fitted where no problem is named."""
+DATA_SETS = 5
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser `commands`."""
+    parser = commands.add_parser(
+        "compare",
+        help="parts side by side on the same data",
+        description=__doc__,
+        allow_abbrev=False,
+    )
+    parser.set_defaults(run=run)
+    part_options(parser)
+    parser.add_argument(
+        "--problem",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME",
+        help=(
+            "built-in problems, table-6.2, table-6.3 (and -noisy), or problem files;"
+            f" {' and '.join(PROBLEMS)} by default"
+        ),
+    )
+    parser.add_argument(
+        "--seeds",
+        type=whole(1),
+        default=DATA_SETS,
+        metavar="N",
+        help=f"data sets of each problem; {DATA_SETS} by default",
+    )
+    parser.add_argument(
+        "--transitions",
+        type=whole(1),
+        metavar="N",
+        help="use the first N transitions of each data set",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write comparison.md, .json and .svg here; the same command resumes",
+    )
+    computing_options(parser, seed=NOTHING)
+    printing_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compare, save and print.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If a name does not exist or nothing is named; nothing is written then.
+    DropoError
+        If it was interrupted.
+    """
+    from dropo.core.services.errors import DropoError
+    from dropo.studies.comparison.compare import run_comparison
+    from dropo.studies.engine.recover import keep_study
+    from dropo.studies.engine.variants import Variant
+
+    variants = [Variant(), *named_variants(arguments)]
+    progress = Progress(silent=arguments.quiet)
+    try:
+        with run_folder(arguments.out):
+            study = run_comparison(
+                variants,
+                arguments.problem or PROBLEMS,
+                arguments.seeds,
+                transitions=arguments.transitions,
+                out=arguments.out,
+                threads=arguments.threads,
+                progress=progress,
+            )
+            show_and_save(
+                arguments, study, study.to_json(), partial(keep_study, study, arguments.out)
+            )
+    except KeyboardInterrupt:
+        kept = "Interrupted: with --out, a comparison can be resumed."
+        if arguments.out:
+            kept = "Interrupted: the same command goes on from here."
+        raise DropoError(kept) from None
+    finally:
+        progress.close()
+    return 0
