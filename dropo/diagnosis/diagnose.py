@@ -3,6 +3,7 @@
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
 from dropo.diagnosis.far_off.start import start_of, wiring_warnings
-from dropo.diagnosis.findings.causes import causes, suspects
+from dropo.diagnosis.findings.causes import causes, leaders, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import figure_data
 from dropo.diagnosis.findings.horizons import (
@@ -31,6 +32,7 @@ from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.replay import replay
+from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.parts import Cause
 from dropo.diagnosis.regression.quick import QuickSettings
@@ -314,6 +316,7 @@ class Diagnose:
             selection.settings,
             known=setup.errors(),
             named=None if setup.explained is None else setup.explained.certain,
+            again=partial(stability, selection, partial(self._train, data)),
         )
         if far_off and not found:
             # Motions do not bear out what regression finds.
@@ -347,6 +350,7 @@ class Diagnose:
             verdict=verdict,
             causes=found,
             suspects=suspects(selection, last, setup.count),
+            leaders=leaders(selection, last, setup.count),
             baseline=HeldOut(per_step(first), tuple(fitted)),
             extended=HeldOut(per_step(last), tuple(with_causes)),
             remaining=rest,
@@ -367,6 +371,10 @@ class Diagnose:
             warnings=(*data.warnings, *setup.warnings, *beyond),
             simulator_steps=steps,
         )
+
+    def _train(self, problem: Problem, length: int) -> Windows:
+        """Windows to fit of so many control steps."""
+        return split(problem, length, self._windows(problem))[0]
 
     def _can_diagnose(self, problem: Problem, length: int) -> bool:
         """Whether the data hold enough windows."""

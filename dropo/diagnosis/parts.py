@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
+
 from dropo.core.records.fit_parts import number_or_nan, number_or_null
-from dropo.core.services.tables import number
+from dropo.core.services.tables import number, steps_text
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,57 @@ class Alternative:
 
 
 @dataclass(frozen=True)
+class Stability:
+    """In which parts of the data the same cause is named.
+
+    Attributes
+    ----------
+    windows : mapping of int to bool
+        By the length of windows [control steps].
+    halves : tuple of bool
+        In the first half of the windows alone, and in the second.
+    """
+
+    windows: Mapping[int, bool]
+    halves: tuple[bool, bool]
+
+    @property
+    def named(self) -> int:
+        """In how many of these."""
+        return sum(self.windows.values()) + sum(self.halves)
+
+    @property
+    def of(self) -> int:
+        """How many there are."""
+        return len(self.windows) + len(self.halves)
+
+    def doubt(self) -> str | None:
+        """Where it is not named, in words; None where it is named everywhere."""
+        lengths = [steps_text(steps) for steps, named in self.windows.items() if not named]
+        parts = [f"windows of {', '.join(lengths)}"] if lengths else []
+        names = ("first", "second")
+        halves = [name for name, named in zip(names, self.halves, strict=True) if not named]
+        parts += [f"the {half} half of the data" for half in halves]
+        return " and ".join(parts) or None
+
+    def to_json(self) -> dict[str, Any]:
+        """As diagnosis.json has it."""
+        return {
+            "named": self.named,
+            "of": self.of,
+            "windows": {str(steps): named for steps, named in self.windows.items()},
+            "halves": list(self.halves),
+        }
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """What `to_json` gave."""
+        windows = {int(steps): named for steps, named in saved["windows"].items()}
+        first, second = saved["halves"]
+        return cls(windows, (first, second))
+
+
+@dataclass(frozen=True)
 class Cause:
     """An effect that the windows held out confirm.
 
@@ -122,6 +175,8 @@ class Cause:
         What the data cannot tell from it.
     acts_like : str or None
         The variable with which its size differs, where it is no true cause.
+    stability : Stability or None
+        Where else it is named; None where that was not tried, as where whole motions were fitted.
     """
 
     effect: str
@@ -135,6 +190,7 @@ class Cause:
     rmse_after: float
     confused_with: tuple[Alternative, ...] = ()
     acts_like: str | None = None
+    stability: Stability | None = None
 
     @property
     def place(self) -> str:
@@ -161,12 +217,14 @@ class Cause:
             "rmse_after": self.rmse_after,
             "confused_with": [other.to_json() for other in self.confused_with],
             "acts_like": self.acts_like,
+            "stability": None if self.stability is None else self.stability.to_json(),
         }
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
         """What `to_json` gave."""
         estimate = {name: Estimate.from_json(found) for name, found in saved["estimate"].items()}
+        stability = saved.get("stability")
         return cls(
             effect=saved["effect"],
             target=saved["target"],
@@ -179,6 +237,7 @@ class Cause:
             rmse_after=saved["rmse_after"],
             confused_with=tuple(map(Alternative.from_json, saved["confused_with"])),
             acts_like=saved.get("acts_like"),
+            stability=None if stability is None else Stability.from_json(stability),
         )
 
 
@@ -216,6 +275,62 @@ class Suspect:
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
         """What `to_json` gave."""
         return cls(**saved)
+
+
+@dataclass(frozen=True)
+class Leader:
+    """An effect that gained most on the data held out, and was not confirmed.
+
+    Attributes
+    ----------
+    effect, variant : str
+        Which one.
+    target : str or None
+        Where it would act; None where it is global.
+    gain, gain_se : float
+        On all windows held out, and its standard error [nats].
+    times : float
+        How many times as much data would confirm it, if it goes on gaining like this; infinite or
+        NaN where no amount would.
+    """
+
+    effect: str
+    target: str | None
+    variant: str
+    gain: float
+    gain_se: float
+    times: float
+
+    @property
+    def sentence(self) -> str:
+        """What was not confirmed, and what to record."""
+        place = effect_in_words(self.effect, self.target, self.variant)
+        gain = f"{number(self.gain, 3)} +- {number(self.gain_se, 2)} nats on data held out"
+        record = "record other motion"
+        if np.isfinite(self.times):
+            record = f"record {number(max(2.0, self.times), 2)} times as much to be sure"
+        return f"not confirmed: {place}, {gain}; {record}"
+
+    def to_json(self) -> dict[str, Any]:
+        """As diagnosis.json has it."""
+        return {
+            **vars(self),
+            "gain_se": number_or_null(self.gain_se),
+            "times": number_or_null(self.times),
+            "record": self.sentence.rpartition("; ")[2],
+        }
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """What `to_json` gave."""
+        return cls(
+            effect=saved["effect"],
+            target=saved["target"],
+            variant=saved["variant"],
+            gain=saved["gain"],
+            gain_se=number_or_nan(saved["gain_se"]),
+            times=number_or_nan(saved["times"]),
+        )
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from dropo.data.outliers.outlier_runs import OutlierRun
 from dropo.diagnosis.findings.disturbances import LeftOut
 from dropo.diagnosis.findings.horizons import Horizon
 from dropo.diagnosis.findings.replay import Replay
-from dropo.diagnosis.parts import Cause, Remaining, Suspect
+from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect
 
 VERDICTS = {
     "consistent": "The simulation explains the data: nothing is missing that they could show.",
@@ -66,6 +66,8 @@ class Diagnosis(Report):
         In the order in which they were found.
     suspects : tuple of Suspect
         Effects that seemed to help and were not confirmed.
+    leaders : tuple of Leader
+        Those of them that would gain enough if the data were sure of it.
     baseline, extended : HeldOut
         The model as it is, its declared parameters fitted, and with the causes.
     remaining : Remaining
@@ -112,6 +114,7 @@ class Diagnosis(Report):
     problem: Problem
     noise: Mapping[str, float]
     window_steps: int
+    leaders: tuple[Leader, ...] = ()
     nominal: tuple[Horizon, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     undetermined: tuple[str, ...] = ()
@@ -129,6 +132,26 @@ class Diagnosis(Report):
     def gain(self) -> float:
         """What the causes gain on data held out [nats per transition]."""
         return self.extended.log_likelihood - self.baseline.log_likelihood
+
+    def alternatives(self) -> list[dict[str, Any]]:
+        """The sets of causes that the data cannot tell from the one named.
+
+        Returns
+        -------
+        list of dict
+            causes: the effect, target and variant of each member; why: the reason. Each set has one
+            cause exchanged.
+        """
+        sets = []
+        for i, cause in enumerate(self.causes):
+            for other in cause.confused_with:
+                members = [other if i == j else kept for j, kept in enumerate(self.causes)]
+                places = [
+                    {"effect": one.effect, "target": one.target, "variant": one.variant}
+                    for one in members
+                ]
+                sets.append({"causes": places, "why": other.why})
+        return sets
 
     def headline(self) -> str:
         """The finding in a few sentences."""
@@ -219,6 +242,8 @@ class Diagnosis(Report):
             "problem": self.name,
             "causes": [cause.to_json(i + 1) for i, cause in enumerate(self.causes)],
             "suspects": [suspect.to_json() for suspect in self.suspects],
+            "leaders": [leader.to_json() for leader in self.leaders],
+            "alternatives": self.alternatives(),
             "baseline": self.baseline.to_json(),
             "extended": self.extended.to_json(),
             "remaining": self.remaining.to_json(),
@@ -264,6 +289,7 @@ class Diagnosis(Report):
             lines += self.disturbances.lines()
         lines += [f"  {text}" for text in self.undetermined]
         lines += [f"  suspect: {suspect.label}" for suspect in self.suspects]
+        lines += [f"  {leader.sentence}" for leader in self.leaders]
         return [*lines, *(f"warning: {text}" for text in self.warnings)]
 
 
@@ -283,6 +309,9 @@ def _cause_sentences(cause: Cause) -> list[str]:
         sentences = [f"Acts like: {cause.sentence}. Its size differs with {cause.acts_like}."]
     else:
         sentences = [f"Cause: {cause.sentence}."]
+    doubt = None if cause.stability is None else cause.stability.doubt()
+    if doubt is not None:
+        sentences.append(f"Other effects promise more in {doubt}.")
     if cause.confused_with:
         others = ", ".join(dict.fromkeys(other.place for other in cause.confused_with))
         sentences.append(f"These data cannot tell it from {others}.")

@@ -9,7 +9,7 @@ import numpy as np
 from dropo import plots
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit_choices import ExcludedSpan
-from dropo.diagnosis.parts import Alternative, Cause, Suspect, effect_in_words
+from dropo.diagnosis.parts import Alternative, Cause, Leader, Suspect, effect_in_words
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
 from dropo.report.folder import Result
@@ -372,6 +372,8 @@ def _remaining(content: dict[str, Any], found: FigureData | None) -> Section:
     suspects = [Suspect.from_json(saved) for saved in content["suspects"]]
     remarks = [f"It shows in {where}." for where in content["remaining"]["where"]]
     remarks += [f"{words(one.label)} looked likely and was not confirmed." for one in suspects]
+    leaders = [Leader.from_json(saved) for saved in content["leaders"]]
+    remarks += [f"{leader.sentence}." for leader in leaders]
     remarks += [_outlier_run(run) for run in content.get("odd_runs", [])]
     excluded = (content.get("disturbances") or {}).get("spans", [])
     remarks += [_excluded_span(ExcludedSpan.from_json(span)) for span in excluded]

@@ -232,6 +232,15 @@ class SavedAlternative(Saved):
     to_tell: str | None = None
 
 
+class SavedStability(Saved):
+    """Where else a cause is named."""
+
+    named: Count
+    of: Count
+    windows: dict[str, bool]
+    halves: Annotated[list[bool], Field(min_length=2, max_length=2)]
+
+
 class SavedCause(Saved):
     """An effect that held-out data confirm."""
 
@@ -246,6 +255,7 @@ class SavedCause(Saved):
     rmse_after: float
     confused_with: list[SavedAlternative]
     acts_like: str | None = None
+    stability: SavedStability | None = None
 
 
 class SavedSuspect(Saved):
@@ -255,6 +265,33 @@ class SavedSuspect(Saved):
     target: str | None
     p_value: float
     held_out_gain: float
+
+
+class SavedLeader(Saved):
+    """An effect that would gain enough if the data were sure of it."""
+
+    effect: str
+    target: str | None
+    variant: str
+    gain: float
+    gain_se: Known
+    times: Known
+    record: str
+
+
+class SavedPlaceOfCause(Saved):
+    """An effect and where it acts."""
+
+    effect: str
+    target: str | None
+    variant: str
+
+
+class SavedSet(Saved):
+    """Causes that the data cannot tell from those that are named."""
+
+    causes: list[SavedPlaceOfCause]
+    why: str
 
 
 class SavedError(Saved):
@@ -338,6 +375,8 @@ class SavedFinding(Saved):
     problem: str
     causes: list[SavedCause]
     suspects: list[SavedSuspect]
+    leaders: list[SavedLeader]
+    alternatives: list[SavedSet]
     warnings: Texts
     version: str
     simulator_steps: Count

@@ -2,7 +2,7 @@
 distinguished from.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from dropo.core.numerics.robust_covariance import sandwich
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.experiment import experiment
-from dropo.diagnosis.parts import Alternative, Cause, Estimate, Suspect
+from dropo.diagnosis.parts import Alternative, Cause, Estimate, Leader, Stability, Suspect
 from dropo.diagnosis.search.invariance import invariance, standing_out
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
@@ -60,6 +60,7 @@ def causes(
     *,
     known: Array | None = None,
     named: Collection[str] | None = None,
+    again: Callable[[EffectInstance, Review, Collection[Alternative]], Stability | None],
 ) -> tuple[Cause, ...]:
     """Summarize each accepted effect, in the order in which they were found.
 
@@ -84,6 +85,8 @@ def causes(
         Standard errors of all numbers, where they were found elsewhere.
     named : collection of str, optional
         The labels of the effects that are causes; all if None.
+    again : callable
+        Tries a cause on other windows, as `stability` does.
 
     Returns
     -------
@@ -105,6 +108,7 @@ def causes(
         steps = last.test.windows.steps
         regimes = invariance(library, last.test, instance)
         others = ambiguity(last, instance, own, selection)
+        alternatives = _alternatives(library, last, instance, own, others, settings)
         cause = Cause(
             effect=instance.effect,
             target=instance.target,
@@ -115,8 +119,9 @@ def causes(
             held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
             rmse_before=before,
             rmse_after=after,
-            confused_with=_alternatives(library, last, instance, own, others, settings),
+            confused_with=alternatives,
             acts_like=_shape(last, instance) if regimes.constant else regimes.variable,
+            stability=again(instance, own, alternatives),
         )
         found.append(cause)
     return tuple(found)
@@ -300,3 +305,48 @@ def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ..
         )
         found.append(suspect)
     return tuple(found)
+
+
+def leaders(selection: Selection, last: State, effects: int, most: int = 3) -> tuple[Leader, ...]:
+    """Return the effects that would gain enough, and of which the data held out are not sure.
+
+    Parameters
+    ----------
+    selection : Selection
+        The search.
+    last : State
+        Where it ended.
+    effects : int
+        How many were looked for.
+    most : int
+        How many are returned at most.
+
+    Returns
+    -------
+    tuple of Leader
+        Of the batches that the last model began; the one with the largest gain first.
+    """
+    settings = selection.settings
+    needed = settings.needed_gain(effects)
+    accepted = {instance.label for instance in last.accepted}
+    found = []
+    for batch in selection.rounds:
+        if {instance.label for instance in batch.before.accepted} != accepted:
+            continue
+        for trial in batch.trials:
+            instance = trial.candidate.instance
+            if not (trial.held_out > needed and trial.trained > settings.fitted_gain):
+                continue
+            error = trial.held_out / trial.z if trial.z > 0 else float("inf")
+            found.append(
+                Leader(
+                    effect=instance.effect,
+                    target=instance.target,
+                    variant=instance.variant,
+                    gain=trial.held_out,
+                    gain_se=error,
+                    times=float((settings.window_z * error / trial.held_out) ** 2),
+                )
+            )
+    by_label = {(leader.effect, leader.target, leader.variant): leader for leader in found}
+    return tuple(sorted(by_label.values(), key=lambda leader: -leader.gain)[:most])

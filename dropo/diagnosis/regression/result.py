@@ -166,6 +166,8 @@ class QuickDiagnosis(Report):
             "causes": [cause.to_json(i + 1) for i, cause in enumerate(self.causes)],
             "faults": [asdict(fault) for fault in self.faults],
             "suspects": [],
+            "leaders": [],
+            "alternatives": [],
             "forces": [asdict(joint) for joint in self.forces],
             "extended_problem": "extended/problem.yaml",
             "warnings": list(self.warnings),

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
     Library,
@@ -142,6 +143,37 @@ class Screening:
             instances = [candidate.instance for candidate in ranked[: settings.finalists]]
         probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
         return self._score_all(linearized, free, probed, {})
+
+    def by_part(
+        self,
+        linearized: LinearizedWindows,
+        free: np.ndarray,
+        instances: Sequence[EffectInstance],
+        parts: Sequence[Ints],
+    ) -> list[list[Candidate]]:
+        """Order effects by what they promise on parts of the windows; each is simulated once.
+
+        Parameters
+        ----------
+        linearized, free, instances
+            As of a call; all instances are screened on all windows.
+        parts : sequence of int array
+            The windows of each part.
+
+        Returns
+        -------
+        list of list of Candidate
+            For each part, the one that promises most first.
+        """
+        probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
+        responses: Responses = {}
+        for _ in self._responses(linearized, probed, responses):
+            pass
+        found = []
+        for part in parts:
+            own = {key: changes[:, part] for key, changes in responses.items()}
+            found.append(self._score_all(linearized.take(part), free, probed, own))
+        return found
 
     def _score_all(
         self,
