@@ -25,6 +25,9 @@ _EFFECTS = (
     "joint_load_friction",
     "joint_cogging",
     "joint_limit",
+    "tendon_damping",
+    "tendon_friction",
+    "tendon_armature",
     "actuator_gain",
     "actuator_bias",
     "actuator_delay",
@@ -42,6 +45,7 @@ _EFFECTS = (
     "sensor_bias",
     "sensor_gain",
     "sensor_delay",
+    "sensor_polling",
     "gear_lash",
     "parameter_drift",
 )

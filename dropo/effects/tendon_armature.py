@@ -1,0 +1,16 @@
+"""Rotor inertia along a tendon."""
+
+from collections.abc import Iterator
+
+from dropo.core.contracts.effect import EffectContext, EffectInstance
+from dropo.effects.support.model_field import FieldEntry, ModelField
+from dropo.mjmodel.tendons import tendons
+
+FIELD = ModelField("tendon_armature", "tendon_armature", "armature")
+
+
+def tendon_armature(context: EffectContext) -> Iterator[EffectInstance]:
+    """The inertia of what drives a tendon, which coupled joints share."""
+    for tendon in tendons(context.model):
+        entry = FieldEntry(tendon.name, (tendon.id,), 0.1 * tendon.inertia)
+        yield from FIELD.instances(context.model, [entry], tendon.mass, "")
