@@ -20,6 +20,7 @@ KINDS = (
     "studies",
     "effects",
     "readers",
+    "exports",
 )
 
 

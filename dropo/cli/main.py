@@ -14,7 +14,19 @@ from typing import NoReturn
 
 import dropo
 from dropo._version import __version__
-from dropo.cli import compare, data, diagnose, evaluate, fit, recover, report, schema, train, verify
+from dropo.cli import (
+    compare,
+    data,
+    diagnose,
+    evaluate,
+    export,
+    fit,
+    recover,
+    report,
+    schema,
+    train,
+    verify,
+)
 from dropo.cli import list as list_
 from dropo.cli.output import close_standard_output, open_standard_streams
 from dropo.core.services.errors import BadArgument, DropoError, InvalidInput
@@ -108,6 +120,7 @@ def _parser() -> argparse.ArgumentParser:
         fit,
         diagnose,
         verify,
+        export,
         train,
         evaluate,
         report,

@@ -13,7 +13,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from dropo._version import __version__
@@ -24,6 +23,7 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.atomic_write import write_json
 from dropo.core.services.plugin_files import plugin_sums
+from dropo.mjmodel.loading import model_sum
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
@@ -150,13 +150,6 @@ def data_sum(trajectories: Trajectories) -> str:
             digest.update(f"{field.name} {array.shape} {array.dtype}".encode())
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
-
-
-def model_sum(model: mujoco.MjModel) -> str:
-    """Compute the SHA-256 of the compiled `model`, as MuJoCo writes it."""
-    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return hashlib.sha256(buffer.tobytes()).hexdigest()
 
 
 def plain(value: Any) -> Any:

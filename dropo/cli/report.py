@@ -74,8 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _simulator(result: "Result") -> "RobotSimulator":
     """The problem's simulator, if its model is still that of the run."""
-    from dropo.cli.record import model_sum
     from dropo.core.services.errors import Incompatible
+    from dropo.mjmodel.loading import model_sum
     from dropo.mjmodel.robot_simulator import RobotSimulator
     from dropo.problems.loading import load
 

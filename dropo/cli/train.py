@@ -200,11 +200,11 @@ def _distribution(arguments: argparse.Namespace, target: Any) -> "ParameterDistr
 
 def _refuse_other_model(folder: Path, target: Any) -> None:
     """Refuse a fit of another model: it says little about this one."""
-    from dropo.cli.record import model_sum
     from dropo.core.contracts.problem import Problem
     from dropo.core.records.saved_schema import SavedRun
     from dropo.core.services.errors import Incompatible
     from dropo.core.services.file_schema import read_saved
+    from dropo.mjmodel.loading import model_sum
     from dropo.mjmodel.robot_simulator import RobotSimulator
 
     if not isinstance(target, Problem) or not isinstance(target.simulator, RobotSimulator):

@@ -38,6 +38,8 @@ MOVES_FRAMES = ("body_ipos", "body_iquat")
 """Fields that mj_setConst refuses unless the body was compiled with simple="false"."""
 
 
+OPTION = "opt."
+"""What the names of numbers in mjOption begin with, where they stand beside those of MjModel."""
 NEVER_NEGATIVE = (
     "body_mass",
     "body_inertia",
@@ -146,6 +148,35 @@ class Binding:
         else:
             setattr(model.opt, self.parameter.field, float(new))
 
+    def entries(self, model: mujoco.MjModel) -> list[tuple[str, tuple[int, ...], float]]:
+        """List the numbers that it sets: field, place, and the number where the parameter is 1.
+
+        Parameters
+        ----------
+        model : MjModel
+            A copy of the model.
+
+        Returns
+        -------
+        list of (str, tuple of int, float)
+            Names of entries of mjOption begin with "opt."; the place of a single number is empty.
+        """
+        if self._servo:
+            share = float(self._nominal) if self.parameter.relative else 1.0
+            return [(name, place, sign * share) for name, place, sign in self._servo]
+        numbers = self._array(model)
+        prefix = OPTION if self._in_option else ""
+        name = f"{prefix}{self.parameter.field}"
+        chosen = np.zeros(np.shape(numbers), dtype=bool)
+        chosen[self._places] = True
+        found: list[tuple[str, tuple[int, ...], float]] = []
+        nominal = np.zeros(np.shape(numbers))
+        nominal[self._places] = self._nominal
+        for place in np.argwhere(chosen):
+            at = tuple(map(int, place))
+            found.append((name, at, float(nominal[at]) if self.parameter.relative else 1.0))
+        return found
+
     def _array(self, model: mujoco.MjModel) -> Any:
         """The whole field in a copy of the model."""
         return getattr(model.opt if self._in_option else model, self.parameter.field)
@@ -185,6 +216,38 @@ def _servo_places(
     if is_velocity:
         places.append(("actuator_gainprm", (i, 0), 1.0))
     return places
+
+
+def owner_of(model: mujoco.MjModel, field: str, row: int) -> tuple[str, str] | None:
+    """Name the element to which a row of a field belongs.
+
+    Parameters
+    ----------
+    model : MjModel
+        The model.
+    field : str
+        An MjModel array.
+    row : int
+        Its row.
+
+    Returns
+    -------
+    (str, str) or None
+        Its kind and the name that the MJCF gives it; None for fields without elements, and for
+        elements without a name of their own.
+    """
+    prefix = field.split("_")[0]
+    kind = PREFIXES.get(prefix) if "_" in field else None
+    if kind is None:
+        return None
+    i = int(model.dof_jntid[row]) if prefix == "dof" else row
+    name = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), i)
+    return (kind, name) if name else None
+
+
+def first_row(model: mujoco.MjModel, field: str, row: int) -> int:
+    """Find the first row of the element to which a `row` of a `field` of a `model` belongs."""
+    return int(model.jnt_dofadr[model.dof_jntid[row]]) if field.startswith("dof_") else row
 
 
 def _is_float(value: Any) -> bool:

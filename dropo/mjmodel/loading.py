@@ -1,11 +1,13 @@
 """Models from files, specifications or compiled ones, ready to be simulated."""
 
 import copy
+import hashlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.core.services.validation import require
@@ -108,6 +110,13 @@ def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.
         if folder:
             setattr(spec.compiler, name, str((Path(model).parent / folder).resolve()))
     return spec
+
+
+def model_sum(model: mujoco.MjModel) -> str:
+    """Compute the SHA-256 of the compiled `model`, as MuJoCo writes it."""
+    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return hashlib.sha256(buffer.tobytes()).hexdigest()
 
 
 def _compile(model: str | Path | mujoco.MjSpec, fields: Sequence[str]) -> mujoco.MjModel:

@@ -58,15 +58,16 @@ def load(
     if is_file(problem):
         from dropo.problems.file.reader import read_problem
 
-        return read_problem(
+        read = read_problem(
             Path(problem), threads=threads, checked=checked, input=input, trusted=trusted
         )
+        return replace(read, source=str(Path(problem).resolve()))
     make = find("problems", known("problem", str(problem), names("problems")))
     chosen = {} if input is None else {"input": known("input", input, inputs_of(problem))}
     found = cast(Problem, make(threads=threads, **chosen))
     if checked:
         _require_sound_data(found, str(problem))
-    return found
+    return replace(found, source=str(problem))
 
 
 def load_states(problem: str | Path, *, threads: int = 0) -> Problem:

@@ -199,6 +199,7 @@ class Estimator(ABC):
             failed_simulations=run.failures,
             objective_evaluations=run.evaluations,
             inner_evaluations=run.inner_evaluations,
+            source=problem.source,
         )
 
     @abstractmethod

@@ -62,6 +62,8 @@ class Problem:
         the standard deviation of their errors.
     settings : mapping of str to object
         Settings of a fit where its caller gives none, for example {"draws": 20}.
+    source : str
+        What `dropo.load` took: a built-in name or the path of a file; empty where it took none.
 
     Raises
     ------
@@ -91,6 +93,7 @@ class Problem:
     warnings: tuple[str, ...] = ()
     estimated: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
+    source: str = ""
 
     def __post_init__(self) -> None:
         for name in self.truth or ():

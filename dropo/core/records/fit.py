@@ -108,6 +108,9 @@ class Fit(Report):
         The horizons that were tried.
     excluded : ExcludedSpans or None
         Spans of time that were left out.
+    source : str
+        What `dropo.load` took to make the problem; empty where it took none. The files of a fit do
+        not keep it, but made.json of `dropo fit --out` beside them does.
     arrays, details : dict
         What outside methods found beside: arrays of fit.npz, and entries of fit.json.
     """
@@ -153,6 +156,7 @@ class Fit(Report):
     noise_tuning: NoiseTuning | None = None
     horizon_choice: HorizonChoice | None = None
     excluded: ExcludedSpans | None = None
+    source: str = ""
     arrays: dict[str, Array] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -199,6 +203,26 @@ class Fit(Report):
             Its observations carry the noise that the fit learned.
         """
         return service("randomize")(target, self, count, **options)
+
+    def export(self, target: str, out: str | Path | None = None, *, problem: Any = None) -> Any:
+        """Write the fit in the form of another tool.
+
+        Parameters
+        ----------
+        target : str
+            A name that `dropo list exports` prints: "mujoco", "mjx", "mjlab", "isaac-lab", ...
+        out : str or Path, optional
+            The folder to write into, or the path of the main file; by default a folder named like
+            the target.
+        problem : Problem, str or Path, optional
+            What was fitted; by default `source`.
+
+        Returns
+        -------
+        dropo.exports.export.Exported
+            The files, and in sentences what the target cannot hold or holds otherwise.
+        """
+        return service("export")(self, target, out, problem=problem)
 
     def interval(self, level: float = 0.95) -> Array:
         """Confidence intervals of the means, cut at the search interval.

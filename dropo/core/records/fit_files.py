@@ -56,6 +56,8 @@ COLUMNS = ("mean", "scale", "sd", "mean_se", "scale_se")
 ARRAYS: Mapping[str, str] = {"phi": "finite m", "correlation": "finite d d", "epsilon": "finite p"}
 """The arrays of every fit, with their kinds and axes."""
 WRITTEN = "a fit written by `dropo fit --out`"
+MADE = "made.json"
+"""How the run was made that left the fit, and of which problem."""
 
 
 def content_of(fit: Fit) -> dict[str, Any]:
@@ -139,7 +141,20 @@ def load_fit(folder: Path) -> Fit:
     arrays = read_npz(folder / "fit.npz", "the arrays of a fit")
     require_shapes(folder / "fit.npz", arrays, ARRAYS)
     with refusing_faults(path, WRITTEN):
-        return _fit_from(content, arrays)
+        return replace(_fit_from(content, arrays), source=_source_of(folder))
+
+
+def _source_of(folder: Path) -> str:
+    """The problem of the run that left a fit: a file by its path, or a built-in name."""
+    from dropo.core.records.saved_schema import SavedMade
+    from dropo.core.services.file_schema import read_saved
+
+    path = folder / MADE
+    if not path.is_file():
+        return ""
+    named = str(read_saved(path, SavedMade, "how a run of dropo was made")["problem"])
+    place = (folder / named).resolve()
+    return str(place) if place.is_file() else named
 
 
 def _rows_of(fit: Fit) -> dict[str, dict[str, Any]]:

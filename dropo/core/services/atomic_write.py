@@ -78,6 +78,20 @@ def write_text(path: str | Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write bytes.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write or to replace.
+    content : bytes
+        Its whole content.
+    """
+    with atomic_write(path) as part:
+        part.write_bytes(content)
+
+
 def write_json(path: str | Path, content: Any) -> None:
     """Write JSON as every result of the package has it: indented by one space, without NaN.
 

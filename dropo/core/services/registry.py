@@ -162,8 +162,19 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "pushing": "dropo.studies.tiboni_2021.pushing:pushing_study",
         "related-methods": "dropo.studies.related_methods.study:related_methods",
     },
+    "exports": {
+        "mujoco": "dropo.exports.plain:mujoco_python",
+        "mjx": "dropo.exports.mjx:mjx",
+        "playground": "dropo.exports.mjx:mjx",
+        "mjlab": "dropo.exports.mjlab:mjlab",
+        "isaac-lab": "dropo.exports.isaac_lab:isaac_lab",
+        "bam": "dropo.exports.bam:bam",
+    },
 }
-SERVICES = {"randomize": "dropo.training.environments:randomize"}
+SERVICES = {
+    "randomize": "dropo.training.environments:randomize",
+    "export": "dropo.exports.export:export",
+}
 """Functions of rooms above that a lower room calls; such strings are here alone."""
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}
 

@@ -71,7 +71,7 @@ class SourceText:
             return repr(value)
         if isinstance(value, np.ndarray):
             self.imports.add("import numpy as np")
-            return f"np.array({value.tolist()!r})"
+            return f"np.array({self.expression(value.tolist())})"
         if isinstance(value, tuple):
             inside = ", ".join(map(self.expression, value))
             return f"({inside},)" if len(value) == 1 else f"({inside})"

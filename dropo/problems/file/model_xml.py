@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.problems.file.model_assets import with_absolute_assets
@@ -16,15 +16,20 @@ SLACK = 1e-5
 """Fraction of an inertia that is lost where it is written with six digits."""
 
 
-def format_model(simulator: MujocoSimulator, values: Array | None = None) -> str:
+def format_model(
+    simulator: MujocoSimulator, values: Array | None = None, active: ActiveEffects | None = None
+) -> str:
     """Write the model of a simulator as MJCF.
 
     Parameters
     ----------
     simulator : MujocoSimulator
-        Its fixed effects are written in, where they are numbers of the model.
+        The model.
     values : (d,) array, optional
-        Its declared parameters, which are written in too; by default the model's own numbers.
+        Its declared parameters, which are written in; by default the model's own numbers.
+    active : sequence of (EffectInstance, (q,) array), optional
+        Effects, which are written in where they are numbers of the model; by default the
+        simulator's fixed ones.
 
     Returns
     -------
@@ -41,7 +46,8 @@ def format_model(simulator: MujocoSimulator, values: Array | None = None) -> str
     text = with_absolute_assets(source.to_xml(), Path(source.modelfiledir).absolute())
     spec = mujoco.MjSpec.from_string(text)
     spec.compile()
-    in_model = [pair for pair in simulator.fixed if is_in_model(pair[0])]
+    every = simulator.fixed if active is None else active
+    in_model = [pair for pair in every if is_in_model(pair[0])]
     model = simulator.model_of(simulator.nominal if values is None else values, in_model)
     _write_bodies(spec, model)
     _write_joints(spec, model)

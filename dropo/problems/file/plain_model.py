@@ -19,8 +19,9 @@ from dropo.core.services.atomic_write import write_npz, write_text
 from dropo.core.services.errors import BadFile
 from dropo.core.services.source_text import SourceText
 from dropo.core.services.validation import Array
+from dropo.mjmodel.fields import OPTION
 from dropo.problems.file.writer import write_problem
-from dropo.simulators.mujoco.plain_robot import OPTION, Robot, write_numbers
+from dropo.simulators.mujoco.plain_robot import Robot, write_numbers
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 HOOKS = (

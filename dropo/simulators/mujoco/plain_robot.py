@@ -11,6 +11,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import ActiveEffects
 from dropo.core.services.validation import Array
+from dropo.mjmodel.fields import OPTION
 from dropo.simulators.mujoco.layers import change_commands
 from dropo.simulators.mujoco.worker import (
     acts_after_clamp,
@@ -18,9 +19,6 @@ from dropo.simulators.mujoco.worker import (
     react,
     reacting_effects,
 )
-
-OPTION = "opt."
-"""What the names of numbers in mjOption begin with."""
 
 
 class Robot:

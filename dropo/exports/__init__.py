@@ -1,0 +1,1 @@
+"""Fits and extended models in the form of other tools, one file a target."""

@@ -1,0 +1,222 @@
+"""The target `mujoco`: MJCF at the means, and draws around them for plain MuJoCo."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from dropo._version import __version__
+from dropo.core.services.source_text import SourceText
+from dropo.core.services.validation import Array
+from dropo.exports.subject import (
+    NO_SPREAD,
+    Subject,
+    Written,
+    array_of,
+    changed_by,
+    remarks_of,
+)
+from dropo.problems.file.plain_model import SENSOR, changed_numbers, format_plain_model
+from dropo.simulators.mujoco.plain_robot import write_numbers
+
+HEADER = '''"""Parameters drawn from what was fitted, for plain MuJoCo.
+
+    import mujoco, numpy as np
+    import randomize                              # this file
+    model = randomize.load()                      # model.xml and model.npz beside it, at the means
+    rng = np.random.default_rng()
+    drawn = randomize.randomize(model, rng)       # at the start of every episode
+
+`randomize` sets the numbers of the model anew, and the constants that MuJoCo derives from them. The
+spread holds what was fitted and what is not known of the means. model.py has the robot with what
+is no number of a model, such as delays: Robot(model, FRAME_SKIP, EFFECTS) takes a model as drawn.
+Written by dropo {version} from {name!r}.
+{remarks}"""
+
+'''
+FUNCTIONS = '''LAW = %s
+RECIPE = %s
+
+
+def load():
+    """The model at the means."""
+    folder = Path(__file__).parent
+    model = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    with np.load(folder / "model.npz") as numbers:
+        write_numbers(model, numbers)
+    return model
+
+
+def randomize(model, rng):
+    """Draw parameters with a numpy Generator, set them in the model, and return them by name."""
+    values = LAW.sample(1, rng)[0]
+    RECIPE.write(model, values)
+    return dict(zip(LAW.names, values.tolist()))
+'''
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """How parameters (d,) are set in a model.
+
+    Attributes
+    ----------
+    base : tuple of (field, place, number)
+        Numbers that changes add to, as they are without these.
+    follows : tuple of (field, place, column, factor)
+        Numbers of parameters, before the derived constants are computed.
+    keeps : tuple of (field, place, number, column, factor)
+        Numbers of parameters of which the derived constants are those of another number.
+    declared : tuple of (function, columns, sizes)
+        What changes the parameters themselves: its sizes, or the columns that hold them.
+    changes : tuple of (function, columns, sizes)
+        What changes the model, in the same form.
+    count : int
+        How many of the parameters are numbers of the model.
+    """
+
+    base: tuple[Any, ...]
+    follows: tuple[Any, ...]
+    keeps: tuple[Any, ...]
+    declared: tuple[Any, ...]
+    changes: tuple[Any, ...]
+    count: int
+
+    def write(self, model: mujoco.MjModel, values: Array) -> None:
+        """Set parameters (d,), and the constants that MuJoCo derives."""
+        own = values[: self.count]
+        for function, columns, sizes in self.declared:
+            own = function(own, values[list(columns)] if columns else sizes)
+        for field, place, number in self.base:
+            set_number(model, field, place, number)
+        for field, place, number, _, _ in self.keeps:
+            set_number(model, field, place, number)
+        for field, place, column, factor in self.follows:
+            set_number(model, field, place, factor * own[column])
+        for function, columns, sizes in self.changes:
+            magnitudes = values[list(columns)] if columns else sizes
+            if np.any(magnitudes):
+                function(model, magnitudes)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        for field, place, _, column, factor in self.keeps:
+            set_number(model, field, place, factor * own[column])
+
+
+def set_number(model: mujoco.MjModel, field: str, place: tuple[int, ...], number: float) -> None:
+    """Set a number of a model, or of its options where the field begins with opt."""
+    owner = model.opt if field.startswith("opt.") else model
+    name = field.removeprefix("opt.")
+    if isinstance(getattr(owner, name), np.ndarray):
+        getattr(owner, name)[tuple(place)] = number
+    else:
+        setattr(owner, name, float(number))
+
+
+def mujoco_python(subject: Subject) -> Written:
+    """Plain MJCF at the means, with a Python file that draws parameters and sets them in the model.
+
+    The robot with all effects beside the model, such as delays, is in model.py.
+    """
+    simulator = subject.simulator
+    plain = mujoco.MjModel.from_xml_string(subject.xml)
+    files: dict[str, str | bytes] = {}
+    left_out = []
+    if subject.law is not None:
+        left_out += _constant(subject)
+        files["randomize.py"] = _randomizing(subject, left_out)
+    else:
+        left_out.append(NO_SPREAD)
+    files["model.py"] = format_plain_model(simulator, subject.active)
+    files["model.npz"] = _npz(changed_numbers(plain, subject.model))
+    for instance, _ in subject.active:
+        if any(getattr(instance, name) is not None for name in SENSOR):
+            left_out.append(f"{instance.label} is left out: it acts on what sensors say alone.")
+    return Written(files, tuple(left_out), subject.approximated, subject.xml)
+
+
+def _npz(arrays: dict[str, Array]) -> bytes:
+    """The content of an .npz file."""
+    buffer = io.BytesIO()
+    named: dict[str, Any] = dict(arrays)
+    np.savez(buffer, **named)
+    return buffer.getvalue()
+
+
+def _constant(subject: Subject) -> list[str]:
+    """The parameters of effects beside the model, which model.py has at their means."""
+    return [
+        f"The spread of {name} is left out: {instance.label} is no number of a model, and model.py "
+        "has it at its mean."
+        for instance, _ in subject.around
+        for name in [one.name for one in instance.parameters]
+        if subject.law is not None and name in subject.law.names and instance.model is None
+    ]
+
+
+def recipe_of(subject: Subject) -> Recipe:
+    """Find how the parameters of a subject are set in a plain model.
+
+    Parameters
+    ----------
+    subject : Subject
+        With its simulator.
+
+    Returns
+    -------
+    Recipe
+    """
+    simulator = subject.simulator
+    count = len(simulator.bindings)
+    follows: list[Any] = []
+    keeps: list[Any] = []
+    for column, binding in enumerate(simulator.bindings):
+        for field, place, factor in binding.entries(simulator.model):
+            if binding.parameter.derived:
+                follows.append((field, place, column, factor))
+            else:
+                number = factor * binding.nominal()
+                keeps.append((field, place, number, column, factor))
+    changes = _hooks(subject, "model")
+    bare = simulator.model_of(subject.values, [])
+    changed = changed_by(subject.active, bare)
+    taken = {(field, place) for field, place, _, _ in follows}
+    base = []
+    for field, numbers in changed_numbers(changed, bare).items():
+        for at in np.argwhere(numbers != array_of(changed, field)):
+            place = tuple(map(int, at))
+            if (field, place) not in taken:
+                base.append((field, place, float(numbers[place])))
+    declared = _hooks(subject, "declared")
+    return Recipe(tuple(base), tuple(follows), tuple(keeps), declared, changes, count)
+
+
+def _hooks(subject: Subject, name: str) -> tuple[Any, ...]:
+    """The hooks of one name, each with the columns of its magnitudes, or with these themselves."""
+    names = subject.simulator.space.names
+    found = []
+    for instance, sizes in subject.active:
+        hook = getattr(instance, name)
+        if hook is not None:
+            own = [one.name for one in instance.parameters]
+            free = instance in subject.simulator.effects
+            columns = tuple(names.index(one) for one in own) if free else ()
+            found.append((hook, columns, np.array(sizes)))
+    return tuple(found)
+
+
+def _randomizing(subject: Subject, left_out: Sequence[str]) -> str:
+    """The text of randomize.py."""
+    recipe = recipe_of(subject)
+    functions = [change[0] for change in (*recipe.declared, *recipe.changes)]
+    modules = {getattr(one, "func", one).__module__ for one in functions}
+    source = SourceText(modules)
+    source.imports |= {"from pathlib import Path", "import mujoco", "import numpy as np"}
+    law = source.expression(subject.law)
+    written = source.expression(recipe)
+    source.expression(write_numbers)
+    remarks = remarks_of(left_out, subject.approximated)
+    header = HEADER.format(version=__version__, name=subject.name, remarks=remarks)
+    return header + "\n\n\n".join([source.text(), FUNCTIONS % (law, written)])

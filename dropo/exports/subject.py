@@ -1,0 +1,393 @@
+"""What is exported: a robot at its fitted means, and how its parameters vary."""
+
+import copy
+import math
+import re
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Fit
+from dropo.core.services.errors import DropoError, Incompatible
+from dropo.core.services.tables import number
+from dropo.core.services.validation import Array
+from dropo.exports.law import Law, law_of
+from dropo.mjmodel.drives import Drive
+from dropo.mjmodel.fields import OPTION, Binding, first_row, owner_of
+from dropo.mjmodel.names import actuator_names
+from dropo.problems.file.model_xml import format_model, is_in_model
+from dropo.problems.file.plain_model import active_effects, changed_numbers
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+
+LINEAR = 1e-9
+"""Fraction of a number's change by which half a step may be off half of its change."""
+LABEL = re.compile(r'(?<=\s)input="\w+" ?')
+"""An attribute of actuators that MuJoCo 3 refuses."""
+WIDTH = 98
+"""Characters of a line in the header of a file."""
+STEP = 1e-3
+"""The least step at which the model is probed, as a fraction of a search interval."""
+
+
+class CannotHold(DropoError):
+    """A parameter for which a target has no place; the message says why."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of the model that follows one drawn parameter in proportion.
+
+    Attributes
+    ----------
+    parameter : str
+        The parameter's name.
+    field : str
+        An MjModel array, or an entry of mjOption with "opt." before it.
+    place : tuple of int
+        Where in the array.
+    owner : (str, str) or None
+        Kind and name of the element; None where it has none.
+    row : tuple of int
+        Where within the element's numbers; `place` where it has no name.
+    mean : float
+        The number at the means.
+    slope : float
+        How much it changes with the parameter.
+    """
+
+    parameter: str
+    field: str
+    place: tuple[int, ...]
+    owner: tuple[str, str] | None
+    row: tuple[int, ...]
+    mean: float
+    slope: float
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a target makes of a subject.
+
+    Attributes
+    ----------
+    files : dict of str to (str or bytes)
+        The content of each file by its name, the main one first.
+    left_out, approximated : tuple of str
+        What the target cannot hold, and what it holds otherwise, a sentence each.
+    model : str
+        The MJCF that belongs beside the files as model.xml, with meshes and textures; empty for
+        none.
+    """
+
+    files: dict[str, str | bytes]
+    left_out: tuple[str, ...] = ()
+    approximated: tuple[str, ...] = ()
+    model: str = ""
+
+
+Target = Callable[["Subject"], Written]
+"""A plug-in of kind "exports"."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A robot at its fitted means, and how its parameters vary.
+
+    Attributes
+    ----------
+    name : str
+        The problem's.
+    simulator : MujocoSimulator
+        The model, its d declared parameters and its effects.
+    values : (d,) array
+        The means, in the order of the simulator's space.
+    law : Law or None
+        The distribution of the parameters; None where none was fitted.
+    approximated : tuple of str
+        What of the distribution is not as in the fit, a sentence each.
+    """
+
+    name: str
+    simulator: MujocoSimulator
+    values: Array
+    law: Law | None
+    approximated: tuple[str, ...] = ()
+
+    @cached_property
+    def active(self) -> ActiveEffects:
+        """The effects at their means."""
+        return active_effects(self.simulator, self.values)
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The model at the means, with the effects that are numbers of it."""
+        return self.simulator.model_of(self.values, self.active)
+
+    @property
+    def around(self) -> list[tuple[EffectInstance, Array]]:
+        """The effects that are no numbers of the model."""
+        return [pair for pair in self.active if not is_in_model(pair[0])]
+
+    @cached_property
+    def xml(self) -> str:
+        """The model at the means as MJCF, with absolute paths of meshes and textures."""
+        return format_model(self.simulator, self.values, self.active)
+
+    @property
+    def older_xml(self) -> str:
+        """The same for tools with MuJoCo 3, where `input` of an actuator is a label alone."""
+        text = LABEL.sub("", self.xml)
+        models = (mujoco.MjModel.from_xml_string(one) for one in (self.xml, text))
+        return text if set(changed_numbers(*models)) <= {"actuator_ctrlspec"} else self.xml
+
+    @cached_property
+    def actuators(self) -> list[str]:
+        """The names of the actuators, in the model's order."""
+        return actuator_names(self.model)
+
+    def binding(self, name: str) -> Binding | None:
+        """Find the declared parameter of that `name`; None where it is a magnitude of an effect."""
+        found = [one for one in self.simulator.bindings if one.parameter.name == name]
+        return found[0] if found else None
+
+    def sd(self, name: str) -> float:
+        """How much a parameter varies, what is not known of its mean included."""
+        return float(self._moments[1][self._law.names.index(name)])
+
+    def mean(self, name: str) -> float:
+        """The mean of a parameter."""
+        return float(self._moments[0][self._law.names.index(name)])
+
+    @cached_property
+    def _law(self) -> Law:
+        """The distribution, of no parameter where none was fitted."""
+        none = np.zeros(0)
+        empty = Law((), "normal", False, none, np.zeros((0, 0)), none, none, none)
+        return self.law or empty
+
+    @cached_property
+    def _moments(self) -> tuple[Array, Array]:
+        """Means and standard deviations (d,) of the distribution, before it is cut at bounds."""
+        law = self._law
+        variance = {"uniform": 1 / 3, "truncated normal": CUT_VARIANCE}.get(law.kind, 1.0)
+        spread = variance * (law.factor**2).sum(axis=1)
+        mean = law.centre
+        if law.logarithmic:
+            mean = np.exp(law.centre + spread / 2)
+            spread = mean**2 * np.expm1(spread)
+        return mean, np.sqrt(spread + law.error**2)
+
+    @cached_property
+    def probed(self) -> tuple[list[Number], list[str]]:
+        """The numbers that follow drawn parameters in proportion, and the parameters of others."""
+        found: list[Number] = []
+        others: list[str] = []
+        for name in self._law.names:
+            numbers = self._probe(name)
+            if numbers:
+                found += numbers
+            else:
+                others.append(name)
+        return found, others
+
+    def _probe(self, name: str) -> list[Number]:
+        """The numbers that follow one parameter; none where they do so otherwise."""
+        column = self.simulator.space.names.index(name)
+        parameter = self.simulator.space[column]
+        step = max(self.sd(name), STEP * parameter.width)
+        ends = np.clip(self.values[column] + np.array([-step, step]), *_bounds(parameter))
+        low, half, high = (self._numbers_at(column, x) for x in (ends[0], ends.mean(), ends[1]))
+        found = []
+        for key in self._fields(column):
+            change = high[key] - low[key]
+            off = np.abs(half[key] - (low[key] + high[key]) / 2)
+            if np.any(off > LINEAR * np.maximum(np.abs(change), np.abs(high[key]))):
+                return []
+            for at in np.argwhere(change != 0):
+                place = tuple(map(int, at))
+                owner = None
+                row = place
+                if place and not key.startswith(OPTION):
+                    owner = owner_of(self.model, key, place[0])
+                if owner is not None:
+                    row = (place[0] - first_row(self.model, key, place[0]), *place[1:])
+                slope = float(change[place] / (ends[1] - ends[0]))
+                mean = float(array_of(self.model, key)[place])
+                found.append(Number(name, key, place, owner, row, mean, slope))
+        return found
+
+    def _fields(self, column: int) -> list[str]:
+        """The fields that a parameter sets, without constants that MuJoCo derives."""
+        bindings = self.simulator.bindings
+        if column < len(bindings):
+            entries = bindings[column].entries(self.simulator.model)
+            return list(dict.fromkeys(name for name, _, _ in entries))
+        name = self.simulator.space.names[column]
+        own = [
+            pair
+            for pair in self.active
+            if name in [one.name for one in pair[0].parameters] and is_in_model(pair[0])
+        ]
+        return list(changed_numbers(self.model, changed_by(own, self.model)))
+
+    def _numbers_at(self, column: int, value: float) -> dict[str, Array]:
+        """The fields that a parameter sets where it has another value."""
+        values = np.array(self.values)
+        values[column] = value
+        model = self.simulator.model_of(values, active_effects(self.simulator, values))
+        return {key: np.array(array_of(model, key), dtype=float) for key in self._fields(column)}
+
+
+CUT_VARIANCE = 1 - 4 * math.exp(-2) / math.sqrt(2 * math.pi) / math.erf(math.sqrt(2))
+"""Variance of a standard normal distribution cut at two standard deviations."""
+
+
+def _bounds(parameter: Any) -> tuple[float, float]:
+    """What is physically possible."""
+    return parameter.lower, parameter.upper
+
+
+def array_of(model: mujoco.MjModel, key: str) -> Any:
+    """Read a field of a `model` by its name `key`, an entry of mjOption with "opt." before it."""
+    owner = model.opt if key.startswith(OPTION) else model
+    return np.asarray(getattr(owner, key.removeprefix(OPTION)))
+
+
+def changed_by(pairs: ActiveEffects, model: mujoco.MjModel) -> mujoco.MjModel:
+    """Change a copy of a `model` by the effects of `pairs`; derived constants stay as they are.
+
+    A magnitude of 0 is taken a little larger, so that all numbers that can change do.
+    """
+    changed = copy.copy(model)
+    for instance, sizes in pairs:
+        if instance.model is not None:
+            instance.model(changed, np.where(sizes == 0, STEP, sizes))
+    return changed
+
+
+NO_SPREAD = (
+    "Draws are left out: a diagnosis has no distribution. Fit extended/problem.yaml, and export "
+    "that fit."
+)
+"""What targets say of an extended model."""
+
+
+def remarks_of(left_out: Sequence[str], approximated: Sequence[str]) -> str:
+    """Write sentences as the last lines of a file's header."""
+    paragraphs = (textwrap.fill(sentence, WIDTH) for sentence in (*left_out, *approximated))
+    return "".join(f"\n{paragraph}\n" for paragraph in paragraphs)
+
+
+def describe(instance: EffectInstance, sizes: Array) -> str:
+    """Write an effect with its sizes, such as "actuator_delay:elbow (delay 0.01 s)"."""
+    pairs = zip(instance.quantities, np.asarray(sizes).tolist(), strict=True)
+    shares = [f"{q.name} {number(x, 4)} {q.unit}".removesuffix(" 1") for q, x in pairs]
+    return f"{instance.label} ({', '.join(shares)})"
+
+
+def effects_left_out(pairs: Sequence[tuple[EffectInstance, Array]], why: str) -> list[str]:
+    """Say of each effect that it is left out, and why."""
+    return [f"{describe(instance, sizes)} is left out: {why}." for instance, sizes in pairs]
+
+
+def delays_of(
+    subject: Subject, drives: Sequence[Drive], approximated: list[str]
+) -> tuple[dict[str, int], list[tuple[EffectInstance, Array]]]:
+    """Find the delays of drives, for tools that delay commands by whole physics steps.
+
+    Parameters
+    ----------
+    subject : Subject
+        With its effects.
+    drives : sequence of Drive
+        Of its model.
+    approximated : list of str
+        To which a sentence is added for every delay.
+
+    Returns
+    -------
+    delays : dict of str to int
+        Physics steps, by joint.
+    others : list of (EffectInstance, (q,) array)
+        The effects beside the model that are no such delays.
+    """
+    delays: dict[str, int] = {}
+    others = []
+    step = float(subject.model.opt.timestep)
+    for instance, sizes in subject.around:
+        if instance.effect != "actuator_delay":
+            others.append((instance, sizes))
+            continue
+        steps = round(float(sizes[0]) / step)
+        for drive in drives:
+            if drive.actuator is None:
+                continue
+            if instance.target in (None, subject.actuators[drive.actuator]):
+                delays[drive.joint] = delays.get(drive.joint, 0) + steps
+        approximated.append(
+            f"{instance.label} is {steps} physics steps of {step:g} s, for {float(sizes[0]):.4g} s."
+        )
+    return delays, others
+
+
+def others_left_out(subject: Subject, names: Sequence[str]) -> list[str]:
+    """Say of parameters whose numbers do not follow in proportion that they keep their means."""
+    return [
+        f"The spread of {name} is left out: it is no number of a model, or several that do not "
+        f"change in proportion; its mean {number(subject.mean(name), 4)} is kept."
+        for name in names
+    ]
+
+
+def subject_of_fit(fit: Fit, problem: Problem) -> Subject:
+    """Put a fit and what was fitted together.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    problem : Problem
+        What was fitted.
+
+    Returns
+    -------
+    Subject
+
+    Raises
+    ------
+    Incompatible
+        If the problem has no MuJoCo model, or other parameters than the fit.
+    """
+    simulator = simulator_of(problem)
+    ours, theirs = fit.space.names, simulator.space.names
+    if ours != theirs:
+        raise Incompatible(
+            f"The fit has the parameters {', '.join(ours)}, and problem {problem.name!r} has "
+            f"{', '.join(theirs) or 'none'}. Name the problem that was fitted."
+        )
+    for parameter in simulator.space:
+        place = fit.model_places.get(parameter.name)
+        if place is not None and place != parameter.place:
+            raise Incompatible(
+                f"The fit's parameter {parameter.name!r} is at another place of a model than that "
+                f"of problem {problem.name!r}. Name the problem that was fitted."
+            )
+    law, approximated = law_of(fit)
+    return Subject(problem.name, simulator, fit.mean, law, approximated)
+
+
+def simulator_of(problem: Problem) -> MujocoSimulator:
+    """Refuse a problem without a MuJoCo model that can be written."""
+    simulator = problem.simulator
+    if not isinstance(simulator, MujocoSimulator):
+        raise Incompatible(
+            f"{type(simulator).__name__} of problem {problem.name!r} has no MuJoCo model to export."
+        )
+    return simulator

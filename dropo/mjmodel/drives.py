@@ -1,0 +1,112 @@
+"""The joints of a model with what drives each, as a proportional-derivative law."""
+
+from dataclasses import dataclass
+
+import mujoco
+
+from dropo.mjmodel.joints import joints
+from dropo.mjmodel.names import driven_joints
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A hinge or slide, with the actuator that drives it alone.
+
+    Attributes
+    ----------
+    joint : str
+        Its name.
+    actuator : int or None
+        The actuator's number; None without one.
+    gear : float
+        Of the actuator, 1 without one.
+    stiffness, damping : float
+        Of the servo, behind the gear, the joint's own viscous friction in the damping.
+    armature, friction, viscous : float
+        Of the joint: rotor inertia, dry and viscous friction.
+    limit : float or None
+        The largest force or torque behind the gear, where there is a limit.
+    """
+
+    joint: str
+    actuator: int | None
+    gear: float
+    stiffness: float
+    damping: float
+    armature: float
+    friction: float
+    viscous: float
+    limit: float | None
+
+
+@dataclass(frozen=True)
+class Servo:
+    """The gains of a position servo, before its gear.
+
+    Attributes
+    ----------
+    kp, kv : float
+        Of position and speed.
+    """
+
+    kp: float
+    kv: float
+
+
+def servo_of(model: mujoco.MjModel, actuator: int) -> Servo | None:
+    """Read the gains of the `actuator` of that number; None where it is no position servo."""
+    kp = float(model.actuator_gainprm[actuator, 0])
+    if kp == 0 or model.actuator_biasprm[actuator, 1] != -kp:
+        return None
+    return Servo(kp, -float(model.actuator_biasprm[actuator, 2]))
+
+
+def drives_of(model: mujoco.MjModel) -> list[Drive]:
+    """List the hinges and slides of a model with what drives each.
+
+    Parameters
+    ----------
+    model : MjModel
+        The model.
+
+    Returns
+    -------
+    list of Drive
+        A joint with several actuators, or one of another law than a motor's or a servo's, is taken
+        as not driven.
+    """
+    driven = driven_joints(model).tolist()
+    found = []
+    for joint in joints(model):
+        i = driven.index(joint.id) if driven.count(joint.id) == 1 else None
+        gear, stiffness, speed, limit = (1.0, 0.0, 0.0, None) if i is None else _law(model, i)
+        viscous = float(model.dof_damping[joint.qvel])
+        found.append(
+            Drive(
+                joint.name,
+                i,
+                gear,
+                stiffness * gear**2,
+                speed * gear**2 + viscous,
+                float(model.dof_armature[joint.qvel]),
+                float(model.dof_frictionloss[joint.qvel]),
+                viscous,
+                limit,
+            )
+        )
+    return found
+
+
+def _law(model: mujoco.MjModel, i: int) -> tuple[float, float, float, float | None]:
+    """Gear, stiffness and damping of an actuator, and its limit behind the gear."""
+    gear = float(model.actuator_gear[i, 0])
+    pull = float(model.actuator_gainprm[i, 0])
+    servo = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
+    stiffness = -float(model.actuator_biasprm[i, 1]) if servo else 0.0
+    speed = -float(model.actuator_biasprm[i, 2]) if servo else 0.0
+    limit = None
+    if model.actuator_forcelimited[i]:
+        limit = abs(gear) * float(abs(model.actuator_forcerange[i]).max())
+    elif not servo and model.actuator_ctrllimited[i]:
+        limit = abs(gear * pull) * float(abs(model.actuator_ctrlrange[i]).max())
+    return gear, stiffness, speed, limit
