@@ -25,6 +25,7 @@ PHRASES = {
     "studies": ("the papers' tables", "#5c4b8a"),
     "training": ("policies under a fit", "#5c4b8a"),
     "report": ("page and video", "#5c4b8a"),
+    "exports": ("for other tools", "#5c4b8a"),
     "testing": ("checks for plug-ins", "#5c4b8a"),
     "plots": ("figures", "#5c4b8a"),
     "diagnosis": ("search for causes", "#1f5f99"),

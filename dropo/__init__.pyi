@@ -41,6 +41,7 @@ from .evaluation.identifiability import identify as identify
 from .evaluation.next_data import rank_next as rank_next
 from .evaluation.predictions import predict as predict
 from .evaluation.profile import profile as profile
+from .exports.export import export as export
 from .logs.importing import import_logs as import_logs
 from .logs.signals.delays import estimate_clock as estimate_clock
 from .logs.signals.delays import estimate_delay as estimate_delay
@@ -113,6 +114,7 @@ __all__ = [
     "estimate_states",
     "estimate_velocities",
     "evaluate",
+    "export",
     "fit",
     "hide",
     "identify",

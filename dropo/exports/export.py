@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dropo._version import __version__
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
-from dropo.core.records.saved_schema import REGRESSION, SavedRun, read_diagnosis
+from dropo.core.records.saved_schema import SavedRun, read_diagnosis
 from dropo.core.services.atomic_write import write_bytes, write_json, write_text
 from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.file_schema import read_saved
@@ -19,6 +17,7 @@ from dropo.core.services.tables import Report, Table
 from dropo.exports.subject import Subject, Written, simulator_of, subject_of_fit
 from dropo.mjmodel.loading import model_sum
 from dropo.problems.file.model_assets import with_assets_beside
+from dropo.problems.file.verification import values_of
 from dropo.problems.loading import load
 
 RECORD = "export.json"
@@ -144,19 +143,11 @@ def _of_diagnosis(folder: Path) -> Subject:
     """The extended model of a diagnosis, at its means."""
     path = folder / "diagnosis.json"
     content = read_diagnosis(path)
-    if content.get("method") == REGRESSION:
-        names: dict[str, float] = {}
-    else:
-        names = content["parameters"]
     if not content.get("extended_problem"):
         raise BadFile(path, "extended_problem", "the path of an extended problem", "none")
     problem = load(folder / str(content["extended_problem"]), checked=False, trusted=False)
     simulator = simulator_of(problem)
-    values = np.array(simulator.nominal, dtype=float)
-    for column, name in enumerate(simulator.space.names):
-        if column >= len(simulator.bindings):
-            values[column] = names.get(name, values[column])
-    return Subject(str(content["problem"]), simulator, values, None)
+    return Subject(str(content["problem"]), simulator, values_of(simulator, content), None)
 
 
 def _write(target: str, subject: Subject, written: Written, place: Path) -> Exported:

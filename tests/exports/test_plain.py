@@ -14,7 +14,6 @@ from tests.exports.conftest import (
     ERRORS,
     MASS,
     MEANS,
-    PARAMETERS,
     SCALES,
     arm_problem,
     beyond,
@@ -129,4 +128,3 @@ def test_it_runs_without_this_package(written):
     assert 0.9 < mass < 1.7
     assert mass != MEANS[0]
     assert moved > 0
-    assert len(PARAMETERS) == len(MEANS)

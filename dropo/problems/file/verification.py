@@ -157,7 +157,7 @@ def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
     simulator = problem.simulator
     if not isinstance(simulator, MujocoSimulator):
         raise BadFile(path, "model", "a MuJoCo model", type(simulator).__name__)
-    rollout = PlainRollout(simulator, _values(simulator, content), path.parent, trusted)
+    rollout = PlainRollout(simulator, values_of(simulator, content), path.parent, trusted)
     part = held_out_part(problem, int(content["window_steps"]))
     errors: list[Verified] = []
     for announced in content["extended"]["horizons"]:
@@ -182,12 +182,25 @@ def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
     return Verification(str(content["problem"]), tuple(errors))
 
 
-def _values(simulator: MujocoSimulator, content: dict[str, Any]) -> Array:
-    """The fitted parameters: model.xml has those of its fields, diagnosis.json those of effects."""
+def values_of(simulator: MujocoSimulator, content: dict[str, Any]) -> Array:
+    """Read the parameters of an extended model.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        Of extended/problem.yaml; model.xml has the declared parameters as fitted.
+    content : dict
+        Of diagnosis.json, which has those of effects.
+
+    Returns
+    -------
+    (d,) array
+    """
     values = np.array(simulator.nominal, dtype=float)
+    fitted = content.get("parameters", {})
     for i, name in enumerate(simulator.space.names):
         if i >= len(simulator.bindings):
-            values[i] = content["parameters"].get(name, values[i])
+            values[i] = fitted.get(name, values[i])
     return values
 
 
