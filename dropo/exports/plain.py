@@ -150,7 +150,7 @@ def _constant(subject: Subject) -> list[str]:
     return [
         f"The spread of {name} is left out: {instance.label} is no number of a model, and model.py "
         "has it at its mean."
-        for instance, _ in subject.around
+        for instance, _ in subject.effects
         for name in [one.name for one in instance.parameters]
         if subject.law is not None and name in subject.law.names and instance.model is None
     ]
@@ -181,7 +181,7 @@ def recipe_of(subject: Subject) -> Recipe:
                 keeps.append((field, place, number, column, factor))
     changes = _hooks(subject, "model")
     bare = simulator.model_of(subject.values, [])
-    changed = changed_by(subject.active, bare)
+    changed = changed_by(subject.effects, bare)
     taken = {(field, place) for field, place, _, _ in follows}
     base = []
     for field, numbers in changed_numbers(changed, bare).items():
@@ -197,7 +197,7 @@ def _hooks(subject: Subject, name: str) -> tuple[Any, ...]:
     """The hooks of one name, each with the columns of its magnitudes, or with these themselves."""
     names = subject.simulator.space.names
     found = []
-    for instance, sizes in subject.active:
+    for instance, sizes in subject.effects:
         hook = getattr(instance, name)
         if hook is not None:
             own = [one.name for one in instance.parameters]

@@ -121,9 +121,19 @@ class Subject:
     approximated: tuple[str, ...] = ()
 
     @cached_property
+    def effects(self) -> ActiveEffects:
+        """All effects at their means, fixed ones first; the sizes of some may be 0."""
+        sizes = iter(self.values[len(self.simulator.bindings) :].tolist())
+        free = [
+            (instance, np.array([next(sizes) for _ in instance.quantities]))
+            for instance in self.simulator.effects
+        ]
+        return [*self.simulator.fixed, *free]
+
+    @cached_property
     def active(self) -> ActiveEffects:
-        """The effects at their means."""
-        return active_effects(self.simulator, self.values)
+        """The effects that are present at the means."""
+        return [pair for pair in self.effects if np.any(pair[1])]
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -232,7 +242,7 @@ class Subject:
         name = self.simulator.space.names[column]
         own = [
             pair
-            for pair in self.active
+            for pair in self.effects
             if name in [one.name for one in pair[0].parameters] and is_in_model(pair[0])
         ]
         return list(changed_numbers(self.model, changed_by(own, self.model)))

@@ -90,10 +90,12 @@ def test_effects_and_kept_constants(tmp_path):
         "fore", 0.1, 2.0, field="body_mass", element="lower", derived=False, relative=True
     )
     free = ("joint_friction:elbow", "payload:lower", "actuator_gain:push", "actuator_lag:servo")
-    fixed = [("body_mass:upper", [0.2]), ("actuator_delay:push", [0.006])]
+    absent = ("actuator_deadband:push", [0.0])
+    fixed = [("body_mass:upper", [0.2]), ("actuator_delay:push", [0.006]), absent]
     problem = arm_problem((MASS, kept), free, fixed)
-    means = np.array([1.3, 1.1, 0.05, 0.3, 0.05, 0.02, -0.1, 0.2, 0.02])
-    fit = known_fit(problem, means, 0.05 * np.abs(means), 0.01 * np.abs(means))
+    means = np.array([1.3, 1.1, 0.0, 0.3, 0.05, 0.02, -0.1, 0.2, 0.02])
+    spreads = np.where(means == 0, 0.05, 0.05 * np.abs(means))
+    fit = known_fit(problem, means, spreads, 0.2 * spreads)
     found = export(fit, "mujoco", tmp_path, problem=problem)
     assert found.left_out == (
         "The spread of actuator_lag:servo/time constant is left out: actuator_lag:servo is no "
@@ -105,11 +107,13 @@ def test_effects_and_kept_constants(tmp_path):
     rng = np.random.default_rng(2)
     for _ in range(3):
         values = np.array(list(made["randomize"](model, rng).values()))
+        assert values[2] >= 0
         whole = simulator.model_of(values, active_effects(simulator, values))
         assert differences(model, whole) == {}
     text = (tmp_path / "model.py").read_text()
     assert "actuator_lag:servo: time constant 0.02 s" in text
     assert "actuator_delay:push: delay 0.006 s" in text
+    assert "actuator_deadband" not in text
 
 
 def test_it_runs_without_this_package(written):
