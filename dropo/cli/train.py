@@ -82,7 +82,10 @@ def add(commands: Any) -> None:
         "--out",
         type=Path,
         metavar="DIR",
-        help="write policy.json here; the same command resumes after any interruption",
+        help=(
+            "write policy.json here; the same command resumes after any interruption, that of a"
+            " network only with --trust"
+        ),
     )
     trusting_option(parser)
     computing_options(parser)
@@ -138,14 +141,14 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
             rng=arguments.seed,
             out=arguments.out,
             progress=progress,
+            trusted=arguments.trust,
             **options,
         )
     except KeyboardInterrupt:
-        kept = (
-            "the same command goes on from here"
-            if arguments.out
-            else "with --out, training can be resumed"
-        )
+        kept = "with --out, training can be resumed"
+        if arguments.out:
+            trusted = arguments.trust or arguments.algorithm == "ars"
+            kept = f"the same command{'' if trusted else ' with --trust'} goes on from here"
         raise DropoError(f"Interrupted: {kept}.") from None
     finally:
         progress.close()

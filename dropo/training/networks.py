@@ -15,9 +15,9 @@ from numpy.random import Generator
 from dropo.core.services.atomic_write import atomic_write, write_json
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.optional_dependencies import need
-from dropo.core.services.saved_files import read_json
+from dropo.core.services.saved_files import read_json, refusing_faults
 from dropo.core.services.validation import Array, require
-from dropo.training.policy import Policy, write, written_limits
+from dropo.training.policy import Policy, refuse_untrusted, write, written_limits
 from dropo.training.setup import Progress, TrainingSetup
 
 MODEL_FILE = "model.zip"
@@ -118,6 +118,23 @@ class NetworkPolicy(Policy):
             mean = np.array(scale["mean"])
             deviation = np.array(scale["deviation"])
         return cls(model, algorithm, mean, deviation, limits, about)
+
+
+def refuse_untrusted_training(folder: Path) -> None:
+    """Refuse to go on with a training whose files may hold code.
+
+    Parameters
+    ----------
+    folder : Path
+        Of a training, begun or not.
+
+    Raises
+    ------
+    Incompatible
+        If a network's training was begun there.
+    """
+    if (folder / STATE_FILE).is_file():
+        refuse_untrusted(folder / MODEL_FILE)
 
 
 def _algorithms() -> dict[str, Any]:
@@ -344,13 +361,18 @@ class _Training:
         """Returns the model, the vector of environments and the steps made from a folder."""
         from stable_baselines3.common.vec_env import VecNormalize
 
-        done = int(read_json(folder / STATE_FILE, "a training that was interrupted")["steps"])
+        what = "a training that was interrupted"
+        with refusing_faults(folder / STATE_FILE, what):
+            done = int(read_json(folder / STATE_FILE, what)["steps"])
         vector = _vector(envs)
         if self.scaled:
-            vector = VecNormalize.load(str(folder / SCALE_FILE), vector)
-        model = _algorithms()[self.name].load(folder / MODEL_FILE, env=vector, device="cpu")
+            with refusing_faults(folder / SCALE_FILE, what):
+                vector = VecNormalize.load(str(folder / SCALE_FILE), vector)
+        with refusing_faults(folder / MODEL_FILE, what):
+            model = _algorithms()[self.name].load(folder / MODEL_FILE, env=vector, device="cpu")
         if self.name == "sac":
-            model.load_replay_buffer(folder / BUFFER_FILE)
+            with refusing_faults(folder / BUFFER_FILE, what):
+                model.load_replay_buffer(folder / BUFFER_FILE)
         return model, vector, done
 
     def _save(self, model: Any, vector: Any, folder: Path, done: int) -> None:

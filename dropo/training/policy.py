@@ -4,7 +4,7 @@ import json
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -249,12 +249,28 @@ def load_policy(path: str | Path, *, trusted: bool = True) -> Policy:
     content = read_json(path, EXPECTED)
     check_content(path, content, SCHEMAS.get(str(content.get("kind")), SavedPolicy))
     if content["kind"] == "network" and not trusted:
-        raise Incompatible(
-            f"{path}: a network, whose file may hold Python code, is read only where it is "
-            "trusted: give --trust, or load it in Python."
-        )
+        refuse_untrusted(path.with_suffix(".zip"))
     with refusing_faults(path, EXPECTED):
         return _read(path, content)
+
+
+def refuse_untrusted(path: Path) -> NoReturn:
+    """Refuse to read a network's file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the message.
+
+    Raises
+    ------
+    Incompatible
+        In any case.
+    """
+    raise Incompatible(
+        f"{path}: a network, whose file may hold Python code, is read only where it is trusted: "
+        "give --trust, or load it in Python."
+    )
 
 
 def _read(path: Path, content: dict[str, Any]) -> Policy:

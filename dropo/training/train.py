@@ -13,6 +13,7 @@ from dropo.core.contracts.effect import ActiveEffects
 from dropo.training.ars import ARS
 from dropo.training.distributions import Curriculum, ParameterDistribution, Predictive
 from dropo.training.environments import Target, resolve
+from dropo.training.networks import refuse_untrusted_training
 from dropo.training.policy import Policy
 from dropo.training.setup import Progress, TrainingSetup
 
@@ -60,6 +61,7 @@ def train(
     threads: int = 1,
     out: str | Path | None = None,
     progress: Progress | None = None,
+    trusted: bool = True,
 ) -> Policy:
     """Trains a policy under a distribution of the target's parameters, drawn for every episode.
 
@@ -88,6 +90,9 @@ def train(
         same policy; `rng` must then be the same seed or a new generator of that seed.
     progress : callable, optional
         Called with the fraction done and a text.
+    trusted : bool
+        Go on with networks too: the files of stable-baselines3 in `out` may hold code that runs as
+        they are read.
 
     Returns
     -------
@@ -99,7 +104,8 @@ def train(
     UnknownName
         If there is no such target.
     Incompatible
-        If the distribution does not fit the target, or the target has no task.
+        If the distribution does not fit the target, the target has no task, or `out` holds a
+        network that is not trusted.
     BadArgument
         If `noise`, `effects` or `steps` cannot be used.
     BadFile
@@ -113,6 +119,8 @@ def train(
     target = resolve(target)
     folder = None if out is None else Path(out)
     if folder is not None:
+        if not trusted:
+            refuse_untrusted_training(folder)
         folder.mkdir(parents=True, exist_ok=True)
     setup = TrainingSetup(target, distribution, noise, effects, steps, threads)
     report = progress or (lambda fraction, text: None)

@@ -4,6 +4,7 @@ after an interruption.
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 
@@ -254,6 +255,36 @@ def test_video(trained, tmp_path, capsys):
     ).reshape(-1, 96, 96, 3)
     assert len(frames) == 5  # 16 states, 0.01 s apart, at 30 a second
     assert frames.std() > 5
+
+
+class Marks:
+    """Makes a file as it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+def test_a_training_of_a_network_is_read_only_where_it_is_trusted(tmp_path, capsys):
+    """The files that it goes on from are pickles: without --trust they are refused by name, unread;
+    with it, they are read, code and all.
+    """
+    pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "networks.json").write_text('{"steps": 5}')
+    (out / "scale.pkl").write_bytes(pickle.dumps(Marks(tmp_path / "ran")))
+    command = ["train", "hopper", "--algorithm", "ppo", "--budget", "9", "--out", str(out)]
+    assert main([*command, "--quiet"]) == 2
+    told = capsys.readouterr().err
+    assert str(out / "model.zip") in told
+    assert "--trust" in told
+    assert not (tmp_path / "ran").exists()
+    assert main([*command, "--quiet", "--trust"]) == 2
+    assert str(out / "scale.pkl") in capsys.readouterr().err
+    assert (tmp_path / "ran").is_dir()
 
 
 CODE = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
