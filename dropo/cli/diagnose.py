@@ -11,8 +11,12 @@ from dropo.cli.output import Progress, computing_options, printing_options, show
 
 if TYPE_CHECKING:
     from dropo.core.contracts.problem import Problem
+    from dropo.core.services.evaluation_log import EvaluationLog
     from dropo.diagnosis.regression.result import QuickDiagnosis
     from dropo.diagnosis.result import Diagnosis
+
+SEARCH = "search.jsonl"
+"""What a search has fitted, while it lives: from it an interrupted diagnosis goes on."""
 
 
 def add(commands: Any) -> None:
@@ -71,7 +75,10 @@ def add(commands: Any) -> None:
         "--out",
         type=Path,
         metavar="DIR",
-        help="write diagnosis.json here, and the extended problem",
+        help=(
+            "write diagnosis.json here, and the extended problem; the same command resumes after"
+            " any interruption"
+        ),
     )
     computing_options(parser)
     printing_options(parser)
@@ -88,12 +95,14 @@ def run(arguments: argparse.Namespace) -> int:
     Returns
     -------
     int
-        0.
+        0, or 1 if the diagnosis was interrupted.
 
     Raises
     ------
     InvalidInput
         If the input is refused; nothing is written then.
+    DropoError
+        If the diagnosis was interrupted before there was a result.
     """
     _refuse_with_quick(arguments)
     with run_folder(arguments.out) as folder:
@@ -103,23 +112,37 @@ def run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     """Diagnose, print and save; the exit status."""
     from dropo.cli.record import diagnosis_record, keep_for_report
+    from dropo.core.services.errors import DropoError
+    from dropo.core.services.evaluation_log import EvaluationLog
     from dropo.problems.file.plain_model import write_extended
 
     problem = _problem(arguments)
-    folder.begin(diagnosis_record(arguments, problem))
-    found = _diagnosis(arguments, problem)
+    record = diagnosis_record(arguments, problem)
+    folder.begin(record)
+    log = EvaluationLog(folder.file(SEARCH), record)
+    try:
+        found = _diagnosis(arguments, problem, log)
+    except KeyboardInterrupt:
+        if arguments.out is None:
+            raise
+        kept = "Interrupted before there was a result: the same command goes on from here."
+        raise DropoError(kept) from None
 
     def save() -> None:
         if arguments.out is not None:
             found.save(arguments.out)
             write_extended(found.problem, found.parameters, arguments.out / "extended")
             keep_for_report(arguments, None)
+            if not found.interrupted:
+                (arguments.out / SEARCH).unlink(missing_ok=True)
 
     show_and_save(arguments, found, found.to_json(), save)
-    return 0
+    return 1 if found.interrupted else 0
 
 
-def _diagnosis(arguments: argparse.Namespace, problem: "Problem") -> "Diagnosis | QuickDiagnosis":
+def _diagnosis(
+    arguments: argparse.Namespace, problem: "Problem", log: "EvaluationLog"
+) -> "Diagnosis | QuickDiagnosis":
     """What a search by simulation finds, or with --quick a regression alone."""
     if arguments.quick:
         from dropo.diagnosis.regression.quick import QuickDiagnose
@@ -132,7 +155,7 @@ def _diagnosis(arguments: argparse.Namespace, problem: "Problem") -> "Diagnosis 
         diagnose = Diagnose(
             arguments.effects, length=arguments.steps, disturbances=arguments.disturbances == "auto"
         )
-        return diagnose.run(problem, rng=arguments.seed, progress=progress)
+        return diagnose.run(problem, rng=arguments.seed, evaluation_log=log, progress=progress)
     finally:
         progress.close()
 

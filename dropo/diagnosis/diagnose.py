@@ -14,10 +14,12 @@ from dropo.core.contracts.estimator import silent, with_cost
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
 from dropo.diagnosis.far_off.start import start_of, wiring_warnings
+from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
 from dropo.diagnosis.findings.causes import causes, leaders, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import figure_data
@@ -39,8 +41,14 @@ from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.library import instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
-from dropo.diagnosis.search.review import Review, merge, review
-from dropo.diagnosis.search.selection import Progress, Selection, SelectionSettings, State
+from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
+from dropo.diagnosis.search.selection import (
+    STOPPING,
+    Progress,
+    Selection,
+    SelectionSettings,
+    State,
+)
 from dropo.diagnosis.search.window_length import (
     WindowLengthSettings,
     choose_length,
@@ -128,6 +136,7 @@ class Diagnose:
         problem: Problem,
         *,
         rng: np.random.Generator | int | None = 0,
+        evaluation_log: EvaluationLog | None = None,
         progress: Progress = silent,
     ) -> Diagnosis:
         """Find what the problem's simulator gets wrong, evaluated on data that nothing was fitted
@@ -139,12 +148,15 @@ class Diagnose:
             Measured data and a MuJoCo model.
         rng : numpy.random.Generator, int or None
             A generator or a seed.
+        evaluation_log : EvaluationLog, optional
+            Where fits are recorded, for a diagnosis that can be resumed.
         progress : callable
             Called with the fraction that is done (0 to 1) and a text.
 
         Returns
         -------
         Diagnosis
+            What was found so far, if the search is interrupted by Ctrl-C.
 
         Raises
         ------
@@ -166,7 +178,8 @@ class Diagnose:
         seed = int(rng) if isinstance(rng, int | np.integer) else None
         # The simulator's threads use the cores; products of small matrices gain nothing from more.
         with threadpool_limits(1, user_api="blas"):
-            found = self._run(problem, np.random.default_rng(rng), progress)
+            log = evaluation_log or EvaluationLog()
+            found = self._run(problem, np.random.default_rng(rng), progress, log)
         return replace(found, wall_time_s=time.perf_counter() - begun, seed=seed)
 
     def baseline(self, problem: Problem) -> float:
@@ -207,7 +220,12 @@ class Diagnose:
         return int(stated)
 
     def _explained(
-        self, problem: Problem, free: Ints, wiring: tuple[str, ...], progress: Progress
+        self,
+        problem: Problem,
+        free: Ints,
+        wiring: tuple[str, ...],
+        progress: Progress,
+        log: EvaluationLog,
     ) -> Explained | None:
         """What a model lacks that is far off, where effects need not be named."""
         settings = self.settings
@@ -219,7 +237,7 @@ class Diagnose:
         )
         if start is None:
             return None
-        return FarOffSearch(settings.motions, progress).run(start)
+        return FarOffSearch(settings.motions, progress, log).run(start)
 
     def _length(self, problem: Problem, explained: Explained | None = None) -> int:
         """Control steps in a window."""
@@ -235,17 +253,19 @@ class Diagnose:
         train: Windows,
         estimated: Collection[str] = (),
         progress: Progress = silent,
+        log: EvaluationLog | None = None,
     ) -> Selection:
         """A search that has not begun."""
         settings = self.settings.window_length
         floor = noise_floor(library.simulator, train, settings, estimated)
-        return Selection(library, floor, progress, self.settings.selection)
+        log = log or EvaluationLog()
+        return Selection(library, floor, progress, self.settings.selection, log)
 
-    def _set_up(self, problem: Problem, progress: Progress) -> "_Setup":
+    def _set_up(self, problem: Problem, progress: Progress, log: EvaluationLog) -> "_Setup":
         """Everything that may be wrong, and the data to find it in."""
         free = _free(problem, self.parameters)
         wiring = wiring_warnings(problem)
-        explained = self._explained(problem, free, wiring, progress)
+        explained = self._explained(problem, free, wiring, progress, log)
         if explained is None:
             instances = instances_for(problem, self.effects, free)
         else:
@@ -262,7 +282,7 @@ class Diagnose:
         _refuse_constant(problem, train)
         estimated = problem.estimated if explained is None else ()
         with_steps = with_cost(progress, library.simulator)
-        selection = self._selection(library, train, estimated, with_steps)
+        selection = self._selection(library, train, estimated, with_steps, log)
         count = len(instances)
         return _Setup(problem, explained, library, selection, train, test, free, count, wiring)
 
@@ -271,6 +291,7 @@ class Diagnose:
         problem: Problem,
         rng: np.random.Generator,
         progress: Progress,
+        log: EvaluationLog,
         undisturbed: WithoutDisturbances | None = None,
         spent: int = 0,
     ) -> Diagnosis:
@@ -279,15 +300,36 @@ class Diagnose:
         spent: simulator steps that were spent on finding those.
         """
         data = problem if undisturbed is None else undisturbed.problem
-        setup = self._set_up(data, progress)
+        setup = self._set_up(data, progress, log)
+        setup.selection.progress(0.0, "fitting the model as it is")
+        found = _search(setup)
+        if not found.interrupted:
+            try:
+                return self._result(problem, setup, found, rng, log, undisturbed, spent)
+            except KeyboardInterrupt:
+                setup.selection.progress(0.9, STOPPING)
+                found = replace(found, interrupted=True)
+        return self._result(problem, setup, found, rng, log, undisturbed, spent)
+
+    def _result(
+        self,
+        problem: Problem,
+        setup: "_Setup",
+        searched: "_Searched",
+        rng: np.random.Generator,
+        log: EvaluationLog,
+        undisturbed: WithoutDisturbances | None,
+        spent: int,
+    ) -> Diagnosis:
+        """What a search found, in figures; of one that was interrupted, only what is soon told."""
         data = setup.problem
         whole = data if undisturbed is None else problem
         library, selection = setup.library, setup.selection
         progress = selection.progress
-        progress(0.0, "fitting the model as it is")
         far_off = setup.explained is not None
         spent += setup.explained.simulator_steps if setup.explained is not None else 0
-        first, last, reviews = setup.judged() if far_off else _search(setup)
+        first, last, reviews = searched.first, searched.last, searched.reviews
+        complete = not searched.interrupted
         progress(0.9, "what remains")
         rest, forces = remaining(data, library, last, selection.floor, rng)
         found_effects = [
@@ -299,10 +341,10 @@ class Diagnose:
 
         # Once the causes are known, disturbances stand out: leave them out and begin anew.
         length = setup.train.length
-        if undisturbed is None and self.disturbances and not far_off:
+        if undisturbed is None and self.disturbances and not far_off and complete:
             undisturbed = without_disturbances(data, extended.simulator, declared)
             if undisturbed is not None and self._can_diagnose(undisturbed.problem, length):
-                return self._run(whole, rng, progress, undisturbed, library.simulator.steps)
+                return self._run(whole, rng, progress, log, undisturbed, library.simulator.steps)
             undisturbed = None
 
         # How good each model is on data held out.
@@ -314,14 +356,15 @@ class Diagnose:
             setup.count,
             errors,
             selection.settings,
+            CAUSES if complete else replace(CAUSES, experiments=0),
             known=setup.errors(),
             named=None if setup.explained is None else setup.explained.certain,
-            again=partial(stability, selection, partial(self._train, data)),
+            again=partial(stability, selection, partial(self._train, data)) if complete else None,
         )
-        if far_off and not found:
+        if far_off and not found and complete:
             # Motions do not bear out what regression finds.
             plain = replace(self, settings=replace(self.settings, far_off=None))
-            return plain._run(problem, rng, progress, None, spent + library.simulator.steps)
+            return plain._run(problem, rng, progress, log, None, spent + library.simulator.steps)
         thetas = [nominal_of(library), first.theta, last.theta]
         (draws,) = rng.spawn(1)
         nominal, fitted, with_causes = horizons(data, library, thetas, last, draws)
@@ -340,10 +383,10 @@ class Diagnose:
         figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
         steps = spent + library.simulator.steps
-        compared = self.disturbances and wrong and not far_off
+        compared = self.disturbances and wrong and not far_off and complete
         odd = outlier_runs(data, extended, declared) if compared else ()
         replayed = None
-        if far_off and data.held_out is not None:
+        if far_off and data.held_out is not None and complete:
             replayed = replay(library.simulator, data.held_out, [first.theta, last.theta])
         return Diagnosis(
             name=data.name,
@@ -370,6 +413,7 @@ class Diagnose:
             motion=shown,
             warnings=(*data.warnings, *setup.warnings, *beyond),
             simulator_steps=steps,
+            interrupted=searched.interrupted,
         )
 
     def _train(self, problem: Problem, length: int) -> Windows:
@@ -529,10 +573,36 @@ class _Setup:
         return out
 
 
-def _search(setup: _Setup) -> tuple[State, State, dict[str, Review]]:
-    """The model as it is, the one that the search ends with, and its effects' reviews."""
-    selection = setup.selection
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """What a search ends with: the model as it is, the one that explains the data, the reviews of
+    its effects, and whether it was interrupted before its end.
+    """
+
+    first: State
+    last: State
+    reviews: Mapping[str, Review]
+    interrupted: bool = False
+
+
+def _search(setup: _Setup) -> _Searched:
+    """Look for effects; where that is interrupted, what was accepted so far."""
+    explained = setup.explained
+    if explained is not None:
+        return _Searched(*setup.judged(), explained.interrupted)
     first = setup.first()
+    selection = setup.selection
+    try:
+        return _Searched(first, *_explain(setup, first))
+    except KeyboardInterrupt:
+        selection.progress(0.9, STOPPING)
+        last = selection.latest or first
+        return _Searched(first, last, reviews_so_far(selection, last), interrupted=True)
+
+
+def _explain(setup: _Setup, first: State) -> tuple[State, dict[str, Review]]:
+    """The model that the search ends with, and its effects' reviews."""
+    selection = setup.selection
     instances = without_impulses(setup.library.instances)
     last, reviews = review(selection, first)
     while True:
@@ -541,12 +611,13 @@ def _search(setup: _Setup) -> tuple[State, State, dict[str, Review]]:
             break
         # After an exchange, others may be confirmed.
         last, reviews = review(selection, found)
+        selection.latest = last
         if last is found:
             break
     merged = merge(selection, last, instances)
     if merged is not last:
         _, reviews = review(selection, merged)
-    return first, merged, reviews
+    return merged, reviews
 
 
 def _errors_without_and_with(

@@ -25,6 +25,11 @@ VERDICTS = {
     "unexplained": "Something is missing from the simulation, and no known effect explains it.",
 }
 
+INTERRUPTED = (
+    "Interrupted: these are the causes so far; what else the data show was not looked for to the"
+    " end."
+)
+
 
 @dataclass(frozen=True)
 class HeldOut:
@@ -102,6 +107,8 @@ class Diagnosis(Report):
         What the diagnosis cost.
     wall_time_s : float
         How long it took [s].
+    interrupted : bool
+        Whether it ended before its end: what was found so far.
     """
 
     name: str
@@ -127,6 +134,7 @@ class Diagnosis(Report):
     seed: int | None = None
     simulator_steps: int = 0
     wall_time_s: float = 0.0
+    interrupted: bool = False
 
     @property
     def gain(self) -> float:
@@ -158,7 +166,7 @@ class Diagnosis(Report):
         sentences = [self._error_sentence()] if self.baseline.horizons else []
         for cause in self.causes:
             sentences += _cause_sentences(cause)
-        sentences.append(VERDICTS[self.verdict])
+        sentences.append(INTERRUPTED if self.interrupted else VERDICTS[self.verdict])
         if self.verdict in ("partly", "unexplained") and self.remaining.where:
             sentences.append(f"It shows in {'; '.join(self.remaining.where)}.")
         if self.disturbances:
@@ -238,6 +246,7 @@ class Diagnosis(Report):
 
         return {
             "verdict": self.verdict,
+            "status": "interrupted" if self.interrupted else "done",
             "headline": self.headline(),
             "problem": self.name,
             "causes": [cause.to_json(i + 1) for i, cause in enumerate(self.causes)],

@@ -1,10 +1,13 @@
 """`dropo diagnose` from the command line."""
 
 import json
+import os
+import signal
 
 import pytest
 
 from dropo.cli.main import main
+from dropo.cli.output import Progress
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
 from dropo.problems.measured.external_data import find_data
@@ -37,6 +40,45 @@ def test_it_prints_and_writes(damped, tmp_path, capsys):
     assert load(extended).simulator.model.dof_damping[1] == pytest.approx(0.1, rel=0.02)
     assert main(["diagnose", str(extended), *SOME, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "consistent"
+
+
+def test_a_signal_leaves_the_best_so_far(damped, tmp_path, capsys, monkeypatch):
+    """Status 1 and "interrupted"; the same command goes on to what an undisturbed run finds and
+    leaves no records; another command is refused the folder.
+    """
+    out = tmp_path / "out"
+    undisturbed = tmp_path / "undisturbed"
+    effects = ["--effects", "joint_damping:elbow", "actuator_gain:elbow_motor"]
+    options = ["--disturbances", "off", "--quiet", "--steps", "5"]
+    command = ["diagnose", str(damped), *effects, *options]
+    assert main([*command, "--out", str(undisturbed)]) == 0
+    told = []
+
+    def ended(progress, fraction, text):
+        if "screening" in text:
+            told.append(text)
+        if "screening" in text and len(told) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "__call__", ended)
+        assert main([*command, "--out", str(out)]) == 1
+    assert capsys.readouterr() == ("", "")
+    assert result(out)["status"] == "interrupted"
+    assert len(result(out)["causes"]) == 1
+    assert (out / "search.jsonl").is_file()
+    assert main([*command, "--seed", "1", "--out", str(out)]) == 2
+    assert "seed" in capsys.readouterr().err
+    assert main([*command, "--out", str(out)]) == 0
+    assert result(out) == result(undisturbed)
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        path.name for path in undisturbed.iterdir()
+    )
+
+
+def result(folder):
+    """What diagnosis.json holds but how long it took."""
+    return {**json.loads((folder / "diagnosis.json").read_text()), "wall_time_s": None}
 
 
 def test_quick(tmp_path, capsys):

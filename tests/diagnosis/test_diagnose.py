@@ -66,6 +66,7 @@ BESIDE = {
     "odd_runs",
     "replay",
     "parameters",
+    "status",
 }
 
 

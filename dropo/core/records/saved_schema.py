@@ -386,6 +386,7 @@ class SavedFinding(Saved):
 class SavedDiagnosis(SavedFinding):
     """The content of diagnosis.json of a search by simulation."""
 
+    status: Literal["done", "interrupted"] = "done"
     baseline: SavedModel
     extended: SavedModel
     remaining: SavedRemaining

@@ -1,7 +1,7 @@
 """Numbers fitted to whole motions: robust Gauss-Newton on the output error."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -11,9 +11,11 @@ from dropo.core.numerics.dependence import Units
 from dropo.core.numerics.robust_covariance import sandwich
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.far_off.motions import Motions
 from dropo.diagnosis.search.linearization import DIVERGED, Library
+from dropo.diagnosis.search.record import recorded
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
@@ -191,7 +193,7 @@ class OutputError:
         """What rows are multiplied with, so that their squares are those of the robust cost."""
         return np.asarray((1 + (whitened / self.settings.knee) ** 2) ** -0.25)
 
-    def fit(self, theta: Array, free: Ints) -> Array:
+    def fit(self, theta: Array, free: Ints, log: EvaluationLog | None = None) -> Array:
         """Fit some numbers, from where they are.
 
         Parameters
@@ -200,18 +202,28 @@ class OutputError:
             All numbers, within their bounds.
         free : (f,) int array
             Those that are fitted.
+        log : EvaluationLog, optional
+            Where the steps are recorded, for a fit that can be resumed.
 
         Returns
         -------
         (m,) array
             All numbers, where the fit ends.
         """
+        log = log or EvaluationLog()
         for _ in range(self.settings.jacobians):
-            fitted = self.linearize(theta, free)
-            theta, gain = self._steps(fitted)
-            if gain <= self._small(fitted.cost):
+            step = partial(self._step_on, theta, free)
+            found = recorded(log, self.library.simulator, theta, step, np.copy, np.copy)
+            theta = found[:-1]
+            if found[-1]:
                 break
         return theta
+
+    def _step_on(self, theta: Array, free: Ints) -> Array:
+        """The numbers (m,) after the steps by one Jacobian, then whether they gained little."""
+        fitted = self.linearize(theta, free)
+        theta, gain = self._steps(fitted)
+        return np.append(theta, gain <= self._small(fitted.cost))
 
     def _small(self, cost: float) -> float:
         """The gain from which a fit has ended [nats]."""

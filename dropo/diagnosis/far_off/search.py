@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.far_off.families import with_families
 from dropo.diagnosis.far_off.fit import Fitted, OutputError, OutputErrorSettings
@@ -12,7 +13,7 @@ from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.selection import Progress
+from dropo.diagnosis.search.selection import STOPPING, Progress
 
 KNOWN = 1e-4
 """Standard deviation of a scale that is known."""
@@ -100,6 +101,8 @@ class Explained:
         Control steps of the windows.
     simulator_steps : int
         What all of it took.
+    interrupted : bool
+        Whether the search ended before its end.
     """
 
     model: FarOffModel
@@ -108,6 +111,7 @@ class Explained:
     without: dict[str, Array]
     length: int
     simulator_steps: int
+    interrupted: bool = False
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -135,12 +139,18 @@ class FarOffSearch:
         Numbers that decide.
     progress : callable
         Called with the fraction done and a text.
+    log : EvaluationLog, optional
+        Where fits are recorded, for a search that can be resumed.
     """
 
-    def __init__(self, settings: FarOffSettings, progress: Progress) -> None:
+    def __init__(
+        self, settings: FarOffSettings, progress: Progress, log: EvaluationLog | None = None
+    ) -> None:
         self.settings = settings
         self.progress = progress
+        self.log = log or EvaluationLog()
         self._simulators: list[Simulator] = []
+        self._latest: tuple[FarOffModel, Motions] | None = None
 
     @property
     def simulator_steps(self) -> int:
@@ -158,7 +168,37 @@ class FarOffSearch:
         Returns
         -------
         Explained
+            Of the numbers so far, if the search is interrupted by Ctrl-C.
         """
+        interrupted = False
+        try:
+            self._search(model)
+        except KeyboardInterrupt:
+            interrupted = self._latest is not None
+            if not interrupted:
+                raise
+            self.progress(0.7, STOPPING)
+        assert self._latest is not None
+        model, fitted = self._latest
+        if interrupted:  # what the errors are asks for a Jacobian: that of the fewest windows
+            fitted = _some(fitted, len(fitted.windows))
+        error = OutputError(self._library(model), fitted, self.settings.fit)
+        end = error.linearize(model.theta, model.fitted, central=True)
+        step = error.change_by_step(end)
+        errors = self._errors(model, error, end, step, np.inf)
+        # What a number is beside the others does not depend on the scale of all forces.
+        beside = self._errors(model, error, end, step, KNOWN)
+        without = {
+            instance.label: _theta_without(model, end, instance.label)
+            for instance, _ in model.numbers
+        }
+        certain = self._certain(model, errors, beside)
+        length = fitted.windows.length
+        steps = self.simulator_steps
+        return Explained(model, errors, certain, without, length, steps, interrupted)
+
+    def _search(self, model: FarOffModel) -> None:
+        """Fit numbers to longer and longer motions, and add families where these ask for them."""
         settings = self.settings
         present = {instance.effect for instance, _ in model.numbers}
         model = with_families(model, [name for name in settings.laws if name in present])
@@ -173,6 +213,7 @@ class FarOffSearch:
             length = fitted.windows.length
             self.progress(at, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
             model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)
+            self._latest = model, fitted
         for number, names in enumerate(settings.families):
             if not self._is_misfit(model, fitted):
                 break
@@ -184,22 +225,11 @@ class FarOffSearch:
             more = self._fit(more, _some(fitted, settings.rough), settings.rough_fit)
             if self._is_better(more, model, held_out):
                 model = more
+                self._latest = model, fitted
         fitted = _some(fitted, self._thinning(model, fitted))
         windows = len(fitted.windows)
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
-        model = self._fit(model, fitted, settings.fit)
-        error = OutputError(self._library(model), fitted, settings.fit)
-        end = error.linearize(model.theta, model.fitted, central=True)
-        step = error.change_by_step(end)
-        errors = self._errors(model, error, end, step, np.inf)
-        # What a number is beside the others does not depend on the scale of all forces.
-        beside = self._errors(model, error, end, step, KNOWN)
-        without = {
-            instance.label: _theta_without(model, end, instance.label)
-            for instance, _ in model.numbers
-        }
-        certain = self._certain(model, errors, beside)
-        return Explained(model, errors, certain, without, length, self.simulator_steps)
+        self._latest = self._fit(model, fitted, settings.fit), fitted
 
     def _library(self, model: FarOffModel) -> Library:
         """A model's library, whose simulator's steps are counted."""
@@ -213,7 +243,7 @@ class FarOffSearch:
     ) -> FarOffModel:
         """A model with its numbers fitted to motions."""
         error = OutputError(self._library(model), motions, settings)
-        return model.at(error.fit(model.theta, model.fitted))
+        return model.at(error.fit(model.theta, model.fitted, self.log))
 
     def _thinning(self, model: FarOffModel, motions: Motions) -> int:
         """One window of so many is as much as may be simulated for all of a model's numbers."""

@@ -60,7 +60,8 @@ def causes(
     *,
     known: Array | None = None,
     named: Collection[str] | None = None,
-    again: Callable[[EffectInstance, Review, Collection[Alternative]], Stability | None],
+    again: Callable[[EffectInstance, Review, Collection[Alternative]], Stability | None]
+    | None = None,
 ) -> tuple[Cause, ...]:
     """Summarize each accepted effect, in the order in which they were found.
 
@@ -85,7 +86,7 @@ def causes(
         Standard errors of all numbers, where they were found elsewhere.
     named : collection of str, optional
         The labels of the effects that are causes; all if None.
-    again : callable
+    again : callable, optional
         Tries a cause on other windows, as `stability` does.
 
     Returns
@@ -121,7 +122,7 @@ def causes(
             rmse_after=after,
             confused_with=alternatives,
             acts_like=_shape(last, instance) if regimes.constant else regimes.variable,
-            stability=again(instance, own, alternatives),
+            stability=None if again is None else again(instance, own, alternatives),
         )
         found.append(cause)
     return tuple(found)

@@ -100,6 +100,11 @@ class QuickDiagnosis(Report):
         """Declared parameters as fitted: none, regression leaves them as they are."""
         return {}
 
+    @property
+    def interrupted(self) -> bool:
+        """Never: a regression that is interrupted has no result."""
+        return False
+
     def headline(self) -> str:
         """The finding in a few sentences."""
         if self.faults:

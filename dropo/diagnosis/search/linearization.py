@@ -3,7 +3,7 @@ of the measured start state carries into the predictions.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -154,6 +154,10 @@ class LinearizedWindows:
         The covariance of the residuals, with the noise sigma (p,).
     lost : (W,) bool array
         Windows whose simulation diverges.
+    linearized_at : tuple of (m,) and (p,) array
+        The parameters and the noise that the start's loadings were found at.
+    shifted : bool
+        Whether the windows were simulated again since.
     """
 
     windows: Windows
@@ -162,6 +166,8 @@ class LinearizedWindows:
     shift: Array
     whiten: Whitener
     lost: np.ndarray
+    linearized_at: tuple[Array, Array]
+    shifted: bool = False
 
     @property
     def predicted(self) -> Array:
@@ -204,6 +210,8 @@ class LinearizedWindows:
             shift=self.shift[index],
             whiten=whiten,
             lost=self.lost[index],
+            linearized_at=self.linearized_at,
+            shifted=self.shifted,
         )
 
     def flat(self, residuals: Array) -> Array:
@@ -284,7 +292,7 @@ def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) ->
     residuals = windows.measured - centre - shift
     residuals[lost] = DIVERGED * np.tile(sigma, windows.length)
     whiten = whitener(library, windows, theta, sigma, loadings)
-    return LinearizedWindows(windows, theta, residuals, shift, whiten, lost)
+    return LinearizedWindows(windows, theta, residuals, shift, whiten, lost, (theta, sigma))
 
 
 def shift_linearization(
@@ -314,7 +322,9 @@ def shift_linearization(
     residuals = windows.measured - predicted - linearized.shift
     residuals[lost] = DIVERGED * np.tile(sigma, windows.length)
     whiten = whitener(library, windows, theta, sigma, linearized.loadings)
-    return LinearizedWindows(windows, theta, residuals, linearized.shift, whiten, lost)
+    return replace(
+        linearized, theta=theta, residuals=residuals, whiten=whiten, lost=lost, shifted=True
+    )
 
 
 def whitener(

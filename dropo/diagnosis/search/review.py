@@ -10,6 +10,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.diagnosis.search.linearization import shift_linearization
+from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import (
     SETTINGS,
@@ -71,6 +72,32 @@ def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]
             return review(selection, better)
         reviews[instance.label] = reviewed
     return state, reviews
+
+
+def reviews_so_far(selection: Selection, state: State) -> dict[str, Review]:
+    """Evaluate each accepted effect once, without alternatives, where a search was interrupted.
+
+    Parameters
+    ----------
+    selection : Selection
+        The search that accepted the effects.
+    state : State
+        How far it came.
+
+    Returns
+    -------
+    dict of str to Review
+        By the label of each of its effects.
+    """
+    library = selection.library
+    reviews = {}
+    for instance in state.accepted:
+        without = _without_effect(selection, state, instance)
+        train = settle(library, without.train, without.free, selection.floor)
+        test = shift_linearization(library, state.test, train.theta, train.whiten.sigma)
+        origin = selection.origins.get(instance.label)
+        reviews[instance.label] = Review(replace(without, train=train, test=test), origin, ())
+    return reviews
 
 
 def _review_effect(selection: Selection, state: State, instance: EffectInstance) -> Review:

@@ -14,6 +14,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Ints
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
     Library,
@@ -21,6 +22,7 @@ from dropo.diagnosis.search.linearization import (
     estimate_noise,
     whitener,
 )
+from dropo.diagnosis.search.record import recorded
 
 Probe = tuple[tuple[float, ...], ...]
 """t vectors of magnitudes (q,) along which the score test is made together."""
@@ -101,13 +103,19 @@ class Screening:
         Lower bound of the noise's standard deviations, in the signals' units.
     settings : ScreeningSettings
         How effects are screened.
+    log : EvaluationLog
+        Where first choices are recorded.
+    first : LinearizedWindows or None
+        Some of the windows, as the first choice saw them ...
     remembered : dict
-        Responses of the first choice, by effect and probe.
+        ... and their responses, by effect and probe.
     """
 
     library: Library
     floor: Array
     settings: ScreeningSettings = SETTINGS
+    log: EvaluationLog = field(default_factory=EvaluationLog)
+    first: LinearizedWindows | None = None
     remembered: Responses = field(default_factory=dict)
 
     def __call__(
@@ -136,11 +144,7 @@ class Screening:
         enough_windows = count >= settings.coarse_stride * settings.coarse_windows
         if len(instances) > settings.finalists and enough_windows:
             some = linearized.take(np.arange(0, count, settings.coarse_stride))
-            probed = [
-                (instance, probe) for instance in instances for probe in coarse_probes(instance)
-            ]
-            ranked = self._score_all(some, free, probed, self.remembered)
-            instances = [candidate.instance for candidate in ranked[: settings.finalists]]
+            instances = self._choose(some, free, instances)
         probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
         return self._score_all(linearized, free, probed, {})
 
@@ -167,13 +171,39 @@ class Screening:
         """
         probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
         responses: Responses = {}
-        for _ in self._responses(linearized, probed, responses):
-            pass
+        self._simulate(linearized, probed, responses)
         found = []
         for part in parts:
             own = {key: changes[:, part] for key, changes in responses.items()}
             found.append(self._score_all(linearized.take(part), free, probed, own))
         return found
+
+    def _choose(
+        self, some: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]
+    ) -> list[EffectInstance]:
+        """The effects that promise most on some of the windows, or those that are recorded."""
+        if self.first is None:
+            self.first = some
+        first = self.first
+        simulator = self.library.simulator
+        probed = [(instance, probe) for instance in instances for probe in coarse_probes(instance)]
+
+        def choose() -> list[EffectInstance]:
+            before = simulator.steps
+            self._simulate(first, probed, self.remembered)
+            if some is not first:  # the first choice has counted them
+                simulator.steps = before
+            ranked = self._score_all(some, free, probed, self.remembered)
+            return [candidate.instance for candidate in ranked[: self.settings.finalists]]
+
+        return recorded(
+            self.log,
+            simulator,
+            np.concatenate([some.theta, some.whiten.sigma]),
+            choose,
+            lambda chosen: np.array([instances.index(one) for one in chosen], dtype=float),
+            lambda record: [instances[int(index)] for index in record],
+        )
 
     def _score_all(
         self,
@@ -256,10 +286,18 @@ class Screening:
         probed: Sequence[ProbedEffect],
         responses: Responses,
     ) -> Iterator[tuple[ProbedEffect, Array]]:
-        """Each probed effect with the change (t, W, n) of the predictions under its probe.
+        """Each probed effect with the change (t, W, n) of the predictions under its probe."""
+        self._simulate(linearized, probed, responses)
+        for instance, probe in probed:
+            yield (instance, probe), responses[instance.label, probe]
 
-        Responses that are there already are taken; the others are simulated and added.
-        """
+    def _simulate(
+        self,
+        linearized: LinearizedWindows,
+        probed: Sequence[ProbedEffect],
+        responses: Responses,
+    ) -> None:
+        """Add the responses that are missing."""
         missing = []
         for instance, probe in probed:
             if (instance.label, probe) not in responses:
@@ -274,8 +312,6 @@ class Screening:
             parts = np.split(changes, ends[:-1])
             for (instance, probe), part in zip(batch, parts, strict=True):
                 responses[instance.label, probe] = part
-        for instance, probe in probed:
-            yield (instance, probe), responses[instance.label, probe]
 
     def _predictions(self, linearized: LinearizedWindows, probed: Sequence[ProbedEffect]) -> Array:
         """(T, W, n) the predictions under each of the T vectors of magnitudes of the probes."""

@@ -12,6 +12,7 @@ from scipy.stats import rankdata
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.registry import BUILT_IN
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
@@ -21,6 +22,7 @@ from dropo.diagnosis.search.linearization import (
     linearize,
     shift_linearization,
 )
+from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
 from dropo.diagnosis.search.refit import RefitSettings, refit, settle, with_noise
 from dropo.diagnosis.search.screening import (
@@ -35,6 +37,8 @@ from dropo.diagnosis.search.windows import Windows
 
 Progress = Callable[[float, str], None]
 """Called with the fraction of the work that is done (0 to 1), and with a text."""
+STOPPING = "stopping after the figures of what was found so far"
+"""What is shown when a search is interrupted."""
 
 
 @dataclass(frozen=True)
@@ -224,24 +228,30 @@ class Selection:
         Called with the fraction done and a text.
     settings : SelectionSettings
         When an effect is accepted.
+    log : EvaluationLog
+        Where fits are recorded, for a search that can be resumed.
     rounds : list of Round
         Every batch that was refitted.
     origins : dict of str to Round
         By an accepted effect's label, the batch that it was accepted from.
     screening : Screening
         What the rounds begin with.
+    latest : State or None
+        How far the search has come.
     """
 
     library: Library
     floor: Array
     progress: Progress = lambda share, text: None
     settings: SelectionSettings = SETTINGS
+    log: EvaluationLog = field(default_factory=EvaluationLog)
     rounds: list[Round] = field(default_factory=list)
     origins: dict[str, Round] = field(default_factory=dict)
     screening: Screening = field(init=False)
+    latest: State | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        self.screening = Screening(self.library, self.floor, self.settings.screening)
+        self.screening = Screening(self.library, self.floor, self.settings.screening, self.log)
 
     def begin(
         self, train: Windows, test: Windows, theta: Array, sigma: Array, free: np.ndarray
@@ -280,8 +290,15 @@ class Selection:
         sigma = estimate_noise(rough, sigma, self.floor)
         first = linearize(library, train, theta, sigma)
         first = with_noise(library, first, self.floor, self.settings.refit)
-        fitted = self._refit(first, free, rounds=2, renewals=1)
-        return State(fitted, self._held_out(fitted, test), free)
+
+        def fit() -> Sides:
+            fitted = self._refit(first, free, rounds=2, renewals=1)
+            return fitted, self._held_out(fitted, test)
+
+        key = np.concatenate([theta, sigma])
+        sides = recorded_sides(self.log, library, key, (train, test), fit)
+        self.latest = State(*sides, free)
+        return self.latest
 
     def as_it_is(
         self,
@@ -336,7 +353,7 @@ class Selection:
             found = self.step(state, instances, first)
             if found is None:
                 break
-            state = found
+            self.latest = state = found
         return state
 
     def step(self, state: State, instances: Sequence[EffectInstance], first: State) -> State | None:
@@ -461,8 +478,13 @@ class Selection:
         State
             With the same effects.
         """
+        rough = rough_numbers(self.library, state.accepted)
+        train, test = self._recorded(state, state.theta, lambda: self._polish(state, rough))
+        return replace(state, train=train, test=test)
+
+    def _polish(self, state: State, rough: Ints) -> Sides:
+        """Both sides of a state fitted to the end, with a line scan of rough numbers."""
         library = self.library
-        rough = rough_numbers(library, state.accepted)
         fitted = self._refit(state.train, state.free, rough=rough)
         theta = fitted.theta
         sigma = fitted.whiten.sigma
@@ -470,53 +492,69 @@ class Selection:
         shifted = shift_linearization(library, state.train, theta, sigma)
         change = abs(float(shifted.log_likelihood.sum() - fitted.log_likelihood.sum()))
         if change < self.settings.refit.renewal_gain:
-            test = shift_linearization(library, state.test, theta, sigma)
-        else:
-            test = self._held_out(fitted, state.test.windows)
-        return replace(state, train=fitted, test=test)
+            return fitted, shift_linearization(library, state.test, theta, sigma)
+        return fitted, self._held_out(fitted, state.test.windows)
 
     def _try(self, state: State, candidate: Candidate, known: Array | None) -> Trial:
         """The candidate added to the state and fitted with the rest.
 
         known: (f, W, n) the Jacobian by the state's free numbers.
         """
-        library = self.library
         instance = candidate.instance
-        place = library.places[instance.label]
+        place = self.library.places[instance.label]
         theta = state.theta.copy()
         theta[place] = candidate.sizes
         free = np.concatenate([state.free, place]).astype(np.int64)
-        rough = rough_numbers(library, (instance,))
-        start = shift_linearization(library, state.train, theta, state.train.whiten.sigma)
-        if instance.sensor_delay is None:
-            fitted = settle(
-                library,
-                start,
-                free,
-                self.floor,
-                rough=rough,
-                known=known,
-                settings=self.settings.refit,
-            )
-            sigma = fitted.whiten.sigma
-            held_out = shift_linearization(library, state.test, fitted.theta, sigma)
-        else:
-            # Without the delay noise stands for it: the noise with it is a very different one.
-            sigma = estimate_noise(start, start.whiten.sigma, self.floor)
-            start = linearize(library, start.windows, theta, sigma)
-            fitted = self._refit(start, free, rough=rough, renewals=1)
-            held_out = self._held_out(fitted, state.test.windows)
-        accepted = (*state.accepted, instance)
+        fitted, held_out = self._recorded(
+            state, theta, lambda: self._fit_with(state, instance, theta, free, known)
+        )
         gains = fitted.log_likelihood - state.train.log_likelihood
         held_out_gain, z = gain_of(state.test, held_out)
         return Trial(
             candidate=candidate,
             sizes=fitted.theta[place],
-            state=State(fitted, held_out, free, accepted),
+            state=State(fitted, held_out, free, (*state.accepted, instance)),
             trained=float(gains.sum()),
             held_out=held_out_gain,
             z=z,
         )
+
+    def _fit_with(
+        self,
+        state: State,
+        instance: EffectInstance,
+        theta: Array,
+        free: Ints,
+        known: Array | None,
+    ) -> Sides:
+        """Both sides of a state fitted with one more effect, from theta (m,) on."""
+        library = self.library
+        rough = rough_numbers(library, (instance,))
+        start = shift_linearization(library, state.train, theta, state.train.whiten.sigma)
+        if instance.sensor_delay is not None:
+            # Without the delay noise stands for it: the noise with it is a very different one.
+            sigma = estimate_noise(start, start.whiten.sigma, self.floor)
+            start = linearize(library, start.windows, theta, sigma)
+            fitted = self._refit(start, free, rough=rough, renewals=1)
+            return fitted, self._held_out(fitted, state.test.windows)
+        fitted = settle(
+            library,
+            start,
+            free,
+            self.floor,
+            rough=rough,
+            known=known,
+            settings=self.settings.refit,
+        )
+        sigma = fitted.whiten.sigma
+        return fitted, shift_linearization(library, state.test, fitted.theta, sigma)
+
+    def _recorded(self, state: State, theta: Array, fit: Callable[[], Sides]) -> Sides:
+        """What a fit from a state makes of its sides, or its record."""
+        sides = (state.train, state.test)
+        windows = (state.train.windows, state.test.windows)
+        key = np.concatenate([theta, state.train.whiten.sigma])
+        return recorded_sides(self.log, self.library, key, windows, fit, sides)
 
     def _refit(
         self,
