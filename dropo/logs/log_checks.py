@@ -11,7 +11,7 @@ from dropo.data.checks.columns import (
     Column,
     ColumnSettings,
     check_column,
-    check_size,
+    check_marks,
     check_turns,
     unwrap,
 )
@@ -87,7 +87,7 @@ def check_runs(
                 found += check_turns(next(_columns(ordered, robot, name)))
                 ordered = replace(ordered, values=unwrap(ordered.values[:, 0])[:, None])
             for column in _columns(ordered, robot, name):
-                found += check_size(column)
+                found += check_marks(column, settings.columns)
                 found += check_column(column, settings.columns)
             series.append(ordered)
         for joint in robot.joints.values():

@@ -147,6 +147,14 @@ def test_a_sentinel_in_the_data(
     assert "1e+30" in found
     assert main(["data", "check", "problem.yaml"]) == 2
     assert f"error: {signal}: a number beyond" in capsys.readouterr().out
+    arrays[key][5, -1] = -9999
+    np.savez(folder / "data.npz", **arrays)
+    for command in ("fit", "diagnose"):
+        told = refusal(capsys, command, "problem.yaml")
+        assert f"data: {signal}: -9999" in told
+        assert "of 1 the first is in row 5 at" in told
+    assert main(["data", "check", "problem.yaml"]) == 2
+    assert f"error: {signal}: -9999" in capsys.readouterr().out
 
 
 def test_a_sentinel_in_a_log(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

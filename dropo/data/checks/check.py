@@ -5,7 +5,7 @@ given, and each yields findings.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,13 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.validation import Array
-from dropo.data.checks.columns import Column, ColumnSettings, check_column, check_limits, check_size
+from dropo.data.checks.columns import (
+    Column,
+    ColumnSettings,
+    check_column,
+    check_limits,
+    check_marks,
+)
 from dropo.data.checks.findings import Finding, Level, errors_first
 from dropo.data.checks.kinematics import (
     Displacements,
@@ -231,7 +237,7 @@ class _CheckedData:
 def _possible_errors(data: _CheckedData) -> Iterator[Finding]:
     """The findings of all checks that may find an error."""
     for column in (*_columns(data), *_following_columns(data)):
-        yield from check_size(column)
+        yield from check_marks(column, data.settings.columns)
     yield from _check_quaternions(data)
     yield from _check_time(data)
     yield from _check_rate(data)
@@ -326,10 +332,9 @@ def _columns(data: _CheckedData) -> Iterator[Column]:
 
 def _following_columns(data: _CheckedData) -> Iterator[Column]:
     """Every column of the observations that follow."""
-    following = data.trajectories.next_observations
-    rows = np.arange(len(following))
-    for i, signal in enumerate(columns(data.simulator, following.shape[1])):
-        yield Column(signal.name, signal.unit, data.time, following[:, i], rows)
+    following = data.trajectories.next_observations.T
+    for column, values in zip(_columns(data), following, strict=False):  # commands come last
+        yield replace(column, values=values)
 
 
 def _command_columns(data: _CheckedData) -> Iterator[Column]:

@@ -1,5 +1,6 @@
 """Checks of one column of numbers: stuck, clipped, coarsely quantised, still, or out of limits."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -31,6 +32,11 @@ class ColumnSettings:
         Fraction of the rows in which a command may stand at its limit.
     soft_stop : float
         How far a joint's stop may give way, as a fraction of the joint's range.
+    far_code, far : float
+        How far outside the other numbers, in multiples of their range and size, a code of loggers
+        and any number must be for a mark of what was not measured.
+    jumps : int
+        How often what moves must jump to a number that is no code.
     """
 
     stuck_rows: int = 10
@@ -40,11 +46,23 @@ class ColumnSettings:
     coarse_step: float = 1 / 300
     saturated: float = 0.05
     soft_stop: float = 0.25
+    far_code: float = 3.0
+    far: float = 10.0
+    jumps: int = 3
 
 
 DEFAULTS = ColumnSettings()
 LARGEST = 1e10
 """Beyond it MuJoCo takes a state for one that has diverged (mjMAXVAL)."""
+NINES = (999.0, 9999.0, 99999.0, 999999.0, 999.9, 9999.9, 999.99, 999.25)
+INTEGERS = tuple(float(2**bits - less) for bits in (15, 16, 31, 32) for less in (0, 1))
+CODES = (*NINES, *INTEGERS)
+"""What loggers write where nothing was measured, without its sign."""
+OTHER_UNITS = (180 / math.pi, 1e3)
+"""Factors from a unit of the data to one in which a log may have been: from rad, m or s."""
+MOVING = ("m", "rad", "m/s", "rad/s")
+"""Units of what moves without jumps."""
+TAKE_OUT = "Take such rows out, and end the trajectory before them."
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,28 +157,82 @@ def check_column(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterato
     yield from check_limits(column, settings)
 
 
-def check_size(column: Column) -> Iterator[Finding]:
+# Marks of loggers
+
+
+def check_marks(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator[Finding]:
     """Find numbers that no sensor gives: marks for what was not measured.
+
+    These are numbers beyond all bounds, codes of loggers far outside the other numbers, and the
+    position or velocity of a joint that jumps to exactly the same far number again and again.
 
     Parameters
     ----------
     column : Column
         The column.
+    settings : ColumnSettings, optional
+        What counts as far.
 
     Yields
     ------
     Finding
     """
-    beyond = np.flatnonzero(np.abs(column.values) > LARGEST)
+    values = column.values
+    beyond = np.flatnonzero(np.abs(values) > LARGEST)
     if len(beyond):
-        first = int(beyond[0])
-        value = column.format_value(column.values[first])
+        value = column.format_value(values[beyond[0]])
         text = (
             f"a number beyond {LARGEST:g} is no measurement; of {len(beyond)} the first is {value} "
-            f"in {column.format_place(first)}."
+            f"in {column.format_place(int(beyond[0]))}."
         )
-        advice = "Take such rows out, and end the trajectory before them."
-        yield column.make_finding("error", first, text, advice)
+        yield column.make_finding("error", int(beyond[0]), text, TAKE_OUT)
+    for mark in _find_marks(column, settings):
+        rows = np.flatnonzero(values == mark)
+        others = values[(values != mark) & (np.abs(values) <= LARGEST)]
+        low, high = (column.format_value(value) for value in (others.min(), others.max()))
+        text = (
+            f"{column.format_value(mark)} is far outside the other numbers, {low} to {high}: a "
+            f"mark for what was not measured; of {len(rows)} the first is in "
+            f"{column.format_place(int(rows[0]))}."
+        )
+        yield column.make_finding("error", int(rows[0]), text, TAKE_OUT)
+
+
+def _find_marks(column: Column, settings: ColumnSettings) -> list[float]:
+    """The least and the largest number, where they are marks."""
+    values = column.values[np.abs(column.values) <= LARGEST]
+    if not len(values):
+        return []
+    ends = {float(values.min()), float(values.max())}
+    # Both may be marks, or one; the others are then all that is between.
+    for some in (ends, *({end} for end in sorted(ends))):
+        others = values[~np.isin(values, list(some))]
+        if len(others) and all(_is_mark(column, end, others, settings) for end in some):
+            return sorted(some)
+    return []
+
+
+def _is_mark(column: Column, end: float, others: Array, settings: ColumnSettings) -> bool:
+    """Whether a number at an end of the range stands for what was not measured."""
+    if column.limits is not None and end in column.limits:
+        return False
+    low, high = float(others.min()), float(others.max())
+    gap = max(low - end, end - high)
+    size = max(high - low, abs(low), abs(high))
+    if _is_code(end) and (column.sensor or high > low):
+        return gap > settings.far_code * size
+    if column.unit not in MOVING or low == high or gap <= settings.far * size:
+        return False
+    # Nothing that moves goes there at once, again and again.
+    there = column.values == end
+    jumps = np.flatnonzero(np.diff(there.astype(int)) == 1) + 1
+    return int(np.sum(~np.isin(jumps, column.breaks))) >= settings.jumps
+
+
+def _is_code(value: float) -> bool:
+    """Whether a number is a code of loggers, perhaps in another unit by now."""
+    sizes = [abs(value) * factor for factor in (1.0, *OTHER_UNITS)]
+    return any(math.isclose(size, code, rel_tol=1e-9) for size in sizes for code in CODES)
 
 
 # Angles
