@@ -216,7 +216,7 @@ class Posterior(Estimator):
         target = around.head()
         draws = _sample(run, sampler, target, prior, target.best, unit_spread(target))
         edges = around.edges(draws, target)
-        if edges:
+        if edges and not draws.interrupted:
             target = around.wider(draws, edges)
             draws = _sample(run, sampler, target, prior, target.best, unit_spread(target))
             edges = around.edges(draws, target)
@@ -279,6 +279,10 @@ class Posterior(Estimator):
         sentences, diagnostics = evaluate_draws(draws, self.settings)
         notes = [*draws.notes, *sentences, *notes]
         end = "see the warnings." if notes else "the walkers agree."
+        status = Status.OUT_OF_BUDGET if notes else Status.CONVERGED
+        if draws.interrupted:
+            status = Status.INTERRUPTED
+            end = f"interrupted, these are the draws so far: {end}"
         posterior = PosteriorDraws(
             over=self.over,
             unknowns=tuple(draws.names),
@@ -308,7 +312,7 @@ class Posterior(Estimator):
             simulator_steps=0,
             failed_simulations=0,
             objective_evaluations=0,
-            status=Status.OUT_OF_BUDGET if notes else Status.CONVERGED,
+            status=status,
             message=f"{len(values)} draws: {end}",
             warnings=(*problem.warnings, *notes, *at_bounds(family.unknowns, phi)),
             posterior=posterior,

@@ -161,6 +161,36 @@ def test_same_seed_same_draws_and_a_killed_run_resumes(tmp_path):
     assert resumed.simulator_steps == whole.simulator_steps
 
 
+def test_interrupted_draws_are_kept(tmp_path, capsys):
+    """Status, message and fewer draws, and no traceback; the same run then goes on to the whole
+    chain. Too few steps are no result.
+    """
+    settings = Posterior(sampler=Emcee(steps=30, burn_in=10))
+    whole = settings.fit(problem(epsilon=NOISE), rng=3)
+
+    def interrupt(at):
+        def progress(share, text):
+            if "points" in text and share > at:
+                raise KeyboardInterrupt
+
+        log = EvaluationLog(tmp_path / f"journal-{at}")
+        return settings.fit(problem(epsilon=NOISE), rng=3, evaluation_log=log, progress=progress)
+
+    part = interrupt(0.6)
+    assert (part.status, whole.status) == (Status.INTERRUPTED, Status.OUT_OF_BUDGET)
+    assert "interrupted, these are the draws so far" in part.message
+    steps = len(part.posterior.chain)
+    assert 4 <= steps < 30
+    assert np.array_equal(part.posterior.chain, whole.posterior.chain[:steps])
+    again = settings.fit(
+        problem(epsilon=NOISE), rng=3, evaluation_log=EvaluationLog(tmp_path / "journal-0.6")
+    )
+    assert np.array_equal(again.posterior.chain, whole.posterior.chain)
+    with pytest.raises(KeyboardInterrupt):
+        interrupt(0.1)
+    assert capsys.readouterr() == ("", "")
+
+
 def test_fit_is_saved_whole_and_drawn_from(tmp_path):
     fit = Posterior(sampler=Emcee(steps=60, burn_in=20)).fit(problem(epsilon=NOISE), rng=3)
     fit.save(tmp_path)

@@ -51,12 +51,15 @@ class Chains(NamedTuple):
         The steps at which the sampler's trajectory diverged, where it has such.
     notes : tuple of str
         What speaks against the draws, a sentence each.
+    interrupted : bool
+        Whether these are the steps until Ctrl-C.
     """
 
     chain: Array
     log_density: Array
     diverging: NDArray[np.bool_] | None = None
     notes: tuple[str, ...] = ()
+    interrupted: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,14 @@ class Sampler(ABC):
         density = self._in_unit_box(log_density, space, evaluate)
         made = Chains(*self._sample(density, rng, start, spread))
         values = space.from_unit(made.chain)
-        return Draws(values, made.log_density, space.names, made.diverging, made.notes)
+        return Draws(
+            values,
+            made.log_density,
+            space.names,
+            made.diverging,
+            made.notes,
+            made.interrupted,
+        )
 
     @abstractmethod
     def evaluations(self, dimension: int) -> int:

@@ -48,6 +48,8 @@ class Draws:
         The steps at which the sampler's trajectory diverged, where it has such.
     notes : tuple of str
         What speaks against the draws, a sentence each.
+    interrupted : bool
+        Whether these are the steps until Ctrl-C.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class Draws:
     names: tuple[str, ...]
     diverging: NDArray[np.bool_] | None = None
     notes: tuple[str, ...] = ()
+    interrupted: bool = False
 
     def __post_init__(self) -> None:
         chain = float_array("chain", self.chain, (None, None, len(self.names)), "Draws")

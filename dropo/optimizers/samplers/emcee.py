@@ -5,8 +5,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dropo.core.contracts.sampler import Density, Sampler, first_positions
+from dropo.core.contracts.sampler import Chains, Density, Sampler, first_positions
 from dropo.core.services.validation import Array, known, require
+
+FEWEST = 8
+"""Steps before which an interrupted run has no draws: half of them are dropped at the least."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class Emcee(Sampler):
 
     def _sample(
         self, density: Density, rng: np.random.Generator, start: Array, spread: Array
-    ) -> tuple[Array, Array]:
+    ) -> Chains:
         import emcee
 
         d = len(start)
@@ -90,8 +93,20 @@ class Emcee(Sampler):
         sampler = emcee.EnsembleSampler(
             walkers, d, density, moves=_moves(self.moves), vectorize=True
         )
-        sampler.run_mcmc(first, self.burn_in + self.steps)
-        return sampler.get_chain(discard=self.burn_in), sampler.get_log_prob(discard=self.burn_in)
+        # emcee's own wrapper prints whatever is raised, Ctrl-C too, before it raises it
+        sampler.log_prob_fn = density
+        discard = self.burn_in
+        interrupted = False
+        try:
+            sampler.run_mcmc(first, self.burn_in + self.steps)
+        except KeyboardInterrupt:
+            if sampler.iteration < FEWEST:
+                raise
+            discard = min(discard, sampler.iteration // 2)
+            interrupted = True
+        chain = sampler.get_chain(discard=discard)
+        values = sampler.get_log_prob(discard=discard)
+        return Chains(chain, values, interrupted=interrupted)
 
 
 def _moves(name: str) -> list[tuple[Any, float]]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from dropo._version import __version__
 from dropo.core.contracts.estimator import Progress, silent
 from dropo.core.services.journal import Journal
 
@@ -52,7 +53,8 @@ class Work:
         self.threads = threads or os.cpu_count() or 1
         self.progress = progress
         self.path = path
-        self._journal = None if path is None else Journal(path, {}, ANSWERS)
+        header = {"version": __version__}
+        self._journal = None if path is None else Journal(path, header, ANSWERS)
         kept = [] if self._journal is None else self._journal.entries
         self._answers: dict[str, str] = dict(kept)
 
