@@ -10,16 +10,15 @@ SCRIPT = Path(__file__).with_name("operations.py")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
-def test_file_operations(seed: int) -> None:
+def test_file_operations() -> None:
     """A full disk is one line and status 1; after it, after a kill and after a write that was torn,
     all that the folder holds is what an undisturbed run leaves: of fits, posteriors, diagnoses,
     studies, trainings and imports.
     """
-    command = [sys.executable, str(SCRIPT), "--seed", str(seed), "--faults", "16"]
+    command = [sys.executable, str(SCRIPT), "--seed", "0", "--faults", "24"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=400)
     *problems, count = done.stdout.splitlines()
     assert problems == []
-    assert count.startswith("16 faults in")
+    assert count.startswith("24 faults in")
     assert int(count.split()[-2]) > 200
     assert (done.returncode, done.stderr) == (0, "")
