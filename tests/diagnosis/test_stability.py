@@ -9,6 +9,7 @@ import pytest
 from dropo import Diagnose
 from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.contracts.estimator import silent
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.diagnosis.diagnose import _search
 from dropo.diagnosis.findings.causes import leaders
 from dropo.diagnosis.findings.stability import stability
@@ -26,10 +27,10 @@ SIZE = Quantity("size", "N m", 0.0, 1.0, (0.01,))
 @pytest.fixture(scope="module")
 def searched():
     """The search on an arm with more damping at the elbow: setup, the effect and its review."""
-    setup = SEARCH._set_up(problem([("joint_damping:elbow", [0.05])]), silent)
-    _, last, reviews = _search(setup)
-    (instance,) = last.accepted
-    return setup, instance, reviews[instance.label]
+    setup = SEARCH._set_up(problem([("joint_damping:elbow", [0.05])]), silent, EvaluationLog())
+    found = _search(setup)
+    (instance,) = found.last.accepted
+    return setup, instance, found.reviews[instance.label]
 
 
 def again(searched, instance):
