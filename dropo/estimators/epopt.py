@@ -68,6 +68,7 @@ class EPOpt(Estimator):
     epsilon: float | tuple[float, ...] | None = None
     widening: float = 1.5
     name = "epopt"
+    uses_priors = True
 
     def __post_init__(self) -> None:
         require(self.rounds >= 1, "rounds", "at least 1", self.rounds, "EPOpt")

@@ -108,6 +108,7 @@ class NPE(Estimator):
     epsilon: float | tuple[float, ...] | None = None
     settings: RoundSettings = field(default_factory=RoundSettings)
     name = "npe"
+    uses_priors = True
 
     def __post_init__(self) -> None:
         need("torch", "sbi", extra="sbi", caller="Method 'npe'")

@@ -104,6 +104,7 @@ class Posterior(Estimator):
     start: Literal["least-squares", "middle"] = "least-squares"
     settings: DrawSettings = field(default_factory=DrawSettings)
     name = "posterior"
+    uses_priors = True
 
     def __post_init__(self) -> None:
         known("posterior over", self.over, ("parameters", "distribution"))

@@ -13,6 +13,7 @@ from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.least_squares import LeastSquares
 from dropo.estimators.posterior import PointLikelihood, Posterior, evaluate_draws
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.optimizers.samplers.pyro_nuts import PyroNuts
@@ -274,6 +275,16 @@ def test_a_prior_pulls_by_the_right_amount(sampler, away):
     assert z_of_means(fit, alone, covariance)[0] > 4.5
     assert fit.sd == pytest.approx(np.sqrt(np.diagonal(covariance)), rel=0.3)
     assert not any("local model" in text for text in fit.warnings)
+
+
+def test_a_method_without_priors_refuses_them():
+    """In silence the prior would have no effect at all."""
+    one = problem(epsilon=NOISE, priors={"x0": "normal(1.5, 1e-4)"})
+    for method in (DROPO(), LeastSquares()):
+        with pytest.raises(
+            Incompatible, match=r"uses no prior, and there is one of x0"
+        ):
+            method.fit(one)
 
 
 def test_a_problem_brings_its_priors():

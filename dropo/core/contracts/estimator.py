@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.fit import Fit
+from dropo.core.services.errors import Incompatible
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, require
 
@@ -143,9 +144,12 @@ class Estimator(ABC):
     ----------
     name : str
         What `--method` takes.
+    uses_priors : bool
+        Whether the priors of a problem count; a method that knows none refuses them.
     """
 
     name: str
+    uses_priors = False
 
     def fit(
         self,
@@ -177,9 +181,12 @@ class Estimator(ABC):
         ------
         BadArgument
             If the problem has no parameters.
+        Incompatible
+            If the problem has priors, and the method uses none.
         """
         owner = f"Problem {problem.name!r}"
         require(len(problem.space) >= 1, "parameters", "at least one", 0, owner)
+        self._check_priors(problem)
         begun = time.perf_counter()
         run = Run(
             problem,
@@ -201,6 +208,15 @@ class Estimator(ABC):
             inner_evaluations=run.inner_evaluations,
             source=problem.source,
         )
+
+    def _check_priors(self, problem: Problem) -> None:
+        """Refuse priors that would be left out in silence."""
+        if problem.priors and not self.uses_priors:
+            names = ", ".join(problem.priors)
+            raise Incompatible(
+                f"Method {self.name!r} uses no prior, and there is one of {names}. Use 'posterior',"
+                " 'epopt' or 'npe', or leave 'prior' out."
+            )
 
     @abstractmethod
     def _fit(self, problem: Problem, run: Run) -> Fit:

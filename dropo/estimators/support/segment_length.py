@@ -98,6 +98,11 @@ class ChooseHorizon(Estimator):
         """The name of the method that fits."""
         return self.estimator.name
 
+    @property
+    def uses_priors(self) -> bool:  # type: ignore[override]
+        """Whether that method uses priors."""
+        return self.estimator.uses_priors
+
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """Fit the fitted part with each horizon, choose one, and fit all data with it."""
         if problem.reset == "start":
