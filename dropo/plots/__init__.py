@@ -9,6 +9,7 @@ The room imports core alone. Add a figure as a function with `ax=None` that take
 """
 
 from dropo.plots.causes import candidates, changes, forces, residuals, similarity, sizes
+from dropo.plots.checks import expected_coverage, ranks
 from dropo.plots.distribution import corner, correlation, parameters
 from dropo.plots.motion import calibration, errors, horizon, trajectory
 from dropo.plots.search import convergence, moves, noise, trace, tuning
@@ -21,11 +22,13 @@ __all__ = [
     "corner",
     "correlation",
     "errors",
+    "expected_coverage",
     "forces",
     "horizon",
     "moves",
     "noise",
     "parameters",
+    "ranks",
     "residuals",
     "similarity",
     "sizes",

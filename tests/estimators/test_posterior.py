@@ -281,9 +281,7 @@ def test_a_method_without_priors_refuses_them():
     """In silence the prior would have no effect at all."""
     one = problem(epsilon=NOISE, priors={"x0": "normal(1.5, 1e-4)"})
     for method in (DROPO(), LeastSquares()):
-        with pytest.raises(
-            Incompatible, match=r"uses no prior, and there is one of x0"
-        ):
+        with pytest.raises(Incompatible, match=r"uses no prior, and there is one of x0"):
             method.fit(one)
 
 

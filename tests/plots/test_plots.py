@@ -31,6 +31,7 @@ from dropo.plots.causes import in_order, words
 from dropo.plots.motion import telling
 from dropo.plots.style import AFTER, BEFORE, OTHER, folded
 from dropo.problems.simulated.slide import slide
+from dropo.testing.statistics import Calibration, ExpectedCoverage
 
 BARS = (
     Bar("joint_friction:knee", 7.0, 2.0, False, True),
@@ -87,6 +88,8 @@ def figures(fit, predictions):
         np.zeros((2, 2)),
     )
     drawn = replace(fit, posterior=draws)
+    of_ranks = np.arange(100).reshape(50, 2)
+    calibrated = Calibration(of_ranks, 99, np.ones(2))
     return {
         "trajectory": lambda ax: plots.trajectory(predictions, "velocity", ax),
         "horizon": lambda ax: plots.horizon(predictions, ax),
@@ -99,6 +102,10 @@ def figures(fit, predictions):
         "noise": lambda ax: plots.noise(fit, predictions, ax),
         "trace": lambda ax: plots.trace(drawn, ax),
         "tuning": lambda ax: plots.tuning(tuned, ax),
+        "ranks": lambda ax: plots.ranks(calibrated, ax),
+        "expected_coverage": lambda ax: plots.expected_coverage(
+            ExpectedCoverage(np.linspace(0, 1, 20), 1.0), ax
+        ),
         **{
             name: partial(getattr(plots, name), FIGURE_DATA)
             for name in ("candidates", "residuals", "sizes", "forces", "similarity", "changes")

@@ -10,31 +10,8 @@ from dropo.estimators.support.posterior_targets import PointLikelihood
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.studies.engine.work import Work
-from dropo.studies.intervals.calibration import (
-    SAMPLERS,
-    calibration,
-    ranks,
-    replication,
-    uniformity,
-)
-
-
-def test_ranks_by_hand():
-    """Three of nine draws lie below 3.5, all below 20, none below -1."""
-    draws = np.tile(np.arange(1.0, 10.0)[:, None], (1, 3))
-    assert ranks(draws, np.array([3.5, 20.0, -1.0]), levels=9).tolist() == [3, 9, 0]
-    with pytest.raises(BadArgument, match="'draws' of ranks must be at least 99"):
-        ranks(draws, np.zeros(3))
-
-
-def test_uniformity_by_hand():
-    """Ten ranks in each of ten bins have a chi-square of 0, p = 1; all hundred in one bin p = 0."""
-    even = np.arange(100)[:, None]
-    p = uniformity(np.concatenate([even, np.full((100, 1), 55)], axis=1))
-    assert p[0] == 1.0
-    assert p[1] < 1e-100
-    with pytest.raises(BadArgument, match="'bins' of uniformity must be a divisor of 100"):
-        uniformity(even, bins=7)
+from dropo.studies.intervals.calibration import SAMPLERS, calibration, replication
+from dropo.testing.statistics import ranks, uniformity
 
 
 @pytest.mark.study

@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.trajectories import Ints
 from dropo.core.services.registry import find
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array, require
@@ -25,9 +23,8 @@ from dropo.problems.hopper.problem import hopper
 from dropo.simulators.toy import SlidingBlock, simulate
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
+from dropo.testing.statistics import BINS, ranks, uniformity
 
-LEVELS = 99  # ranks 0 ... 99
-BINS = 10
 SAMPLERS: dict[str, dict[str, Any]] = {
     "emcee": {"walkers": 20, "steps": 200, "burn_in": 120},
     "pyro-nuts": {"chains": 1, "warmup": 80, "draws": 120},
@@ -55,63 +52,6 @@ class CalibrationSettings:
 
 
 DEFAULT = CalibrationSettings()
-
-
-def ranks(draws: Array, truth: Array, levels: int = LEVELS) -> Ints:
-    """Ranks of the truth among draws.
-
-    Parameters
-    ----------
-    draws : (K, d) array
-        Draws of the posterior, of which `levels` are taken, spread evenly.
-    truth : (d,) array
-        True parameters.
-    levels : int
-        Number of draws that are compared.
-
-    Returns
-    -------
-    (d,) int array
-        How many of them are below the truth: 0 ... levels.
-
-    Raises
-    ------
-    BadArgument
-        If there are fewer draws than `levels`.
-    """
-    require(len(draws) >= levels, "draws", f"at least {levels}", len(draws), "ranks")
-    chosen = draws[np.linspace(0, len(draws) - 1, levels).round().astype(int)]
-    return np.asarray((chosen < truth).sum(axis=0), dtype=np.int64)
-
-
-def uniformity(found: Ints, levels: int = LEVELS, bins: int = BINS) -> Array:
-    """Chi-square p-values of ranks being uniform.
-
-    Parameters
-    ----------
-    found : (N, d) int array
-        Ranks from 0 to `levels`.
-    levels : int
-        The largest rank.
-    bins : int
-        Number of equal bins.
-
-    Returns
-    -------
-    (d,) array
-        A p-value for each parameter.
-
-    Raises
-    ------
-    BadArgument
-        If `bins` does not divide `levels + 1`.
-    """
-    require((levels + 1) % bins == 0, "bins", f"a divisor of {levels + 1}", bins, "uniformity")
-    bin_of = found * bins // (levels + 1)
-    counts = np.array([np.bincount(column, minlength=bins) for column in bin_of.T])
-    expected = len(found) / bins
-    statistic = ((counts - expected) ** 2 / expected).sum(axis=1)
-    return np.asarray(chi2.sf(statistic, bins - 1))
 
 
 def calibration(
