@@ -87,10 +87,24 @@ def _events(
         own = [one for one in numbers if one.parameter == name]
         if own:
             try:
-                events[_identifier(name)] = _event(subject, drives, own, approximated)
+                events[_identifier(name)] = _event(subject, drives, own)
             except CannotHold as error:
                 left_out.append(f"The spread of {name} is left out: {error}")
+    uniform = [name for name in law.names if _is_uniform(events.get(_identifier(name)))]
+    if uniform and law.kind != "uniform":
+        approximated.append(
+            f"Uniform, with their standard deviations: {', '.join(uniform)}. Isaac Lab scales "
+            "static, dynamic and viscous friction by draws of one range, and moves centres of mass "
+            "by uniform ones."
+        )
     return events
+
+
+def _is_uniform(term: dict[str, Any] | None) -> bool:
+    """Whether a term draws from a uniform distribution."""
+    if term is None:
+        return False
+    return "com_range" in term["params"] or term["params"]["distribution"] == "uniform"
 
 
 def _identifier(name: str) -> str:
@@ -98,9 +112,7 @@ def _identifier(name: str) -> str:
     return "".join(letter if letter.isalnum() else "_" for letter in name)
 
 
-def _event(
-    subject: Subject, drives: list[Drive], numbers: list[Number], approximated: list[str]
-) -> dict[str, Any]:
+def _event(subject: Subject, drives: list[Drive], numbers: list[Number]) -> dict[str, Any]:
     """The term of a parameter; refused with a reason where there is none."""
     one = numbers[0]
     name = one.parameter
@@ -114,7 +126,7 @@ def _event(
         raise CannotHold(f"no event term of Isaac Lab sets {field}.")
     if one.owner is None:
         raise CannotHold(f"{field} is of what has no name.")
-    function, selected, params = TERMS[field](subject, drives, one, approximated)
+    function, selected, params = TERMS[field](subject, drives, one)
     asset = {"name": "robot", **selected}
     return {
         "func": f"{EVENTS}:{function}",
@@ -140,35 +152,30 @@ def _half_width(subject: Subject, one: Number) -> float:
     return math.sqrt(3) * abs(one.slope) * subject.sd(one.parameter)
 
 
-def _mass(subject: Subject, drives: list[Drive], one: Number, approximated: list[str]) -> Term:
+def _mass(subject: Subject, drives: list[Drive], one: Number) -> Term:
     """A mass, of which the rotational inertia stays as it is."""
     params = _normal(subject, one, "mass_distribution_params") | {"recompute_inertia": False}
     return "randomize_rigid_body_mass", {"body_names": [_name(one)]}, params
 
 
-def _centre(subject: Subject, drives: list[Drive], one: Number, approximated: list[str]) -> Term:
+def _centre(subject: Subject, drives: list[Drive], one: Number) -> Term:
     """A centre of mass along one axis, about that of the model."""
     half = _half_width(subject, one)
-    approximated.append(f"{one.parameter} is uniform, with its standard deviation.")
     ranges = {"com_range": {AXES[one.row[1]]: [-half, half]}}
     return "randomize_rigid_body_com", {"body_names": [_name(one)]}, ranges
 
 
-def _armature(subject: Subject, drives: list[Drive], one: Number, approximated: list[str]) -> Term:
+def _armature(subject: Subject, drives: list[Drive], one: Number) -> Term:
     """A joint's armature."""
     params = _normal(subject, one, "armature_distribution_params")
     return "randomize_joint_parameters", {"joint_names": [_name(one)]}, params
 
 
-def _friction(subject: Subject, drives: list[Drive], one: Number, approximated: list[str]) -> Term:
+def _friction(subject: Subject, drives: list[Drive], one: Number) -> Term:
     """A joint's dry friction, as a factor on that of its actuator settings."""
     if one.mean <= 0:
         raise CannotHold("its mean is 0, and terms of Isaac Lab scale the friction of a joint.")
     half = min(_half_width(subject, one) / one.mean, 1.0)
-    approximated.append(
-        f"{one.parameter} is uniform, with its standard deviation: Isaac Lab scales static, "
-        "dynamic and viscous friction by draws of one range."
-    )
     params = {
         "friction_distribution_params": [1 - half, 1 + half],
         "operation": "scale",
@@ -177,21 +184,21 @@ def _friction(subject: Subject, drives: list[Drive], one: Number, approximated: 
     return "randomize_joint_parameters", {"joint_names": [_name(one)]}, params
 
 
-def _limit(subject: Subject, drives: list[Drive], one: Number, approximated: list[str]) -> Term:
+def _limit(subject: Subject, drives: list[Drive], one: Number) -> Term:
     """An end of a joint's range."""
     end = ("lower", "upper")[one.row[1]]
     params = _normal(subject, one, f"{end}_limit_distribution_params")
     return "randomize_joint_parameters", {"joint_names": [_name(one)]}, params
 
 
-def _damping(subject: Subject, drives: list[Drive], one: Number, approximated: list[str]) -> Term:
+def _damping(subject: Subject, drives: list[Drive], one: Number) -> Term:
     """A joint's viscous friction, which is in the damping of its drive."""
     drive = next(drive for drive in drives if drive.joint == _name(one))
     sd = abs(one.slope) * subject.sd(one.parameter)
     return _gain_term("damping", drive, drive.damping, sd)
 
 
-def _servo(subject: Subject, drives: list[Drive], one: Number, approximated: list[str]) -> Term:
+def _servo(subject: Subject, drives: list[Drive], one: Number) -> Term:
     """A gain of a position servo."""
     drive = next((drive for drive in drives if drive.actuator == one.place[0]), None)
     if drive is None or drive.stiffness == 0:
@@ -214,7 +221,7 @@ def _gain_term(kind: str, drive: Drive, mean: float, sd: float) -> Term:
     return "randomize_actuator_gains", {"joint_names": [drive.joint]}, params
 
 
-TERMS: dict[str, Callable[[Subject, list[Drive], Number, list[str]], Term]] = {
+TERMS: dict[str, Callable[[Subject, list[Drive], Number], Term]] = {
     "body_mass": _mass,
     "body_ipos": _centre,
     "dof_armature": _armature,

@@ -116,7 +116,7 @@ def test_events_and_actuators_are_those_of_isaac_lab(tmp_path):
     assert [sentence.split(":")[0] for sentence in found.approximated] == [
         "actuator_delay",
         "Isaac Lab knows normal and uniform distributions, and the fit is truncated normal",
-        "dry is uniform, with its standard deviation",
+        "Uniform, with their standard deviations",
     ]
     text = (tmp_path / "isaac_lab.yaml").read_text()
     assert CHECKED in text
