@@ -16,6 +16,8 @@ MOST_THREADS = 1024
 """Threads that a computer may have cores for."""
 EVERY = 10.0
 """Seconds from one line of progress to the next, where no bar can be drawn."""
+AT_ONCE = "stopping"
+"""What a text begins with that does not wait: the answer to Ctrl-C."""
 SOON = 0.02
 """Fraction of the work before which the time left is a guess, and is not shown."""
 
@@ -51,7 +53,7 @@ class Progress:
         left = time_left(self._done, spent)
         if self._draws:
             self._draw(text, left)
-        elif time.monotonic() - self._last_line >= EVERY:
+        elif text.startswith(AT_ONCE) or time.monotonic() - self._last_line >= EVERY:
             self._last_line = time.monotonic()
             times = ", ".join(part for part in (_clock(spent), left) if part)
             with suppress(OSError):  # a pipe that nobody reads ends no run

@@ -13,6 +13,7 @@ from dropo.cli import output
 from dropo.cli.main import _parser, main
 from dropo.cli.output import Progress, show, time_left
 from dropo.core.services.tables import Report, Table
+from dropo.diagnosis.search.selection import STOPPING
 
 EVERY = 10.0
 FURTHER = {"--threads", "--seed", "--json", "--quiet"}
@@ -135,6 +136,16 @@ def test_progress_into_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
     unread = Progress(stream=_Unread())
     unread._last_line -= EVERY
     unread(0.5, "60 evaluations")
+
+
+def test_the_answer_to_an_interruption_does_not_wait() -> None:
+    """A line at once, in a pipe too; other lines wait."""
+    stream = io.StringIO()
+    progress = Progress(stream=stream)
+    progress(0.4, "fitting")
+    progress(0.9, f"{STOPPING}, 12 simulator steps")
+    (line,) = stream.getvalue().splitlines()
+    assert line.endswith("stopping after the figures of what was found so far, 12 simulator steps")
 
 
 def test_time_left() -> None:
