@@ -3,7 +3,6 @@ ends with what it found so far.
 """
 
 import json
-from dataclasses import replace
 
 import pytest
 
@@ -12,6 +11,7 @@ from dropo.core.services.errors import InvalidInput
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.journal import Journal, read_lines
 from dropo.diagnosis.diagnose import DiagnosisSettings
+from dropo.diagnosis.far_off.fit import OutputError
 from dropo.diagnosis.far_off.search import FarOffSearch
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.screening import ScreeningSettings
@@ -153,12 +153,25 @@ def test_a_model_that_is_far_off(tmp_path):
     assert not whole.interrupted
 
 
-def test_far_off_and_interrupted():
-    """With what was fitted to rough motions; nothing before that."""
+def test_far_off_and_interrupted(monkeypatch):
+    """With what was fitted to rough motions, by one Jacobian at least; nothing before that."""
     model = torque_arm("actuator_gain")
     found = FarOffSearch(FAR_OFF, interrupting("joint_armature")).run(model)
     assert found.interrupted
     assert [one.label for one, _ in found.model.numbers] == ["actuator_gain"]
-    settings = replace(FAR_OFF, families=())
     with pytest.raises(KeyboardInterrupt):
-        FarOffSearch(settings, interrupting("to windows")).run(model)
+        FarOffSearch(FAR_OFF, interrupting("to windows")).run(model)
+    made: list[list[float]] = []
+    step = OutputError._step_on
+
+    def second(error, theta, free):
+        if made:
+            raise KeyboardInterrupt
+        after = step(error, theta, free)
+        made.append(after[:-1].tolist())
+        return after
+
+    monkeypatch.setattr(OutputError, "_step_on", second)
+    found = FarOffSearch(FAR_OFF, lambda *_: None).run(model)
+    assert found.interrupted
+    assert found.model.theta.tolist() == made[0] != model.theta.tolist()

@@ -1,5 +1,6 @@
 """Numbers fitted to whole motions: robust Gauss-Newton on the output error."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -193,7 +194,13 @@ class OutputError:
         """What rows are multiplied with, so that their squares are those of the robust cost."""
         return np.asarray((1 + (whitened / self.settings.knee) ** 2) ** -0.25)
 
-    def fit(self, theta: Array, free: Ints, log: EvaluationLog | None = None) -> Array:
+    def fit(
+        self,
+        theta: Array,
+        free: Ints,
+        log: EvaluationLog | None = None,
+        watch: Callable[[Array], None] | None = None,
+    ) -> Array:
         """Fit some numbers, from where they are.
 
         Parameters
@@ -204,6 +211,8 @@ class OutputError:
             Those that are fitted.
         log : EvaluationLog, optional
             Where the steps are recorded, for a fit that can be resumed.
+        watch : callable, optional
+            Called with all numbers (m,) after the steps by each Jacobian.
 
         Returns
         -------
@@ -215,6 +224,8 @@ class OutputError:
             step = partial(self._step_on, theta, free)
             found = recorded(log, self.library.simulator, theta, step, np.copy, np.copy)
             theta = found[:-1]
+            if watch is not None:
+                watch(theta)
             if found[-1]:
                 break
         return theta

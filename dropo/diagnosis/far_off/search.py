@@ -243,7 +243,13 @@ class FarOffSearch:
     ) -> FarOffModel:
         """A model with its numbers fitted to motions."""
         error = OutputError(self._library(model), motions, settings)
-        return model.at(error.fit(model.theta, model.fitted, self.log))
+        found: list[Array] = []
+        try:
+            return model.at(error.fit(model.theta, model.fitted, self.log, found.append))
+        except KeyboardInterrupt:
+            if found and self._latest is None:
+                self._latest = model.at(found[-1]), motions
+            raise
 
     def _thinning(self, model: FarOffModel, motions: Motions) -> int:
         """One window of so many is as much as may be simulated for all of a model's numbers."""
