@@ -8,6 +8,7 @@ import numpy as np
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import (
+    GroupedLogLikelihood,
     Likelihood,
     LocalLikelihood,
     LocalLogLikelihood,
@@ -27,6 +28,7 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 from dropo.estimators.least_squares import estimate
 from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
+from dropo.estimators.support.far_groups import with_models_of_their_own
 from dropo.estimators.support.filtered_starts import fit_from_filtered_starts
 from dropo.estimators.support.final_step import corrected_by_simulation
 from dropo.estimators.support.sobol_start import best_sobol_point
@@ -245,9 +247,23 @@ class DROPO(Estimator):
         if nothing_varies and found.status is not Status.INTERRUPTED:
             objective, found = corrected_by_simulation(problem, run, family, objective, found)
 
+        # Groups far from the population's centre get local models of their own.
+        of_groups: list[str] = []
+        checked_by_group = False
+        if isinstance(objective, GroupedLogLikelihood) and found.status is not Status.INTERRUPTED:
+            checked_by_group = True
+            objective, found, of_groups = with_models_of_their_own(run, objective, found, rng)
+
         # Compare the local model with the simulator at the fit.
         check, warnings = check_emulator(
-            problem, run, family, objective, found.point, rng, alike=nothing_varies
+            problem,
+            run,
+            family,
+            objective,
+            found.point,
+            rng,
+            alike=nothing_varies,
+            confirmed=checked_by_group and not of_groups,
         )
         return self._summarise(
             problem,
@@ -255,7 +271,7 @@ class DROPO(Estimator):
             family,
             objective,
             found,
-            warnings=warnings,
+            warnings=[*of_groups, *warnings],
             emulator_check=check,
             start_filter=start_filter,
             constant_parameters=constant,

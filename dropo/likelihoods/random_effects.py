@@ -1,9 +1,11 @@
 """The Gaussian likelihood that integrates over a draw shared by all segments of a group."""
 
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import GroupedLogLikelihood, Groups, LocalLikelihood
@@ -11,13 +13,16 @@ from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, is_tensor, namespace, plain
 from dropo.core.records.parameters import ParameterSpace
-from dropo.core.records.trajectories import Segments
-from dropo.core.services.errors import Incompatible
+from dropo.core.records.trajectories import Ints, Segments
+from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import along_starts
 from dropo.likelihoods.support.blocks import row_blocks
 from dropo.likelihoods.support.gaussian_rows import trusted
 from dropo.likelihoods.support.polynomials import Emulator, build, orders_for
+
+OWN_PARTS = ("centre", "width", "coefficients", "residual")
+"""What an emulator of a group's own replaces."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +37,24 @@ class ModeSettings:
         They end with a step shorter than this fraction of the width.
     span : float
         Modes stay within this multiple of the width around the centre.
+    reach : float
+        An emulator is sound within this multiple of its width: about as far as its design reaches.
+    own_width : float
+        An emulator of a group's own is at least as wide as so many standard deviations of the
+        group's parameters, ...
+    followed_move : float
+        ... as this fraction of its centre's last move, ...
+    least_own_width : float
+        ... and as this fraction of the population's emulator, which is the widest.
     """
 
     steps: int = 20
     tolerance: float = 1e-9
     span: float = 4.0
+    reach: float = 2.5
+    own_width: float = 2.0
+    followed_move: float = 0.7
+    least_own_width: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -55,7 +73,8 @@ class RandomEffects(LocalLikelihood):
     -----
     xi_g ~ N(mean, S) for each group g, and y_g | xi_g ~ N(f(xi_g), R + diag(epsilon)). f is the
     polynomial emulator of the emulated likelihood and R what it leaves, linear around each group's
-    own mode [1]_; this is exact for a linear simulator. Noise of the start states adds
+    own mode [1]_; this is exact for a linear simulator. Groups for which the population's emulator
+    is not sound can have one of their own (`with_own_models`). Noise of the start states adds
     D diag(epsilon) D' to its row, with D the slopes of f in them.
 
     References
@@ -105,6 +124,7 @@ class RandomEffects(LocalLikelihood):
             noise,
             width,
             np.concatenate(columns, axis=2),
+            orders,
             self.modes,
         )
 
@@ -182,10 +202,14 @@ class _RandomEffects(GroupedLogLikelihood):
         noise: NoiseModel,
         width: Array,
         columns: Array,
+        orders: Ints,
         modes: ModeSettings,
     ):
         self.modes = modes
+        self.orders = orders
         self.emulator = emulator
+        self.simulator = simulator
+        self.segments = segments
         self.family = family
         self.noise = noise
         self.columns = columns
@@ -195,6 +219,11 @@ class _RandomEffects(GroupedLogLikelihood):
         self.label, self.of_row = np.unique(segments.group[segments.rows[0]], return_inverse=True)
         self._order = np.argsort(self.of_row, kind="stable")
         self._first = np.searchsorted(self.of_row[self._order], np.arange(len(self.label)))
+        # The emulator of each group: at first the population's.
+        everywhere = np.ones((len(self.label), 1))
+        self.own = replace(
+            emulator, centre=everywhere * emulator.centre, width=everywhere * emulator.width
+        )
         row_bytes = 8 * len(emulator.indices) * (1 + len(emulator.centre))
         self.blocks = row_blocks(len(self.of_row), row_bytes)
         self.unknowns = ParameterSpace((*trusted(family, emulator.centre, width), *noise.unknowns))
@@ -225,6 +254,56 @@ class _RandomEffects(GroupedLogLikelihood):
         precision = self._integrate(phi, modes).precision
         return Groups(self.label, np.bincount(self.of_row), modes, precision)
 
+    def mode_errors(self, phi: Array) -> Array:
+        """Return how far each group's mode is from the simulator's own, by a simulation there."""
+        modes = self.simulator.space.feasible(self._modes(phi))
+        values = np.zeros((1, int(self.label.max()) + 1, modes.shape[1]))
+        values[0, self.label] = modes
+        simulated = self.simulator.predict(values, self.segments)[0]
+        at = self._integrate(phi, modes, simulated)
+        step = self._population(phi)[0] + at.offset - modes
+        errors: Array = np.max(np.abs(step) / self._sd(phi, at), axis=1)
+        beyond = np.abs(modes - self.own.centre) > self.modes.reach * self.own.width
+        return np.where(np.isnan(errors) | beyond.any(axis=1), np.inf, errors)
+
+    def with_own_models(
+        self, phi: Array, which: NDArray[np.bool_], rng: np.random.Generator
+    ) -> "_RandomEffects":
+        """Return the same likelihood with emulators around the modes of some groups."""
+        modes = self._modes(phi)
+        sd = self._sd(phi, self._integrate(phi, modes))
+        widest = self.emulator.width
+        wanted = np.maximum(
+            self.modes.own_width * sd,
+            self.modes.followed_move * np.abs(modes - self.own.centre),
+        )
+        width = np.clip(wanted, self.modes.least_own_width * widest, widest)
+
+        parts = {name: getattr(self.own, name).copy() for name in OWN_PARTS}
+        of_segment = self.segments.group
+        for g, seed in zip(np.flatnonzero(which), rng.spawn(int(which.sum())), strict=True):
+            segments = self.segments.take(of_segment == self.label[g])
+            try:
+                own = build(self.simulator, segments, modes[g], width[g], self.orders, seed)
+            except SimulationFailed:
+                continue
+            rows = self.of_row == g
+            parts["centre"][g] = modes[g]
+            parts["width"][g] = width[g]
+            parts["coefficients"][:, rows] = own.coefficients
+            parts["residual"][rows] = own.residual
+        mended = copy(self)
+        mended.own = replace(self.own, **parts)
+        if self._known is not None:
+            mended._known = mended._whitener(self.noise.epsilon(np.zeros(0)))
+        return mended
+
+    def _sd(self, phi: Array, at: _Integrals) -> Array:
+        """Standard deviations (G, d) of the groups' parameters, given the population."""
+        spread = self._population(phi)[1]
+        variance = np.einsum("gdd->gd", spread @ at.inner)
+        return np.asarray(np.sqrt(np.maximum(variance, np.finfo(float).tiny)))
+
     def _population(self, phi: Array) -> tuple[Array, Array]:
         """Mean (d,) and covariance (d, d)."""
         own = phi[: len(self.family.unknowns)]
@@ -233,12 +312,12 @@ class _RandomEffects(GroupedLogLikelihood):
 
     def _linear(self, modes: Array) -> tuple[Array, Array]:
         """Predictions (R, p) and slopes (R, p, d) of every row at its group's mode (G, d)."""
-        values = self.emulator.basis(modes)[:, None]
-        slopes = self.emulator.slopes(modes).swapaxes(1, 2)
+        values = self.own.basis(modes)[:, None]
+        slopes = self.own.slopes(modes).swapaxes(1, 2)
         terms = np.concatenate([values, slopes], axis=1)  # (G, 1 + d, M)
         parts = []
         for rows in self.blocks:
-            coefficients = self.emulator.coefficients[:, rows].swapaxes(0, 1)  # (r, M, p)
+            coefficients = self.own.coefficients[:, rows].swapaxes(0, 1)  # (r, M, p)
             parts.append(terms[self.of_row[rows]] @ coefficients)
         out = np.concatenate(parts)
         return out[:, 0], out[:, 1:].swapaxes(1, 2)
@@ -248,7 +327,7 @@ class _RandomEffects(GroupedLogLikelihood):
         xp = namespace(epsilon)
         columns = constant(self.columns, epsilon)
         weighted = columns * xp.concat([epsilon] * self.copies)
-        residual = constant(self.emulator.residual, epsilon)
+        residual = constant(self.own.residual, epsilon)
         noise = residual + weighted @ xp.matrix_transpose(columns)
         whiten: Array = xp.linalg.inv(xp.linalg.cholesky(noise))
         return whiten
@@ -256,9 +335,9 @@ class _RandomEffects(GroupedLogLikelihood):
     def _modes(self, phi: Array) -> Array:
         """(G, d) by Gauss-Newton from the population's mean, kept where the emulator is sound."""
         mean = self._population(phi)[0]
-        width = self.emulator.width
-        low = self.emulator.centre - self.modes.span * width
-        high = self.emulator.centre + self.modes.span * width
+        width = self.own.width
+        low = self.own.centre - self.modes.span * width
+        high = self.own.centre + self.modes.span * width
         modes = np.repeat(mean[None], len(self.label), axis=0)
         for _ in range(self.modes.steps):
             following = np.clip(mean + self._integrate(phi, modes).offset, low, high)
@@ -268,8 +347,11 @@ class _RandomEffects(GroupedLogLikelihood):
                 break
         return modes
 
-    def _integrate(self, phi: Array, modes: Array) -> _Integrals:
-        """The rows linear at given modes (G, d); arrays or tensors, as phi is."""
+    def _integrate(self, phi: Array, modes: Array, simulated: Array | None = None) -> _Integrals:
+        """The rows linear at given modes (G, d); arrays or tensors, as phi is.
+
+        Simulated (R, p) are predictions there in the place of the emulators'.
+        """
         xp = namespace(phi)
         mean, spread = self._population(phi)
         if self._known is None:
@@ -279,6 +361,8 @@ class _RandomEffects(GroupedLogLikelihood):
 
         # Whitened residuals at the population's mean, and slopes.
         predicted, slopes = (constant(part, phi) for part in self._linear(modes))
+        if simulated is not None:
+            predicted = simulated
         offsets = (constant(modes, phi) - mean)[self.of_row]
         away = xp.einsum("rpd,rd->rp", slopes, offsets)
         rho = xp.einsum("rpq,rq->rp", whiten, constant(self.targets, phi) - predicted + away)

@@ -18,7 +18,7 @@ from dropo.evaluation.variance_components import (
 )
 from dropo.problems.hopper.data import TRUTH, simulate
 from dropo.problems.hopper.problem import hopper_problem
-from dropo.simulators.toy import LinearSimulator
+from dropo.simulators.toy import LinearSimulator, SlidingBlock
 from dropo.simulators.toy import simulate as toy_trajectories
 
 NOISE = 0.01
@@ -296,6 +296,55 @@ def test_other_laws_are_refused():
     """Random effects are Gaussian."""
     with pytest.raises(UnknownName, match=r"No family of random effects called 'log_normal'"):
         RandomEffects(family="log_normal")
+
+
+def pushes(seed, masses=None, groups=50, simulator=None):
+    """Blocks pushed for 20 steps, a draw each, and the draws (G, 2): their masses are 1.05 kg and
+    a log-normal, so that a few are twice as heavy as the rest.
+    """
+    rng = np.random.default_rng([seed, 11])
+    z = rng.standard_normal((groups, 2))
+    skewed = 1.2 + 0.3 * (np.exp(0.9 * z[:, 0]) - 0.5)
+    draws = np.stack([skewed if masses is None else masses, 0.8 + 0.05 * z[:, 1]], axis=1)
+    actions = np.repeat(rng.normal(0, 3, (groups, 4, 1)), 5, axis=1)
+    data = toy_trajectories(
+        SlidingBlock(), draws, actions, np.zeros(2), noise_variance=1e-6, rng=rng
+    )
+    return Problem("pushes", simulator or SlidingBlock(), data, epsilon=1e-6), draws
+
+
+@pytest.mark.parametrize("family", ["truncated_gaussian", "full"])
+def test_groups_far_out_have_their_own_parameters(family):
+    """Masses of a skewed population, some 5 spreads off: every group within 5 of its standard
+    deviations (RMS below 1.25), and the population's moments those of the draws.
+    """
+    problem, draws = pushes(0)
+    fit = RandomEffects(family=family).fit(problem, rng=0)
+    sd = np.sqrt(np.einsum("gdd->gd", fit.groups.covariance))
+    z = (fit.groups.mean - draws) / sd
+    assert np.abs(draws[:, 0] - fit.mean[0]).max() > 3 * fit.sd[0]  # it has such groups
+    assert np.abs(z).max() < 5
+    assert np.sqrt(np.mean(z**2)) < 1.25
+    assert fit.mean[0] == pytest.approx(draws[:, 0].mean(), abs=0.01)
+    assert fit.sd[0] == pytest.approx(draws[:, 0].std(), rel=0.03)
+    assert not any("do not confirm" in warning for warning in fit.warnings)
+
+
+class FailsAbove(SlidingBlock):
+    """A block whose simulation diverges above 2.9 kg."""
+
+    def _replay(self, value, starts, actions):
+        out = super()._replay(value, starts, actions)
+        return out if value[0] < 2.9 else np.full_like(out, np.nan)
+
+
+def test_a_group_that_no_simulation_confirms_is_named():
+    """The simulation diverges at the mass of one group alone."""
+    masses = 1.5 + 0.2 * np.random.default_rng(0).standard_normal(20)
+    masses[7] = 3.4
+    problem, _ = pushes(1, masses, groups=20, simulator=FailsAbove())
+    warnings = " ".join(RandomEffects().fit(problem, rng=0).warnings)
+    assert "the parameters of 1 of 20 groups (7) do not confirm them" in warnings
 
 
 MASSES = {"6.2": np.array([0.5, 0, 0, 0]), "6.3": np.array([0, 0.25, 0.25, 0.25])}

@@ -76,6 +76,43 @@ def exact(problem, mean, covariance):
     return np.array(out)
 
 
+def test_models_of_their_own_change_nothing_for_a_linear_simulator():
+    """Its modes are right at once, and the likelihood is the same to rounding."""
+    problem, _ = linear_problem(np.random.default_rng(0))
+    objective = local(problem, FullGaussian(problem.space))
+    phi = FullGaussian(problem.space).phi_of([1.0, -2.0], np.diag([0.2, 0.05]))
+    assert (objective.mode_errors(phi) < 1e-6).all()
+    which = np.arange(12) % 2 == 0
+    own = objective.with_own_models(phi, which, np.random.default_rng(1))
+    np.testing.assert_allclose(own.rows(phi), objective.rows(phi), rtol=1e-9)
+    np.testing.assert_allclose(own.groups(phi).mean, objective.groups(phi).mean, rtol=1e-8)
+    np.testing.assert_array_equal(own.own.centre[~which], objective.own.centre[~which])
+
+
+def test_modes_far_out_are_found_by_models_of_their_own():
+    """A block twice as heavy as the population's: its mode is off in the population's emulator,
+    and right after a few models of its own.
+    """
+    masses = np.array([[1.4, 0.8], [1.6, 0.8], [3.2, 0.8]])
+    rng = np.random.default_rng(2)
+    actions = rng.normal(0, 3, (3, 20, 1))
+    data = toy_trajectories(
+        SlidingBlock(), masses, actions, np.zeros(2), noise_variance=1e-8, rng=rng
+    )
+    problem = Problem("blocks", SlidingBlock(), data, epsilon=1e-8)
+    family = FullGaussian(problem.space)
+    phi = family.phi_of([1.5, 0.8], np.diag([1.0, 0.01]))
+    width = np.array([0.2, 0.1])
+    objective = RandomEffects().linearize_at(
+        problem.simulator, problem.segments, family, 1e-8, phi[:2], width, rng
+    )
+    assert np.isinf(objective.mode_errors(phi)[2])
+    for _ in range(6):
+        objective = objective.with_own_models(phi, objective.mode_errors(phi) > 0.1, rng)
+    assert (objective.mode_errors(phi) < 0.1).all()
+    np.testing.assert_allclose(objective.groups(phi).mean[:, 0], masses[:, 0], rtol=2e-3)
+
+
 def test_linear_groups_have_their_closed_form():
     """For a linear simulator every group's value is that of one Gaussian over its stacked rows
     (1e-7).

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.noise import Epsilon
@@ -293,3 +293,40 @@ class GroupedLogLikelihood(LocalLogLikelihood):
     @abstractmethod
     def groups(self, phi: Array) -> Groups:
         """Parameters of each group, under the population that phi (m,) names."""
+
+    @abstractmethod
+    def mode_errors(self, phi: Array) -> Array:
+        """Tell how far each group's mode is from the simulator's own.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+
+        Returns
+        -------
+        (G,) array
+            The step to which a simulation of every group at its mode leads, in standard deviations
+            of the group's parameters; infinite where the simulation fails, or where the mode is
+            outside the region in which the local model holds.
+        """
+
+    @abstractmethod
+    def with_own_models(
+        self, phi: Array, which: NDArray[np.bool_], rng: np.random.Generator
+    ) -> "GroupedLogLikelihood":
+        """Make the same likelihood with local models of some groups around their own modes.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+        which : (G,) array of bool
+            The groups; those whose simulations fail keep the model that they have.
+        rng : numpy.random.Generator
+            For the designs.
+
+        Returns
+        -------
+        GroupedLogLikelihood
+        """

@@ -129,8 +129,9 @@ class Emulator:
 
     Attributes
     ----------
-    centre, width : (d,) array
-        In the emulator's coordinates, which are logarithms if `logarithmic`.
+    centre, width : (d,) or (K, d) array
+        In the emulator's coordinates, which are logarithms if `logarithmic`; one for each of the K
+        vectors of parameters that it is asked for, where groups have emulators of their own.
     indices : (M, d) array of int
         Exponents.
     coefficients : (M, R, p) array
@@ -162,7 +163,7 @@ class Emulator:
         slopes = []
         for i in range(u.shape[1]):
             # d He_n / du = sqrt(n) He_(n-1), orthonormal.
-            factor = np.sqrt(np.maximum(self.indices[:, i], 0)) / self.width[i]
+            factor = np.sqrt(np.maximum(self.indices[:, i], 0)) / self.width[..., i, None]
             lower = np.maximum(self.indices - unit[i], 0)
             slopes.append(factor * _multiplied(single, lower))
         return np.stack(slopes, axis=-1)
