@@ -1,6 +1,6 @@
 """DROPO: the distribution of the parameters that makes the measured segments most likely."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -28,6 +28,7 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 from dropo.estimators.least_squares import estimate
 from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
+from dropo.estimators.support.family_of_groups import family_warnings
 from dropo.estimators.support.far_groups import with_models_of_their_own
 from dropo.estimators.support.filtered_starts import fit_from_filtered_starts
 from dropo.estimators.support.final_step import corrected_by_simulation
@@ -304,7 +305,7 @@ class DROPO(Estimator):
         own_likelihood = type(self.likelihood).__name__
         with run.counting():
             mean_prediction = objective.mean(found.point)
-        return summarize(
+        fit = summarize(
             problem,
             run,
             method=self.name,
@@ -321,6 +322,16 @@ class DROPO(Estimator):
             optimizer=self.optimizer or default_optimizer,
             **further,
         )
+
+        # Whether the groups of recordings have the shape of the family.
+        follows_the_spread = self.likelihood in ("emulated", "random-effects")
+        if not (follows_the_spread and isinstance(objective, LocalLogLikelihood)):
+            return fit
+        if fit.status is Status.INTERRUPTED:
+            return fit
+        rng = run.rng.spawn(1)[0]
+        said = family_warnings(problem, family, objective, found.point, fit, rng)
+        return replace(fit, warnings=(*fit.warnings, *said))
 
 
 def first_member(family: Family, unknowns: ParameterSpace, mean: Array) -> Array:

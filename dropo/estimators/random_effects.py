@@ -13,6 +13,7 @@ from dropo.core.contracts.maximize import SearchResult
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.records.fit_parts import GroupEffects, VarianceComponentTests, VarianceTest
+from dropo.core.records.fit_report import span
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table
 from dropo.core.services.validation import Array, known
@@ -261,21 +262,23 @@ def _table(fit: Fit, groups: GroupEffects) -> str:
     header = [
         "",
         "spread to train under",
+        "95 % interval",
         "ignorance of the mean",
         "ignorance of a group",
         "a new group",
         "shrinkage",
     ]
+    intervals = fit.sd_interval()
     rows = []
     for i, name in enumerate(fit.space.names):
         values = [
-            fit.sd[i],
             fit.mean_se[i],
             groups.median_sd[name],
             groups.predictive_sd[name],
             groups.shrinkage[name],
         ]
-        rows.append([name, *(number(float(value), 4) for value in values)])
+        cells = [number(float(value), 4) for value in values]
+        rows.append([name, number(float(fit.sd[i]), 4), span(*intervals[i]), *cells])
     sizes = f"{groups.fewest_rows}"
     if groups.fewest_rows < groups.most_rows:
         sizes += f" to {groups.most_rows}"

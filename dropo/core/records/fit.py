@@ -54,6 +54,9 @@ class Fit(Report):
         Standard errors, NaN where there is none.
     correlation : (d, d) array
         Of the distribution.
+    correlation_se : (d, d) array or None
+        Their standard errors, 0 on the diagonal, NaN where one is on its bound; None where there
+        are none, as in families without correlations.
     epsilon : (p,) array
         The noise variances [signal unit^2].
     log_likelihood : float
@@ -140,6 +143,7 @@ class Fit(Report):
     inner_evaluations: int = 0
     seed: int | None = None
     degrees_of_freedom: Array | None = None
+    correlation_se: Array | None = None
     places: Mapping[str, dict[str, Any]] = field(default_factory=dict)
     likelihood: str = ""
     optimizer: str = ""
@@ -246,12 +250,82 @@ class Fit(Report):
             For a level that is not between 0 and 1.
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.interval")
-        degrees = np.full(len(self.mean), np.inf)
-        if self.degrees_of_freedom is not None:
-            degrees = np.nan_to_num(self.degrees_of_freedom, nan=np.inf)
-        half = stats.t.ppf((1 + level) / 2, degrees) * self.mean_se
+        half = stats.t.ppf((1 + level) / 2, self._degrees()) * self.mean_se
         ends = np.stack([self.mean - half, self.mean + half])
         return np.asarray(np.clip(ends, self.space.low, self.space.high).T)
+
+    def sd_interval(self, level: float = 0.95) -> Array:
+        """Confidence intervals of the distribution's standard deviations.
+
+        A variance is taken for chi-square with as many degrees of freedom as its standard error
+        says, and no more than the means have, as of a sample from a Gaussian: so intervals are not
+        symmetric, and their middle allows for the (G - 1) / G of maximum likelihood. They end at
+        the width of the search interval. Tails heavier
+        than a Gaussian's make them too short where units of data are few.
+
+        Parameters
+        ----------
+        level : float
+            The confidence, in (0, 1).
+
+        Returns
+        -------
+        (d, 2) array
+            In the parameters' units; NaN without a standard error of the scale.
+
+        Raises
+        ------
+        BadArgument
+            For a level that is not between 0 and 1.
+        """
+        require(0 < level < 1, "level", "between 0 and 1", level, "Fit.sd_interval")
+        count = self._degrees()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            degrees = np.minimum(0.5 * (self.scale / self.scale_se) ** 2, count)
+            unbiased = degrees * np.where(np.isinf(count), 1.0, (count + 1) / count)
+            tails = np.array([[(1 + level) / 2], [(1 - level) / 2]])
+            ends = self.sd * np.sqrt(unbiased / stats.chi2.ppf(tails, degrees))
+        ends = np.minimum(ends, self.space.high - self.space.low)
+        return np.asarray(np.where(np.isfinite(self.scale_se), ends, np.nan).T)
+
+    def correlation_interval(self, level: float = 0.95) -> Array:
+        """Confidence intervals of the correlations, by Fisher's z.
+
+        Its half width is the larger one of what the standard error says and of that of a sample
+        from a Gaussian, as many as there are independent units of data.
+
+        Parameters
+        ----------
+        level : float
+            The confidence, in (0, 1).
+
+        Returns
+        -------
+        (d, d, 2) array
+            1 on the diagonal; NaN without a standard error.
+
+        Raises
+        ------
+        BadArgument
+            For a level that is not between 0 and 1.
+        """
+        require(0 < level < 1, "level", "between 0 and 1", level, "Fit.correlation_interval")
+        degrees = self._degrees()
+        fewest = np.minimum(degrees[:, None], degrees)
+        off = ~np.eye(len(degrees), dtype=bool)
+        r = np.where(off, self.correlation, 0.0)
+        errors = np.nan if self.correlation_se is None else self.correlation_se
+        se = errors / (1 - r**2)
+        of_sample = 1 / np.sqrt(np.maximum(fewest - 2, 1.0))
+        half = stats.t.ppf((1 + level) / 2, fewest) * np.maximum(se, of_sample)
+        ends = np.tanh(np.arctanh(r)[..., None] + half[..., None] * np.array([-1.0, 1.0]))
+        return np.where(off[..., None], ends, 1.0)
+
+    def _degrees(self) -> Array:
+        """(d,) degrees of freedom, infinite where there are none."""
+        if self.degrees_of_freedom is None:
+            return np.full(len(self.mean), np.inf)
+        return np.nan_to_num(self.degrees_of_freedom, nan=np.inf)
 
     @property
     def trusted(self) -> bool | None:
@@ -316,11 +390,12 @@ class Fit(Report):
     def to_pandas(self) -> Any:
         """A pandas.DataFrame with a row for each parameter.
 
-        Its columns are mean, errors, 95 % interval, scale, sd, unit and search interval.
+        Its columns are mean, errors, scale, sd, their 95 % intervals, unit and search interval.
         """
         from dropo.core.services.data_frames import frame
 
         intervals = self.interval()
+        of_sd = self.sd_interval()
         rows = [
             {
                 "parameter": p.name,
@@ -332,6 +407,8 @@ class Fit(Report):
                 "scale": self.scale[i],
                 "scale_se": self.scale_se[i],
                 "sd": self.sd[i],
+                "sd_low": of_sd[i, 0],
+                "sd_high": of_sd[i, 1],
                 "low": p.low,
                 "high": p.high,
             }

@@ -163,10 +163,12 @@ def _rows_of(fit: Fit) -> dict[str, dict[str, Any]]:
     degrees = fit.degrees_of_freedom
     columns["degrees"] = np.full(len(fit.mean), np.inf) if degrees is None else degrees
     intervals = fit.interval()
+    of_sd = fit.sd_interval()
     return {
         p.name: {
             **{key: number_or_null(values[i]) for key, values in columns.items()},
             "mean_interval": [number_or_null(end) for end in intervals[i]],
+            "sd_interval": [number_or_null(end) for end in of_sd[i]],
             "unit": p.unit,
             "low": p.low,
             "high": p.high,
@@ -181,6 +183,9 @@ def _rows_of(fit: Fit) -> dict[str, dict[str, Any]]:
 def _further_entries(fit: Fit) -> dict[str, Any]:
     """The entries of what not every fit has."""
     found: dict[str, Any] = {}
+    if fit.correlation_se is not None:
+        rows = fit.correlation_se.tolist()
+        found["correlation_se"] = [[number_or_null(error) for error in row] for row in rows]
     if fit.model_places:
         found["places"] = fit.model_places
     if fit.likelihood:
@@ -227,6 +232,7 @@ def _fit_from(content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
         log_likelihood=number_or_nan(content["log_likelihood"]),
         status=Status(content["status"]),
         warnings=tuple(content["warnings"]),
+        correlation_se=_matrix(content.get("correlation_se")),
         places=content.get("places", {}),
         likelihood=content.get("likelihood", ""),
         optimizer=content.get("optimizer", ""),
@@ -260,6 +266,13 @@ def _with_outside_entries(fit: Fit, content: dict[str, Any], arrays: dict[str, A
 def _texts(saved: list[str] | None) -> tuple[str, ...] | None:
     """A list of texts that may be missing."""
     return None if saved is None else tuple(saved)
+
+
+def _matrix(saved: list[list[float | None]] | None) -> Array | None:
+    """A matrix of numbers that may be null, which may be missing."""
+    if saved is None:
+        return None
+    return np.array([[number_or_nan(value) for value in row] for row in saved])
 
 
 def _degrees(rows: dict[str, Any], mean_se: Array) -> Array:

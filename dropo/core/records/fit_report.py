@@ -14,6 +14,9 @@ INTERVAL = {
 }
 """What intervals are, by what a check of the model said; None: there was none."""
 
+SHOWN_CORRELATIONS = 3
+"""The strongest correlations, so many of which are printed."""
+
 
 def fit_report(fit: Fit) -> list[str | Table]:
     """The sentences and the table that print a fit.
@@ -33,6 +36,7 @@ def fit_report(fit: Fit) -> list[str | Table]:
     return [
         f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
         _parameter_table(fit),
+        *_correlation_sentence(fit),
         *(fit.identifiability or ()),
         f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
         *([] if fit.held_out is None else [_held_out_sentence(fit.held_out)]),
@@ -103,6 +107,24 @@ def _parameter_table(fit: Fit) -> Table:
         for row, p, error, z in zip(rows, fit.space, fit.mean_se, z_scores(fit), strict=True)
     ]
     return Table("", (*header, "truth", "z"), tuple(with_truth))
+
+
+def _correlation_sentence(fit: Fit) -> list[str]:
+    """The strongest correlations with their intervals, where the family has such."""
+    if fit.correlation_se is None or len(fit.mean) < 2:
+        return []
+    first, second = np.triu_indices(len(fit.mean), 1)
+    intervals = fit.correlation_interval()
+    known = np.isfinite(intervals[first, second]).all(axis=1)
+    first, second = first[known], second[known]
+    strongest = np.argsort(-np.abs(fit.correlation[first, second]))[:SHOWN_CORRELATIONS]
+    names = fit.space.names
+    shown = []
+    for i, j in zip(first[strongest], second[strongest], strict=True):
+        low, high = intervals[i, j]
+        r = fit.correlation[i, j]
+        shown.append(f"{names[i]}, {names[j]} {r:+.2f} ({low:+.2f} .. {high:+.2f})")
+    return [f"correlations (95 % intervals): {'; '.join(shown)}"] if shown else []
 
 
 def _held_out_sentence(found: HeldOutErrors) -> str:

@@ -176,6 +176,7 @@ class SavedFit(Saved):
     version: str
     parameters: Annotated[dict[str, SavedParameter], Field(min_length=1)]
     correlation: list[list[float]]
+    correlation_se: list[list[Known]] | None = None
     family: str
     phi: list[float]
     epsilon: list[float]

@@ -52,12 +52,16 @@ class StandardErrors:
         The degrees of freedom of the means' errors.
     jacobian : (R, p, d) array
         Of the predictions by the parameters.
+    correlation : (d, d) array or None
+        Of the correlations, NaN where one is on its bound; None of a family without, or where the
+        likelihood has no scores of its own.
     """
 
     mean: Array
     scale: Array
     degrees: Array
     jacobian: Array
+    correlation: Array | None = None
 
 
 def standard_errors(
@@ -174,7 +178,30 @@ def local_standard_errors(
             scale[i] = errors[names.index(f"scale.{name}")]
     scale[~(scale < family.scale(phi[:own]))] = np.nan
     jacobian = local_jacobian(objective, family.mean(phi[:own]), problem.space, settings)
-    return StandardErrors(errors[means], scale, degrees[means], jacobian)
+    whole = np.full((len(phi), len(phi)), np.nan)
+    whole[np.ix_(free, free)] = covariance
+    correlation = _correlation_errors(family, phi[:own], whole[:own, :own], settings)
+    return StandardErrors(errors[means], scale, degrees[means], jacobian, correlation)
+
+
+def _correlation_errors(
+    family: Family, phi: Array, covariance: Array, settings: DifferenceSettings
+) -> Array | None:
+    """(d, d) standard errors of the correlations, to first order in the partial ones."""
+    names = family.unknowns.names
+    partial = [i for i, name in enumerate(names) if name.startswith("partial.")]
+    if not partial:
+        return None
+    half = settings.local * np.eye(len(phi))[partial]
+    change = [family.correlation(phi + h) - family.correlation(phi - h) for h in half]
+    slopes = np.stack(change) / (2 * settings.local)  # (n, d, d)
+    own = covariance[np.ix_(partial, partial)]
+    needed = slopes != 0
+    terms = np.einsum("nde,nk,kde->nkde", slopes, own, slopes)
+    both = needed[:, None] & needed[None]
+    variance = np.sum(np.where(both, terms, 0.0), axis=(0, 1))
+    np.fill_diagonal(variance, 0.0)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def local_jacobian(

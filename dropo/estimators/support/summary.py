@@ -99,6 +99,7 @@ def summarize(
         null = null_directions(problem.space, errors.jacobian, epsilon)
         mean_se = np.where(determined(problem.space, null), errors.mean, np.nan)
         found = {"mean_se": mean_se, "scale_se": errors.scale, "degrees_of_freedom": errors.degrees}
+        found["correlation_se"] = errors.correlation
         found["identifiability"] = tuple(blind_spots(problem, mean, errors.jacobian, null))
 
         # Whether the model can be right, where a search came to an end.
