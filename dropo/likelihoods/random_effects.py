@@ -46,6 +46,9 @@ class ModeSettings:
         ... as this fraction of its centre's last move, ...
     least_own_width : float
         ... and as this fraction of the population's emulator, which is the widest.
+    settled_move : float
+        Where the mode is within this fraction of the last width of its centre, the next width is at
+        most half of the last.
     """
 
     steps: int = 20
@@ -55,6 +58,7 @@ class ModeSettings:
     own_width: float = 2.0
     followed_move: float = 0.7
     least_own_width: float = 0.01
+    settled_move: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -273,11 +277,11 @@ class _RandomEffects(GroupedLogLikelihood):
         modes = self._modes(phi)
         sd = self._sd(phi, self._integrate(phi, modes))
         widest = self.emulator.width
-        wanted = np.maximum(
-            self.modes.own_width * sd,
-            self.modes.followed_move * np.abs(modes - self.own.centre),
-        )
-        width = np.clip(wanted, self.modes.least_own_width * widest, widest)
+        move = np.abs(modes - self.own.centre)
+        moving = move > self.modes.settled_move * self.own.width
+        limit = np.where(moving, widest, np.minimum(self.own.width / 2, widest))
+        wanted = np.maximum(self.modes.own_width * sd, self.modes.followed_move * move)
+        width = np.maximum(np.minimum(wanted, limit), self.modes.least_own_width * widest)
 
         parts = {name: getattr(self.own, name).copy() for name in OWN_PARTS}
         of_segment = self.segments.group
