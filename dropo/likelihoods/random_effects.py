@@ -342,7 +342,8 @@ class _RandomEffects(GroupedLogLikelihood):
         width = self.own.width
         low = self.own.centre - self.modes.span * width
         high = self.own.centre + self.modes.span * width
-        modes = np.repeat(mean[None], len(self.label), axis=0)
+        # An emulator of a group's own is sound near its centre alone.
+        modes = np.where(self.own.centre == self.emulator.centre, mean, self.own.centre)
         for _ in range(self.modes.steps):
             following = np.clip(mean + self._integrate(phi, modes).offset, low, high)
             step = np.abs(following - modes)
