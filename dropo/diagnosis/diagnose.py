@@ -41,6 +41,7 @@ from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.library import instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
+from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import (
     STOPPING,
@@ -49,6 +50,7 @@ from dropo.diagnosis.search.selection import (
     SelectionSettings,
     State,
 )
+from dropo.diagnosis.search.whitening import Noise, NoiseSettings, white
 from dropo.diagnosis.search.window_length import (
     WindowLengthSettings,
     choose_length,
@@ -72,6 +74,8 @@ class DiagnosisSettings:
         When an effect is accepted.
     window_length : WindowLengthSettings
         How the windows' horizon is chosen.
+    noise : NoiseSettings
+        When the sensors' noise is not taken to be white.
     far_off : int or None
         Numbers missing by regression from which the search is that for models that are far off
         (None: never) ...
@@ -96,6 +100,7 @@ class DiagnosisSettings:
     judged: int = 48
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
 
 
 @dataclass(frozen=True)
@@ -302,7 +307,7 @@ class Diagnose:
         data = problem if undisturbed is None else undisturbed.problem
         setup = self._set_up(data, progress, log)
         setup.selection.progress(0.0, "fitting the model as it is")
-        found = _search(setup)
+        setup, found = _solved(setup, self.settings.noise)
         if not found.interrupted:
             try:
                 return self._result(problem, setup, found, rng, log, undisturbed, spent)
@@ -331,7 +336,7 @@ class Diagnose:
         first, last, reviews = searched.first, searched.last, searched.reviews
         complete = not searched.interrupted
         progress(0.9, "what remains")
-        rest, forces = remaining(data, library, last, selection.floor, rng)
+        rest, forces = remaining(data, library, last, setup.selection.floor, rng)
         found_effects = [
             (instance, last.theta[library.places[instance.label]]) for instance in last.accepted
         ]
@@ -380,7 +385,7 @@ class Diagnose:
 
         # What figures and tables show.
         progress(0.95, "what the pictures show")
-        figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
+        figures = figure_data(library, setup.selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
         steps = spent + library.simulator.steps
         compared = self.disturbances and wrong and not far_off and complete
@@ -411,7 +416,7 @@ class Diagnose:
             replay=replayed,
             figures=figures,
             motion=shown,
-            warnings=(*data.warnings, *setup.warnings, *beyond),
+            warnings=(*data.warnings, *setup.warnings, *_not_white(library, last), *beyond),
             simulator_steps=steps,
             interrupted=searched.interrupted,
         )
@@ -505,6 +510,7 @@ class _Setup:
     free: (d,) the declared parameters that are fitted.
     count: how many effects are looked for.
     wiring: what does not fit in signs, units and names of commands, a sentence each.
+    noise: the first guess where it is coloured.
     """
 
     problem: Problem
@@ -516,12 +522,13 @@ class _Setup:
     free: Ints
     count: int
     wiring: tuple[str, ...]
+    noise: Noise | None = None
 
     def first(self) -> State:
         """The model as it is, with its declared parameters and the noise fitted."""
         theta = nominal_of(self.library)
-        sigma = self._first_noise(theta)
-        return self.selection.begin(self.train, self.test, theta, sigma, self.free)
+        noise = self._first_noise(theta)
+        return self.selection.begin(self.train, self.test, theta, noise, self.free)
 
     def judged(self) -> tuple[State, State, dict[str, Review]]:
         """The model as it came, the one that explains whole motions, and this without each effect.
@@ -534,14 +541,14 @@ class _Setup:
         free = self.explained.model.fitted
         first = self._as_it_is(nominal_of(self.library), self.free, ())
         last = self._as_it_is(self._padded(self.explained.model.theta), free, accepted)
-        sigma = last.train.whiten.sigma
+        noise = last.train.whiten.noise
         reviews = {}
         for label, theta in self.explained.without.items():
             whole = self._padded(theta)
             kept = tuple(instance for instance in accepted if instance.label != label)
             without = State(
-                shift_linearization(self.library, last.train, whole, sigma),
-                shift_linearization(self.library, last.test, whole, sigma),
+                shift_linearization(self.library, last.train, whole, noise),
+                shift_linearization(self.library, last.test, whole, noise),
                 free[~np.isin(free, self.library.places[label])],
                 kept,
             )
@@ -559,12 +566,15 @@ class _Setup:
 
     def _as_it_is(self, theta: Array, free: Ints, accepted: tuple[EffectInstance, ...]) -> State:
         """A model with its noise estimated."""
-        sigma = self._first_noise(theta)
-        return self.selection.as_it_is(self.train, self.test, theta, sigma, free, accepted)
+        noise = self._first_noise(theta)
+        return self.selection.as_it_is(self.train, self.test, theta, noise, free, accepted)
 
-    def _first_noise(self, theta: Array) -> Array:
-        """The noise (p,) guessed from single steps."""
-        return first_noise(self.problem, self.library, self.train, theta, self.selection.floor)
+    def _first_noise(self, theta: Array) -> Noise:
+        """The noise guessed from single steps, unless it is known to be coloured."""
+        if self.noise is not None:
+            return self.noise
+        floor = self.selection.floor
+        return white(first_noise(self.problem, self.library, self.train, theta, floor))
 
     def _padded(self, values: Array) -> Array:
         """Values of the declared parameters and of effects, then 0 for all impulses: (m,)."""
@@ -583,6 +593,33 @@ class _Searched:
     last: State
     reviews: Mapping[str, Review]
     interrupted: bool = False
+
+
+def _solved(setup: _Setup, settings: NoiseSettings) -> tuple[_Setup, _Searched]:
+    """What a search ends with, and the setup that led to it.
+
+    Where errors of a sensor still follow each other, they may have been taken for causes: all is
+    done anew with noise that is coloured.
+    """
+    found = _search(setup)
+    if found.interrupted:
+        return setup, found
+    try:
+        noise = other_noise(setup.library, found.last.train, setup.selection.floor, settings)
+        if noise is None:
+            return setup, found
+        progress = setup.selection.progress
+
+        def further(share: float, text: str) -> None:
+            """Progress does not run backward."""
+            progress(0.9, f"{text}, noise that is not white")
+
+        selection = replace(setup.selection, progress=further, rounds=[], origins={})
+        again = replace(setup, selection=selection, noise=noise)
+        return again, _search(again)
+    except KeyboardInterrupt:
+        setup.selection.progress(0.9, STOPPING)
+        return setup, replace(found, interrupted=True)
 
 
 def _search(setup: _Setup) -> _Searched:
@@ -638,6 +675,24 @@ def _refuse_constant(problem: Problem, train: Windows) -> None:
                 f"The signal {signal.name!r} is the same in all the data: a stuck sensor? Leave "
                 "it out of the observation."
             )
+
+
+def _not_white(library: Library, last: State) -> tuple[str, ...]:
+    """What noise was taken for, where it is not white: a wrong model may look like it."""
+    noise = last.train.whiten.noise
+    told = []
+    for signal, rho in zip(library.simulator.signals, noise.rho, strict=True):
+        if rho:
+            told.append(
+                f"errors of {signal.name} follow each other, {rho:.2f} of each in the next, and "
+                "are taken for the sensor's"
+            )
+    if noise.timing:
+        told.append(
+            f"control steps seem to differ in length by {noise.timing:.1%} (a standard deviation), "
+            "and are taken to"
+        )
+    return tuple(told)
 
 
 def _beyond(verdict: str, last: Sequence[Horizon], length: int) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import pytest
 from dropo.diagnosis.findings.experiment import SETTINGS, _candidates, _commands, experiment
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.whitening import white
 from dropo.diagnosis.search.windows import split
 from dropo.evaluation.open_loop import open_loop
 from tests.models.hidden_in_arm import instance, problem
@@ -26,7 +27,7 @@ def lagging():
     library = Library(data.simulator.with_effects(instances), instances, 0)
     train, test = split(data, 5, 48)
     search = Selection(library, np.full(4, 1e-9))
-    first = search.begin(train, test, np.zeros(2), np.full(4, SIGMA), np.arange(0))
+    first = search.begin(train, test, np.zeros(2), white(np.full(4, SIGMA)), np.arange(0))
     return library, search.run(first, first, instances[:1])
 
 
@@ -73,7 +74,7 @@ def test_windows_longer_than_the_experiment(lagging):
     library, state = lagging
     train, test = split(problem([(PAIR[0], [0.002])], sigma=SIGMA, steps=240), 80, 24)
     search = Selection(library, np.full(4, 1e-9))
-    long = search.begin(train, test, state.theta, np.full(4, SIGMA), np.arange(0))
+    long = search.begin(train, test, state.theta, white(np.full(4, SIGMA)), np.arange(0))
     assert experiment(library, long, *library.instances, np.array([0.002])).nats > 0
 
 

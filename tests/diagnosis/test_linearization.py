@@ -15,7 +15,7 @@ from dropo.diagnosis.search.linearization import (
     shift_linearization,
     whitener,
 )
-from dropo.diagnosis.search.whitening import Whitener
+from dropo.diagnosis.search.whitening import Whitener, white
 from dropo.diagnosis.search.windows import split
 from dropo.problems.simulated.robots import simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -45,8 +45,8 @@ def test_starts_of_a_late_velocity_are_in_doubt():
     """
     library, windows = late_arm()
     theta = np.array([0.002])
-    sigma = np.full(4, NOISE)
-    linearized = linearize(library, windows, theta, sigma)
+    noise = white(np.full(4, NOISE))
+    linearized = linearize(library, windows, theta, noise)
     length = (
         np.median(linearized.whiten.distances(linearized.residuals)) / linearized.residuals.shape[1]
     )
@@ -54,7 +54,7 @@ def test_starts_of_a_late_velocity_are_in_doubt():
         Library(simulated_robot("torque-arm").simulator, (), 0),
         windows,
         np.zeros(0),
-        sigma,
+        noise,
         linearized.loadings,
     )
     assert 0.5 < length < 2
@@ -66,16 +66,16 @@ def test_doubt_follows_theta():
     does; without one there is none.
     """
     library, windows = late_arm()
-    sigma = np.full(4, NOISE)
-    prompt = linearize(library, windows, np.zeros(1), sigma)
-    there = shift_linearization(library, prompt, np.array([0.002]), sigma)
+    noise = white(np.full(4, NOISE))
+    prompt = linearize(library, windows, np.zeros(1), noise)
+    there = shift_linearization(library, prompt, np.array([0.002]), noise)
     doubt = library.simulator.extra_start_sd(np.array([0.002]), windows.segments)
     assert prompt.extra_loadings.shape[2] == 0
     np.testing.assert_allclose(
         there.extra_loadings[..., 0], there.loadings[..., 3] * doubt[:, 3:], rtol=1e-12
     )
     assert np.array_equal(
-        shift_linearization(library, there, np.zeros(1), sigma).log_likelihood,
+        shift_linearization(library, there, np.zeros(1), noise).log_likelihood,
         prompt.log_likelihood,
     )
 
@@ -85,16 +85,16 @@ def test_noise_is_learned_beside_doubt():
     from three times too high; without the doubt the late one is off by more than its double.
     """
     library, windows = late_arm()
-    wrong = np.full(4, 3 * NOISE)
+    wrong = white(np.full(4, 3 * NOISE))
     linearized = linearize(library, windows, np.array([0.002]), wrong)
     found = estimate_noise(linearized, wrong, np.full(4, 1e-9))
-    assert np.all(np.abs(found / NOISE - 1) < [0.1, 0.1, 0.1, 1 / 3])
+    assert np.all(np.abs(found.sigma / NOISE - 1) < [0.1, 0.1, 0.1, 1 / 3])
     certain = estimate_noise(
-        replace(linearized, whiten=Whitener(linearized.loadings, np.tile(wrong, 2), wrong)),
+        replace(linearized, whiten=Whitener(linearized.loadings, np.tile(wrong.sigma, 2), wrong)),
         wrong,
         np.full(4, 1e-9),
     )
-    assert certain[3] > 2 * NOISE
+    assert certain.sigma[3] > 2 * NOISE
 
 
 def test_delay_of_a_fast_joints_velocity_is_named(monkeypatch):

@@ -9,6 +9,7 @@ from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.whitening import white
 from dropo.diagnosis.search.windows import split
 
 DT = 0.1
@@ -97,4 +98,6 @@ def selection(data, declared=False, effects=tuple(EFFECTS), length=5, windows=60
     train, test = split(Problem("mass", simulator, data), length, windows)
     search = Selection(library, np.full(2, 1e-9))
     start = np.concatenate([simulator.nominal, np.zeros(len(effects))])
-    return search, search.begin(train, test, start, np.full(2, 2e-3), np.arange(int(declared)))
+    return search, search.begin(
+        train, test, start, white(np.full(2, 2e-3)), np.arange(int(declared))
+    )

@@ -11,7 +11,7 @@ from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.whitening import Whitener
+from dropo.diagnosis.search.whitening import Whitener, white
 from dropo.diagnosis.search.window_length import first_noise, noise_floor
 from dropo.diagnosis.search.windows import Windows, WindowSettings, cut, spread_of
 from dropo.evaluation.held_out import DataPart, whole_part
@@ -97,7 +97,7 @@ class Motions:
 
     def whitener(self, scale: Array) -> Whitener:
         """The covariance of residuals with errors (p',) in every step."""
-        return Whitener(self.loadings, self.start_sd, scale)
+        return Whitener(self.loadings, self.start_sd, white(scale))
 
 
 def motions_of(

@@ -114,6 +114,7 @@ def horizons(
     which = which.ravel()
     simulator = library.simulator
     sigma = signal_noise(problem, last)
+    rho = last.train.whiten.noise.rho
     part, spread = _part_and_spread(problem, library, last)
     for steps in sorted({*settings.horizons, last.train.windows.length}):
         windows = held_out_windows(part, steps, settings)
@@ -124,7 +125,9 @@ def horizons(
         same = np.repeat(last.theta[None], draws, axis=0)
         change = simulator.predict(same, windows, offsets=offsets) - predicted[which[-1]]
         good = np.isfinite(change).all(axis=2)
-        noise = sigma**2 + np.mean(change[good] ** 2, axis=0)
+        # Where a sensor's errors follow each other, some of the start's is still there.
+        together = rho**steps * offsets[good] * change[good]
+        noise = sigma**2 + np.mean(change[good] ** 2 - 2 * together, axis=0)
         errors = errors_of(simulator, predicted, windows, spread)
         if errors[which[-1]].failed == errors[which[-1]].rows:
             break

@@ -90,8 +90,8 @@ def motion(
     if windows is None or not after:
         return None
     simulator = library.simulator
-    end = linearize(library, windows, last.theta, last.train.whiten.sigma)
-    begin = shift_linearization(library, end, first.theta, first.train.whiten.sigma)
+    end = linearize(library, windows, last.theta, last.train.whiten.noise)
+    begin = shift_linearization(library, end, first.theta, first.train.whiten.noise)
     rows = windows.segments.steps[:, 0]
     data = windows.segments.trajectories
     origins = np.array([start for start, _ in data.spans])
@@ -123,7 +123,7 @@ def _side(
     """What one model predicts for the windows that are shown, and its errors."""
     p = len(linearized.whiten.sigma)
     line = linearized.predicted + linearized.shift
-    half = stats.t.ppf((1 + LEVEL) / 2, DEGREES) * _deviations(linearized)
+    half = stats.t.ppf((1 + LEVEL) / 2, DEGREES) * linearized.whiten.deviations
     own = next((one for one in errors if one.steps == state.test.windows.length), errors[-1])
     return Side(
         name=name,
@@ -133,12 +133,6 @@ def _side(
         by_signal=own.by_signal,
         pit=_pit(state.test, settings.entries),
     )
-
-
-def _deviations(linearized: LinearizedWindows) -> Array:
-    """(W, n) standard deviations by the noise of the measurement and of the measured start."""
-    by_start = np.sum((linearized.whiten.loadings * linearized.whiten.scale) ** 2, axis=2)
-    return np.sqrt(linearized.whiten.rows**2 + by_start)
 
 
 def _pit(linearized: LinearizedWindows, entries: int) -> Array:
@@ -151,8 +145,7 @@ def _pit(linearized: LinearizedWindows, entries: int) -> Array:
     count = max(1, min(length, entries // p))
     steps = np.unique(np.linspace(0, length - 1, count).round().astype(np.int64))
     places = (steps[:, None] * p + np.arange(p)).ravel()
-    loadings = (linearized.whiten.loadings * linearized.whiten.scale)[good][:, places]
-    covariance = loadings @ loadings.swapaxes(1, 2) + np.diag(linearized.whiten.rows[places] ** 2)
+    covariance = linearized.whiten.covariance(places)[good]
     white = np.linalg.solve(
         np.linalg.cholesky(covariance), linearized.residuals[good][:, places, None]
     )

@@ -115,7 +115,7 @@ def stability(
         except BadArgument:
             continue
         windows = windows.take(np.arange(0, len(windows), settings.stride))
-        sigma = train.whiten.sigma
-        linearized = linearize(selection.library, windows, train.theta, sigma)
+        noise = train.whiten.noise
+        linearized = linearize(selection.library, windows, train.theta, noise)
         (by_length[steps],) = named(linearized, np.arange(len(windows)))
     return Stability(dict(sorted(by_length.items())), (first, second))

@@ -186,21 +186,22 @@ def unexplained_force(
 
     # The noise and the forces that the windows to fit are most likely under.
     good = ~train.lost
-    sigma, sd = learn_noise(
-        np.concatenate([train.loadings, of_train], axis=2)[good],
+    noise, sd = learn_noise(
+        np.concatenate([train.start_loadings, of_train], axis=2)[good],
         train.residuals[good],
-        train.whiten.sigma,
+        train.whiten.noise,
         floor,
         unit,
         pieces=pieces,
-        known=train.extra_loadings[good],
+        known=train.known_loadings[good],
     )
 
     # What they gain on the windows held out.
-    ones = np.ones(test.extra_loadings.shape[2])
-    scale = np.concatenate([np.tile(sigma, 2), np.tile(sd, pieces), ones])
-    loadings = np.concatenate([test.loadings, of_test, test.extra_loadings], axis=2)
-    with_forces = replace(test, whiten=Whitener(loadings, scale, sigma))
+    known = test.known_loadings
+    ones = np.ones(known.shape[2])
+    scale = np.concatenate([np.tile(noise.sigma, 2), np.tile(sd, pieces), ones])
+    loadings = np.concatenate([test.start_loadings, of_test, known], axis=2)
+    with_forces = replace(test, whiten=Whitener(loadings, scale, noise))
     gain, z = gain_of(test, with_forces)
     excess = with_forces.log_likelihood - test.log_likelihood
     return Unexplained(sd, 1 / unit, gain, z, excess, responses, settings)

@@ -12,7 +12,7 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.finite_differences import axial_design
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.whitening import Whitener, learn_noise
+from dropo.diagnosis.search.whitening import Noise, Whitener, learn_noise
 from dropo.diagnosis.search.windows import Windows
 
 DIVERGED = 1e3
@@ -154,7 +154,7 @@ class LinearizedWindows:
         The covariance of the residuals, with the noise sigma (p,).
     lost : (W,) bool array
         Windows whose simulation diverges.
-    linearized_at : tuple of (m,) and (p,) array
+    linearized_at : tuple of (m,) array and Noise
         The parameters and the noise that the start's loadings were found at.
     shifted : bool
         Whether the windows were simulated again since.
@@ -166,7 +166,7 @@ class LinearizedWindows:
     shift: Array
     whiten: Whitener
     lost: np.ndarray
-    linearized_at: tuple[Array, Array]
+    linearized_at: tuple[Array, Noise]
     shifted: bool = False
 
     @property
@@ -176,14 +176,32 @@ class LinearizedWindows:
         return np.where(self.lost[:, None], np.nan, predicted)
 
     @property
-    def loadings(self) -> Array:
+    def start_loadings(self) -> Array:
         """(W, n, 2 p) the loadings of the start's noise: of its linear and its quadratic part."""
         return self.whiten.loadings[:, :, : 2 * len(self.whiten.sigma)]
 
     @property
+    def loadings(self) -> Array:
+        """(W, n, 2 p + c) those of the start's noise, and of the lengths of c = L control steps
+        where these differ.
+        """
+        return self.whiten.loadings[:, :, : 2 * len(self.whiten.sigma) + self.clocks]
+
+    @property
+    def clocks(self) -> int:
+        """c, the number of steps whose lengths differ; 0 where they are known."""
+        return self.windows.length if self.whiten.noise.timing else 0
+
+    @property
     def extra_loadings(self) -> Array:
         """(W, n, e) the loadings of what else starts of delayed signals are wrong by."""
-        return self.whiten.loadings[:, :, 2 * len(self.whiten.sigma) :]
+        return self.whiten.loadings[:, :, 2 * len(self.whiten.sigma) + self.clocks :]
+
+    @property
+    def known_loadings(self) -> Array:
+        """(W, n, c + e) the loadings of all but the start's noise, of numbers of variance 1."""
+        first = 2 * len(self.whiten.sigma)
+        return self.whiten.loadings[:, :, first:] * self.whiten.scale[first:]
 
     @property
     def log_likelihood(self) -> Array:
@@ -202,7 +220,7 @@ class LinearizedWindows:
         -------
         LinearizedWindows
         """
-        whiten = Whitener(self.whiten.loadings[index], self.whiten.scale, self.whiten.sigma)
+        whiten = Whitener(self.whiten.loadings[index], self.whiten.scale, self.whiten.noise)
         return LinearizedWindows(
             windows=self.windows.take(index),
             theta=self.theta,
@@ -250,7 +268,7 @@ class LinearizedWindows:
         return self.whiten.log_likelihood(residuals)
 
 
-def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) -> LinearizedWindows:
+def linearize(library: Library, windows: Windows, theta: Array, noise: Noise) -> LinearizedWindows:
     """Simulate windows from their measured starts, and from starts shifted by sigma either way.
 
     Parameters
@@ -261,8 +279,8 @@ def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) ->
         W windows of n measurements.
     theta : (m,) array
         The parameters.
-    sigma : (p,) array
-        Standard deviation of each signal's noise.
+    noise : Noise
+        Of the p signals.
 
     Returns
     -------
@@ -274,6 +292,7 @@ def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) ->
     H z^2 / 2. The mean of the last part shifts the predictions; its variance, (H sigma^2)^2 / 2, is
     a loading of its own, so that windows that begin close to an impact count less.
     """
+    sigma = noise.sigma
     p = len(sigma)
     # Row 0: the measured start; then each signal larger by sigma, then each smaller by sigma.
     offsets = np.repeat(axial_design(sigma, -sigma)[:, None], len(windows), axis=1)
@@ -291,12 +310,45 @@ def linearize(library: Library, windows: Windows, theta: Array, sigma: Array) ->
     shift = curvature.sum(axis=0)
     residuals = windows.measured - centre - shift
     residuals[lost] = DIVERGED * np.tile(sigma, windows.length)
-    whiten = whitener(library, windows, theta, sigma, loadings)
-    return LinearizedWindows(windows, theta, residuals, shift, whiten, lost, (theta, sigma))
+    if noise.timing:
+        loadings = np.concatenate([loadings, step_lengths(windows, loadings, sigma)], axis=2)
+    whiten = whitener(library, windows, theta, noise, loadings)
+    return LinearizedWindows(windows, theta, residuals, shift, whiten, lost, (theta, noise))
+
+
+def step_lengths(windows: Windows, loadings: Array, sigma: Array) -> Array:
+    """Return the change of the predictions by each control step's length, in units of one.
+
+    What a longer step adds is carried on as an error of the start is that has become as large.
+
+    Parameters
+    ----------
+    windows : Windows
+        W windows of L steps, whose measured rows say how far a step moves.
+    loadings : (W, n, >= p) array
+        The first p: of errors of the start.
+    sigma : (p,) array
+        The size of errors.
+
+    Returns
+    -------
+    (W, n, L) array
+    """
+    p = len(sigma)
+    data = windows.segments.trajectories
+    steps = windows.segments.steps
+    moved = (data.next_observations[steps] - data.observations[steps]) / sigma
+    by_start = loadings[:, :, :p].reshape(len(windows), windows.length, p, p)
+    by_start = by_start * sigma / sigma[:, None]
+    start = np.linalg.pinv(by_start, rcond=1e-9) @ moved[..., None]
+    later = np.einsum("wjab,wib->wjai", by_start, start[..., 0]) * sigma[:, None]
+    step = np.arange(windows.length)
+    later *= (step[:, None] >= step)[:, None]
+    return np.asarray(later.reshape(len(windows), -1, windows.length), dtype=float)
 
 
 def shift_linearization(
-    library: Library, linearized: LinearizedWindows, theta: Array, sigma: Array
+    library: Library, linearized: LinearizedWindows, theta: Array, noise: Noise
 ) -> LinearizedWindows:
     """Simulate windows under other parameters, with the start's loadings as they are.
 
@@ -308,7 +360,7 @@ def shift_linearization(
         Where the loadings are taken from.
     theta : (m,) array
         The other parameters.
-    sigma : (p,) array
+    noise : Noise
         The other noise.
 
     Returns
@@ -320,15 +372,15 @@ def shift_linearization(
     predicted = library.predict(theta[None], windows)[0]
     lost = np.logical_or(linearized.lost, ~np.isfinite(predicted).all(axis=1))
     residuals = windows.measured - predicted - linearized.shift
-    residuals[lost] = DIVERGED * np.tile(sigma, windows.length)
-    whiten = whitener(library, windows, theta, sigma, linearized.loadings)
+    residuals[lost] = DIVERGED * np.tile(noise.sigma, windows.length)
+    whiten = whitener(library, windows, theta, noise, linearized.loadings)
     return replace(
         linearized, theta=theta, residuals=residuals, whiten=whiten, lost=lost, shifted=True
     )
 
 
 def whitener(
-    library: Library, windows: Windows, theta: Array, sigma: Array, loadings: Array
+    library: Library, windows: Windows, theta: Array, noise: Noise, loadings: Array
 ) -> Whitener:
     """Return the covariance of windows whose starts are noisy.
 
@@ -343,10 +395,10 @@ def whitener(
         W windows of n measurements.
     theta : (m,) array
         The parameters, delays among them.
-    sigma : (p,) array
-        Standard deviation of each signal's noise.
-    loadings : (W, n, 2 p) array
-        Of the start's noise.
+    noise : Noise
+        Of the p signals.
+    loadings : (W, n, 2 p + c) array
+        Of the start's noise, and of the lengths of c steps.
 
     Returns
     -------
@@ -355,33 +407,37 @@ def whitener(
     extra_sd = library.simulator.extra_start_sd(theta, windows.segments)
     delayed = np.flatnonzero(extra_sd.any(axis=0))
     extra = loadings[:, :, delayed] * extra_sd[:, None, delayed]
-    scale = np.concatenate([np.tile(sigma, 2), np.ones(len(delayed))])
-    return Whitener(np.concatenate([loadings, extra], axis=2), scale, sigma)
+    clocks = np.full(loadings.shape[2] - 2 * len(noise.sigma), noise.timing)
+    scale = np.concatenate([np.tile(noise.sigma, 2), clocks, np.ones(len(delayed))])
+    return Whitener(np.concatenate([loadings, extra], axis=2), scale, noise)
 
 
 def estimate_noise(
-    linearized: LinearizedWindows, sigma: Array, floor: Array, rounds: int = 60
-) -> Array:
+    linearized: LinearizedWindows, noise: Noise, floor: Array, rounds: int = 60
+) -> Noise:
     """Estimate the noise under which windows are most likely.
 
     Parameters
     ----------
     linearized : LinearizedWindows
         The windows, at their theta.
-    sigma : (p,) array
+    noise : Noise
         First guess.
     floor : (p,) array
-        Lower bound.
+        Lower bound of its standard deviations.
     rounds : int
         Iterations, at most.
 
     Returns
     -------
-    (p,) array
-        Standard deviations, in the signals' units.
+    Noise
     """
     good = ~linearized.lost
     loadings = linearized.loadings[good]
     residuals = linearized.residuals[good]
     known = linearized.extra_loadings[good]
-    return learn_noise(loadings, residuals, sigma, floor, known=known, rounds=rounds)[0]
+    clocks = np.full(min(linearized.clocks, 1), noise.timing)
+    learned, timing = learn_noise(
+        loadings, residuals, noise, floor, clocks, known=known, rounds=rounds
+    )
+    return replace(learned, timing=float(timing.sum()))

@@ -19,6 +19,7 @@ from dropo.diagnosis.search.linearization import (
     linearize,
     shift_linearization,
 )
+from dropo.diagnosis.search.whitening import noise_of
 from dropo.diagnosis.search.windows import Windows
 
 T = TypeVar("T")
@@ -112,10 +113,9 @@ def recorded_sides(
 
 def _numbers(side: LinearizedWindows) -> Array:
     """Where windows were linearized and where they are, the noise of both, and which are lost."""
-    first, sigma = side.linearized_at
-    return np.concatenate(
-        [first, sigma, side.theta, side.whiten.sigma, np.array([side.shifted]), side.lost]
-    )
+    first, noise = side.linearized_at
+    there = side.whiten.noise.numbers
+    return np.concatenate([first, noise.numbers, side.theta, there, [side.shifted], side.lost])
 
 
 def _again(
@@ -123,15 +123,17 @@ def _again(
 ) -> LinearizedWindows:
     """The windows of a record."""
     m = len(library.simulator.space)
-    p = (len(numbers) - 1 - len(windows)) // 2 - m
-    first, first_sigma, theta, sigma, shifted, lost = np.split(numbers, np.cumsum([m, p, m, p, 1]))
+    q = (len(numbers) - 1 - len(windows)) // 2 - m  # numbers of the noise
+    first, there, theta, noise, shifted, lost = np.split(numbers, np.cumsum([m, q, m, q, 1]))
     if not shifted[0]:
-        return linearize(library, windows, first, first_sigma)
-    if near is None or not _same(near.linearized_at, (first, first_sigma)):
-        near = linearize(library, windows, first, first_sigma)
-    return shift_linearization(library, replace(near, lost=lost.astype(bool)), theta, sigma)
+        return linearize(library, windows, first, noise_of(there))
+    if near is None or not _is_at(near, first, there):
+        near = linearize(library, windows, first, noise_of(there))
+    begun = replace(near, lost=lost.astype(bool))
+    return shift_linearization(library, begun, theta, noise_of(noise))
 
 
-def _same(one: tuple[Array, ...], other: tuple[Array, ...]) -> bool:
-    """Whether arrays are equal, pair by pair."""
-    return all(map(np.array_equal, one, other))
+def _is_at(windows: LinearizedWindows, theta: Array, noise: Array) -> bool:
+    """Whether windows were linearized at these numbers."""
+    first, there = windows.linearized_at
+    return np.array_equal(first, theta) and np.array_equal(there.numbers, noise)

@@ -13,7 +13,15 @@ from dropo.diagnosis.search.linearization import (
     estimate_noise,
     linearize,
     shift_linearization,
+    step_lengths,
     whitener,
+)
+from dropo.diagnosis.search.whitening import (
+    SETTINGS,
+    Noise,
+    NoiseSettings,
+    coloured_noise,
+    uneven_steps,
 )
 
 NONE = np.zeros(0, dtype=np.int64)
@@ -99,7 +107,7 @@ def refit(
     )
     # Linearize anew where theta has gone, until that changes nothing any more.
     for _ in range(settings.renewals if renewals is None else renewals):
-        renewed = linearize(library, linearized.windows, linearized.theta, linearized.whiten.sigma)
+        renewed = linearize(library, linearized.windows, linearized.theta, linearized.whiten.noise)
         change = float(renewed.log_likelihood.sum() - linearized.log_likelihood.sum())
         if abs(change) < settings.renewal_gain:
             linearized = renewed
@@ -130,11 +138,59 @@ def with_noise(
         The windows at the same theta; the effect of the start's noise is found anew where the
         noise is quite another.
     """
-    sigma = estimate_noise(linearized, linearized.whiten.sigma, floor)
-    ratios = np.abs(np.log(sigma / linearized.whiten.sigma))
+    noise = estimate_noise(linearized, linearized.whiten.noise, floor)
+    ratios = np.abs(np.log(noise.sigma / linearized.whiten.sigma))
     if np.any(ratios > np.log(settings.other_noise)):
-        return linearize(library, linearized.windows, linearized.theta, sigma)
-    return shift_linearization(library, linearized, linearized.theta, sigma)
+        return linearize(library, linearized.windows, linearized.theta, noise)
+    return shift_linearization(library, linearized, linearized.theta, noise)
+
+
+def other_noise(
+    library: Library,
+    linearized: LinearizedWindows,
+    floor: Array,
+    settings: NoiseSettings = SETTINGS,
+) -> Noise | None:
+    """Test whether the noise is another than white.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    linearized : LinearizedWindows
+        The windows under white noise.
+    floor : (p,) array
+        Lower bound of its standard deviations.
+    settings : NoiseSettings
+        When it is another.
+
+    Returns
+    -------
+    Noise or None
+        A first guess: errors that follow each other, control steps of different lengths, or both
+        if one of them does not explain as much; None where the windows ask for neither.
+    """
+    good = linearized.take(np.flatnonzero(~linearized.lost))
+    white = good.whiten.noise
+    if not np.any(white.sigma > settings.clear * floor):
+        return None
+    timing = replace(white, timing=settings.timing)
+    coloured = coloured_noise(good.whiten, good.residuals, floor, settings)
+    if coloured is not None:
+        asked = [coloured, timing, replace(coloured, timing=settings.timing)]
+    else:
+        lengths = step_lengths(good.windows, good.loadings, white.sigma)
+        if not uneven_steps(good.whiten, good.residuals, lengths, settings):
+            return None
+        asked = [timing]
+    best = good
+    for noise in asked:
+        found = linearize(library, good.windows, good.theta, noise)
+        found = with_noise(library, found, floor)
+        gain = float(found.log_likelihood.sum() - best.log_likelihood.sum())
+        if gain > settings.least_gain:
+            best = found
+    return None if best is good else best.whiten.noise
 
 
 def settle(
@@ -178,8 +234,8 @@ def settle(
             linearized, jacobian = maximize(
                 problem, linearized, settings.steps, jacobian=jacobian, close=close
             )
-        sigma = estimate_noise(linearized, linearized.whiten.sigma, floor)
-        linearized = shift_linearization(library, linearized, linearized.theta, sigma)
+        noise = estimate_noise(linearized, linearized.whiten.noise, floor)
+        linearized = shift_linearization(library, linearized, linearized.theta, noise)
         if abs(float(linearized.log_likelihood.sum()) - before) < settings.steps.tolerance:
             break
     return linearized
@@ -244,13 +300,13 @@ def _best(
 ) -> tuple[LinearizedWindows, float]:
     """The best of several thetas (K, m) if it is better than the present one, and its gain."""
     windows = linearized.windows
-    sigma = linearized.whiten.sigma
+    noise = linearized.whiten.noise
     predictions = library.predict(candidates, windows)
     # Evaluate each theta under the covariance that it implies.
     whiteners = []
     values = []
     for theta, predicted in zip(candidates, predictions, strict=True):
-        whiten = whitener(library, windows, theta, sigma, linearized.loadings)
+        whiten = whitener(library, windows, theta, noise, linearized.loadings)
         there = replace(linearized, whiten=whiten)
         whiteners.append(whiten)
         values.append(there.log_likelihood_of(predicted).sum())

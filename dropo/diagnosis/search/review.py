@@ -94,7 +94,7 @@ def reviews_so_far(selection: Selection, state: State) -> dict[str, Review]:
     for instance in state.accepted:
         without = _without_effect(selection, state, instance)
         train = settle(library, without.train, without.free, selection.floor)
-        test = shift_linearization(library, state.test, train.theta, train.whiten.sigma)
+        test = shift_linearization(library, state.test, train.theta, train.whiten.noise)
         origin = selection.origins.get(instance.label)
         reviews[instance.label] = Review(replace(without, train=train, test=test), origin, ())
     return reviews
@@ -203,7 +203,7 @@ def _without_effect(selection: Selection, state: State, instance: EffectInstance
     theta = state.theta.copy()
     theta[place] = 0.0
     others = tuple(other for other in state.accepted if other.label != instance.label)
-    train = shift_linearization(library, state.train, theta, state.train.whiten.sigma)
+    train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
     return State(train, state.test, np.setdiff1d(state.free, place), others)
 
 
@@ -257,7 +257,7 @@ def _merged(
     replaced = np.concatenate([places[part.label] for part in parts])
     theta[replaced] = 0.0
     free = np.append(np.setdiff1d(state.free, replaced), places[whole.label])
-    train = shift_linearization(library, state.train, theta, state.train.whiten.sigma)
+    train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
     kept = tuple(instance for instance in state.accepted if instance not in parts)
     start = replace(state, train=train, free=free, accepted=(*kept, whole))
     return selection.polish(start)

@@ -262,17 +262,17 @@ class Screening:
         """
         library = self.library
         windows = linearized.windows
-        sigma = linearized.whiten.sigma
+        noise = linearized.whiten.noise
         loadings = linearized.loadings
         # The windows with the delay, under the noise as it is.
         theta = linearized.theta.copy()
         place = library.places[instance.label]
         theta[place] += np.array(magnitudes)
-        whiten = whitener(library, windows, theta, sigma, loadings)
+        whiten = whitener(library, windows, theta, noise, loadings)
         delayed = replace(linearized, residuals=linearized.residuals - change, whiten=whiten)
         # The same under the noise that is then left.
-        sigma = estimate_noise(delayed, sigma, self.floor, rounds=self.settings.noise_rounds)
-        whiten = whitener(library, windows, theta, sigma, loadings)
+        noise = estimate_noise(delayed, noise, self.floor, rounds=self.settings.noise_rounds)
+        whiten = whitener(library, windows, theta, noise, loadings)
         learned = replace(delayed, whiten=whiten)
         gains = learned.log_likelihood - linearized.log_likelihood
         gain = float(gains[~linearized.lost].sum())

@@ -33,6 +33,7 @@ from dropo.diagnosis.search.screening import (
     with_constant,
 )
 from dropo.diagnosis.search.single_steps import absent_in_single_steps
+from dropo.diagnosis.search.whitening import Noise
 from dropo.diagnosis.search.windows import Windows
 
 Progress = Callable[[float, str], None]
@@ -254,7 +255,7 @@ class Selection:
         self.screening = Screening(self.library, self.floor, self.settings.screening, self.log)
 
     def begin(
-        self, train: Windows, test: Windows, theta: Array, sigma: Array, free: np.ndarray
+        self, train: Windows, test: Windows, theta: Array, noise: Noise, free: np.ndarray
     ) -> State:
         """Fit the model as it is: its declared parameters and the noise.
 
@@ -264,8 +265,8 @@ class Selection:
             The windows to fit, and those held out.
         theta : (m,) array
             The first parameters, without effects.
-        sigma : (p,) array
-            First guess of the noise.
+        noise : Noise
+            First guess.
         free : (f,) int array
             The declared parameters that are fitted.
 
@@ -280,22 +281,22 @@ class Selection:
         """
         library = self.library
         some = train.take(np.arange(0, len(train), self.settings.first_noise))
-        rough = linearize(library, some, theta, sigma)
+        rough = linearize(library, some, theta, noise)
         if rough.lost.mean() > self.settings.diverging:
             raise SimulationFailed(
                 f"The simulation diverges in {rough.lost.mean():.0%} of the windows, with the"
                 " parameters at their nominal values. Check the model, the time step and the"
                 " units of the data."
             )
-        sigma = estimate_noise(rough, sigma, self.floor)
-        first = linearize(library, train, theta, sigma)
+        noise = estimate_noise(rough, noise, self.floor)
+        first = linearize(library, train, theta, noise)
         first = with_noise(library, first, self.floor, self.settings.refit)
 
         def fit() -> Sides:
             fitted = self._refit(first, free, rounds=2, renewals=1)
             return fitted, self._held_out(fitted, test)
 
-        key = np.concatenate([theta, sigma])
+        key = np.concatenate([theta, noise.numbers])
         sides = recorded_sides(self.log, library, key, (train, test), fit)
         self.latest = State(*sides, free)
         return self.latest
@@ -305,7 +306,7 @@ class Selection:
         train: Windows,
         test: Windows,
         theta: Array,
-        sigma: Array,
+        noise: Noise,
         free: np.ndarray,
         accepted: tuple[EffectInstance, ...],
     ) -> State:
@@ -313,7 +314,7 @@ class Selection:
 
         Parameters
         ----------
-        train, test, sigma
+        train, test, noise
             As of `begin`.
         theta : (m,) array
             All numbers.
@@ -327,7 +328,7 @@ class Selection:
         State
             Where the simulation diverges in too many windows, the noise is the first guess.
         """
-        first = linearize(self.library, train, theta, sigma)
+        first = linearize(self.library, train, theta, noise)
         if first.lost.mean() <= self.settings.diverging:
             first = with_noise(self.library, first, self.floor, self.settings.refit)
         return State(first, self._held_out(first, test), free, accepted)
@@ -487,12 +488,12 @@ class Selection:
         library = self.library
         fitted = self._refit(state.train, state.free, rough=rough)
         theta = fitted.theta
-        sigma = fitted.whiten.sigma
+        noise = fitted.whiten.noise
         # Did the new linearization change anything? If not, the windows held out keep theirs.
-        shifted = shift_linearization(library, state.train, theta, sigma)
+        shifted = shift_linearization(library, state.train, theta, noise)
         change = abs(float(shifted.log_likelihood.sum() - fitted.log_likelihood.sum()))
         if change < self.settings.refit.renewal_gain:
-            return fitted, shift_linearization(library, state.test, theta, sigma)
+            return fitted, shift_linearization(library, state.test, theta, noise)
         return fitted, self._held_out(fitted, state.test.windows)
 
     def _try(self, state: State, candidate: Candidate, known: Array | None) -> Trial:
@@ -530,11 +531,11 @@ class Selection:
         """Both sides of a state fitted with one more effect, from theta (m,) on."""
         library = self.library
         rough = rough_numbers(library, (instance,))
-        start = shift_linearization(library, state.train, theta, state.train.whiten.sigma)
+        start = shift_linearization(library, state.train, theta, state.train.whiten.noise)
         if instance.sensor_delay is not None:
             # Without the delay noise stands for it: the noise with it is a very different one.
-            sigma = estimate_noise(start, start.whiten.sigma, self.floor)
-            start = linearize(library, start.windows, theta, sigma)
+            noise = estimate_noise(start, start.whiten.noise, self.floor)
+            start = linearize(library, start.windows, theta, noise)
             fitted = self._refit(start, free, rough=rough, renewals=1)
             return fitted, self._held_out(fitted, state.test.windows)
         fitted = settle(
@@ -546,14 +547,14 @@ class Selection:
             known=known,
             settings=self.settings.refit,
         )
-        sigma = fitted.whiten.sigma
-        return fitted, shift_linearization(library, state.test, fitted.theta, sigma)
+        noise = fitted.whiten.noise
+        return fitted, shift_linearization(library, state.test, fitted.theta, noise)
 
     def _recorded(self, state: State, theta: Array, fit: Callable[[], Sides]) -> Sides:
         """What a fit from a state makes of its sides, or its record."""
         sides = (state.train, state.test)
         windows = (state.train.windows, state.test.windows)
-        key = np.concatenate([theta, state.train.whiten.sigma])
+        key = np.concatenate([theta, state.train.whiten.noise.numbers])
         return recorded_sides(self.log, self.library, key, windows, fit, sides)
 
     def _refit(
@@ -579,7 +580,7 @@ class Selection:
 
     def _held_out(self, fitted: LinearizedWindows, test: Windows) -> LinearizedWindows:
         """The windows held out under what was fitted."""
-        return linearize(self.library, test, fitted.theta, fitted.whiten.sigma)
+        return linearize(self.library, test, fitted.theta, fitted.whiten.noise)
 
 
 def _fraction_done(accepted: int, part: float) -> float:

@@ -135,9 +135,9 @@ def _single_steps(
 ) -> LinearizedWindows:
     """The steps of windows as windows of their own, under the noise that they have."""
     apart = _cut_apart(library, linearized.windows, settings.maximum)
-    singles = linearize(library, apart, linearized.theta, linearized.whiten.sigma)
-    sigma = estimate_noise(singles, singles.whiten.sigma, floor)
-    return shift_linearization(library, singles, linearized.theta, sigma)
+    singles = linearize(library, apart, linearized.theta, linearized.whiten.noise)
+    noise = estimate_noise(singles, singles.whiten.noise, floor)
+    return shift_linearization(library, singles, linearized.theta, noise)
 
 
 def _by_window(single: LinearizedWindows, response: Array, change: float) -> tuple[Array, Array]:

@@ -4,6 +4,11 @@ and the noise by expectation-maximization.
 A window's residual (n,) is r = B z + e, with e ~ N(0, diag(sigma^2)) in every step and latent
 z ~ N(0, diag(scale^2)): the error of the measured start, and where wanted unexplained forces. With
 A = diag(1 / sigma) B diag(scale), the covariance is diag(sigma) (I + A A') diag(sigma).
+
+A sensor's errors may follow each other: e_k = rho e_(k-1) + w_k with white w of standard deviation
+sigma sqrt(1 - rho^2). The start is measured by the same sensor, so that e_0 = -z there. Then the
+differences r_k - rho r_(k-1), with r_0 = 0, are white but for latent numbers, whose loadings are
+B_k - rho B_(k-1), with B_0 = 1 for the start's error: everything else stays as it is.
 """
 
 import math
@@ -11,13 +16,84 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from dropo.core.numerics.robust_statistics import student_t_weights
+from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 
 DEGREES = 8.0
 """Degrees of freedom of the Student t, which limits the weight of windows across an impact."""
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """When noise is not taken to be white.
+
+    Attributes
+    ----------
+    z : float
+        Standard errors over windows by which a score must differ from 0.
+    clear : float
+        Multiple of its lower bound below which the noise is none: what is left is no sensor's.
+    timing : float
+        First guess of how control steps differ in length, as a fraction of one.
+    least_gain : float
+        Nats that each kind of noise must gain over a simpler one.
+    """
+
+    z: float = 3.0
+    clear: float = 10.0
+    timing: float = 0.05
+    least_gain: float = 10.0
+
+
+SETTINGS = NoiseSettings()
+LARGEST = 0.97  # of an autoregressive coefficient
+SMALLEST = 1e-300  # stands for a standard deviation of 0, which has no logarithm
+NOTHING = 20.0  # logarithm of the ratio by which a force may fall, which is to nothing
+NEAR = 4.6  # logarithm of the ratio to the first guess within which the gradient is followed
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """The noise of p signals.
+
+    Attributes
+    ----------
+    sigma : (p,) array
+        Standard deviations, in the signals' units.
+    rho : (p,) array
+        Autoregressive coefficients from one control step to the next; 0 where it is white.
+    timing : float
+        Standard deviation of the control steps' lengths, as a fraction of one.
+    """
+
+    sigma: Array
+    rho: Array
+    timing: float = 0.0
+
+    @property
+    def numbers(self) -> Array:
+        """(2 p + 1,) all of it, for a record; `noise_of` reads it."""
+        return np.concatenate([self.sigma, self.rho, [self.timing]])
+
+    @property
+    def coloured(self) -> bool:
+        """Whether that of any signal is."""
+        return bool(np.any(self.rho))
+
+
+def noise_of(numbers: Array) -> Noise:
+    """Read noise from its `numbers` (2 p + 1,)."""
+    p = len(numbers) // 2
+    return Noise(numbers[:p], numbers[p : 2 * p], float(numbers[-1]))
+
+
+def white(sigma: Array) -> Noise:
+    """Return noise of the standard deviations (p,) that is white in every signal."""
+    return Noise(sigma, np.zeros(len(sigma)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,26 +103,77 @@ class Whitener:
     Attributes
     ----------
     loadings : (W, n, m) array
-        B: the change of the residuals by each of the m latent numbers.
+        B: the change of the residuals by each of the m latent numbers, the errors of the p signals
+        at the start first, where noise is coloured.
     scale : (m,) array
         Standard deviations of the latent numbers.
-    sigma : (p,) array
-        Standard deviations of the p signals; p divides n.
+    noise : Noise
+        Of the p signals; p divides n.
     """
 
     loadings: Array
     scale: Array
-    sigma: Array
+    noise: Noise
+
+    @property
+    def sigma(self) -> Array:
+        """(p,) the standard deviations of the signals' noise."""
+        return self.noise.sigma
 
     @cached_property
     def rows(self) -> Array:
-        """(n,) the standard deviation of each measurement of a window."""
-        return np.tile(self.sigma, self.loadings.shape[1] // len(self.sigma))
+        """(n,) the standard deviation of each measurement, given the one before it."""
+        sd = self.sigma * np.sqrt(1 - self.noise.rho**2)
+        return np.tile(sd, self.loadings.shape[1] // len(sd))
 
     @cached_property
     def scaled(self) -> Array:
         """A (W, n, m), contiguous in this order, in which products of it are fast."""
-        return np.ascontiguousarray(self.loadings * self.scale / self.rows[:, None])
+        loadings = np.moveaxis(self._differences(np.moveaxis(self.loadings, 2, 0)), 0, 2)
+        if self.noise.coloured:
+            loadings[:, : len(self.sigma), : len(self.sigma)] -= np.diag(self.noise.rho)
+        return np.ascontiguousarray(loadings * self.scale / self.rows[:, None])
+
+    @cached_property
+    def carried(self) -> Array:
+        """(W, n, m) the change of the residuals by a standard deviation of each latent number, with
+        the later errors that follow from the start's.
+        """
+        p = len(self.sigma)
+        if not self.noise.coloured:
+            return self.loadings * self.scale
+        loadings = self.loadings.copy()
+        by_step = loadings.reshape(len(loadings), -1, p, loadings.shape[2])
+        step = 1 + np.arange(by_step.shape[1])
+        by_step[:, :, np.arange(p), np.arange(p)] -= self.noise.rho ** step[:, None]
+        return loadings * self.scale
+
+    @property
+    def deviations(self) -> Array:
+        """(W, n) standard deviations of the residuals."""
+        step = 1 + np.arange(self.loadings.shape[1] // len(self.sigma))
+        own = self.sigma**2 * (1 - self.noise.rho ** (2 * step[:, None]))
+        return np.asarray(np.sqrt((self.carried**2).sum(axis=2) + own.ravel()), dtype=float)
+
+    def covariance(self, places: Ints) -> Array:
+        """Return the covariance (W, k, k) of some of a window's residuals, by their places (k,)."""
+        step, signal = np.divmod(places, len(self.sigma))
+        same = signal[:, None] == signal
+        rho = self.noise.rho[signal]
+        apart = np.abs(step[:, None] - step)
+        together = step[:, None] + step + 2
+        own = self.sigma[signal] ** 2 * same * (rho**apart - rho**together)
+        carried = self.carried[:, places]
+        return np.asarray(carried @ carried.swapaxes(1, 2) + own, dtype=float)
+
+    def _differences(self, values: Array) -> Array:
+        """Values (..., n) less what of them follows from the step before."""
+        if not self.noise.coloured:
+            return values
+        p = len(self.sigma)
+        follow = np.array(values)
+        follow[..., p:] -= np.tile(self.noise.rho, values.shape[-1] // p - 1) * values[..., :-p]
+        return follow
 
     @cached_property
     def inner(self) -> Array:
@@ -84,7 +211,7 @@ class Whitener:
         (..., W, n + m) array
             Its Euclidean length is the Mahalanobis length of the residuals.
         """
-        scaled = residuals / self.rows
+        scaled = self._differences(residuals) / self.rows
         z = self._latent(scaled)
         return np.concatenate([scaled - self._explained(z), z], axis=-1)
 
@@ -132,14 +259,46 @@ class Whitener:
             Of the latent numbers z.
         """
         weights = self.weights(residuals)[:, None]
-        scaled = residuals / self.rows
+        scaled = self._differences(residuals) / self.rows
         z = self._latent(scaled)
         error = scaled - self._explained(z)
         error_variance = ((self.scaled @ self.inner) * self.scaled).sum(axis=2)
         latent_variance = np.einsum("wii->wi", self.inner)
-        errors = (weights * error**2 + error_variance).sum(axis=0) * self.rows**2
+        errors = (weights * error**2 + error_variance).sum(axis=0).reshape(-1, len(self.sigma))
         latents = ((weights * z**2) + latent_variance).sum(axis=0) * self.scale**2
-        return errors.reshape(-1, len(self.sigma)).sum(axis=0), latents
+        return (errors * self.sigma**2).sum(axis=0), latents
+
+    def neighbours(self, residuals: Array) -> tuple[Array, Array]:
+        """Expect products of errors that follow each other given the residuals, weighted.
+
+        Parameters
+        ----------
+        residuals : (W, n) array
+            Residuals.
+
+        Returns
+        -------
+        products : (W, p) array
+            Sums over a window's steps of each signal's error times that before it, that of the
+            start before the first.
+        squares : (W, p) array
+            Sums of the squares of both.
+        """
+        p = len(self.sigma)
+        count, n, m = self.loadings.shape
+        at_start = np.broadcast_to(np.eye(p, m), (count, p, m))
+        scaled = np.concatenate([at_start, self.loadings], axis=1) * self.scale
+        measured = np.concatenate([np.zeros((count, p)), residuals], axis=1)
+        z = self._latent(self._differences(residuals) / self.rows)
+        error = measured - (scaled @ z[:, :, None])[:, :, 0]
+        spread = scaled @ self.inner
+        weights = self.weights(residuals)[:, None]
+        square = weights * error**2 + (spread * scaled).sum(axis=2)
+        product = weights * error[:, p:] * error[:, :-p]
+        product += (spread[:, p:] * scaled[:, :-p]).sum(axis=2)
+        squares = square[:, p:] + square[:, :-p]
+        by_signal = (count, n // p, p)
+        return product.reshape(by_signal).sum(axis=1), squares.reshape(by_signal).sum(axis=1)
 
 
 def _windows_first(rows: Array) -> Array:
@@ -149,10 +308,69 @@ def _windows_first(rows: Array) -> Array:
     return first.reshape(rows.shape[-2], count, rows.shape[-1])
 
 
+def coloured_noise(
+    whitener: Whitener, residuals: Array, floor: Array, settings: NoiseSettings = SETTINGS
+) -> Noise | None:
+    """Test whether errors of a sensor follow each other: the score test of rho = 0.
+
+    Parameters
+    ----------
+    whitener : Whitener
+        The covariance with white noise.
+    residuals : (W, n) array
+        Residuals.
+    floor : (p,) array
+        Lower bound of the noise's standard deviations.
+    settings : NoiseSettings
+        When they do.
+
+    Returns
+    -------
+    Noise or None
+        A first guess of the noise, coloured in the signals that ask for it; None if none does.
+    """
+    products, squares = whitener.neighbours(residuals)
+    error = products.std(axis=0) * np.sqrt(len(products))
+    follow = np.abs(products.sum(axis=0)) > settings.z * error
+    follow &= whitener.sigma > settings.clear * floor
+    if not follow.any():
+        return None
+    rho = np.clip(2 * products.sum(axis=0) / squares.sum(axis=0), -LARGEST, LARGEST)
+    return Noise(whitener.sigma, np.where(follow, rho, 0.0))
+
+
+def uneven_steps(
+    whitener: Whitener, residuals: Array, clocks: Array, settings: NoiseSettings = SETTINGS
+) -> bool:
+    """Test whether control steps differ in length: the score test that they do not.
+
+    Parameters
+    ----------
+    whitener : Whitener
+        The covariance where they do not.
+    residuals : (W, n) array
+        Residuals.
+    clocks : (W, n, L) array
+        Their change by each step's length.
+    settings : NoiseSettings
+        When they do.
+
+    Returns
+    -------
+    bool
+    """
+    along = whitener(np.moveaxis(clocks, 2, 0))
+    squares = (along * whitener(residuals)).sum(axis=2) ** 2
+    excess = whitener.weights(residuals) * squares - (along**2).sum(axis=2)
+    by_window = excess.sum(axis=0)
+    error = by_window.std() * np.sqrt(len(by_window))
+    return bool(by_window.sum() > settings.z * error)
+
+
 def learn_noise(
     loadings: Array,
     residuals: Array,
-    sigma: Array,
+    noise: Noise,
     floor: Array,
     forces: Array | None = None,
     *,
@@ -160,10 +378,11 @@ def learn_noise(
     known: Array | None = None,
     rounds: int = 60,
     tolerance: float = 1e-3,
-) -> tuple[Array, Array]:
+) -> tuple[Noise, Array]:
     """Estimate the noise, and unexplained forces, by over-relaxed expectation-maximization.
 
-    The noise of the start and of all steps is the same.
+    The noise of the start and of all steps is the same. Where the first guess is not white, the
+    likelihood's gradient is followed instead, rho of the signals that have one among the unknowns.
 
     Parameters
     ----------
@@ -173,10 +392,10 @@ def learn_noise(
         in turn.
     residuals : (W, n) array
         Residuals of W windows of n / p steps.
-    sigma : (p,) array
-        First guess of the noise.
+    noise : Noise
+        First guess of the noise of p signals.
     floor : (p,) array
-        Lower bound of the noise.
+        Lower bound of its standard deviations.
     forces : (nv,) array, optional
         First guess of the forces' standard deviations; None for no forces.
     pieces : int, optional
@@ -190,35 +409,113 @@ def learn_noise(
 
     Returns
     -------
-    sigma : (p,) array
-        Standard deviations of the noise.
+    noise : Noise
     forces : (nv,) array
         Standard deviations of the forces.
     """
-    p = len(sigma)
-    steps = residuals.shape[1] // p
+    p = len(noise.sigma)
     forces = np.zeros(0) if forces is None else forces
-    pieces = steps if pieces is None else pieces
-    impulses = pieces * len(forces)
-    starts = (loadings.shape[2] - impulses) // p
-    count = len(residuals) * (steps + starts)
+    pieces = residuals.shape[1] // p if pieces is None else pieces
+    starts = (loadings.shape[2] - pieces * len(forces)) // p
     known = np.zeros((*residuals.shape, 0)) if known is None else known
     loadings = np.concatenate([loadings, known], axis=2)
-    ones = np.ones(known.shape[2])
-    for _ in range(rounds):
-        scale = np.concatenate([np.tile(sigma, starts), np.tile(forces, pieces), ones])
-        errors, latents = Whitener(loadings, scale, sigma).moments(residuals)
-        # The noise: errors of the steps, and of the start.
-        of_starts = latents[: starts * p].reshape(starts, p).sum(axis=0)
-        ratio = np.sqrt((errors + of_starts) / count) / sigma
-        new_sigma = np.maximum(sigma * ratio**1.5, floor)
-        # The forces of all pieces.
-        squares = latents[starts * p :][:impulses].reshape(pieces, -1).sum(axis=0)
-        new_forces = np.sqrt(squares / (len(residuals) * pieces))
-        old = np.concatenate([sigma, forces])
-        change = np.abs(np.log(np.concatenate([new_sigma, new_forces]) / old))
-        sigma = new_sigma
-        forces = forces * (new_forces / forces) ** 1.5
-        if np.max(change) < tolerance:
-            break
-    return sigma, forces
+    learning = _Learning(loadings, residuals, floor, starts, pieces, rounds, tolerance)
+    if noise.coloured or noise.timing:
+        return learning.by_gradient(noise, forces)
+    return learning.white(noise.sigma, forces)
+
+
+@dataclass(frozen=True, eq=False)
+class _Learning:
+    """What `learn_noise` learns from; loadings (W, n, m) with those known at the end."""
+
+    loadings: Array
+    residuals: Array
+    floor: Array
+    starts: int
+    pieces: int
+    rounds: int
+    tolerance: float
+
+    def white(self, sigma: Array, forces: Array) -> tuple[Noise, Array]:
+        """White noise and the forces, from first guesses of their standard deviations."""
+        for _ in range(self.rounds):
+            whitener = self._whitener(white(sigma), forces)
+            of_noise, of_forces = self._mean_squares(whitener, len(forces))
+            new_sigma = np.maximum(sigma * (np.sqrt(of_noise) / sigma) ** 1.5, self.floor)
+            new_forces = np.sqrt(of_forces)
+            old = np.concatenate([sigma, forces])
+            change = np.abs(np.log(np.concatenate([new_sigma, new_forces]) / old))
+            sigma = new_sigma
+            forces = forces * (new_forces / forces) ** 1.5
+            if np.max(change) < self.tolerance:
+                break
+        return white(sigma), forces
+
+    def by_gradient(self, noise: Noise, forces: Array) -> tuple[Noise, Array]:
+        """The most likely noise and forces, from first guesses."""
+        follow = noise.rho != 0
+        p = len(noise.sigma)
+        count, n = self.residuals.shape
+        ends = (p, p + int(follow.sum()))
+
+        def unpacked(values: Array) -> tuple[Noise, Array]:
+            sigma, coefficients, forces = np.split(values, ends)
+            rho = np.zeros(p)
+            rho[follow] = coefficients
+            return Noise(np.exp(sigma), rho), np.exp(forces)
+
+        def loss(values: Array) -> tuple[float, Array]:
+            """Less the log-likelihood, and its gradient: that expected of errors and forces."""
+            noise, forces = unpacked(values)
+            whitener = self._whitener(noise, forces)
+            of_noise, of_forces = self._mean_squares(whitener, len(forces))
+            products, squares = (part.sum(axis=0) for part in whitener.neighbours(self.residuals))
+            left = 1 - noise.rho**2
+            by_rho = products * (1 + noise.rho**2) - noise.rho * squares
+            by_rho = by_rho / (noise.sigma * left) ** 2 + count * (n // p) * noise.rho / left
+            gradient = [
+                count * (n // p + self.starts) * (of_noise / noise.sigma**2 - 1),
+                by_rho[follow],
+                count * self.pieces * (of_forces / forces**2 - 1),
+            ]
+            value = whitener.log_likelihood(self.residuals).sum()
+            return -float(value), -np.concatenate(gradient)
+
+        least = np.log(np.maximum(forces, SMALLEST))
+        first = np.concatenate([np.log(noise.sigma), noise.rho[follow], least])
+        bounds = [
+            *zip(np.maximum(first[:p] - NEAR, np.log(self.floor)), first[:p] + NEAR, strict=True),
+            *(follow.sum() * [(-LARGEST, LARGEST)]),
+            *((guess - NOTHING, guess + NEAR) for guess in least),
+        ]
+        found = minimize(
+            loss,
+            first,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": self.rounds},
+        )
+        return unpacked(found.x)
+
+    def _whitener(self, noise: Noise, forces: Array) -> Whitener:
+        """The covariance under some noise and forces."""
+        of_forces = np.tile(forces, self.pieces)
+        numbers = self.starts * len(noise.sigma) + len(of_forces)
+        ones = np.ones(self.loadings.shape[2] - numbers)
+        scale = np.concatenate([np.tile(noise.sigma, self.starts), of_forces, ones])
+        return Whitener(self.loadings, scale, noise)
+
+    def _mean_squares(self, whitener: Whitener, count: int) -> tuple[Array, Array]:
+        """Mean squares that are expected of the noise (p,) and of so many forces."""
+        p = len(whitener.sigma)
+        windows, n = self.residuals.shape
+        errors, latents = whitener.moments(self.residuals)
+        # The noise: errors of the steps, and of the start; the forces of all pieces.
+        of_starts, of_forces, _ = np.split(
+            latents, [self.starts * p, self.starts * p + self.pieces * count]
+        )
+        noise = errors + of_starts.reshape(self.starts, p).sum(axis=0)
+        forces = of_forces.reshape(self.pieces, count).sum(axis=0)
+        return noise / (windows * (n // p + self.starts)), forces / (windows * self.pieces)

@@ -10,6 +10,7 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library, linearize
+from dropo.diagnosis.search.whitening import white
 from dropo.diagnosis.search.windows import Windows, split, spread_of
 
 
@@ -108,7 +109,7 @@ def _errors_and_curvature(
     The first is the median over windows, in units of what noise explains, of the worst signal; the
     second the fraction of the noise's variance that is of second order, on average.
     """
-    linearized = linearize(library, windows, theta, sigma)
+    linearized = linearize(library, windows, theta, white(sigma))
     p = len(sigma)
     loadings = linearized.loadings[:, -p:] * np.tile(sigma, 2)
     linear, quadratic = np.split(loadings**2, 2, axis=2)
