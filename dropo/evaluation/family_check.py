@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from dropo.core.contracts.likelihood import Groups
+from dropo.core.numerics.multiple_tests import holm
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -362,13 +363,8 @@ def _covariance(sample: _Sample, rounds: int) -> Array:
 def _significant(findings: list[_Finding], level: float) -> list[str]:
     """What is said at a level of all tests together (Holm 1979); the first of each topic."""
     said: dict[str, str] = {}
-    ordered = sorted(findings, key=lambda finding: finding.p_value)
-    passed = []
-    for k, finding in enumerate(ordered):
-        if finding.p_value * (len(ordered) - k) > level:
-            break
-        passed.append(finding)
-    for finding in findings:
-        if finding in passed and finding.topic:
+    p_values = holm([finding.p_value for finding in findings])
+    for finding, p_value in zip(findings, p_values, strict=True):
+        if p_value <= level and finding.topic:
             said.setdefault(finding.topic, finding.text)
     return list(said.values())

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from dropo.core.numerics.multiple_tests import holm
 from dropo.core.services.tables import Table, number
 from dropo.core.services.validation import Array
-from dropo.studies.engine.paired import holm, paired_p_value, smallest_p_value
+from dropo.studies.engine.paired import paired_p_value, smallest_p_value
 
 Row = Mapping[str, Any]
 """What is kept of a fit: mean, mean_se, drawn_mean, log_likelihood, steps, evaluations, inner,

@@ -1,7 +1,5 @@
 """Paired tests over data sets: does a variant differ from the first one on the same data?"""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import rankdata, studentized_range, wilcoxon
@@ -34,33 +32,6 @@ def paired_p_value(first: ArrayLike, second: ArrayLike) -> float:
 def smallest_p_value(pairs: int) -> float:
     """The smallest p-value that signed ranks of so many `pairs` can reach."""
     return min(1.0, 2.0 ** (1 - pairs))
-
-
-def holm(p_values: Sequence[float]) -> Array:
-    """Adjust p-values of several tests, so that one false rejection among all has their level.
-
-    Parameters
-    ----------
-    p_values : sequence of float
-        Of each test; NaN where there was none, which counts as no test.
-
-    Returns
-    -------
-    array
-        Adjusted p-values in the same order.
-
-    References
-    ----------
-    Holm, A simple sequentially rejective multiple test procedure, Scandinavian Journal of
-    Statistics 6, 1979.
-    """
-    values = np.asarray(p_values, dtype=float)
-    adjusted = np.full(len(values), np.nan)
-    tested = np.flatnonzero(np.isfinite(values))
-    order = tested[np.argsort(values[tested], kind="stable")]
-    factors = np.arange(len(order), 0, -1)
-    adjusted[order] = np.minimum(np.maximum.accumulate(factors * values[order]), 1.0)
-    return adjusted
 
 
 def mean_ranks(costs: ArrayLike) -> Array:
