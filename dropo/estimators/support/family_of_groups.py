@@ -44,10 +44,12 @@ def family_warnings(
     rng: np.random.Generator,
     settings: GroupsOfRowsSettings = SETTINGS,
 ) -> list[str]:
-    """Test the family of a fit on the parameters of the data's groups, else trajectories.
+    """Test the family of a fit on the parameters of the data's groups.
 
-    A likelihood of rows knows no groups: their parameters are then those of random effects, with
-    the fit's local model in the simulator's place, so that nothing is simulated.
+    A likelihood of rows knows no groups: where the data name some, their parameters are those of
+    random effects, with the fit's local model in the simulator's place, so that nothing is
+    simulated. Trajectories are groups for random effects alone: errors that their rows share, such
+    as those of noisy starts, look like a spread of the parameters to a fit by rows.
 
     Parameters
     ----------
@@ -70,6 +72,9 @@ def family_warnings(
     """
     varies = np.isfinite(fit.scale_se)
     if not varies.any() or len(np.unique(problem.segments.group)) < 2:
+        return []
+    is_named = problem.segments.trajectories.group is not None
+    if not (is_named or isinstance(objective, GroupedLogLikelihood)):
         return []
     has_correlations = any(name.startswith("partial.") for name in family.unknowns.names)
     population: Family = family
