@@ -1,5 +1,7 @@
 """Closed-loop data of the arm with two joints, with something hidden in it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
@@ -7,6 +9,7 @@ from dropo.core.services.registry import find
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.simulated.recording import record
 from dropo.problems.simulated.robots import simulated_robot
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 SOME = (
     "joint_damping",
@@ -26,6 +29,18 @@ def instance(simulator, label):
     return next(
         one for one in find("effects", kind)(simulator.effect_context) if one.label == label
     )
+
+
+def with_tendon(found):
+    """The same problem on a model whose two hinges share a tendon, which does nothing as yet."""
+    simulator = found.simulator
+    spec = simulator.spec()
+    belt = spec.add_tendon(name="belt")
+    belt.wrap_joint("shoulder", 1.0)
+    belt.wrap_joint("elbow", 0.5)
+    parameters = [binding.parameter for binding in simulator.bindings]
+    model = MujocoSimulator(spec, parameters, frame_skip=simulator.frame_skip, threads=1)
+    return replace(found, simulator=model)
 
 
 def problem(

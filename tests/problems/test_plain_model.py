@@ -19,7 +19,7 @@ from dropo.problems.file.verification import PlainRollout
 from dropo.problems.loading import load
 from dropo.problems.simulated.robots import simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.models.hidden_in_arm import UPPER, instance, problem
+from tests.models.hidden_in_arm import UPPER, instance, problem, with_tendon
 
 SAME = 1e-9
 ROUNDED = 1e-5
@@ -55,6 +55,7 @@ def both(found, folder, mass=MASS):
 @pytest.mark.parametrize("effect", names("effects"))
 def test_every_effect_is_there(effect, arm, tmp_path):
     """At its first and last place; the control: a mass of 0.1 % more is another motion."""
+    arm = with_tendon(arm) if effect.startswith("tendon") else arm
     every = find("effects", effect)(arm.simulator.effect_context)
     instances = [one for one in every if not declared(arm.simulator, one)]
     for i, one in enumerate((instances[0], instances[-1])):

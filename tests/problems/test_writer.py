@@ -14,7 +14,7 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
 from dropo.problems.simulated.slide import slide
-from tests.models.hidden_in_arm import UPPER, instance, problem
+from tests.models.hidden_in_arm import UPPER, instance, problem, with_tendon
 
 DIGITS = 2e-5  # relative: MJCF is written with six digits, and five steps add up
 
@@ -66,6 +66,7 @@ def test_effects_come_back(effect, arm, tmp_path):
     """With each effect at its first and last place: the same predictions, far closer than those
     without the effect.
     """
+    arm = with_tendon(arm) if effect.startswith("tendon") else arm
     every = find("effects", effect)(arm.simulator.effect_context)
     plain = predicted(arm)
     instances = [one for one in every if not declared(arm.simulator, one)]

@@ -175,8 +175,8 @@ class Metropolis(Emcee):
 @dataclass(frozen=True)
 class Misreports(Emcee):
     def _sample(self, density, rng, start, spread):
-        chain, logs = super()._sample(density, rng, start, spread)
-        return chain, logs[::-1]
+        found = super()._sample(density, rng, start, spread)
+        return found._replace(log_density=found.log_density[::-1])
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ def _columns(sweeps: list[dict[str, Any]]) -> dict[str, np.ndarray]:
 
 def _numbers(sweeps: list[dict[str, Any]]) -> dict[str, Any]:
     """Everything that sweeps found."""
-    further = {name: [sweep[name] for sweep in sweeps] for name in ("chosen", "steps")}
+    further = {name: np.array([sweep[name] for sweep in sweeps]) for name in ("chosen", "steps")}
     return {**_columns(sweeps), **further}
 
 
