@@ -2,8 +2,9 @@
 
 Every part of a run is deterministic given its seed. A resumed run therefore evaluates the same
 points in the same order, and reads those that the file holds; nothing else needs to be saved,
-neither an optimizer's state nor a random generator's. The file is a journal with an entry for each
-batch; numbers are written so that they are read bit for bit.
+neither an optimizer's state nor a random generator's. Another processor rounds otherwise: points
+that are the recorded ones but for that are taken for them. The file is a journal with an entry for
+each batch; numbers are written so that they are read bit for bit.
 """
 
 from collections.abc import Callable
@@ -20,6 +21,8 @@ from dropo.core.services.validation import Array
 LOG = "the evaluations of a run, one JSON line each"
 """What the file is, for messages."""
 
+ROUNDING = 1e-8
+"""How far points may be from the recorded ones, beside and as a fraction of their size."""
 Answer = tuple[Array, dict[str, int]]
 """The values of a batch, and what it cost by kind, such as {"steps": 1000}."""
 
@@ -89,7 +92,9 @@ class EvaluationLog:
         entry = self._known[self._next]
         self._next += 1
         with refusing_faults(self.path, LOG):
-            if not np.array_equal(np.asarray(entry["points"]), points):
+            recorded = np.asarray(entry["points"])
+            alike = recorded.shape == np.shape(points)
+            if not (alike and np.allclose(recorded, points, ROUNDING, ROUNDING, equal_nan=True)):
                 sentence = (
                     f"batch {self._next} was asked for at other points, so another version "
                     "wrote it."
