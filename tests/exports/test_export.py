@@ -39,7 +39,7 @@ def test_one_line_from_a_fit(arm, target, tmp_path, monkeypatch):
 
 def test_a_fit_knows_its_problem(tmp_path):
     """Of `dropo.load`, in memory; one made in Python asks for it."""
-    problem = dropo.load("hopper", threads=1)
+    problem = dropo.load("hopper", threads=1).using(transitions=20)
     fit = dropo.fit(problem, "uniform-randomization")
     assert fit.source == "hopper"
     found = fit.export("mjx", tmp_path)
