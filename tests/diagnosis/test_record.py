@@ -97,11 +97,11 @@ def test_it_goes_on_to_the_same_bits(arm, undisturbed, tmp_path, monkeypatch, pa
 
 
 def test_records_of_another_search_are_refused(arm, undisturbed, tmp_path):
-    """One number that the first fit begins with is another."""
+    """One number that the first fit begins with is another, by more than rounding."""
     path = tmp_path / "search.jsonl"
     path.write_bytes(b"".join(undisturbed[2]))
     entries = read_lines(path, "")[1:]
-    entries[0]["points"][0][0] += 1e-9
+    entries[0]["points"][0][0] += 1e-6
     journal = Journal(tmp_path / "other.jsonl", {}, "")
     for entry in entries:
         journal.append(entry)
