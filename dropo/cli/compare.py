@@ -5,16 +5,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.folder import run_folder
-from dropo.cli.output import (
-    NOTHING,
-    Progress,
-    computing_options,
-    printing_options,
-    show_and_save,
-    whole,
-)
-from dropo.cli.recover import named_variants, part_options
+from dropo.cli.output import NOTHING, computing_options, printing_options, whole
+from dropo.cli.recover import named_variants, part_options, run_and_keep
 
 PROBLEMS = ("slide", "hopper-noisy")
 """What is fitted where no problem is named."""
@@ -85,32 +77,17 @@ def run(arguments: argparse.Namespace) -> int:
     DropoError
         If it was interrupted.
     """
-    from dropo.core.services.errors import DropoError
     from dropo.studies.comparison.compare import run_comparison
-    from dropo.studies.engine.recover import keep_study
     from dropo.studies.engine.variants import Variant
 
-    variants = [Variant(), *named_variants(arguments)]
-    progress = Progress(silent=arguments.quiet)
-    try:
-        with run_folder(arguments.out):
-            study = run_comparison(
-                variants,
-                arguments.problem or PROBLEMS,
-                arguments.seeds,
-                transitions=arguments.transitions,
-                out=arguments.out,
-                threads=arguments.threads,
-                progress=progress,
-            )
-            show_and_save(
-                arguments, study, study.to_json(), partial(keep_study, study, arguments.out)
-            )
-    except KeyboardInterrupt:
-        kept = "Interrupted: with --out, a comparison can be resumed."
-        if arguments.out:
-            kept = "Interrupted: the same command goes on from here."
-        raise DropoError(kept) from None
-    finally:
-        progress.close()
-    return 0
+    return run_and_keep(
+        arguments,
+        "comparison",
+        partial(
+            run_comparison,
+            [Variant(), *named_variants(arguments)],
+            arguments.problem or PROBLEMS,
+            arguments.seeds,
+            transitions=arguments.transitions,
+        ),
+    )

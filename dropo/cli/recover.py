@@ -9,6 +9,9 @@ from dropo.cli.folder import run_folder
 from dropo.cli.output import Progress, computing_options, printing_options, show_and_save, whole
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from dropo.studies.engine.study import Study
     from dropo.studies.engine.variants import Variant
 
 PARTS = {
@@ -110,29 +113,58 @@ def run(arguments: argparse.Namespace) -> int:
     DropoError
         If the study was interrupted.
     """
-    from dropo.core.services.errors import DropoError
-    from dropo.studies.engine.recover import keep_study, run_study
+    from dropo.studies.engine.recover import run_study
 
-    variants = named_variants(arguments)
+    return run_and_keep(
+        arguments,
+        "study",
+        partial(
+            run_study,
+            arguments.study,
+            seeds=arguments.seeds,
+            published=arguments.published,
+            problems=arguments.problems,
+            variants=named_variants(arguments),
+        ),
+    )
+
+
+def run_and_keep(arguments: argparse.Namespace, noun: str, study_of: "Callable[..., Study]") -> int:
+    """Run what makes a study, save and print it.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command, with the folder `out`.
+    noun : str
+        What it is called in messages.
+    study_of : callable
+        Takes `out`, `threads` and `progress`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InvalidInput
+        If the input is refused; nothing is written then.
+    DropoError
+        If it was interrupted.
+    """
+    from dropo.core.services.errors import DropoError
+    from dropo.studies.engine.recover import keep_study
+
+    out = arguments.out
     progress = Progress(silent=arguments.quiet)
     try:
-        with run_folder(arguments.out):
-            study = run_study(
-                arguments.study,
-                seeds=arguments.seeds,
-                published=arguments.published,
-                problems=arguments.problems,
-                variants=variants,
-                out=arguments.out,
-                threads=arguments.threads,
-                progress=progress,
-            )
-            show_and_save(
-                arguments, study, study.to_json(), partial(keep_study, study, arguments.out)
-            )
+        with run_folder(out):
+            study = study_of(out=out, threads=arguments.threads, progress=progress)
+            show_and_save(arguments, study, study.to_json(), partial(keep_study, study, out))
     except KeyboardInterrupt:
-        kept = "Interrupted: with --out, a study can be resumed."
-        if arguments.out:
+        kept = f"Interrupted: with --out, a {noun} can be resumed."
+        if out:
             kept = "Interrupted: the same command goes on from here."
         raise DropoError(kept) from None
     finally:

@@ -336,7 +336,7 @@ class Diagnose:
         first, last, reviews = searched.first, searched.last, searched.reviews
         complete = not searched.interrupted
         progress(0.9, "what remains")
-        rest, forces = remaining(data, library, last, setup.selection.floor, rng)
+        rest, forces = remaining(data, library, last, selection.floor, rng)
         found_effects = [
             (instance, last.theta[library.places[instance.label]]) for instance in last.accepted
         ]
@@ -385,7 +385,7 @@ class Diagnose:
 
         # What figures and tables show.
         progress(0.95, "what the pictures show")
-        figures = figure_data(library, setup.selection, first, last, reviews, forces, setup.count)
+        figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
         steps = spent + library.simulator.steps
         compared = self.disturbances and wrong and not far_off and complete

@@ -46,7 +46,7 @@ def error_of(row: Row, reference: Row) -> float:
         return float("inf")
     if "failed" in reference or row["drawn_mean"] is None:
         return float("nan")
-    return _rms(_ratio(np.subtract(row["mean"], row["drawn_mean"]), reference["mean_se"]))
+    return rms(_ratio(np.subtract(row["mean"], row["drawn_mean"]), reference["mean_se"]))
 
 
 def z_of(row: Row) -> float:
@@ -151,7 +151,7 @@ def _errors(errors: Array, rows: Sequence[Row], p_value: float | None) -> tuple[
     """Root mean square error, its p-value, and the root mean square z."""
     z = np.array([z_of(row) for row in rows])
     shown = "-" if p_value is None else number(p_value, 2)
-    return number(_rms(errors[np.isfinite(errors)]), 3), shown, number(_rms(z[np.isfinite(z)]), 3)
+    return number(rms(errors[np.isfinite(errors)]), 3), shown, number(rms(z[np.isfinite(z)]), 3)
 
 
 def _failures(rows: Sequence[Row]) -> str:
@@ -167,6 +167,6 @@ def _ratio(values: Array, units: Any) -> Array:
     return np.asarray(values[known] / sizes[known])
 
 
-def _rms(values: Array) -> float:
-    """The root mean square; NaN of no values."""
+def rms(values: Array) -> float:
+    """Compute the root mean square of `values` (n,); NaN of none."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.services.tables import number
-from dropo.studies.engine.comparison_table import comparison_table
+from dropo.studies.engine.comparison_table import comparison_table, rms
 from dropo.studies.engine.study import Table
 from dropo.studies.engine.variants import Variant
 from dropo.studies.tiboni_2021.hopper_sets import MASSES, PUBLISHED_STEPS, THESIS
@@ -116,8 +116,8 @@ def over_data_sets(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
                         f"{method}, {what} {mass}",
                         f"{own.mean():+.1e}",
                         number(standard_error, 2),
-                        number(_rms(own), 2),
-                        number(_rms(known), 2),
+                        number(rms(own), 2),
+                        number(rms(known), 2),
                         str(len(known)),
                     )
                 )
@@ -203,11 +203,6 @@ def likelihoods(title: str, distributions: dict[str, dict[str, float]], draws: i
         values = [f"{row[source]:,.1f}" for source in ("exact", "simulator", "emulator")]
         lines.append((name, *values, f"{row['simulator'] - row['emulator']:+.1f}"))
     return Table(f"{title}: laws", header, tuple(lines))
-
-
-def _rms(values: np.ndarray) -> float:
-    """The root mean square; NaN of no values."""
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
 def _with_z(row: dict[str, Any], what: str, form: str) -> list[str]:
