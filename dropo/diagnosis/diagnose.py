@@ -32,6 +32,7 @@ from dropo.diagnosis.findings.horizons import (
 )
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
+from dropo.diagnosis.findings.numerics import numerics
 from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.replay import replay
 from dropo.diagnosis.findings.stability import stability
@@ -387,6 +388,7 @@ class Diagnose:
         progress(0.95, "what the pictures show")
         figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
+        arithmetic = numerics(problem, data, library, first, last, found) if complete else ()
         steps = spent + library.simulator.steps
         compared = self.disturbances and wrong and not far_off and complete
         odd = outlier_runs(data, extended, declared) if compared else ()
@@ -411,6 +413,7 @@ class Diagnose:
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=undetermined(library, last),
+            numerics=arithmetic,
             disturbances=None if undisturbed is None else left_out(undisturbed, inside),
             outlier_runs=odd,
             replay=replayed,

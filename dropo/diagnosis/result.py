@@ -89,6 +89,8 @@ class Diagnosis(Report):
         The declared ones as fitted.
     undetermined : tuple of str
         What the data do not determine of the numbers that were fitted, a sentence each.
+    numerics : tuple of str
+        Where the model's arithmetic decides (its step, friction that creeps), a sentence each.
     disturbances : LeftOut or None
         Spans in which something acts that no command explains, which were left out.
     outlier_runs : tuple of OutlierRun
@@ -125,6 +127,7 @@ class Diagnosis(Report):
     nominal: tuple[Horizon, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     undetermined: tuple[str, ...] = ()
+    numerics: tuple[str, ...] = ()
     disturbances: LeftOut | None = None
     outlier_runs: tuple[OutlierRun, ...] = ()
     replay: Replay | None = None
@@ -264,6 +267,7 @@ class Diagnosis(Report):
             "parameters": dict(self.parameters),
             "nominal": {"horizons": [horizon.to_json() for horizon in self.nominal]},
             "undetermined": list(self.undetermined),
+            "numerics": list(self.numerics),
             "warnings": list(self.warnings),
             "seed": self.seed,
             "version": __version__,
@@ -296,7 +300,7 @@ class Diagnosis(Report):
             lines.append(self.replay.table())
         if self.disturbances:
             lines += self.disturbances.lines()
-        lines += [f"  {text}" for text in self.undetermined]
+        lines += [f"  {text}" for text in (*self.numerics, *self.undetermined)]
         lines += [f"  suspect: {suspect.label}" for suspect in self.suspects]
         lines += [f"  {leader.sentence}" for leader in self.leaders]
         return [*lines, *(f"warning: {text}" for text in self.warnings)]

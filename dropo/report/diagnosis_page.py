@@ -377,6 +377,7 @@ def _remaining(content: dict[str, Any], found: FigureData | None) -> Section:
     remarks += [_outlier_run(run) for run in content.get("odd_runs", [])]
     excluded = (content.get("disturbances") or {}).get("spans", [])
     remarks += [_excluded_span(ExcludedSpan.from_json(span)) for span in excluded]
+    remarks += content.get("numerics", [])
     remarks += [*content.get("undetermined", []), *content.get("warnings", [])]
     body = notes(remarks) if remarks else paragraph("Nothing that these data could show.")
     if found is not None:

@@ -397,6 +397,7 @@ class SavedDiagnosis(SavedFinding):
     replay: SavedReplay | None = None
     disturbances: SavedLeftOut | None = None
     undetermined: Texts = []
+    numerics: Texts = []
     pictures: FigureData | None = None
 
 

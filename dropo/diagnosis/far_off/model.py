@@ -12,6 +12,7 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
+from dropo.mjmodel.holding_friction import holds
 
 GAIN = "actuator_gain"
 """The effect that is on the scale of all forces."""
@@ -75,6 +76,16 @@ class FarOffModel:
             sizes = theta[self.library.places[instance.label]]
             numbers.append((instance, sizes))
         return replace(self, declared=theta[: len(self.declared)], numbers=tuple(numbers))
+
+    @property
+    def holds(self) -> bool:
+        """Whether dry friction, where there is some, holds what rests."""
+        return holds(robot_of(self.problem).model)
+
+    def with_holding_friction(self) -> "FarOffModel":
+        """The model with dry friction that holds what rests."""
+        simulator = robot_of(self.problem).with_holding_friction()
+        return replace(self, problem=replace(self.problem, simulator=simulator))
 
     def without(self, labels: Sequence[str]) -> "FarOffModel":
         """The model without some of its effects."""

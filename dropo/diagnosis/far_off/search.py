@@ -214,6 +214,9 @@ class FarOffSearch:
             self.progress(at, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
             model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)
             self._latest = model, fitted
+        if self._is_misfit(model, fitted) and not model.holds:
+            self.progress(0.25, "fitting dry friction that holds what rests")
+            model = self._better(model, model.with_holding_friction(), fitted, held_out)
         for number, names in enumerate(settings.families):
             if not self._is_misfit(model, fitted):
                 break
@@ -222,10 +225,7 @@ class FarOffSearch:
                 continue
             count = len(more.fitted)
             self.progress(0.3 + 0.1 * number, f"fitting {count} numbers: {', '.join(names)}")
-            more = self._fit(more, _some(fitted, settings.rough), settings.rough_fit)
-            if self._is_better(more, model, held_out):
-                model = more
-                self._latest = model, fitted
+            model = self._better(model, more, fitted, held_out)
         fitted = _some(fitted, self._thinning(model, fitted))
         windows = len(fitted.windows)
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
@@ -250,6 +250,17 @@ class FarOffSearch:
             if found and self._latest is None:
                 self._latest = model.at(found[-1]), motions
             raise
+
+    def _better(
+        self, model: FarOffModel, other: FarOffModel, fitted: Motions, held_out: Motions
+    ) -> FarOffModel:
+        """Another model, fitted roughly, where it predicts clearly better; else the model."""
+        settings = self.settings
+        other = self._fit(other, _some(fitted, settings.rough), settings.rough_fit)
+        if not self._is_better(other, model, held_out):
+            return model
+        self._latest = other, fitted
+        return other
 
     def _thinning(self, model: FarOffModel, motions: Motions) -> int:
         """One window of so many is as much as may be simulated for all of a model's numbers."""

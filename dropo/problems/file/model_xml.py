@@ -116,6 +116,7 @@ def _write_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         dof = int(model.jnt_dofadr[joint.id])
         joint.armature = model.dof_armature[dof]
         joint.frictionloss = model.dof_frictionloss[dof]
+        joint.solimp_friction = model.dof_solimp[dof]
         joint.damping = _fill(joint.damping, [model.dof_damping[dof]])
         joint.stiffness = _fill(joint.stiffness, [model.jnt_stiffness[joint.id]])
         if model.jnt_limited[joint.id]:
@@ -143,6 +144,7 @@ def _write_tendons(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     for tendon in spec.tendons:
         tendon.armature = model.tendon_armature[tendon.id]
         tendon.frictionloss = model.tendon_frictionloss[tendon.id]
+        tendon.solimp_friction = model.tendon_solimp_fri[tendon.id]
         tendon.damping = _fill(tendon.damping, [model.tendon_damping[tendon.id]])
         tendon.stiffness = _fill(tendon.stiffness, [model.tendon_stiffness[tendon.id]])
 

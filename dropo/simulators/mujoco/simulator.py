@@ -3,9 +3,9 @@
 import copy
 import os
 import queue
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -21,6 +21,7 @@ from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array, require
 from dropo.mjmodel.contacts import touching
 from dropo.mjmodel.fields import MOVES_FRAMES, Binding, FieldParameter, item_columns
+from dropo.mjmodel.holding_friction import hold_friction
 from dropo.mjmodel.loading import load_model, specification
 from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
@@ -186,14 +187,31 @@ class MujocoSimulator(RobotSimulator):
         MujocoSimulator
             A new one, whose counts of steps and failures begin at 0; its control step is the same.
         """
+        finer = self._with_model(partial(_shorten_step, times))
+        finer.frame_skip = finer.steps_per_action = times * self.frame_skip
+        return finer
+
+    def with_holding_friction(self) -> "MujocoSimulator":
+        """Make the same simulator with dry friction that holds what rests (`hold_friction`).
+
+        Returns
+        -------
+        MujocoSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
+        return self._with_model(hold_friction)
+
+    def _with_model(self, change: Callable[[mujoco.MjModel], None]) -> "MujocoSimulator":
+        """The same simulator with other numbers in its model, which `change` writes."""
         out = copy.copy(self)
+        out._source = self._source
         out.model = copy.copy(self.model)
-        out.model.opt.timestep /= times
+        change(out.model)
         general = self.general
         if general is not None:
             out.general = out.model if general is self.model else copy.copy(general)
-            out.general.opt.timestep = out.model.opt.timestep
-        out.frame_skip = out.steps_per_action = times * self.frame_skip
+            if out.general is not out.model:
+                change(out.general)
         out.steps = 0
         out.failures = 0
         out._start_threads()
@@ -548,6 +566,11 @@ class MujocoSimulator(RobotSimulator):
             _, found = worker.roll(flat, held, active)
             sensors = found.reshape(*states.shape[:2], -1)
         return self.layout.observe(states, sensors, self.model)
+
+
+def _shorten_step(times: int, model: mujoco.MjModel) -> None:
+    """So many physics steps in the place of one."""
+    model.opt.timestep /= times
 
 
 def action_columns(model: mujoco.MjModel, items: Sequence[str]) -> NDArray[np.int64]:
