@@ -298,6 +298,7 @@ class Diagnosis(Report):
             lines.append(self._error_table())
         if self.replay:
             lines.append(self.replay.table())
+            lines += [f"  {one}" for one in self.replay.odd()]
         if self.disturbances:
             lines += self.disturbances.lines()
         lines += [f"  {text}" for text in (*self.numerics, *self.undetermined)]

@@ -9,6 +9,7 @@ import numpy as np
 from dropo import plots
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit_choices import ExcludedSpan
+from dropo.diagnosis.findings.replay import OddReplay
 from dropo.diagnosis.parts import Alternative, Cause, Leader, Suspect, effect_in_words
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
@@ -377,6 +378,8 @@ def _remaining(content: dict[str, Any], found: FigureData | None) -> Section:
     remarks += [_outlier_run(run) for run in content.get("odd_runs", [])]
     excluded = (content.get("disturbances") or {}).get("spans", [])
     remarks += [_excluded_span(ExcludedSpan.from_json(span)) for span in excluded]
+    replayed = content.get("replay") or {}
+    remarks += [str(OddReplay(**one)) for one in replayed.get("odd", [])]
     remarks += content.get("numerics", [])
     remarks += [*content.get("undetermined", []), *content.get("warnings", [])]
     body = notes(remarks) if remarks else paragraph("Nothing that these data could show.")

@@ -5,7 +5,7 @@ import pytest
 
 from dropo.core.records.saved_schema import SavedReplay
 from dropo.core.records.trajectories import Trajectories
-from dropo.diagnosis.findings.replay import replay
+from dropo.diagnosis.findings.replay import Replay, replay
 from dropo.problems.loading import load
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -62,3 +62,22 @@ def test_what_is_lost_counts_as_twice_the_spread(arm: MujocoSimulator) -> None:
     spread = np.std(data.next_observations[:, 0])
     assert found.after[0, 0] == pytest.approx(0.0, abs=1e-12)
     assert found.after[1, 0] == pytest.approx(2 * spread)
+
+
+def test_a_run_in_which_one_signal_is_off_is_named() -> None:
+    """Six runs, in one of which a joint stuck; the others' errors differ by chance alone."""
+    rng = np.random.default_rng(4)
+    after = 0.01 * rng.uniform(0.7, 1.4, (6, 2))
+    after[3, 1] = 0.2
+    seconds = (10.0,) * 6
+    found = Replay(seconds, ("qpos.lift", "qpos.roll"), ("rad", "rad"), 2 * after, after)
+    (odd,) = found.odd()
+    assert (odd.run, odd.signal, odd.error) == (3, "qpos.roll", 0.2)
+    assert "run 4 of those held out qpos.roll is off by 0.2 rad" in str(odd)
+    kept = after[:, 0], np.delete(after[:, 1], 3)
+    expected = np.sqrt(np.mean([np.mean(one**2) for one in kept]))
+    assert found.usual("rad") == pytest.approx(expected)
+    assert found.table().rows[-1][0] == "all but odd runs"
+    SavedReplay.model_validate(found.to_json())
+    few = Replay(seconds[:4], found.signals, found.units, 2 * after[:4], after[:4])
+    assert few.odd() == []

@@ -355,11 +355,22 @@ class SavedReplayErrors(Saved):
     extended: float
 
 
+class SavedOddReplay(Saved):
+    """A run in which one signal is off by far more than in the others."""
+
+    run: int
+    signal: str
+    unit: str
+    error: float
+    usual: float
+
+
 class SavedReplay(Saved):
     """Whole runs held out, by commands alone."""
 
     units: dict[str, SavedReplayErrors]
     runs: list[SavedReplayedRun]
+    odd: list[SavedOddReplay] = []
 
 
 class SavedLeftOut(Saved):

@@ -1,7 +1,7 @@
 """Whole runs that no fit has seen, replayed from their first row by commands alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,40 @@ from dropo.core.services.validation import Array
 
 LOST = 2.0
 """Multiple of a signal's spread that an error counts at most: beyond it the motion is lost."""
+ODD = 5.0
+"""Multiple of a signal's usual error from which a run is named."""
+FEWEST = 5
+"""Runs from which there is a usual error."""
+
+
+@dataclass(frozen=True)
+class OddReplay:
+    """A run in which one signal is off by far more than in the others.
+
+    Attributes
+    ----------
+    run : int
+        Which of the runs held out, from 0.
+    signal, unit : str
+        Which signal.
+    error : float
+        Its root mean square error with what was found.
+    usual : float
+        The median of the runs' errors.
+    """
+
+    run: int
+    signal: str
+    unit: str
+    error: float
+    usual: float
+
+    def __str__(self) -> str:
+        return (
+            f"In run {self.run + 1} of those held out {self.signal} is off by"
+            f" {number(self.error, 3)} {self.unit}, usually by {number(self.usual, 3)}: something"
+            " happened there, or only there."
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +78,31 @@ class Replay:
         weights = np.array(self.seconds)
         return _overall(self.before[:, own], weights), _overall(self.after[:, own], weights)
 
+    def odd(self) -> list[OddReplay]:
+        """List runs in which a signal is off by far more than in most."""
+        if len(self.after) < FEWEST:
+            return []
+        usual = np.median(self.after, axis=0)
+        places = np.argwhere(self.after > ODD * usual)
+        return [
+            OddReplay(
+                run=run,
+                signal=self.signals[i],
+                unit=self.units[i],
+                error=float(self.after[run, i]),
+                usual=float(usual[i]),
+            )
+            for run, i in places.tolist()
+        ]
+
+    def usual(self, unit: str) -> float:
+        """The root mean square error with what was found, each signal without its odd runs."""
+        weights = np.repeat(np.array(self.seconds)[:, None], len(self.signals), axis=1)
+        for one in self.odd():
+            weights[one.run, self.signals.index(one.signal)] = 0.0
+        own = np.array(self.units) == unit
+        return _overall(self.after[:, own], weights[:, own])
+
     def table(self) -> Table:
         """A row for each signal."""
         weights = np.array(self.seconds)
@@ -54,6 +113,8 @@ class Replay:
             rows.append((signal, unit, *errors))
         for unit in dict.fromkeys(self.units):
             rows.append(("all", unit, *(number(error, 3) for error in self.overall(unit))))
+        for unit in dict.fromkeys(one.unit for one in self.odd()):
+            rows.append(("all but odd runs", unit, "", number(self.usual(unit), 3)))
         title = f"Whole runs held out ({len(self.seconds)}), by commands alone"
         return Table(title, ("signal", "unit", "as it came", "with what was found"), tuple(rows))
 
@@ -68,7 +129,7 @@ class Replay:
         for unit in dict.fromkeys(self.units):
             before, after = self.overall(unit)
             units[unit] = {"nominal": before, "extended": after}
-        return {"units": units, "runs": runs}
+        return {"units": units, "runs": runs, "odd": [asdict(one) for one in self.odd()]}
 
 
 def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) -> Replay:
@@ -105,5 +166,5 @@ def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) ->
 
 
 def _overall(errors: Array, weights: Array) -> float:
-    """The root mean square of errors (n, k) of runs of these lengths (n,)."""
+    """The root mean square of errors (n, k) of runs of these lengths (n,) or (n, k)."""
     return float(np.sqrt(np.average(errors**2, axis=0, weights=weights).mean()))
