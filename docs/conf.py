@@ -4,7 +4,9 @@ import ast
 import dataclasses
 import inspect
 import re
+import sys
 import textwrap
+from functools import cache
 from typing import Any
 
 import dropo
@@ -57,7 +59,19 @@ def own_signature(
 
 def source(thing: Any) -> Any:
     """The syntax tree of a function or class."""
-    return ast.parse(textwrap.dedent(inspect.getsource(thing))).body[0]
+    node = definitions(thing.__module__)
+    for name in thing.__qualname__.split("."):
+        inside = [child for child in node.body if getattr(child, "name", None) == name]
+        if len(inside) != 1:  # overloads, or what was made inside of a function
+            return ast.parse(textwrap.dedent(inspect.getsource(thing))).body[0]
+        node = inside[0]
+    return node
+
+
+@cache
+def definitions(module: str) -> ast.Module:
+    """The syntax tree of a module, which holds many of them."""
+    return ast.parse(inspect.getsource(sys.modules[module]))
 
 
 def fields_in_source(thing: Any) -> list[str]:

@@ -129,8 +129,9 @@ class Whitener:
     @cached_property
     def scaled(self) -> Array:
         """A (W, n, m), contiguous in this order, in which products of it are fast."""
-        loadings = np.moveaxis(self._differences(np.moveaxis(self.loadings, 2, 0)), 0, 2)
+        loadings = self.loadings
         if self.noise.coloured:
+            loadings = np.moveaxis(self._differences(np.moveaxis(loadings, 2, 0)), 0, 2)
             loadings[:, : len(self.sigma), : len(self.sigma)] -= np.diag(self.noise.rho)
         return np.ascontiguousarray(loadings * self.scale / self.rows[:, None])
 
@@ -191,12 +192,12 @@ class Whitener:
     def _latent(self, scaled: Array) -> Array:
         """The mean of z / scale (..., W, m) given residuals (..., W, n) in units of their noise."""
         mean = _windows_first(scaled) @ self.scaled @ self.inner
-        return np.asarray(np.moveaxis(mean, 0, -2).reshape(*scaled.shape[:-1], mean.shape[-1]))
+        return _windows_last(mean, scaled.shape[:-1])
 
     def _explained(self, z: Array) -> Array:
         """A z (..., W, n), in units of the noise."""
         explained = _windows_first(z) @ self.scaled.swapaxes(1, 2)
-        return np.asarray(np.moveaxis(explained, 0, -2).reshape(*z.shape[:-1], -1))
+        return _windows_last(explained, z.shape[:-1])
 
     def __call__(self, residuals: Array) -> Array:
         """Whiten residuals.
@@ -211,13 +212,17 @@ class Whitener:
         (..., W, n + m) array
             Its Euclidean length is the Mahalanobis length of the residuals.
         """
+        return self.given(residuals).whitened
+
+    def given(self, residuals: Array) -> "Given":
+        """Return what residuals (..., W, n) say of the latent numbers and of the noise."""
         scaled = self._differences(residuals) / self.rows
         z = self._latent(scaled)
-        return np.concatenate([scaled - self._explained(z), z], axis=-1)
+        return Given(self, residuals, scaled - self._explained(z), z)
 
     def distances(self, residuals: Array) -> Array:
         """Return the squared Mahalanobis lengths (..., W) of residuals (..., W, n)."""
-        return (self(residuals) ** 2).sum(axis=-1)
+        return self.given(residuals).distances
 
     def log_likelihood(self, residuals: Array) -> Array:
         """Evaluate the multivariate Student t whose scale matrix is the covariance.
@@ -232,24 +237,61 @@ class Whitener:
         (..., W) array
             Log densities [nats].
         """
-        n = residuals.shape[-1]
-        constant = (
-            gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
-        )
-        excess = np.log1p(self.distances(residuals) / DEGREES)
-        return constant - 0.5 * (DEGREES + n) * excess - self.log_root
+        return self.given(residuals).log_likelihood
 
     def weights(self, residuals: Array) -> Array:
         """Return the weights (..., W) of residuals (..., W, n): (nu + n) / (nu + d^2)."""
-        return student_t_weights(self.distances(residuals), residuals.shape[-1], DEGREES)
+        return self.given(residuals).weights
 
-    def moments(self, residuals: Array) -> tuple[Array, Array]:
-        """Sum expected squares given the residuals, weighted, over windows and steps.
 
-        Parameters
-        ----------
-        residuals : (W, n) array
-            Residuals.
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What residuals say under a covariance; each part is computed once.
+
+    Attributes
+    ----------
+    whitener : Whitener
+        The covariance.
+    residuals : (..., W, n) array
+        Residuals.
+    error : (..., W, n) array
+        The noise that is expected, in units of its standard deviation.
+    z : (..., W, m) array
+        The latent numbers that are expected, in units of theirs.
+    """
+
+    whitener: Whitener
+    residuals: Array
+    error: Array
+    z: Array
+
+    @cached_property
+    def whitened(self) -> Array:
+        """(..., W, n + m) residuals whose Euclidean length is their Mahalanobis length."""
+        return np.concatenate([self.error, self.z], axis=-1)
+
+    @cached_property
+    def distances(self) -> Array:
+        """(..., W) squared Mahalanobis lengths."""
+        return (self.whitened**2).sum(axis=-1)
+
+    @cached_property
+    def weights(self) -> Array:
+        """(..., W) (nu + n) / (nu + d^2)."""
+        return student_t_weights(self.distances, self.residuals.shape[-1], DEGREES)
+
+    @property
+    def log_likelihood(self) -> Array:
+        """(..., W) log densities of the multivariate Student t [nats]."""
+        n = self.residuals.shape[-1]
+        constant = (
+            gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
+        )
+        excess = np.log1p(self.distances / DEGREES)
+        return constant - 0.5 * (DEGREES + n) * excess - self.whitener.log_root
+
+    def moments(self) -> tuple[Array, Array]:
+        """Sum expected squares of residuals (W, n), weighted, over windows and steps.
 
         Returns
         -------
@@ -258,23 +300,16 @@ class Whitener:
         latents : (m,) array
             Of the latent numbers z.
         """
-        weights = self.weights(residuals)[:, None]
-        scaled = self._differences(residuals) / self.rows
-        z = self._latent(scaled)
-        error = scaled - self._explained(z)
-        error_variance = ((self.scaled @ self.inner) * self.scaled).sum(axis=2)
-        latent_variance = np.einsum("wii->wi", self.inner)
-        errors = (weights * error**2 + error_variance).sum(axis=0).reshape(-1, len(self.sigma))
-        latents = ((weights * z**2) + latent_variance).sum(axis=0) * self.scale**2
-        return (errors * self.sigma**2).sum(axis=0), latents
+        own = self.whitener
+        weights = self.weights[:, None]
+        error_variance = ((own.scaled @ own.inner) * own.scaled).sum(axis=2)
+        latent_variance = np.einsum("wii->wi", own.inner)
+        errors = (weights * self.error**2 + error_variance).sum(axis=0).reshape(-1, len(own.sigma))
+        latents = ((weights * self.z**2) + latent_variance).sum(axis=0) * own.scale**2
+        return (errors * own.sigma**2).sum(axis=0), latents
 
-    def neighbours(self, residuals: Array) -> tuple[Array, Array]:
-        """Expect products of errors that follow each other given the residuals, weighted.
-
-        Parameters
-        ----------
-        residuals : (W, n) array
-            Residuals.
+    def neighbours(self) -> tuple[Array, Array]:
+        """Expect products of errors that follow each other, weighted, from residuals (W, n).
 
         Returns
         -------
@@ -284,15 +319,15 @@ class Whitener:
         squares : (W, p) array
             Sums of the squares of both.
         """
-        p = len(self.sigma)
-        count, n, m = self.loadings.shape
+        own = self.whitener
+        p = len(own.sigma)
+        count, n, m = own.loadings.shape
         at_start = np.broadcast_to(np.eye(p, m), (count, p, m))
-        scaled = np.concatenate([at_start, self.loadings], axis=1) * self.scale
-        measured = np.concatenate([np.zeros((count, p)), residuals], axis=1)
-        z = self._latent(self._differences(residuals) / self.rows)
-        error = measured - (scaled @ z[:, :, None])[:, :, 0]
-        spread = scaled @ self.inner
-        weights = self.weights(residuals)[:, None]
+        scaled = np.concatenate([at_start, own.loadings], axis=1) * own.scale
+        measured = np.concatenate([np.zeros((count, p)), self.residuals], axis=1)
+        error = measured - (scaled @ self.z[:, :, None])[:, :, 0]
+        spread = scaled @ own.inner
+        weights = self.weights[:, None]
         square = weights * error**2 + (spread * scaled).sum(axis=2)
         product = weights * error[:, p:] * error[:, :-p]
         product += (spread[:, p:] * scaled[:, :-p]).sum(axis=2)
@@ -303,9 +338,14 @@ class Whitener:
 
 def _windows_first(rows: Array) -> Array:
     """(W, K, n) of (..., W, n)."""
-    first = np.ascontiguousarray(np.moveaxis(rows, -2, 0))
     count = math.prod(rows.shape[:-2])
-    return first.reshape(rows.shape[-2], count, rows.shape[-1])
+    stacked = rows.reshape(count, *rows.shape[-2:])
+    return np.ascontiguousarray(stacked.transpose(1, 0, 2))
+
+
+def _windows_last(first: Array, shape: tuple[int, ...]) -> Array:
+    """(*shape, n) of (W, K, n), where the shape ends with W."""
+    return first.transpose(1, 0, 2).reshape(*shape, first.shape[-1])
 
 
 def coloured_noise(
@@ -329,7 +369,7 @@ def coloured_noise(
     Noise or None
         A first guess of the noise, coloured in the signals that ask for it; None if none does.
     """
-    products, squares = whitener.neighbours(residuals)
+    products, squares = whitener.given(residuals).neighbours()
     error = products.std(axis=0) * np.sqrt(len(products))
     follow = np.abs(products.sum(axis=0)) > settings.z * error
     follow &= whitener.sigma > settings.clear * floor
@@ -360,8 +400,9 @@ def uneven_steps(
     bool
     """
     along = whitener(np.moveaxis(clocks, 2, 0))
-    squares = (along * whitener(residuals)).sum(axis=2) ** 2
-    excess = whitener.weights(residuals) * squares - (along**2).sum(axis=2)
+    given = whitener.given(residuals)
+    squares = (along * given.whitened).sum(axis=2) ** 2
+    excess = given.weights * squares - (along**2).sum(axis=2)
     by_window = excess.sum(axis=0)
     error = by_window.std() * np.sqrt(len(by_window))
     return bool(by_window.sum() > settings.z * error)
@@ -440,8 +481,8 @@ class _Learning:
     def white(self, sigma: Array, forces: Array) -> tuple[Noise, Array]:
         """White noise and the forces, from first guesses of their standard deviations."""
         for _ in range(self.rounds):
-            whitener = self._whitener(white(sigma), forces)
-            of_noise, of_forces = self._mean_squares(whitener, len(forces))
+            given = self._whitener(white(sigma), forces).given(self.residuals)
+            of_noise, of_forces = self._mean_squares(given, len(forces))
             new_sigma = np.maximum(sigma * (np.sqrt(of_noise) / sigma) ** 1.5, self.floor)
             new_forces = np.sqrt(of_forces)
             old = np.concatenate([sigma, forces])
@@ -468,9 +509,9 @@ class _Learning:
         def loss(values: Array) -> tuple[float, Array]:
             """Less the log-likelihood, and its gradient: that expected of errors and forces."""
             noise, forces = unpacked(values)
-            whitener = self._whitener(noise, forces)
-            of_noise, of_forces = self._mean_squares(whitener, len(forces))
-            products, squares = (part.sum(axis=0) for part in whitener.neighbours(self.residuals))
+            given = self._whitener(noise, forces).given(self.residuals)
+            of_noise, of_forces = self._mean_squares(given, len(forces))
+            products, squares = (part.sum(axis=0) for part in given.neighbours())
             left = 1 - noise.rho**2
             by_rho = products * (1 + noise.rho**2) - noise.rho * squares
             by_rho = by_rho / (noise.sigma * left) ** 2 + count * (n // p) * noise.rho / left
@@ -479,7 +520,7 @@ class _Learning:
                 by_rho[follow],
                 count * self.pieces * (of_forces / forces**2 - 1),
             ]
-            value = whitener.log_likelihood(self.residuals).sum()
+            value = given.log_likelihood.sum()
             return -float(value), -np.concatenate(gradient)
 
         least = np.log(np.maximum(forces, SMALLEST))
@@ -507,11 +548,11 @@ class _Learning:
         scale = np.concatenate([np.tile(noise.sigma, self.starts), of_forces, ones])
         return Whitener(self.loadings, scale, noise)
 
-    def _mean_squares(self, whitener: Whitener, count: int) -> tuple[Array, Array]:
+    def _mean_squares(self, given: Given, count: int) -> tuple[Array, Array]:
         """Mean squares that are expected of the noise (p,) and of so many forces."""
-        p = len(whitener.sigma)
+        p = len(self.floor)
         windows, n = self.residuals.shape
-        errors, latents = whitener.moments(self.residuals)
+        errors, latents = given.moments()
         # The noise: errors of the steps, and of the start; the forces of all pieces.
         of_starts, of_forces, _ = np.split(
             latents, [self.starts * p, self.starts * p + self.pieces * count]
