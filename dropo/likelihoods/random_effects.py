@@ -1,5 +1,6 @@
 """The Gaussian likelihood that integrates over a draw shared by all segments of a group."""
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -165,12 +166,14 @@ class _Integrals:
         J = L^-1 slopes.
     whiten : (R, p, p) array
         L^-1.
-    values : (G,) array
-        Log-likelihoods of the groups [nats].
+    sum_of_groups : callable
+        Adds up the rows of each group.
     precision : (G, d, d) array
         G = sum J'J.
     e : (G, d) array
         sum J'rho.
+    factor : (G, d, d) array
+        I + G S.
     inner : (G, d, d) array
         (I + G S)^-1.
     offset : (G, d) array
@@ -180,11 +183,24 @@ class _Integrals:
     rho: Array
     jacobian: Array
     whiten: Array
-    values: Array
+    sum_of_groups: Callable[[Array], Array]
     precision: Array
     e: Array
+    factor: Array
     inner: Array
     offset: Array
+
+    @property
+    def values(self) -> Array:
+        """(G,) log-likelihoods of the groups [nats]."""
+        xp = namespace(self.rho)
+        # The log-likelihood as if the parameters were the mean, and what the integral adds.
+        log_noise = -xp.sum(xp.log(xp.linalg.diagonal(self.whiten)), axis=1)
+        distance = self.rho.shape[1] * np.log(2 * np.pi) + xp.sum(self.rho**2, axis=1)
+        at_mean = self.sum_of_groups(-0.5 * distance - log_noise)
+        excess = xp.linalg.slogdet(self.factor)[1] - xp.sum(self.e * self.offset, axis=1)
+        values: Array = at_mean - 0.5 * excess
+        return values
 
 
 class _RandomEffects(GroupedLogLikelihood):
@@ -222,6 +238,7 @@ class _RandomEffects(GroupedLogLikelihood):
         # The group of each row, and the rows in the order of their groups.
         self.label, self.of_row = np.unique(segments.group[segments.rows[0]], return_inverse=True)
         self._order = np.argsort(self.of_row, kind="stable")
+        self._in_order = bool((np.diff(self.of_row) >= 0).all())
         self._first = np.searchsorted(self.of_row[self._order], np.arange(len(self.label)))
         # The emulator of each group: at first the population's.
         everywhere = np.ones((len(self.label), 1))
@@ -316,9 +333,7 @@ class _RandomEffects(GroupedLogLikelihood):
 
     def _linear(self, modes: Array) -> tuple[Array, Array]:
         """Predictions (R, p) and slopes (R, p, d) of every row at its group's mode (G, d)."""
-        values = self.own.basis(modes)[:, None]
-        slopes = self.own.slopes(modes).swapaxes(1, 2)
-        terms = np.concatenate([values, slopes], axis=1)  # (G, 1 + d, M)
+        terms = self.own.basis_and_slopes(modes)  # (G, 1 + d, M)
         parts = []
         for rows in self.blocks:
             coefficients = self.own.coefficients[:, rows].swapaxes(0, 1)  # (r, M, p)
@@ -338,14 +353,15 @@ class _RandomEffects(GroupedLogLikelihood):
 
     def _modes(self, phi: Array) -> Array:
         """(G, d) by Gauss-Newton from the population's mean, kept where the emulator is sound."""
-        mean = self._population(phi)[0]
+        given = self._given(phi)
+        mean = given[0]
         width = self.own.width
         low = self.own.centre - self.modes.span * width
         high = self.own.centre + self.modes.span * width
         # An emulator of a group's own is sound near its centre alone.
         modes = np.where(self.own.centre == self.emulator.centre, mean, self.own.centre)
         for _ in range(self.modes.steps):
-            following = np.clip(mean + self._integrate(phi, modes).offset, low, high)
+            following = np.clip(mean + self._linearized(given, modes).offset, low, high)
             step = np.abs(following - modes)
             modes = following
             if (step <= self.modes.tolerance * width).all():
@@ -357,35 +373,39 @@ class _RandomEffects(GroupedLogLikelihood):
 
         Simulated (R, p) are predictions there in the place of the emulators'.
         """
-        xp = namespace(phi)
-        mean, spread = self._population(phi)
+        return self._linearized(self._given(phi), modes, simulated)
+
+    def _given(self, phi: Array) -> tuple[Array, Array, Array]:
+        """Mean and covariance of the population, and L^-1 of every row, that phi (m,) names."""
         if self._known is None:
             whiten = self._whitener(self.epsilon(phi))
         else:
             whiten = constant(self._known, phi)
+        return (*self._population(phi), whiten)
+
+    def _linearized(
+        self, given: tuple[Array, Array, Array], modes: Array, simulated: Array | None = None
+    ) -> _Integrals:
+        """As `_integrate`, from what phi names."""
+        mean, spread, whiten = given
+        xp = namespace(mean)
 
         # Whitened residuals at the population's mean, and slopes.
-        predicted, slopes = (constant(part, phi) for part in self._linear(modes))
+        predicted, slopes = (constant(part, mean) for part in self._linear(modes))
         if simulated is not None:
             predicted = simulated
-        offsets = (constant(modes, phi) - mean)[self.of_row]
+        offsets = (constant(modes, mean) - mean)[self.of_row]
         away = xp.einsum("rpd,rd->rp", slopes, offsets)
-        rho = xp.einsum("rpq,rq->rp", whiten, constant(self.targets, phi) - predicted + away)
+        rho = xp.einsum("rpq,rq->rp", whiten, constant(self.targets, mean) - predicted + away)
         jacobian = whiten @ slopes
 
         # What the groups' rows say of their parameters.
         precision = self._sum(jacobian.swapaxes(1, 2) @ jacobian)
         e = self._sum(xp.einsum("rpd,rp->rd", jacobian, rho))
-        factor = constant(np.eye(len(mean)), phi) + precision @ spread
+        factor = constant(np.eye(len(mean)), mean) + precision @ spread
         inner = xp.linalg.inv(factor)
         offset = xp.einsum("gef,gf->ge", inner, e) @ spread
-
-        # The log-likelihood as if the parameters were the mean, and what the integral adds.
-        log_noise = -xp.sum(xp.log(xp.linalg.diagonal(whiten)), axis=1)
-        distance = rho.shape[1] * np.log(2 * np.pi) + xp.sum(rho**2, axis=1)
-        at_mean = self._sum(-0.5 * distance - log_noise)
-        values = at_mean - 0.5 * (xp.linalg.slogdet(factor)[1] - xp.sum(e * offset, axis=1))
-        return _Integrals(rho, jacobian, whiten, values, precision, e, inner, offset)
+        return _Integrals(rho, jacobian, whiten, self._sum, precision, e, factor, inner, offset)
 
     def _sum(self, rows: Array) -> Array:
         """The sum of the rows of each group (G, ...)."""
@@ -393,7 +413,8 @@ class _RandomEffects(GroupedLogLikelihood):
             xp = namespace(rows)
             zeros = xp.zeros((len(self.label), *rows.shape[1:]), dtype=rows.dtype)
             return zeros.index_add(0, xp.asarray(self.of_row), rows)
-        total: Array = np.add.reduceat(rows[self._order], self._first, axis=0)
+        ordered = rows if self._in_order else rows[self._order]
+        total: Array = np.add.reduceat(ordered, self._first, axis=0)
         return total
 
     def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:

@@ -155,18 +155,21 @@ class Emulator:
         x = namespace(values).log(values) if self.logarithmic else values
         return products((x - constant(self.centre, x)) / constant(self.width, x), self.indices)
 
-    def slopes(self, values: Array) -> Array:
-        """Return d basis / d value (K, M, d) at values (K, d), if these are the coordinates."""
+    def basis_and_slopes(self, values: Array) -> Array:
+        """Return the polynomials, and their slopes by each parameter, (K, 1 + d, M).
+
+        They are taken at parameter vectors (K, d), if these are the coordinates.
+        """
         u = (values - self.centre) / self.width
         unit = np.eye(u.shape[1], dtype=np.int64)
         single = NORMAL.orthonormal(u, max(1, int(self.indices.max())))
-        slopes = []
+        found = [_multiplied(single, self.indices)]
         for i in range(u.shape[1]):
             # d He_n / du = sqrt(n) He_(n-1), orthonormal.
             factor = np.sqrt(np.maximum(self.indices[:, i], 0)) / self.width[..., i, None]
             lower = np.maximum(self.indices - unit[i], 0)
-            slopes.append(factor * _multiplied(single, lower))
-        return np.stack(slopes, axis=-1)
+            found.append(factor * _multiplied(single, lower))
+        return np.stack(found, axis=1)
 
     def predict(self, values: Array) -> Array:
         """Return emulated predictions (K, R, p) at parameter vectors (K, d)."""
