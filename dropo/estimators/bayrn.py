@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
@@ -15,6 +14,7 @@ from dropo.core.contracts.interactive_estimator import (
     distribution,
 )
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.sobol import sobol_points
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.search_records import ReturnSearch
 from dropo.core.services.isolated_torch import isolated_torch
@@ -97,8 +97,8 @@ class BayRn(InteractiveEstimator):
         family: Family = find("families", self.family)(problem.space)
         calls = Callbacks(run)
         rng = run.rng.spawn(1)[0]
-        sobol = qmc.Sobol(len(family.unknowns), rng=rng)
-        points = sobol.random_base2(int(np.ceil(np.log2(self.first))))[: self.first]
+        exponent = int(np.ceil(np.log2(self.first)))
+        points = sobol_points(len(family.unknowns), exponent, rng)[: self.first]
         returns: list[float] = []
         status = Status.OUT_OF_BUDGET
         message = f"The best of {self.budget} distributions, by the posterior mean of its return."

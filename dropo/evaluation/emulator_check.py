@@ -32,7 +32,7 @@ class EmulatorCheckSettings:
     """
 
     draws: int = 32
-    alike: int = 16
+    alike: int = 8
     segments: int = 100
     tolerance: float = 0.1
 

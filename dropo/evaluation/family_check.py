@@ -7,10 +7,10 @@ and for correlations between parameters. All tests of a fit share one level.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from dropo.core.contracts.likelihood import Groups
 from dropo.core.numerics.multiple_tests import holm
+from dropo.core.numerics.tails import normal_tail
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -203,6 +203,8 @@ def _of_one_parameter(
 
     The first that speaks is said. Separations are maxima over cuts: they are taken for Gumbel's.
     """
+    from scipy import stats  # slow to import
+
     name = sample.space.names[place]
     unit = f" {sample.space[name].unit}".rstrip()
     count = len(z)
@@ -250,7 +252,9 @@ def _advice_on_skewness(sample: _Sample, place: int, skewness: float, family: st
     positive = list(sample.space)[place].low > 0 and bool((value > 0).all())
     if family == "log_normal" or skewness < 0 or not positive:
         return "no family here is skewed so, draw from the groups themselves"
-    left = float(stats.skew(np.log(value)))
+    from scipy.stats import skew  # slow to import
+
+    left = float(skew(np.log(value)))
     advice = "try --method dropo --family log_normal"
     return (
         advice if left < 0.5 * skewness else f"{advice}, though logarithms are skewed ({left:+.1f})"
@@ -322,7 +326,7 @@ def _correlations(sample: _Sample, family: str, settings: FamilyCheckSettings) -
             if information <= 0:
                 continue
             z = score / np.sqrt(information)
-            p_value = 2 * float(stats.norm.sf(abs(z)))
+            p_value = 2 * float(normal_tail(abs(z)))
             if p_value > settings.level:  # it can say nothing, and counts as a test alone
                 findings.append(_Finding("", p_value, ""))
                 continue

@@ -5,11 +5,11 @@ model cannot leave.
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import Units, unit_sums, variance_of_sum
 from dropo.core.numerics.robust_statistics import deviation
+from dropo.core.numerics.tails import normal_tail, student_tail
 from dropo.core.records.fit_parts import ModelCheck, ResidualSize, ResidualStructure
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.trajectories import Ints
@@ -197,7 +197,7 @@ def _size(
     mean = float(square.mean())
     variance, degrees = variance_of_sum(square - mean, units)
     error = float(np.sqrt(variance[0, 0])) / len(square)
-    p_value = float(stats.t.sf((mean - 1) / error, degrees[0])) if error > 0 else 0.5
+    p_value = float(student_tail((mean - 1) / error, degrees[0])) if error > 0 else 0.5
     found = ResidualSize(mean, error)
     if mean <= settings.large or p_value >= settings.level:
         return found, []
@@ -274,9 +274,9 @@ def _structure(
         held_out_signal=left.names[best],
         held_out_z=float(predicted[best]),
     )
-    if stats.norm.sf(abs(strongest)) * 2 * scores.size < settings.level:
+    if normal_tail(abs(strongest)) * 2 * scores.size < settings.level:
         what = f"{found.signal} follow {found.feature} (z {abs(strongest):.0f})"
-    elif stats.norm.sf(predicted[best]) * len(predicted) < settings.level:
+    elif normal_tail(predicted[best]) * len(predicted) < settings.level:
         z = f"(z {predicted[best]:.0f})"
         what = f"{left.names[best]} can be predicted from state and action {z}"
     else:

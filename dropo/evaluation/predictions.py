@@ -4,9 +4,10 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.tails import student_below
 from dropo.core.records.fit import Fit
 from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.core.records.trajectories import Ints, Segments
@@ -216,9 +217,9 @@ def _errors(problem: Problem, value: Array, segments: Segments, places: _Places)
 
 def _pit(draws: Array, targets: Array, sigma: Array, degrees: float | None) -> Array:
     """(R p,) the share of the prediction (K, R, p), with its noise, below each target (R, p)."""
-    noise = stats.norm if degrees is None else stats.t(degrees)
     tiny = 1e-12 * np.maximum(np.abs(targets).max(axis=0), 1e-300)
-    below = np.mean(noise.cdf((targets - draws) / np.maximum(sigma, tiny)), axis=0)
+    z = (targets - draws) / np.maximum(sigma, tiny)
+    below = np.mean(ndtr(z) if degrees is None else student_below(z, degrees), axis=0)
     return np.asarray(below[np.isfinite(below)])
 
 

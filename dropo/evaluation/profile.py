@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon, Noise
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.tails import chi2_quantile
 from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import Incompatible
@@ -61,7 +61,7 @@ class Profile:
             If the level is not between 0 and 1.
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Profile.region")
-        quantile = stats.chi2.ppf(level, len(self.names))
+        quantile = chi2_quantile(level, len(self.names))
         return np.asarray(2 * (self.best - self.values) <= quantile)
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
@@ -89,7 +89,7 @@ class Profile:
         if not inside.any():
             return float("nan"), float("nan")
         first, last = (int(i) for i in np.flatnonzero(inside)[[0, -1]])
-        height = self.best - stats.chi2.ppf(level, 1) / 2
+        height = self.best - chi2_quantile(level, 1) / 2
         low = -np.inf if first == 0 else self._crossing(height, first - 1, first)
         high = np.inf if last == len(grid) - 1 else self._crossing(height, last + 1, last)
         return low, high

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from dropo.core.numerics.ridge_regression import fourier_features, ridge
+from dropo.core.numerics.tails import normal_of_tail, student_tail
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 
@@ -143,8 +143,8 @@ def normal_score(sums: Array) -> Array:
 
 def score_of_t(t: Array, degrees: Array | float) -> Array:
     """Return the standard normal quantiles (k,) that are as unlikely as t statistics (k,)."""
-    tail = np.maximum(stats.t.sf(np.abs(t), degrees), 1e-300)
-    return np.asarray(np.sign(t) * stats.norm.isf(tail))
+    tail = np.maximum(student_tail(np.abs(t), degrees), 1e-300)
+    return np.asarray(np.sign(t) * normal_of_tail(tail))
 
 
 def random_features(

@@ -5,11 +5,10 @@ of what they may be.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.stats import chi2
 
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LocalLogLikelihood
+from dropo.core.numerics.tails import chi2_tail
 from dropo.core.records.fit_parts import VarianceComponentTests, VarianceTest
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
@@ -168,6 +167,8 @@ def boundary_weights(
     scaled = information[np.ix_(known, known)] / np.outer(size[known], size[known])
     root = np.linalg.cholesky(scaled + 1e-9 * np.eye(int(known.sum())))
     draws = rng.standard_normal((settings.draws, len(root)))
+    from scipy.optimize import nnls  # slow to import
+
     positive = [np.count_nonzero(nnls(root.T, draw)[0]) for draw in draws]
     return np.bincount(positive, minlength=len(size) + 1) / settings.draws
 
@@ -175,7 +176,7 @@ def boundary_weights(
 def _test(gain: float, weights: Array) -> VarianceTest:
     """Twice the gain, at least 0, and its p-value sum_k weights_k P(chi2_k >= statistic)."""
     statistic = max(0.0, 2 * gain)
-    tails = np.append(statistic <= 0, chi2.sf(statistic, np.arange(1, len(weights))))
+    tails = np.append(statistic <= 0, chi2_tail(statistic, np.arange(1, len(weights))))
     return VarianceTest(statistic, min(1.0, float(weights @ tails)))
 
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, namespace
+from dropo.core.numerics.sobol import sobol_points
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
@@ -105,8 +105,8 @@ class EmulatedRows(GaussianRows):
         self.emulator = emulator
 
         # Points of the unit box that determine the polynomials of any member.
-        sobol = qmc.Sobol(len(centre), rng=np.random.default_rng(0))
-        base = sobol.random_base2(int(np.ceil(np.log2(2 * terms))) + 1)
+        exponent = int(np.ceil(np.log2(2 * terms))) + 1
+        base = sobol_points(len(centre), exponent, np.random.default_rng(0))
         self._base = np.clip(base, 1e-6, 1 - 1e-6)
         standard = family.standard.quantile(self._base)
         self._inverse = np.linalg.pinv(products(standard, emulator.indices, family.standard))

@@ -113,8 +113,9 @@ class Binding:
         self.parameter = parameter
         self._servo = _servo_places(parameter, model) if parameter.field in SERVO else []
         if not self._servo:
-            self._in_option = parameter.field not in model_fields(model)
-            if self._in_option and parameter.field not in option_fields(model):
+            self._in_option = not _is_array(getattr(model, parameter.field, None))
+            in_option = _is_float(getattr(model.opt, parameter.field, None))
+            if self._in_option and (parameter.field.startswith("_") or not in_option):
                 valid = [*model_fields(model), *option_fields(model)]
                 raise UnknownName(
                     f"No field of MjModel or mjOption called {parameter.field!r}. "
@@ -255,14 +256,17 @@ def _is_float(value: Any) -> bool:
     return isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype == np.float64)
 
 
+def _is_array(value: Any) -> bool:
+    """Whether the value is an array of floats."""
+    return isinstance(value, np.ndarray) and _is_float(value)
+
+
 def model_fields(model: mujoco.MjModel) -> list[str]:
     """List the names of the gains of servos and of the model's float64 arrays."""
     names = list(SERVO)
     for name in dir(model):
-        if not name.startswith("_"):
-            value = getattr(model, name)
-            if isinstance(value, np.ndarray) and _is_float(value):
-                names.append(name)
+        if not name.startswith("_") and _is_array(getattr(model, name)):
+            names.append(name)
     return names
 
 

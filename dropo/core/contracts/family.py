@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import qmc
 
 from dropo.core.numerics.array_api import checked, constant, namespace
+from dropo.core.numerics.sobol import sobol_points
 from dropo.core.numerics.standard_distributions import StandardDistribution
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.validation import Array, require
@@ -83,8 +83,8 @@ class Family(ABC):
         sobol_rng, redraw_rng = rng.spawn(2)
         points = redraw_rng.random((1 + self.redraws, draws, len(self.space)))
         if not independent:
-            sobol = qmc.Sobol(len(self.space), rng=sobol_rng)
-            points[0] = sobol.random_base2(int(np.ceil(np.log2(draws))))[:draws]
+            exponent = int(np.ceil(np.log2(draws)))
+            points[0] = sobol_points(len(self.space), exponent, sobol_rng)[:draws]
         return _clip_to_open_interval(points)
 
     def draw(self, phi: ArrayLike, base: Array) -> Array:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument
@@ -21,14 +20,22 @@ STEP = float(np.finfo(float).eps ** (1 / 3))
 SMALLEST_MASS = 1e-9
 """A prior with less of its mass in the search interval is refused."""
 
+
+def _of_scipy(name: str, *numbers: Any, **named: Any) -> Any:
+    """A frozen distribution of scipy.stats, which is imported where there are priors alone."""
+    from scipy import stats
+
+    return getattr(stats, name)(*numbers, **named)
+
+
 DISTRIBUTIONS: dict[str, tuple[tuple[str, ...], Callable[..., Any]]] = {
-    "normal": (("mean", "sd"), lambda mean, sd: stats.norm(mean, sd)),
+    "normal": (("mean", "sd"), lambda mean, sd: _of_scipy("norm", mean, sd)),
     "lognormal": (
         ("mean of the logarithm", "sd of the logarithm"),
-        lambda mean, sd: stats.lognorm(sd, scale=np.exp(mean)),
+        lambda mean, sd: _of_scipy("lognorm", sd, scale=np.exp(mean)),
     ),
-    "halfnormal": (("scale",), lambda scale: stats.halfnorm(scale=scale)),
-    "uniform": (("low", "high"), lambda low, high: stats.uniform(low, high - low)),
+    "halfnormal": (("scale",), lambda scale: _of_scipy("halfnorm", scale=scale)),
+    "uniform": (("low", "high"), lambda low, high: _of_scipy("uniform", low, high - low)),
 }
 """The names that a text can begin with: the numbers in its brackets, and the distribution."""
 TEXT = re.compile(r"\s*([a-z]+)\s*(?:\(([^()]*)\))?\s*")

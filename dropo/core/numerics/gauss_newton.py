@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from dropo.core.numerics.robust_statistics import deviation, student_t_weights
 from dropo.core.services.validation import Array
@@ -243,6 +242,8 @@ def damped_step(
     ----------
     Levenberg, Quarterly of Applied Mathematics 2 (1944), 164.
     """
+    from scipy.optimize import lsq_linear  # slow to import
+
     # Columns of like length, and at least as long as the prior's.
     scale = np.maximum(np.linalg.norm(jacobian, axis=1), 1 / prior_sd)
     q, r = np.linalg.qr((jacobian / scale[:, None]).T)

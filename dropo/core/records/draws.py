@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
-from scipy.stats import rankdata
 
 from dropo.core.services.errors import DropoError
 from dropo.core.services.optional_dependencies import need
@@ -278,6 +277,8 @@ def _integrated_time(x: Array, window: float = 5.0) -> float:
 
 def _normal_scores(x: Array) -> Array:
     """Normal scores of the ranks (Vehtari et al. 2021, eq. 14)."""
+    from scipy.stats import rankdata  # slow to import
+
     ranks = rankdata(x).reshape(x.shape)
     return np.asarray(ndtri((ranks - 3 / 8) / (x.size + 1 / 4)))
 

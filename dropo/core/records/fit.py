@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from dropo.core.numerics.tails import chi2_quantile, student_quantile
 from dropo.core.records.fit_choices import ExcludedSpans, HorizonChoice, NoiseTuning
 from dropo.core.records.fit_parts import (
     EmulatorCheck,
@@ -250,7 +250,7 @@ class Fit(Report):
             For a level that is not between 0 and 1.
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.interval")
-        half = stats.t.ppf((1 + level) / 2, self._degrees()) * self.mean_se
+        half = student_quantile((1 + level) / 2, self._degrees()) * self.mean_se
         ends = np.stack([self.mean - half, self.mean + half])
         return np.asarray(np.clip(ends, self.space.low, self.space.high).T)
 
@@ -284,7 +284,7 @@ class Fit(Report):
             degrees = np.minimum(0.5 * (self.scale / self.scale_se) ** 2, count)
             unbiased = degrees * np.where(np.isinf(count), 1.0, (count + 1) / count)
             tails = np.array([[(1 + level) / 2], [(1 - level) / 2]])
-            ends = self.sd * np.sqrt(unbiased / stats.chi2.ppf(tails, degrees))
+            ends = self.sd * np.sqrt(unbiased / chi2_quantile(tails, degrees))
         ends = np.minimum(ends, self.space.high - self.space.low)
         return np.asarray(np.where(np.isfinite(self.scale_se), ends, np.nan).T)
 
@@ -317,7 +317,7 @@ class Fit(Report):
         errors = np.nan if self.correlation_se is None else self.correlation_se
         se = errors / (1 - r**2)
         of_sample = 1 / np.sqrt(np.maximum(fewest - 2, 1.0))
-        half = stats.t.ppf((1 + level) / 2, fewest) * np.maximum(se, of_sample)
+        half = student_quantile((1 + level) / 2, fewest) * np.maximum(se, of_sample)
         ends = np.tanh(np.arctanh(r)[..., None] + half[..., None] * np.array([-1.0, 1.0]))
         return np.where(off[..., None], ends, 1.0)
 

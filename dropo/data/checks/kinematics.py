@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -274,6 +273,8 @@ def rotation_vectors(quaternions: Array, following: Array) -> Array:
     (n, 3) array
         Rotation vectors in the body's frame [rad].
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
     before = Rotation.from_quat(quaternions, scalar_first=True)
     after = Rotation.from_quat(following, scalar_first=True)
     return np.asarray((before.inv() * after).as_rotvec())

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import t as student_t
 
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.tails import student_quantile
 from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array, require
@@ -217,6 +217,8 @@ def _evaluate(
     a scale of its own, an input that explains the calmer half better would be thought less likely
     in the wilder one.
     """
+    from scipy.stats import t as student_t  # slow to import
+
     windows = {name: cut(data, length) for name, data in candidates.items()}
     any_windows = next(iter(windows.values()))
     half_of = block[any_windows.steps[:, 0]] % 2
@@ -239,7 +241,7 @@ def _evaluate(
             found[name].errors[held_out] = errors
             found[name].value[:] += value / 2
         median = np.nanmedian(np.abs(np.concatenate(fitted_errors)), axis=0)
-        scale = median / student_t.ppf(0.75, settings.degrees)
+        scale = median / student_quantile(0.75, settings.degrees)
         for own in found.values():
             errors = np.nan_to_num(own.errors[held_out], nan=1e6)
             density = np.asarray(student_t.logpdf(errors, settings.degrees, scale=scale))

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
 
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.validation import Array, float_array, require
 from dropo.data.outliers.disturbances import cut
@@ -268,4 +268,4 @@ def _compare(
     # Degrees of freedom by Welch and Satterthwaite.
     degrees = (own + rest) ** 2 / (own**2 / (blocks - 1) + rest**2 / (len(others) - 1))
     t = abs(value - mean) / np.sqrt(own + rest)
-    return mean, float(np.sqrt(between)), float(2 * student_t.sf(t, degrees))
+    return mean, float(np.sqrt(between)), float(2 * student_tail(t, degrees))

@@ -6,11 +6,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.numerics.dependence import Units
 from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.numerics.tails import normal_tail
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.experiment import experiment
@@ -164,7 +164,7 @@ def p_of(gain: float, count: int, z: float | None = None) -> float:
         Between the smallest positive number and 1.
     """
     p_value = min(1.0, count * float(np.exp(-max(gain, 0.0))))
-    of_z = 0.0 if z is None else float(norm.sf(z))
+    of_z = 0.0 if z is None else float(normal_tail(z))
     return max(p_value, float(np.finfo(float).tiny), of_z)
 
 

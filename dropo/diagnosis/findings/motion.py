@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.tails import student_below, student_quantile
 from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -123,7 +123,7 @@ def _side(
     """What one model predicts for the windows that are shown, and its errors."""
     p = len(linearized.whiten.sigma)
     line = linearized.predicted + linearized.shift
-    half = stats.t.ppf((1 + LEVEL) / 2, DEGREES) * linearized.whiten.deviations
+    half = student_quantile((1 + LEVEL) / 2, DEGREES) * linearized.whiten.deviations
     own = next((one for one in errors if one.steps == state.test.windows.length), errors[-1])
     return Side(
         name=name,
@@ -149,7 +149,7 @@ def _pit(linearized: LinearizedWindows, entries: int) -> Array:
     white = np.linalg.solve(
         np.linalg.cholesky(covariance), linearized.residuals[good][:, places, None]
     )
-    return np.asarray(stats.t.cdf(white.ravel(), DEGREES))
+    return np.asarray(student_below(white.ravel(), DEGREES))
 
 
 def _neighbours(

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.tails import normal_tail
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.omnibus import omnibus
 from dropo.diagnosis.findings.unexplained_forces import (
@@ -101,7 +101,7 @@ def remaining(
         where.append(f"mostly {regime}")
 
     z = max(forces.z if forces.present else 0.0, structure.z)
-    p_value = float(max(norm.sf(z), np.finfo(float).tiny))
+    p_value = float(max(normal_tail(z), np.finfo(float).tiny))
     return Remaining(not where, p_value, tuple(where), sd_by_joint), forces
 
 

@@ -10,11 +10,11 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.effect import ActiveEffects, EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, require
@@ -163,7 +163,7 @@ class QuickDiagnose:
                     target=number.target,
                     variant=number.variant,
                     estimate=dict(number.estimates),
-                    p_value=float(min(1.0, tries * 2 * student.sf(z, max(blocks - 1, 1)))),
+                    p_value=float(min(1.0, tries * 2 * student_tail(z, max(blocks - 1, 1)))),
                     held_out_gain=gain,
                     held_out_gain_se=error,
                     rmse_before=estimate.left_without(number.index),

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.numerics.tails import chi2_tail
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.windows import Windows
@@ -242,7 +242,7 @@ def _test(
         precision = 1 / errors[used] ** 2
         mean = (precision @ sizes[used]) / precision.sum()
         spread = (precision * (sizes[used] - mean) ** 2).sum()
-        p_value = float(chi2.sf(spread, used.sum() - 1))
+        p_value = float(chi2_tail(spread, used.sum() - 1))
     return Invariance(name, p_value, tuple(sizes.tolist()), tuple(errors.tolist()))
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
-from scipy.stats import rankdata
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Ints
@@ -754,6 +753,8 @@ def signed_rank_score(gains: Array) -> float:
     ----------
     Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945.
     """
+    from scipy.stats import rankdata  # slow to import
+
     n = len(gains)
     ranks = rankdata(np.abs(gains))
     error = np.sqrt(n * (n + 1) * (2 * n + 1) / 6)

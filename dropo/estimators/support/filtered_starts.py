@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
@@ -16,6 +15,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import STEP, Simulator, describe_failures
 from dropo.core.numerics.finite_differences import axial_design, difference_quotients
 from dropo.core.numerics.kalman import Sensors, predict, update
+from dropo.core.numerics.tails import chi2_of_tail
 from dropo.core.records.fit import Status
 from dropo.core.records.fit_parts import StartFilter
 from dropo.core.records.trajectories import Segments
@@ -254,7 +254,7 @@ def _filter(
     data = each.trajectories
     n, p = linear.predicted.shape
     sensors = Sensors.of(epsilon)
-    limit = float(chi2.isf(settings.reset_probability, p))
+    limit = float(chi2_of_tail(settings.reset_probability, p))
     out = np.zeros((n, p))
     covariances = np.empty((n, p, p))
     jacobians = np.zeros((n, p, len(value)))

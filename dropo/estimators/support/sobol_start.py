@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.sobol import sobol_points
 from dropo.core.services.validation import Array
 
 
@@ -47,8 +47,8 @@ def best_sobol_point(problem: Problem, run: Run, settings: SobolSettings = DEFAU
     """
     space = problem.space
     segments = problem.segments.take(problem.segments.thin(settings.segments))
-    sobol = qmc.Sobol(len(space), rng=np.random.default_rng(0))
-    points = space.from_unit(sobol.random_base2(int(np.log2(settings.points))))
+    exponent = int(np.log2(settings.points))
+    points = space.from_unit(sobol_points(len(space), exponent, np.random.default_rng(0)))
     with run.counting(evaluations=1):
         predictions = problem.simulator.predict(points, segments)
     errors = np.abs(predictions - problem.simulator.targets(segments))

@@ -6,11 +6,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from dropo.core.contracts.simulator import Simulator, describe_failures
 from dropo.core.numerics.array_api import constant, namespace
 from dropo.core.numerics.diverged_simulations import ranges, settled
+from dropo.core.numerics.sobol import sobol_points
 from dropo.core.numerics.standard_distributions import NORMAL, StandardDistribution
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments
@@ -29,6 +29,8 @@ class DesignSettings:
         Design points for M polynomials: points_per_term M + spare_points.
     rough_order : int
         Highest order of a first, rough fit.
+    rough_line : float
+        Rough fits are linear below this width, as a fraction of the search interval.
     order_limits : tuple of float
         Order 1 is taken below the first width, as a fraction of the search interval, order 2 below
         the second, and so on.
@@ -41,6 +43,7 @@ class DesignSettings:
     points_per_term: float = 1.7
     spare_points: int = 6
     rough_order: int = 2
+    rough_line: float = 0.01
     order_limits: tuple[float, ...] = (0.002, 0.013, 0.033)
     full_quadratic: int = 10
     singular: float = 1e-10
@@ -84,7 +87,8 @@ def orders_for(
     else:
         below = np.searchsorted(settings.order_limits, fraction, side="right")
         chosen = 1 + below.astype(np.int64)
-    return np.minimum(chosen, settings.rough_order) if rough else chosen
+    highest = np.where(fraction < settings.rough_line, 1, settings.rough_order)
+    return np.minimum(chosen, highest) if rough else chosen
 
 
 def index_set(orders: NDArray[np.int64], settings: DesignSettings = DESIGN) -> NDArray[np.int64]:
@@ -335,7 +339,7 @@ def design_points(
     (N, d) array
         Parameters.
     """
-    sobol = qmc.Sobol(len(centre), rng=rng).random_base2(int(np.ceil(np.log2(count))))[:count]
+    sobol = sobol_points(len(centre), int(np.ceil(np.log2(count))), rng)[:count]
     x = centre + width * ndtri(np.clip(sobol, 1e-12, 1 - 1e-12))
     values = np.exp(x) if logarithmic else x
     space = simulator.space
