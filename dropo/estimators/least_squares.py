@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy.optimize
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.problem import Problem
@@ -272,13 +271,15 @@ def _solve(
     problem: Problem, run: Run, variances: Array, start: Array, budget: int, step: Array
 ) -> PointEstimate:
     """One pass from a start (d,), weighted by the inverse of variances (p,), with steps (d,)."""
+    from scipy.optimize import least_squares  # slow to import
+
     space = problem.space
     width = space.high - space.low
     before = run.evaluations
     function = _Residuals(problem, run, variances, budget, step)
     unit = np.clip((start - space.low) / width, 1e-9, 1 - 1e-9)
     try:
-        result = scipy.optimize.least_squares(
+        result = least_squares(
             function.residuals,
             unit,
             function.jacobian,

@@ -120,7 +120,7 @@ def run(arguments: str, redirected: str, **environment: str) -> "subprocess.Comp
 )
 def test_output_that_cannot_be_written(redirected: str, status: int, told: str) -> None:
     """Never a traceback: who has read enough is no error, a full device is one line."""
-    done = run("list effects", redirected)
+    done = run("list families", redirected)
     assert (done.returncode, done.stderr) == (status, told)
 
 

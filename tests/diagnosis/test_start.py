@@ -42,7 +42,7 @@ def diagnosis(recording):
     """The diagnosis of its first model."""
     _, spec, data = recording
     problem = with_velocities(problem_of(DESIGN, spec, data))
-    return Diagnose(windows=20, disturbances=False).run(problem)
+    return Diagnose(windows=12, disturbances=False).run(problem)
 
 
 def test_every_number_is_found_by_simulation(recording, diagnosis):

@@ -20,7 +20,7 @@ def pushes(kind, seed):
     if kind == "correlated":
         z[:, 1] = 0.95 * z[:, 0] + np.sqrt(1 - 0.95**2) * z[:, 1]
     draws = np.array([1.5, 0.8]) + np.array([0.2, 0.08]) * z * (kind != "alike")
-    actions = np.repeat(rng.normal(0, 3, (50, 4, 1)), 5, axis=1)
+    actions = np.repeat(rng.normal(0, 3, (50, 2, 1)), 5, axis=1)
     data = simulate(SlidingBlock(), draws, actions, np.zeros(2), noise_variance=1e-6, rng=rng)
     return Problem(kind, SlidingBlock(), data, epsilon=1e-6)
 

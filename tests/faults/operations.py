@@ -34,7 +34,7 @@ LOG = ("log.csv", "--map", "map.yaml", "--model", "robot.xml")
 COMMANDS = {
     "fit": (*FIT, "dropo"),
     "posterior": (*FIT, "posterior", "--likelihood", "linear"),
-    "droid": (*FIT, "droid", "--budget", "40"),
+    "droid": (*FIT, "droid", "--budget", "12"),
     "diagnose": ("diagnose", "problem.yaml", *SEARCH),
     "quick": ("diagnose", "torque-arm", "--quick", "--hide", "joint_armature:elbow=0.01"),
     "recover": ("recover", "toy"),

@@ -1,0 +1,90 @@
+"""What the main job, `dropo fit hopper`, spends its processor time on, and how much memory fits hold.
+
+`python benchmarks/shares.py` prints imports, bare simulation (inside of MuJoCo's `rollout`) and the
+rest, of one thread; `--transitions N ...` then fits so many transitions in turn, each in a process
+of its own, and prints the most memory that it ever held.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+RUN = """
+import contextlib, io, json, resource, sys, time
+import mujoco.rollout
+bare = mujoco.rollout.rollout
+spent = 0.0
+def timed(*given, **named):
+    global spent
+    before = time.process_time()
+    try:
+        return bare(*given, **named)
+    finally:
+        spent += time.process_time() - before
+mujoco.rollout.rollout = timed
+from dropo.cli.main import main
+output = io.StringIO()
+with contextlib.redirect_stdout(output):
+    status = main(sys.argv[1:])
+assert status == 0, output.getvalue()
+used = resource.getrusage(resource.RUSAGE_SELF)
+print(json.dumps({
+    "total": used.ru_utime + used.ru_stime,
+    "simulation": spent,
+    "memory": used.ru_maxrss / 1024,
+    "steps": json.loads(output.getvalue())["simulator_steps"],
+    "modules": [name for name in sys.modules if not name.startswith("__")],
+}))
+"""
+IMPORT = """
+import contextlib, importlib, json, resource, sys
+for name in json.load(sys.stdin):
+    with contextlib.suppress(Exception):
+        importlib.import_module(name)
+used = resource.getrusage(resource.RUSAGE_SELF)
+print(used.ru_utime + used.ru_stime)
+"""
+
+
+def in_process(code: str, arguments: list[str], given: str = "") -> Any:
+    """What a process of its own prints, read as JSON."""
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(command, input=given, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def fit(arguments: list[str]) -> dict[str, Any]:
+    """Seconds of processor time of a fit by part, its memory [MB], and its simulator steps."""
+    command = ["fit", *arguments, "--threads", "1", "--quiet", "--json"]
+    found: dict[str, Any] = in_process(RUN, command)
+    found["imports"] = in_process(IMPORT, [], json.dumps(found.pop("modules")))
+    found["rest"] = found["total"] - found["imports"] - found["simulation"]
+    return found
+
+
+def report(transitions: list[int]) -> str:
+    """The shares of the main job, and the memory of fits of so many transitions."""
+    main_job = fit(["hopper"])
+    lines = [f"`dropo fit hopper`: {main_job['steps']:,} simulator steps, one thread.", ""]
+    lines += ["| part | s of processor time | share |", "|---|---|---|"]
+    for part in ("imports", "simulation", "rest", "total"):
+        share = main_job[part] / main_job["total"]
+        lines.append(f"| {part} | {main_job[part]:.2f} | {100 * share:.0f}% |")
+    if transitions:
+        lines += ["", "| transitions | steps | most memory, MB |", "|---|---|---|"]
+    for count in transitions:
+        one = fit(["hopper-noisy", "--transitions", str(count)])
+        lines.append(f"| {count:,} | {one['steps']:,} | {one['memory']:.0f} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--transitions", type=int, nargs="*", default=[])
+    print(report(parser.parse_args().transitions))
