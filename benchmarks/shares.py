@@ -1,4 +1,4 @@
-"""What the main job, `dropo fit hopper`, spends its processor time on, and how much memory fits hold.
+"""What the main job, `dropo fit hopper`, spends its processor time on, and what memory fits hold.
 
 `python benchmarks/shares.py` prints imports, bare simulation (inside of MuJoCo's `rollout`) and the
 rest, of one thread; `--transitions N ...` then fits so many transitions in turn, each in a process

@@ -4,6 +4,7 @@ import copy
 import hashlib
 import re
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -17,6 +18,15 @@ from dropo.mjmodel.warnings import suppress_mujoco_warnings
 NAN = "NaN"
 """What MuJoCo's warning of a number in a file says that is none."""
 _ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
+
+
+def gymnasium_spec(file: str) -> mujoco.MjSpec:
+    """Read one of Gymnasium's models, such as "hopper.xml"; Gymnasium itself is not imported."""
+    package = find_spec("gymnasium")
+    assert package is not None
+    assert package.origin is not None
+    path = Path(package.origin).parent / "envs" / "mujoco" / "assets" / file
+    return mujoco.MjSpec.from_file(str(path))
 
 
 def load_model(

@@ -45,7 +45,7 @@ def test_estimates_are_no_cause(nothing):
     """With nothing hidden nothing is named. The control: taken for measured, estimates speak
     against the model.
     """
-    diagnose = Diagnose(SOME, windows=40, disturbances=False)
+    diagnose = Diagnose(SOME, windows=60, disturbances=False)
     assert diagnose.run(nothing).verdict == "consistent"
     assert diagnose.run(replace(nothing, estimated={})).verdict != "consistent"
 

@@ -7,9 +7,10 @@ Data and ground truth: G. Tiboni, DROPO (github.com/gabrieletiboni/dropo, MIT li
 """
 
 import math
-from importlib.resources import as_file, files
 
 import mujoco
+
+from dropo.mjmodel.loading import gymnasium_spec
 
 BODIES = ("torso", "thigh", "leg", "foot")
 FRAME_SKIP = 4
@@ -76,8 +77,7 @@ def hopper_spec() -> mujoco.MjSpec:
         The model that replays the published clean transitions to rounding (1e-14). Compile it as it
         is: the XML that it can be written to keeps six digits.
     """
-    with as_file(files("gymnasium") / "envs" / "mujoco" / "assets" / "hopper.xml") as path:
-        spec = mujoco.MjSpec.from_file(str(path))
+    spec = gymnasium_spec("hopper.xml")
     # With any other setting MuJoCo ignores the explicit inertias below.
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART

@@ -1,10 +1,7 @@
 """The published hopper transitions against a wrong model: Gymnasium's Hopper-v5 as it is."""
 
-from importlib.resources import as_file, files
-
-import mujoco
-
 from dropo.core.contracts.problem import Problem
+from dropo.mjmodel.loading import gymnasium_spec
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, MARGIN, hopper_model
 from dropo.problems.hopper.published import published
 from dropo.problems.hopper.task import hopping
@@ -32,19 +29,13 @@ def hopper_v5(threads: int = 0) -> Problem:
         If the published data are neither found nor fetched.
     """
     simulator = MujocoSimulator(
-        gymnasium_spec(),
+        gymnasium_spec("hopper.xml"),
         [],
         observation=["qpos[1:]", "qvel"],
         frame_skip=FRAME_SKIP,
         threads=threads,
     )
     return Problem("hopper-v5", simulator, published("clean"), task=hopping())
-
-
-def gymnasium_spec() -> mujoco.MjSpec:
-    """Gymnasium's `hopper.xml` as it is."""
-    with as_file(files("gymnasium") / "envs" / "mujoco" / "assets" / "hopper.xml") as path:
-        return mujoco.MjSpec.from_file(str(path))
 
 
 def differences() -> dict[tuple[str, str | None], float]:
@@ -56,7 +47,7 @@ def differences() -> dict[tuple[str, str | None], float]:
         (effect, target) -> difference: masses [kg], inertias (as fractions of Gymnasium's), and
         the distance at which contacts begin [m], whose target is None.
     """
-    stock = gymnasium_spec().compile()
+    stock = gymnasium_spec("hopper.xml").compile()
     true = hopper_model()
     out: dict[tuple[str, str | None], float] = {}
     for body in BODIES:

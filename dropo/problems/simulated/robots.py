@@ -5,7 +5,6 @@ Each robot comes with the controller that drives it and the states at which it s
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.resources import as_file, files
 
 import mujoco
 import numpy as np
@@ -16,6 +15,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import FieldParameter
+from dropo.mjmodel.loading import gymnasium_spec
 from dropo.problems.hopper.data import healthy, hopper_policy, start_states
 from dropo.problems.hopper.problem import hopper_simulator
 from dropo.problems.simulated.recording import Controller, record
@@ -220,8 +220,7 @@ def _walking(
     """A robot of Gymnasium's under feedback to its rest, with random commands added."""
 
     def build(parameters: Sequence[FieldParameter], threads: int) -> SimulatedRobot:
-        with as_file(files("gymnasium") / "envs" / "mujoco" / "assets" / file) as path:
-            spec = _without_total_mass(mujoco.MjSpec.from_file(str(path)))
+        spec = _without_total_mass(gymnasium_spec(file))
         simulator = MujocoSimulator(
             spec,
             parameters,
