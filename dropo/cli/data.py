@@ -343,7 +343,7 @@ def _findings(arguments: argparse.Namespace) -> "list[Finding]":
 
 def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
     """The findings in raw logs."""
-    from dropo.logs.log_checks import check_runs
+    from dropo.logs.guessing.check import check_logs
     from dropo.logs.mapping import read_mapping
     from dropo.logs.recordings import read_runs
     from dropo.mjmodel.joints import load_model_joints
@@ -352,7 +352,8 @@ def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
     progress = Progress(silent=arguments.quiet)
     try:
         mapping = read_mapping(arguments.map, joints)
-        return check_runs(read_runs(arguments.target, mapping, progress), joints)
+        runs = read_runs(arguments.target, mapping, progress)
+        return check_logs(arguments.target, runs, mapping, joints)
     finally:
         progress.close()
 

@@ -21,6 +21,7 @@ from dropo.cli import (
     evaluate,
     export,
     fit,
+    init,
     recover,
     report,
     schema,
@@ -117,6 +118,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"dropo {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for command in (
+        init,
         fit,
         diagnose,
         verify,

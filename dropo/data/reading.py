@@ -19,6 +19,8 @@ NUMBERS = ("observations", "actions", "next_observations", "time")
 """Arrays of floating-point numbers."""
 KEYS = (*NUMBERS, "terminals", "group")
 """Arrays that are read."""
+RUN_NAMES = "run_names"
+"""The array that names the runs by their numbers in `group`."""
 INPUT = "actions."
 """What the names of several logged commands begin with."""
 MINARI = "minari:"
@@ -101,6 +103,40 @@ def inputs_of(source: Source) -> tuple[str, ...]:
     """
     _, others = _load(source, KEYS)
     return tuple(name.removeprefix(INPUT) for name in others if name.startswith(INPUT))
+
+
+def run_names(source: Source) -> list[str]:
+    """Name the run of every trajectory of a source.
+
+    Parameters
+    ----------
+    source : str or Path
+        As `read` takes it.
+
+    Returns
+    -------
+    list of str
+        By the array `run_names` (G,) of text, which names the numbers in `group`; empty names where
+        the source has no such array.
+
+    Raises
+    ------
+    BadFile
+        If the source is missing or cannot be read, or has fewer names than groups.
+    """
+    raw, _ = _load(source, (*KEYS, RUN_NAMES))
+    terminals = np.asarray(raw.get("terminals", []), dtype=bool)
+    last = np.flatnonzero(terminals)
+    if "next_observations" not in raw:  # trajectories of one row are dropped
+        last = last[np.diff(last, prepend=-1) > 1]
+    if RUN_NAMES not in raw or "group" not in raw:
+        return [""] * len(last)
+    names = [str(name) for name in raw[RUN_NAMES]]
+    groups = raw["group"][last].astype(int)
+    if len(groups) and groups.max() >= len(names):
+        expected = f"a name for each of {int(groups.max()) + 1} groups"
+        raise BadFile(source, RUN_NAMES, expected, str(len(names)))
+    return [names[i] for i in groups]
 
 
 def _concatenate(parts: list[tuple[Source, Arrays]]) -> Trajectories:

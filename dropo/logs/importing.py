@@ -5,22 +5,27 @@ three files; `_gather` cuts the runs into trajectories, and `_join_arrays` makes
 data.npz of them.
 """
 
+import hashlib
+import json
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo._version import __version__
 from dropo.core.services.atomic_write import atomic_write, write_json, write_npz, write_text
 from dropo.core.services.errors import BadArgument, BadFile
-from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
-from dropo.data.checks.findings import Finding
+from dropo.data.checks.findings import Finding, errors_first
+from dropo.data.reading import RUN_NAMES
 from dropo.logs.grids import (
     ExcludedSpan,
     GridSpan,
@@ -31,9 +36,12 @@ from dropo.logs.grids import (
     steps_per_action,
     whole_spans,
 )
-from dropo.logs.log_checks import LogCheckSettings, check_runs
-from dropo.logs.mapping import Mapping, read_mapping
+from dropo.logs.guessing.check import check_logs
+from dropo.logs.log_checks import LogCheckSettings
+from dropo.logs.mapping import Mapping as LogMapping
+from dropo.logs.mapping import read_mapping
 from dropo.logs.preparing import NoiseSettings, SignalNoise, add_velocities, clean_run
+from dropo.logs.problem_text import format_problem, held_out_runs, segment_steps
 from dropo.logs.readers.reader import Progress
 from dropo.logs.recordings import LogRun, read_runs
 from dropo.logs.signals.clocks import AlignmentSettings, SignalDelay, align_runs
@@ -43,14 +51,8 @@ PROBLEM = "problem.yaml"
 RECORD = "import.json"
 SHOWN = 20
 """Excluded spans that are printed."""
-OUR_KEYS = ("model", "frame_skip", "data", "observation", "action")
-"""What an import writes into a problem file."""
-HEAD = """\
-# Written by `dropo data import`. `dropo fit` needs parameters; noise levels of the \
-signals stand in {record}. For example:
-# parameters:
-#   mass: {{field: body_mass, name: {body}, low: {low:.3g}, high: {high:.3g}, unit: kg}}
-"""
+SUM = "problem_sum"
+"""In import.json the SHA-256 of the problem file as it was written."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,10 @@ class ImportSettings:
     ----------
     rate_error : float
         How far a rate that the mapping gives may be from one of whole physics steps, as a fraction.
+    log_error : float
+        How far the log's own rate may be from one without a warning, as a fraction.
+    noisier : float
+        A logged velocity is called worse where its noise is so many times that of a smoothed one.
     checks : LogCheckSettings
         What makes a raw log look odd.
     alignment : AlignmentSettings
@@ -70,6 +76,8 @@ class ImportSettings:
     """
 
     rate_error: float = 0.05
+    log_error: float = 0.005
+    noisier: float = 2.0
     checks: LogCheckSettings = field(default_factory=LogCheckSettings)
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
@@ -107,9 +115,11 @@ class Import(Report):
         What looked odd in the raw logs.
     inputs : tuple of str
         The candidates of the commands.
+    notes : tuple of str
+        What was chosen, and why.
     """
 
-    arrays: dict[str, Array]
+    arrays: dict[str, NDArray[Any]]
     observation: list[str]
     action: list[str]
     frame_skip: int
@@ -121,6 +131,7 @@ class Import(Report):
     left_out: list[ExcludedSpan]
     findings: list[Finding]
     inputs: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Give the content of import.json."""
@@ -140,11 +151,12 @@ class Import(Report):
             "noise": {name: asdict(noise) for name, noise in self.noise.items()},
             "left_out": left_out,
             "findings": [asdict(finding) for finding in self.findings],
+            "notes": list(self.notes),
         }
 
     def parts(self) -> list[str | Table]:
         """Give the counts, a table of the noise, delays, excluded spans, and findings."""
-        parts: list[str | Table] = [self._counts(), self._noise_table()]
+        parts: list[str | Table] = [self._counts(), self._noise_table(), *self.notes]
         # delays
         removed = [str(delay) for delay in self.delays if delay.removed]
         parts += removed
@@ -233,17 +245,18 @@ def import_logs(
         If a check finds an error in a log, or no run holds a trajectory. Nothing is written.
     """
     place = Path(out)
-    _check_place(place)
+    check_place(place)
     paths = [logs] if isinstance(logs, str | Path) else logs
     robot = load_model_joints(model)
     found = prepare(paths, read_mapping(mapping, robot), robot, progress, settings)
-    _write(found, place, Path(model), robot)
+    where = os.path.relpath(model, place.parent)
+    write_import(found, place, where, robot, "data import", {"model": str(model)})
     return found
 
 
 def prepare(
     logs: Sequence[str | Path],
-    mapping: Mapping,
+    mapping: LogMapping,
     robot: ModelJoints,
     progress: Progress = ignore_progress,
     settings: ImportSettings = DEFAULTS,
@@ -277,7 +290,7 @@ def prepare(
     """
     # read and check
     raw = read_runs(logs, mapping, lambda fraction, text: progress(0.5 * fraction, text))
-    findings = check_runs(raw, robot, settings.checks)
+    findings = check_logs(logs, raw, mapping, robot, settings.checks)
     for finding in findings:
         if finding.level == "error":
             named = ", ".join(map(str, logs))
@@ -296,13 +309,16 @@ def prepare(
         raise mapping.refusal("rate", expected, f"{mapping.rate:g}")
     # estimate what was not logged, and cut into trajectories
     progress(0.7, "velocities")
+    if mapping.rate is None and abs(error) > settings.log_error:
+        findings = errors_first([*findings, _rate_warning(runs, robot, skip, error)])
     runs, noise = add_velocities(runs, robot, settings.noise)
+    worse = worse_velocities(noise, settings)
     progress(0.9, "resampling")
     gathered = _gather(raw, runs, mapping, robot, skip)
     positions = [channel.name for channel in mapping.of("qpos")]
     action, _ = _action_items(mapping, robot)
     return Import(
-        arrays=_join_arrays(gathered.pieces),
+        arrays=_join_arrays(gathered.pieces, list(gathered.rows)),
         observation=observation_items(robot, positions),
         action=action,
         frame_skip=skip,
@@ -314,7 +330,66 @@ def prepare(
         left_out=gathered.excluded,
         findings=findings,
         inputs=mapping.candidates,
+        notes=_velocity_notes(noise, worse),
     )
+
+
+def _rate_warning(runs: Sequence[LogRun], robot: ModelJoints, skip: int, error: float) -> Finding:
+    """That the log's rows are resampled, and the time step with which they are not."""
+    wanted = (1 + error) * skip * robot.timestep
+    step = wanted / max(1, math.ceil(wanted / robot.timestep - 1e-3))
+    text = (
+        f"a row every {1e3 * wanted:.5g} ms is no whole number of the model's physics steps of "
+        f"{1e3 * robot.timestep:g} ms: all rows are resampled on {1e3 * skip * robot.timestep:.5g} "
+        "ms."
+    )
+    return Finding("warning", "time", text, f'`<option timestep="{step:.6g}"/>` avoids it.')
+
+
+def worse_velocities(
+    noise: Mapping[str, SignalNoise], settings: ImportSettings = DEFAULTS
+) -> tuple[str, ...]:
+    """List the joints whose logged velocity is noisier than one smoothed from the positions.
+
+    Parameters
+    ----------
+    noise : mapping
+        `SignalNoise` by signal.
+    settings : ImportSettings, optional
+        How much noisier.
+
+    Returns
+    -------
+    tuple of str
+    """
+    worse = []
+    for name, one in noise.items():
+        if one.sd is None or one.smoothed is None or not name.startswith("qvel."):
+            continue
+        if one.sd > settings.noisier * one.smoothed:
+            worse.append(name.removeprefix("qvel."))
+    return tuple(worse)
+
+
+def _velocity_notes(noise: dict[str, SignalNoise], worse: tuple[str, ...]) -> tuple[str, ...]:
+    """Which velocities were taken, and why."""
+    logged = [name for name, one in noise.items() if one.smoothed is not None]
+    estimated = [name for name, one in noise.items() if one.estimated]
+    notes = []
+    if estimated and not logged:
+        notes.append("Velocities are smoothed from the positions: none is mapped.")
+    if logged:
+        name = f"qvel.{worse[0]}" if worse else logged[0]
+        one = noise[name]
+        compared = (
+            f"{name} has a noise of {number(one.sd or 0.0)} {one.unit}, smoothed from its "
+            f"positions it would have {number(one.smoothed or 0.0)}"
+        )
+        advice = (
+            f"; leave {', '.join(worse)} out under `qvel` to have them smoothed" if worse else ""
+        )
+        notes.append(f"Velocities are those of the log: {compared}{advice}.")
+    return tuple(notes)
 
 
 # Trajectories
@@ -342,7 +417,7 @@ class _Gathered:
 def _gather(
     raw: Sequence[LogRun],
     runs: Sequence[LogRun],
-    mapping: Mapping,
+    mapping: LogMapping,
     robot: ModelJoints,
     skip: int,
 ) -> _Gathered:
@@ -389,7 +464,7 @@ def _unique_name(run: LogRun, taken: dict[str, Any]) -> str:
     return f"{run.path}: {run.name} ({len(taken)})"
 
 
-def _observations(run: LogRun, span: GridSpan, mapping: Mapping, robot: ModelJoints) -> Array:
+def _observations(run: LogRun, span: GridSpan, mapping: LogMapping, robot: ModelJoints) -> Array:
     """The observations (n, p) of a span."""
     names = [channel.name for channel in mapping.of("qpos")]
     positions = _sample_states("qpos", names, run, span, robot)
@@ -409,7 +484,7 @@ def _sample_states(
     return states
 
 
-def _action_items(mapping: Mapping, robot: ModelJoints) -> tuple[list[str], list[str]]:
+def _action_items(mapping: LogMapping, robot: ModelJoints) -> tuple[list[str], list[str]]:
     """The items of an action, and the actuators in their order.
 
     These are all actuators, at zero, where no command is mapped.
@@ -422,7 +497,7 @@ def _action_items(mapping: Mapping, robot: ModelJoints) -> tuple[list[str], list
 
 
 def _commands(
-    run: LogRun, span: GridSpan, step: float, mapping: Mapping, actuators: list[str]
+    run: LogRun, span: GridSpan, step: float, mapping: LogMapping, actuators: list[str]
 ) -> dict[str, Array]:
     """The actions (n, q) of every candidate in a span."""
     if not mapping.candidates:
@@ -438,19 +513,20 @@ def _commands(
     return actions
 
 
-def _join_arrays(pieces: list[_Piece]) -> dict[str, Array]:
-    """The arrays of data.npz.
+def _join_arrays(pieces: list[_Piece], runs: list[str]) -> dict[str, NDArray[Any]]:
+    """The arrays of data.npz, with the names of the runs.
 
     The first candidate's commands are the actions, and those of all stand beside them.
     """
     candidates = list(pieces[0].actions)
     lengths = [len(piece.time) for piece in pieces]
-    arrays = {
+    arrays: dict[str, NDArray[Any]] = {
         "observations": np.concatenate([piece.observations for piece in pieces]),
         "actions": np.concatenate([piece.actions[candidates[0]] for piece in pieces]),
         "terminals": np.concatenate([np.arange(n) == n - 1 for n in lengths]),
         "time": np.concatenate([piece.time for piece in pieces]),
         "group": np.repeat([piece.run for piece in pieces], lengths),
+        RUN_NAMES: np.array(runs),
     }
     if len(candidates) > 1:
         for name in candidates:
@@ -461,18 +537,23 @@ def _join_arrays(pieces: list[_Piece]) -> dict[str, Array]:
 # Files
 
 
-def _check_place(out: Path) -> None:
-    """Refuse a place that is no .npz file, or beside which someone changed a problem file."""
+def check_place(out: Path) -> None:
+    """Refuse a place that is no .npz file, or beside which someone changed a problem file.
+
+    Parameters
+    ----------
+    out : Path
+        Of the data file.
+
+    Raises
+    ------
+    BadFile
+        If nothing may be written there.
+    """
     if out.suffix != ".npz":
         raise BadFile(out, "--out", "a file that ends in .npz", repr(out.suffix))
     problem = out.parent / PROBLEM
-    if not problem.exists():
-        return
-    try:
-        changed = bool(set(read_yaml(problem, "a problem file")) - set(OUR_KEYS))
-    except BadFile:
-        changed = True
-    if changed:
+    if problem.exists() and _sum_of(problem.read_bytes()) != _written_sum(out.parent / RECORD):
         expected = (
             "no file, or one that an import wrote, since this one would be lost (move it, or "
             "import into another folder)"
@@ -480,21 +561,97 @@ def _check_place(out: Path) -> None:
         raise BadFile(problem, "", expected, "one that was changed")
 
 
-def _write(found: Import, out: Path, model: Path, robot: ModelJoints) -> None:
-    """Write the three files, each whole; none where one cannot be written."""
+def _sum_of(content: bytes) -> str:
+    """The SHA-256 of a file's content."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def _written_sum(record: Path) -> str:
+    """The SHA-256 of the problem file that the import before wrote; empty where it is not known."""
+    try:
+        return str(json.loads(record.read_text()).get(SUM, ""))
+    except (OSError, ValueError, AttributeError):
+        return ""
+
+
+def write_import(
+    found: Import,
+    out: Path,
+    model: str,
+    robot: ModelJoints,
+    command: str,
+    facts: Mapping[str, Any] = MappingProxyType({}),
+    files: Mapping[str, str] = MappingProxyType({}),
+) -> None:
+    """Write data, problem file and record, each whole; none where one cannot be written.
+
+    Parameters
+    ----------
+    found : Import
+        What an import made of the logs.
+    out : Path
+        The data file.
+    model : str
+        The model, by its path from there.
+    robot : ModelJoints
+        Its joints and actuators.
+    command : str
+        What writes them.
+    facts : mapping
+        More for import.json.
+    files : mapping
+        Other files by name, with their text.
+    """
     out.parent.mkdir(parents=True, exist_ok=True)
-    body, mass = robot.heaviest_body
-    head = HEAD.format(record=RECORD, body=body, low=mass / 2, high=2 * mass)
-    content = {
-        "model": os.path.relpath(model, out.parent),
-        "frame_skip": found.frame_skip,
-        "data": out.name,
-        "observation": found.observation,
-        "action": found.action,
-    }
+    problem = _problem_text(found, out.name, model, robot, command, str(facts.get("robot", "")))
+    record = found.to_json() | dict(facts) | {SUM: _sum_of(problem.encode())}
     with ExitStack() as stack:
-        names = (out.name, PROBLEM, RECORD)
+        names = (out.name, PROBLEM, RECORD, *files)
         parts = [stack.enter_context(atomic_write(out.parent / name)) for name in names]
         write_npz(parts[0], found.arrays)
-        write_text(parts[1], head + format_yaml(content))
-        write_json(parts[2], found.to_json() | {"model": str(model)})
+        write_text(parts[1], problem)
+        write_json(parts[2], record)
+        for part, text in zip(parts[3:], files.values(), strict=True):
+            write_text(part, text)
+
+
+def _problem_text(
+    found: Import, data: str, model: str, robot: ModelJoints, command: str, name: str
+) -> str:
+    """The problem file."""
+    content: dict[str, Any] = {"robot": name or robot.name} if name or robot.name else {}
+    content |= {
+        "model": model,
+        "frame_skip": found.frame_skip,
+        "data": data,
+        "observation": found.observation,
+        "action": found.action,
+        "lambda": segment_steps(found.control_step, found.trajectories),
+        "start_noise": True,
+    }
+    held_out = held_out_runs([run for run, rows in found.rows.items() if rows["trajectories"]])
+    if held_out:
+        content["held_out"] = {"runs": held_out}
+    motion = _whole_states(found, robot)
+    return format_problem(content, command, robot, _variances(found), motion, found.control_step)
+
+
+def _variances(found: Import) -> dict[str, float]:
+    """The variance of every signal's noise; empty where one is not known, or joints turn freely."""
+    levels = {
+        name: noise.sd for name, noise in found.noise.items() if name.startswith(("qpos", "qvel"))
+    }
+    known = {name: sd**2 for name, sd in levels.items() if sd is not None and sd > 0}
+    are_whole = len(known) == len(levels) and not any("[" in name for name in known)
+    ordered = sorted(known, key=lambda name: name.startswith("qvel"))
+    return {name: known[name] for name in ordered} if are_whole else {}
+
+
+def _whole_states(found: Import, robot: ModelJoints) -> tuple[Array, Array] | None:
+    """The rows of the longest trajectory as positions and velocities, where all were measured."""
+    if found.observation != ["qpos", "qvel"]:
+        return None
+    longest = int(np.argmax(found.trajectories))
+    first = sum(found.trajectories[:longest])
+    rows = found.arrays["observations"][first : first + found.trajectories[longest]]
+    return rows[:, : robot.model.nq], rows[:, robot.model.nq :]

@@ -10,9 +10,14 @@ from dropo.core.services.validation import Array
 from dropo.data.checks.columns import (
     Column,
     ColumnSettings,
-    check_column,
+    check_limits,
     check_marks,
+    check_motion,
     check_turns,
+    describe_coarse,
+    describe_still,
+    is_coarse,
+    is_still,
     unwrap,
 )
 from dropo.data.checks.findings import Finding, errors_first
@@ -25,6 +30,7 @@ from dropo.data.checks.kinematics import (
     fall_accelerations,
     rotation_vectors,
 )
+from dropo.logs.guessing.words import tokens
 from dropo.logs.recordings import LogRun, TimeSeries
 from dropo.logs.signals.stamps import StampSettings, check_stamps, find_gaps, increasing
 from dropo.mjmodel.joints import Joint, ModelJoints
@@ -38,6 +44,14 @@ class LogCheckSettings:
     ----------
     quaternion_norm : float
         How far a quaternion's norm may be from 1.
+    quaternion_order : float
+        Another order of a quaternion is the right one where the logged angular velocity then leaves
+        less than this fraction of its turns unexplained.
+    degrees : float
+        Angles are in degrees where, as rad, they reach so many times as far as a joint's range.
+    carries_on : float
+        A clock has jumped where the joints moved over a gap by less than this fraction of what
+        their speed on both sides makes of it.
     stamps : StampSettings
         Of time stamps.
     columns : ColumnSettings
@@ -47,6 +61,9 @@ class LogCheckSettings:
     """
 
     quaternion_norm: float = 0.05
+    quaternion_order: float = 0.5
+    degrees: float = 3.0
+    carries_on: float = 0.2
     stamps: StampSettings = field(default_factory=StampSettings)
     columns: ColumnSettings = field(default_factory=ColumnSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
@@ -76,6 +93,7 @@ def check_runs(
     """
     found: list[Finding] = []
     motions: dict[str, list[Displacements]] = {}
+    alike = _AlikeColumns()
     for run in runs:
         name = run.name if len(runs) > 1 else None
         for stamps in run.stamps:
@@ -84,25 +102,130 @@ def check_runs(
         for logged in run.series:
             ordered = logged.take(increasing(logged.time))
             if _is_angle(ordered, robot):
+                found += _check_degrees(ordered, robot, name, settings)
                 found += check_turns(next(_columns(ordered, robot, name)))
                 ordered = replace(ordered, values=unwrap(ordered.values[:, 0])[:, None])
             for column in _columns(ordered, robot, name):
                 found += check_marks(column, settings.columns)
-                found += check_column(column, settings.columns)
+                found += alike.check(column, settings.columns)
             series.append(ordered)
+        found += _check_clock(series, robot, name, settings)
         for joint in robot.joints.values():
             found += _check_joint(joint, series, robot.gravity, name, settings)
             for motion in _displacements(joint, series, name):
                 motions.setdefault(motion.velocity, []).append(motion)
     for of_all_runs in motions.values():
         found += check_motions(of_all_runs, settings.motion)
+    found += alike.describe()
     return errors_first(found)
+
+
+class _AlikeColumns:
+    """Columns of which one line for all says what is odd: those that are still, or coarse."""
+
+    def __init__(self) -> None:
+        self._still: dict[str, list[Column]] = {}
+        self._coarse: dict[str, list[Column]] = {}
+
+    def check(self, column: Column, settings: ColumnSettings) -> Iterator[Finding]:
+        """Find what is odd in a column alone."""
+        if is_still(column):
+            self._still.setdefault(column.name, []).append(column)
+            return
+        yield from check_motion(column, settings)
+        if column.sensor and is_coarse(column, settings):
+            kind = f"{column.name.partition('.')[0]} {column.unit}"
+            self._coarse.setdefault(kind, []).append(column)
+        yield from check_limits(column, settings)
+
+    def describe(self) -> Iterator[Finding]:
+        """Say what is odd in several of them."""
+        for columns in self._still.values():
+            yield from describe_still(columns)
+        for columns in self._coarse.values():
+            yield from describe_coarse(columns)
 
 
 def _is_angle(series: TimeSeries, robot: ModelJoints) -> bool:
     """Whether these are the positions of a hinge."""
     channel = series.channel
     return channel.field == "qpos" and robot.joints[channel.name].kind == "hinge"
+
+
+def _check_degrees(
+    series: TimeSeries, robot: ModelJoints, run: str | None, settings: LogCheckSettings
+) -> Iterator[Finding]:
+    """Angles that are within a joint's range in degrees, and far outside it in rad."""
+    joint = robot.joints[series.channel.name]
+    is_rad = series.channel.units == ("rad",) and series.channel.factors == (1.0,)
+    if joint.range is None or not is_rad:
+        return
+    low, high = joint.range
+    values = series.values[:, 0]
+    reach = max(abs(low), abs(high))
+    row = int(np.argmax(np.abs(values)))
+    degrees = values * np.pi / 180
+    slack = 0.1 * (high - low)
+    fits = degrees.min() >= low - slack and degrees.max() <= high + slack
+    if abs(values[row]) > settings.degrees * reach and fits:
+        text = (
+            f"it reaches {values[row]:.6g} rad, row {series.rows[row]} at {series.time[row]:.6g} "
+            f"s, where the joint's range is [{low:.4g}, {high:.4g}] rad: these are degrees."
+        )
+        place = int(series.rows[row])
+        yield Finding(
+            "error", series.label, text, "Map `unit: deg`.", run, place, float(series.time[row])
+        )
+
+
+def _check_clock(
+    series: Sequence[TimeSeries], robot: ModelJoints, run: str | None, settings: LogCheckSettings
+) -> Iterator[Finding]:
+    """A clock that jumps forward while the joints go on as if no time had passed."""
+    seen: set[int] = set()
+    angles = [one for one in series if one.channel.field == "qpos" and one.values.shape[1] == 1]
+    for one in angles:
+        gaps = [gap for gap in find_gaps(one.time).tolist() if one.rows[gap] not in seen]
+        for gap in gaps:
+            if int(one.rows[gap] - one.rows[gap - 1]) > 1 or not _clock_jumps(
+                angles, one, gap, settings
+            ):
+                continue
+            seen.add(int(one.rows[gap]))
+            jump = float(one.time[gap] - one.time[gap - 1])
+            text = (
+                f"the clock jumps by {jump:.4g} s, row {one.rows[gap]} at {one.time[gap]:.6g} s: "
+                "the joints go on as if no time had passed."
+            )
+            advice = "Cut the log there, or map a clock that does not jump."
+            signal = "time"
+            yield Finding(
+                "error", signal, text, advice, run, int(one.rows[gap]), float(one.time[gap])
+            )
+            return
+
+
+def _clock_jumps(
+    angles: Sequence[TimeSeries], first: TimeSeries, gap: int, settings: LogCheckSettings
+) -> bool:
+    """Whether the moving joints went on over a gap by a usual step, and not by what time passed."""
+    moving = 0
+    for one in angles:
+        if len(one.time) != len(first.time) or gap < 6 or gap + 6 > len(one.time):
+            continue
+        values = one.values[:, 0]
+        step = float(np.median(np.diff(one.time[gap - 6 : gap])))
+        before = float(values[gap - 1] - values[gap - 6]) / (5 * step)
+        after = float(values[gap + 5] - values[gap]) / (5 * step)
+        expected = 0.5 * (before + after) * float(first.time[gap] - first.time[gap - 1])
+        noise = float(np.abs(np.diff(values[gap - 6 : gap], n=2)).max())
+        is_moving = before * after > 0 and abs(before + after) / 2 * step > 3 * noise
+        if not is_moving:
+            continue
+        moving += 1
+        if abs(values[gap] - values[gap - 1]) > settings.carries_on * abs(expected):
+            return False
+    return moving > 0
 
 
 def _columns(series: TimeSeries, robot: ModelJoints, run: str | None) -> Iterator[Column]:
@@ -159,6 +282,12 @@ def _check_joint(
             advice = "Map the four columns in the order w, x, y, z."
             yield Finding("error", positions.label, text, advice, run, row, time)
             return
+        order = _other_order(joint, positions, _find_series("qvel", joint, series), settings)
+        if order is not None:
+            text = f"its quaternion is in the order {order}."
+            advice = "Map the four columns in the order w, x, y, z."
+            yield Finding("error", positions.label, text, advice, run)
+            return
     if joint.kind == "free":
         for piece in _pieces(positions):
             part = positions.take(piece)
@@ -168,6 +297,41 @@ def _check_joint(
             yield from check_fall(
                 positions.label, found, gravity, rows, times, run, settings.motion
             )
+
+
+def _other_order(
+    joint: Joint,
+    positions: TimeSeries,
+    velocities: TimeSeries | None,
+    settings: LogCheckSettings,
+) -> str | None:
+    """The order of a quaternion that is not w, x, y, z, by its columns' names or its turns."""
+    place = joint.quaternion() or slice(0, 0)
+    letters = [tokens(column)[-1:] for column in positions.channel.columns[place]]
+    named = [word[0][-1] if word else "" for word in letters]
+    if sorted(named) == ["w", "x", "y", "z"] and named != ["w", "x", "y", "z"]:
+        return ", ".join(named)
+    if (
+        velocities is None
+        or len(velocities.time) != len(positions.time)
+        or len(velocities.time) < 5
+    ):
+        return None
+    quaternions = positions.values[:, place]
+    steps = np.diff(positions.time)[:, None]
+    turns = velocities.values[:, -3:]
+    integral = (turns[1:] + turns[:-1]) / 2 * steps
+    near = np.ones(len(steps), dtype=bool)
+    near[find_gaps(positions.time) - 1] = False
+
+    def unexplained(order: list[int]) -> float:
+        ordered = quaternions[:, order]
+        change = rotation_vectors(ordered[:-1], ordered[1:]) - integral
+        return float(np.sum(change[near] ** 2) / max(np.sum(integral[near] ** 2), 1e-300))
+
+    if unexplained([0, 1, 2, 3]) > 0.5 and unexplained([3, 0, 1, 2]) < settings.quaternion_order**2:
+        return "x, y, z, w"
+    return None
 
 
 def _find_series(field: str, joint: Joint, series: list[TimeSeries]) -> TimeSeries | None:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dropo.core.services.errors import BadFile
 from dropo.core.services.file_content import FileContent, describe_options, describe_value
@@ -194,7 +194,39 @@ def read_mapping(path: str | Path, robot: ModelJoints) -> Mapping:
     from dropo.core.services.file_schema import read_file
     from dropo.logs.mapping_schema import MappingFile
 
-    file = read_file(Path(path), MappingFile, KIND)
+    return _make_mapping(read_file(Path(path), MappingFile, KIND), robot)
+
+
+def check_mapping(path: str | Path, content: dict[str, Any], robot: ModelJoints) -> Mapping:
+    """Check the content of a mapping file that is not written yet.
+
+    Parameters
+    ----------
+    path : str or Path
+        What messages call the file.
+    content : dict
+        What will stand in it.
+    robot : ModelJoints
+        The model's joints and actuators.
+
+    Returns
+    -------
+    Mapping
+        Its channels in SI units.
+
+    Raises
+    ------
+    BadFile
+        As of `read_mapping`.
+    """
+    from dropo.core.services.file_schema import validated
+    from dropo.logs.mapping_schema import MappingFile
+
+    return _make_mapping(validated(Path(path), content, MappingFile), robot)
+
+
+def _make_mapping(file: "FileContent[MappingFile]", robot: ModelJoints) -> Mapping:
+    """The channels of a mapping file."""
     content = file.content
     time = content.time
     source = Source(time.file, time.topic, _make_clock(time))

@@ -51,11 +51,14 @@ class SignalNoise:
         Of the signal.
     estimated : bool
         Whether the signal was estimated rather than logged.
+    smoothed : float or None
+        Of a logged velocity, the noise that one smoothed from its positions would have.
     """
 
     sd: float | None
     unit: str
     estimated: bool = False
+    smoothed: float | None = None
 
 
 def clean_run(run: LogRun, robot: ModelJoints) -> LogRun:
@@ -131,10 +134,40 @@ def add_velocities(
                 velocities.append(velocity.shift(robot.velocity_lag))
                 levels.add(velocity.channel, noise, len(velocity.time), estimated=True)
             if i in evaluated:
-                noise = _measurement_noise(series, settings)
+                noise, smoothed = _measurement_noise(series, settings)
                 levels.add(channel, noise, len(series.time), estimated=False)
+                logged = run.of("qvel", channel.name)
+                if channel.field == "qpos" and logged is not None and len(channel.units) == 1:
+                    levels.add_smoothed(logged.label, smoothed, len(series.time))
         out.append(replace(run, series=(*run.series, *velocities)))
     return out, levels.pool()
+
+
+def compare_velocities(run: LogRun, settings: NoiseSettings = DEFAULTS) -> dict[str, SignalNoise]:
+    """Compare the noise of logged velocities with that of smoothed ones.
+
+    Parameters
+    ----------
+    run : LogRun
+        Cleaned.
+    settings : NoiseSettings, optional
+        From how much of the run.
+
+    Returns
+    -------
+    dict
+        `SignalNoise` of every logged velocity of a hinge or slide, by its name.
+    """
+    levels = _NoiseLevels()
+    for series in run.series:
+        position = run.of("qpos", series.channel.name)
+        if series.channel.field != "qvel" or position is None or series.values.shape[1] != 1:
+            continue
+        noise, _ = _measurement_noise(series, settings)
+        _, smoothed = _measurement_noise(position, settings)
+        levels.add(series.channel, noise, len(series.time), estimated=False)
+        levels.add_smoothed(series.label, smoothed, len(series.time))
+    return levels.pool()
 
 
 class _NoiseLevels:
@@ -143,6 +176,11 @@ class _NoiseLevels:
     def __init__(self) -> None:
         self._levels: dict[str, list[tuple[float, int]]] = {}
         self._signals: dict[str, tuple[str, bool]] = {}
+        self._smoothed: dict[str, list[tuple[float, int]]] = {}
+
+    def add_smoothed(self, name: str, noise: Array, rows: int) -> None:
+        """Add the noise (1,) that a velocity from so many rows of a position would have."""
+        self._smoothed.setdefault(name, []).append((float(noise[0]), rows))
 
     def add(self, channel: Channel, noise: Array, rows: int, *, estimated: bool) -> None:
         """Add the noise (k,) of so many rows of a channel."""
@@ -156,22 +194,34 @@ class _NoiseLevels:
         pooled = {}
         for name, levels in self._levels.items():
             unit, estimated = self._signals[name]
-            known = [level for level in levels if np.isfinite(level[0])]
-            sd = None
-            if known:
-                sds, rows = np.array(known).T
-                sd = float(np.sqrt(np.sum(rows * sds**2) / np.sum(rows)))
-            pooled[name] = SignalNoise(sd, unit, estimated)
+            smoothed = _pool(self._smoothed.get(name, []))
+            pooled[name] = SignalNoise(_pool(levels), unit, estimated, smoothed)
         return pooled
 
 
-def _measurement_noise(series: TimeSeries, settings: NoiseSettings) -> Array:
-    """(k,) of the logged numbers, from the longest stretch; NaN for commands and short ones."""
+def _pool(levels: Sequence[tuple[float, int]]) -> float | None:
+    """The noise of the mean variance of all rows; None where none is known."""
+    known = [level for level in levels if np.isfinite(level[0])]
+    if not known:
+        return None
+    sds, rows = np.array(known).T
+    return float(np.sqrt(np.sum(rows * sds**2) / np.sum(rows)))
+
+
+def _measurement_noise(series: TimeSeries, settings: NoiseSettings) -> tuple[Array, Array]:
+    """(k,) of the logged numbers, and (k,) of the slope of a smoother, from the longest stretch.
+
+    NaN for commands and short ones.
+    """
     pieces = _pieces(series, settings) if series.channel.field != "ctrl" else []
+    unknown = np.full(series.values.shape[1], np.nan)
     if not pieces:
-        return np.full(series.values.shape[1], np.nan)
+        return unknown, unknown
     rows = max(pieces, key=len)[: settings.rows]
-    return estimate_velocities(series.time[rows], series.values[rows]).position_noise
+    if np.ptp(series.values[rows], axis=0).max() == 0:
+        return unknown, unknown
+    found = estimate_velocities(series.time[rows], series.values[rows])
+    return found.position_noise, found.velocity_noise
 
 
 def _pieces(series: TimeSeries, settings: NoiseSettings) -> list[Ints]:

@@ -8,11 +8,18 @@ from numpy.typing import NDArray
 
 from dropo.core.services.validation import Array
 
+TURNS = tuple(2**bits for bits in range(8, 21))
+"""Counts of encoders in a turn."""
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of time."""
 
 _BY_SI: dict[str, dict[str, float]] = {
-    "rad": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi},
+    "rad": {
+        "rad": 1.0,
+        "deg": math.pi / 180,
+        "rev": 2 * math.pi,
+        **{f"tick/{turn}": 2 * math.pi / turn for turn in TURNS},
+    },
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "rev/s": 2 * math.pi},
     "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},

@@ -1,7 +1,7 @@
 """Any number of an MjModel or its mjOption as a parameter."""
 
 import re
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import mujoco
@@ -62,8 +62,9 @@ class FieldParameter(Parameter):
     ----------
     field : str
         An MjModel array ("body_mass") or an mjOption entry ("gravity").
-    element : str or None
-        The body, joint, geom, ... by name; None where the field has no elements.
+    element : str, tuple of str, or None
+        The body, joint, geom, ... by name, or several that share the value; None where the field
+        has no elements.
     index : int or None
         The place within the element's row.
     relative : bool
@@ -79,7 +80,7 @@ class FieldParameter(Parameter):
 
     _: KW_ONLY
     field: str = ""
-    element: str | None = None
+    element: str | tuple[str, ...] | None = None
     index: int | None = None
     relative: bool = False
     derived: bool = True
@@ -111,6 +112,52 @@ class Binding:
 
     def __init__(self, parameter: FieldParameter, model: mujoco.MjModel):
         self.parameter = parameter
+        named = parameter.element
+        elements = named if isinstance(named, tuple) else (named,)
+        self._places = [_Place(replace(parameter, element=one), model) for one in elements]
+
+    def nominal(self) -> float:
+        """The parameter's value in the model that it was bound to; of several places the mean."""
+        return float(np.mean([place.nominal() for place in self._places]))
+
+    def set(self, model: mujoco.MjModel, value: float) -> None:
+        """Write a value of the parameter into a copy of the model.
+
+        Parameters
+        ----------
+        model : MjModel
+            The copy, which is changed in place.
+        value : float
+            The value, in the parameter's unit.
+        """
+        for place in self._places:
+            place.set(model, value)
+
+    def entries(self, model: mujoco.MjModel) -> list[tuple[str, tuple[int, ...], float]]:
+        """List the numbers that it sets: field, place, and the number where the parameter is 1.
+
+        Parameters
+        ----------
+        model : MjModel
+            A copy of the model.
+
+        Returns
+        -------
+        list of (str, tuple of int, float)
+            Names of entries of mjOption begin with "opt."; the place of a single number is empty.
+        """
+        return [entry for place in self._places for entry in place.entries(model)]
+
+    def read(self, model: mujoco.MjModel) -> Any:
+        """Read the numbers for which the parameter stands from a copy of the model."""
+        return self._places[0].read(model)
+
+
+class _Place:
+    """A parameter of one element, or of a field without elements, bound to a model."""
+
+    def __init__(self, parameter: FieldParameter, model: mujoco.MjModel):
+        self.parameter = parameter
         self._servo = _servo_places(parameter, model) if parameter.field in SERVO else []
         if not self._servo:
             self._in_option = not _is_array(getattr(model, parameter.field, None))
@@ -129,15 +176,7 @@ class Binding:
         return 1.0 if self.parameter.relative else float(self._nominal.flat[0])
 
     def set(self, model: mujoco.MjModel, value: float) -> None:
-        """Write a value of the parameter into a copy of the model.
-
-        Parameters
-        ----------
-        model : MjModel
-            The copy, which is changed in place.
-        value : float
-            The value, in the parameter's unit.
-        """
+        """Write a value of the parameter into a copy of the model."""
         new = self._nominal * value if self.parameter.relative else value
         if self._servo:
             for name, place, sign in self._servo:
@@ -150,18 +189,7 @@ class Binding:
             setattr(model.opt, self.parameter.field, float(new))
 
     def entries(self, model: mujoco.MjModel) -> list[tuple[str, tuple[int, ...], float]]:
-        """List the numbers that it sets: field, place, and the number where the parameter is 1.
-
-        Parameters
-        ----------
-        model : MjModel
-            A copy of the model.
-
-        Returns
-        -------
-        list of (str, tuple of int, float)
-            Names of entries of mjOption begin with "opt."; the place of a single number is empty.
-        """
+        """The numbers that it sets."""
         if self._servo:
             share = float(self._nominal) if self.parameter.relative else 1.0
             return [(name, place, sign * share) for name, place, sign in self._servo]
@@ -325,7 +353,7 @@ def _rows(parameter: FieldParameter, model: mujoco.MjModel) -> list[int] | None:
             f"The field {parameter.field!r} of parameter {parameter.name!r} needs the name "
             f"of a {kind}. {nearest('', names)}"
         )
-    i = names[known(kind, parameter.element, names)]
+    i = names[known(kind, str(parameter.element), names)]
     if prefix != "dof":
         return [i]
     start = int(model.jnt_dofadr[i])

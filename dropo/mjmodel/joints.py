@@ -136,6 +136,12 @@ class ModelJoints:
     actuators: dict[str, Actuator]
 
     @property
+    def name(self) -> str:
+        """The name that the MJCF gives the robot; MuJoCo's own default is none."""
+        name = self.model.names.split(b"\0", 1)[0].decode(errors="replace")
+        return "" if name == "MuJoCo Model" else name
+
+    @property
     def timestep(self) -> float:
         """The physics step [s]."""
         return float(self.model.opt.timestep)

@@ -79,6 +79,7 @@ def test_the_problem_file_is_ready(folder: Path, arm: Any) -> None:
     ]
     record = json.loads((folder / "out" / "import.json").read_text())
     assert record.pop("model") == str(folder / "robot.xml")
+    assert len(record.pop("problem_sum")) == 64
     assert record == json.loads(json.dumps(found.to_json()))
     assert record["noise"]["qvel.elbow"]["unit"] == "rad/s"
     error = problem.simulator.predict(np.empty((1, 0)), problem.segments)[

@@ -228,7 +228,31 @@ def read_file(path: Path, schema: type[Checked], what: str) -> FileContent[Check
         If the file cannot be read or does not fit, for the first fault in the file's order, with
         its key, what was expected, what was got and the nearest valid name.
     """
-    content = read_yaml(path, what)
+    return validated(path, read_yaml(path, what), schema)
+
+
+def validated(path: Path, content: dict[Any, Any], schema: type[Checked]) -> FileContent[Checked]:
+    """Check the content of a YAML file by its schema.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    content
+        What stands in it.
+    schema
+        The class that it must fit.
+
+    Returns
+    -------
+    FileContent
+        The file with its content as an object of `schema`.
+
+    Raises
+    ------
+    BadFile
+        If it does not fit, as of `read_file`.
+    """
     try:
         return FileContent(path, schema.model_validate(content))
     except ValidationError as error:

@@ -1,7 +1,7 @@
 """Checks of one column of numbers: stuck, clipped, coarsely quantised, still, or out of limits."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +20,9 @@ class ColumnSettings:
     ----------
     stuck_rows : int
         Rows of one value, between as many rows that move much faster, for a sensor that hangs.
+    release, release_rows : float, int
+        A joint that breaks loose from dry friction jumps by less than so many times the largest of
+        the next so many steps: it did not hang.
     clipped_rows : int
         Rows at one end of a signal's range for a sensor at the end of its range.
     plateau_rows : int
@@ -40,6 +43,8 @@ class ColumnSettings:
     """
 
     stuck_rows: int = 10
+    release: float = 3.0
+    release_rows: int = 3
     clipped_rows: int = 10
     plateau_rows: int = 3
     approach_rows: int = 30
@@ -62,6 +67,8 @@ OTHER_UNITS = (180 / math.pi, 1e3)
 """Factors from a unit of the data to one in which a log may have been: from rad, m or s."""
 MOVING = ("m", "rad", "m/s", "rad/s")
 """Units of what moves without jumps."""
+MOST_RUNS = 6
+"""Runs and signals that a message lists."""
 TAKE_OUT = "Take such rows out, and end the trajectory before them."
 
 
@@ -143,18 +150,62 @@ def check_column(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterato
     ------
     Finding
     """
-    values = column.values
-    if len(values) < 2:
+    if is_still(column):
+        yield from describe_still([column])
         return
-    if (values == values[0]).all():
-        text = f"it does not move: all {len(values)} rows are {values[0]:g}."
-        yield Finding("warning", column.name, text, run=column.run)
-        return
-    if column.sensor:
-        yield from _check_hangs(column, settings)
-        yield from _check_clipping(column, settings)
-        yield from _check_quantisation(column, settings)
+    yield from check_motion(column, settings)
+    if column.sensor and is_coarse(column, settings):
+        yield from describe_coarse([column])
     yield from check_limits(column, settings)
+
+
+def check_motion(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator[Finding]:
+    """Find where a sensor hangs or is cut off.
+
+    Parameters
+    ----------
+    column : Column
+        The column.
+    settings : ColumnSettings, optional
+        What counts as odd.
+
+    Yields
+    ------
+    Finding
+    """
+    if column.sensor and len(column.values) > 1:
+        yield from _check_hangs(column, settings)
+        if not is_coarse(column, settings):  # whose ends hold many rows
+            yield from _check_clipping(column, settings)
+
+
+def is_still(column: Column) -> bool:
+    """Whether all of several numbers are the same."""
+    return len(column.values) > 1 and bool((column.values == column.values[0]).all())
+
+
+def describe_still(columns: Sequence[Column]) -> Iterator[Finding]:
+    """Say that a signal does not move, in one line for all of its runs.
+
+    Parameters
+    ----------
+    columns : sequence of Column
+        One of each run in which it does not.
+
+    Yields
+    ------
+    Finding
+    """
+    for column in columns[:1]:
+        values = column.values
+        if len(columns) == 1:
+            text = f"it does not move: all {len(values)} rows are {values[0]:g}."
+            yield Finding("warning", column.name, text, run=column.run)
+            return
+        runs = ", ".join(str(one.run) for one in columns[:MOST_RUNS])
+        more = f" and {len(columns) - MOST_RUNS} more" if len(columns) > MOST_RUNS else ""
+        text = f"it does not move in {len(columns)} runs: {runs}{more}."
+        yield Finding("warning", column.name, text)
 
 
 # Marks of loggers
@@ -339,7 +390,10 @@ def find_hangs(column: Column, settings: ColumnSettings = DEFAULTS) -> list[tupl
         if len(moving) < count:
             continue
         jump = abs(values[stop] - values[start])
-        if jump > max(3.0, (stop - start) / 10) * np.median(moving):
+        # a joint that dry friction held begins with steps like the next ones
+        next_steps = np.abs(behind[: settings.release_rows])
+        breaks_loose = jump <= settings.release * next_steps.max(initial=0.0)
+        if jump > max(3.0, (stop - start) / 10) * np.median(moving) and not breaks_loose:
             found.append((int(start), int(stop)))
     return found
 
@@ -371,7 +425,10 @@ def _check_clipping(column: Column, settings: ColumnSettings) -> Iterator[Findin
         held = whole & at_end & (stops - starts >= settings.plateau_rows)
         for i in np.flatnonzero(held):
             first = max(0, starts[i] - settings.approach_rows)
-            held[i] = _runs_into_end(values[first : starts[i] + 1], step)
+            enters = _runs_into_end(values[first : starts[i] + 1], step)
+            # a joint that dry friction holds there leaves slowly
+            behind = values[stops[i] - 1 : stops[i] + settings.approach_rows][::-1]
+            held[i] = enters and len(behind) > 2 and _runs_into_end(behind, step)
         count = int((stops - starts)[at_end].sum())
         if count >= settings.clipped_rows and held.any():
             first = int(starts[np.flatnonzero(held)[0]])
@@ -428,24 +485,71 @@ def lattice_step(values: Array) -> float | None:
     return step if np.mean(whole) > 0.95 else None
 
 
-def _check_quantisation(column: Column, settings: ColumnSettings) -> Iterator[Finding]:
-    """Numbers whose steps are large beside what the signal moves."""
-    values = column.values
-    step = lattice_step(values)
-    spread = float(np.ptp(np.quantile(values, [0.05, 0.95])))
-    if step is None or step <= settings.coarse_step * spread:
+def is_coarse(column: Column, settings: ColumnSettings = DEFAULTS) -> bool:
+    """Whether the steps of a column's numbers are large beside what the signal moves.
+
+    Parameters
+    ----------
+    column : Column
+        The column.
+    settings : ColumnSettings, optional
+        What counts as large.
+
+    Returns
+    -------
+    bool
+    """
+    if len(column.values) < 2:
+        return False
+    step = lattice_step(column.values)
+    return step is not None and step > settings.coarse_step * _spread(column.values)
+
+
+def _spread(values: Array) -> float:
+    """The range of nearly all numbers."""
+    return float(np.ptp(np.quantile(values, [0.05, 0.95])))
+
+
+def describe_coarse(columns: Sequence[Column]) -> Iterator[Finding]:
+    """Say in which steps columns move, in one line for all.
+
+    Parameters
+    ----------
+    columns : sequence of Column
+        Columns of one unit that `is_coarse`.
+
+    Yields
+    ------
+    Finding
+    """
+    steps = [step for one in columns if (step := lattice_step(one.values)) is not None]
+    if not steps:
         return
-    first = int(np.flatnonzero(np.diff(values))[0]) + 1
-    percent = 100 * step / spread if spread else 100
-    text = (
-        f"it moves in steps of {column.format_value(step)}, {percent:.2g} % of its spread, the "
-        f"first at {column.format_place(first)}."
-    )
-    advice = (
-        f"Its noise is at least {column.format_value(step / np.sqrt(12))}; log it with more "
-        "digits where that is possible."
-    )
-    yield column.make_finding("warning", first, text, advice)
+    column = columns[0]
+    if len(columns) == 1:
+        values = column.values
+        spread = _spread(values)
+        first = int(np.flatnonzero(np.diff(values))[0]) + 1
+        percent = 100 * steps[0] / spread if spread else 100
+        text = (
+            f"it moves in steps of {column.format_value(steps[0])}, {percent:.2g} % of its spread, "
+            f"the first at {column.format_place(first)}."
+        )
+        advice = (
+            f"Its noise is at least {column.format_value(steps[0] / np.sqrt(12))}; log it with "
+            "more digits where that is possible."
+        )
+        yield column.make_finding("warning", first, text, advice)
+        return
+    names = list(dict.fromkeys(one.name for one in columns))
+    low, high = min(steps), max(steps)
+    size = column.format_value(float(np.median(steps)))
+    if high > 1.05 * low:
+        size = f"{low:.6g} to {column.format_value(high)}"
+    signal = ", ".join(names[:MOST_RUNS]) + (", ..." if len(names) > MOST_RUNS else "")
+    text = f"the resolution of {len(names)} signals is {size}, coarse beside what they move."
+    advice = f"Their noise is at least {column.format_value(low / np.sqrt(12))}."
+    yield Finding("warning", signal, text, advice)
 
 
 # Limits

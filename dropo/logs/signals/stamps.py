@@ -21,12 +21,16 @@ class StampSettings:
         A step of more than this many median steps is a gap: what happened in it is not known.
     jitter : float
         Steps that vary by more than this fraction of the median (rms) are reported.
+    lost, many_lost : float
+        From these fractions of missing rows on, packets were lost: a warning, and an error.
     backward : float
         Where more than this fraction of the rows runs backward, the stamps cannot be trusted.
     """
 
     gap: float = 5.0
     jitter: float = 0.2
+    lost: float = 0.01
+    many_lost: float = 0.2
     backward: float = 0.01
 
 
@@ -162,6 +166,7 @@ def _check_steps(stamps: _Stamps, settings: StampSettings) -> Iterator[Finding]:
             f"{1e3 * steps.max():.4g} ms, the first before {stamps.place(gaps[0])}."
         )
         yield stamps.finding("warning", gaps[0], text, "An import ends a trajectory there.")
+    yield from _check_lost(stamps, steps, typical, settings)
     even = steps <= settings.gap * typical
     jitter = float(np.sqrt(np.mean((steps[even] / typical - 1) ** 2)))
     if jitter > settings.jitter:
@@ -174,3 +179,28 @@ def _check_steps(stamps: _Stamps, settings: StampSettings) -> Iterator[Finding]:
             "An import resamples; stamps of the sensor itself jitter less than those of the logger."
         )
         yield stamps.finding("information", worst, text, advice)
+
+
+def _check_lost(
+    stamps: _Stamps, steps: Array, typical: float, settings: StampSettings
+) -> Iterator[Finding]:
+    """Rows that are missing between others: steps of two, three and more usual ones."""
+    whole = np.rint(steps / typical)
+    is_whole = np.abs(steps / typical - whole) < 0.25 * np.sqrt(np.maximum(whole, 1))
+    missing = np.where(is_whole & (steps <= settings.gap * typical), whole - 1, 0)
+    # where steps scatter, long ones are jitter
+    usual = np.abs(steps / typical - 1) < 0.25
+    count = int(np.maximum(missing, 0).sum())
+    lost = count / (count + len(steps))
+    if lost < settings.lost or np.mean(usual | (missing > 0)) < 0.95:
+        return
+    first = int(np.argmax(missing > 0)) + 1
+    level: Level = "error" if lost > settings.many_lost else "warning"
+    text = (
+        f"{count} rows are missing, {100 * lost:.2g} % of them: packets were lost, the first before "
+        f"{stamps.place(first)}."
+    )
+    advice = "An import fills them by splines; find what loses them."
+    if level == "error":
+        advice = "Log again, or map a `rate` that the log has."
+    yield stamps.finding(level, first, text, advice)

@@ -336,7 +336,10 @@ def _find_jumps(column: _Column, settings: VelocitySettings) -> Ints:
     """
     scores = np.abs(column.motion.scores(column.ratio))
     scores[column.motion.jumps - 1] = 0.0
-    scores = scores[:, 1:] / deviation(scores[:, 1:])  # (n - 1, 2) of velocity and acceleration
+    usual = deviation(scores[:, 1:])
+    if not np.all(usual > 0):  # nothing moves
+        return NO_JUMPS
+    scores = scores[:, 1:] / usual  # (n - 1, 2) of velocity and acceleration
     velocity = scores[:, 0]
     acceleration = scores[:, 1]
     width = max(2 * ORDER, int(3 * column.ratio ** (-0.5 / ORDER)))  # steps of the smoother

@@ -1,12 +1,13 @@
 """The measured data that a problem file names: those to fit, and those held out."""
 
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeGuard, cast
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.file_content import FileContent
-from dropo.data.reading import MINARI, read
-from dropo.problems.file.schema import ProblemFile
+from dropo.data.reading import MINARI, read, run_names
+from dropo.problems.file.schema import HeldOutEntry, ProblemFile
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
@@ -39,6 +40,9 @@ def read_data(
     held_out = None
     if _are_numbers(content.held_out):
         fitted, held_out = _split(file, fitted, content.held_out)
+    elif isinstance(content.held_out, HeldOutEntry):
+        numbers = _numbers_of_runs(file, content.held_out.runs)
+        fitted, held_out = _split(file, fitted, numbers, "held_out.runs")
     elif content.held_out is not None:
         named = cast("str | list[str]", content.held_out)
         held_out = _read(file, "held_out", named, simulator, input)
@@ -90,7 +94,7 @@ def locate_data(file: FileContent[ProblemFile], named: str | list[str]) -> dict[
     return {name: name if name.startswith(MINARI) else folder / name for name in listed}
 
 
-def _are_numbers(held_out: str | list[str] | list[int] | None) -> TypeGuard[list[int]]:
+def _are_numbers(held_out: object) -> TypeGuard[list[int]]:
     """Whether trajectories are held out by number, rather than other data."""
     return isinstance(held_out, list) and isinstance(held_out[0], int)
 
@@ -118,15 +122,32 @@ def _read(
     return trajectories
 
 
+def _numbers_of_runs(file: FileContent[ProblemFile], patterns: list[str]) -> list[int]:
+    """The numbers of the trajectories of runs, by name or pattern."""
+    names: list[str] = []
+    for source in locate_data(file, file.content.data).values():
+        names += run_names(source)
+    found = []
+    for pattern in patterns:
+        fitting = [i for i, name in enumerate(names) if fnmatchcase(name, pattern)]
+        if not fitting:
+            file.require_known("held_out.runs", pattern, dict.fromkeys(names), "the name of a run")
+        found += fitting
+    return sorted(set(found))
+
+
 def _split(
-    file: FileContent[ProblemFile], everything: Trajectories, numbers: list[int]
+    file: FileContent[ProblemFile],
+    everything: Trajectories,
+    numbers: list[int],
+    key: str = "held_out",
 ) -> tuple[Trajectories, Trajectories]:
     """The trajectories without and with the numbers given."""
     last = len(everything.spans) - 1
     wrong = next((number for number in numbers if not 0 <= number <= last), None)
     if wrong is not None:
-        raise file.refusal("held_out", f"trajectory numbers from 0 to {last}", str(wrong))
+        raise file.refusal(key, f"trajectory numbers from 0 to {last}", str(wrong))
     rest = sorted(set(range(last + 1)) - set(numbers))
     if not rest:
-        raise file.refusal("held_out", "some trajectories left to fit", f"all {last + 1} of them")
+        raise file.refusal(key, "some trajectories left to fit", f"all {last + 1} of them")
     return everything.select(rest), everything.select(numbers)

@@ -21,7 +21,7 @@ from dropo.problems.file.data import locate_data, read_data, read_states
 from dropo.problems.file.data_errors import find_data_error
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.problems.file.schema import ProblemFile, ResetEntry
-from dropo.problems.file.simulator import make_simulator
+from dropo.problems.file.simulator import make_simulator, parameter_names
 from dropo.problems.file.task import make_task
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -68,7 +68,7 @@ def read_problem(
     task = make_task(file, simulator, fitted, trusted=trusted)
     with file.at("lambda"):
         problem = Problem(
-            path.stem,
+            content.robot or path.stem,
             simulator,
             fitted,
             horizon=content.horizon,
@@ -132,7 +132,7 @@ def read_motion(path: Path, *, threads: int = 0) -> Problem:
     simulator = make_simulator(file, threads)
     trajectories = read_states(file, simulator)
     _require_sound_data(file, simulator, trajectories, None)
-    return Problem(path.stem, simulator, trajectories)
+    return Problem(file.content.robot or path.stem, simulator, trajectories)
 
 
 def _require_sound_data(
@@ -200,12 +200,14 @@ def _order_by_signal(
     return np.array([variances[name] for name in signals])
 
 
-def _read_priors(file: FileContent[ProblemFile], simulator: Simulator) -> dict[str, Any]:
+def _read_priors(file: FileContent[ProblemFile], simulator: MujocoSimulator) -> dict[str, Any]:
     """The priors of the parameters that have one."""
     priors = {}
-    for name, entry in file.content.parameters.items():
-        if entry.prior is not None:
-            with file.at(f"parameters.{name}.prior"):
-                read_prior(entry.prior, simulator.space[name])
-            priors[name] = entry.prior
+    for key, own in parameter_names(file, simulator.model).items():
+        prior = file.content.parameters[key].prior
+        if prior is not None:
+            with file.at(f"parameters.{key}.prior"):
+                for name in own:
+                    read_prior(prior, simulator.space[name])
+            priors |= dict.fromkeys(own, prior)
     return priors

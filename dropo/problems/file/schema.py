@@ -32,6 +32,7 @@ FUNCTION = "a function as module:name, or file.py:name beside the problem file"
 PARAMETER = "a mapping with field, low and high"
 EFFECTS = "a list of mappings with effect, target, and sizes or fit"
 MOTOR = "the name of a motor, or a mapping with its numbers"
+RUNS = "names of runs, or patterns such as 'A0_*'"
 RESET = "'transition', 'start', or {set: [observation items]}"
 HELD_OUT = "a list of trajectory numbers, or data as in `data`"
 
@@ -51,8 +52,20 @@ class ParameterEntry(Entry):
 
     field: Annotated[Word, Expected("a field of MjModel or mjOption, such as body_mass")]
     """An array of MjModel, such as body_mass, or an entry of mjOption, such as gravity."""
-    name: Annotated[Word, Expected("the name of an element")] | None = None
-    """The body, joint, geom, actuator or other element that the number belongs to."""
+    name: (
+        Annotated[
+            Annotated[Word, SINGLE] | Annotated[list[Word], Field(min_length=1), LIST],
+            BY_SHAPE,
+            Expected("the name of an element, a pattern such as '*', or a list of names"),
+        ]
+        | None
+    ) = None
+    """The body, joint, geom, actuator or other element that the number belongs to; with a list or
+    a pattern such as '*' there is such a parameter for each element."""
+    shared: Annotated[bool, Expected("true, where all named elements have one value, or false")] = (
+        False
+    )
+    """Whether all elements that `name` stands for share one value, or with `relative` one factor."""
     index: Place | None = None
     """The place in the element's row, where the row has several numbers."""
     low: Number
@@ -75,6 +88,13 @@ class ParameterEntry(Entry):
         if self.low >= self.high:
             refuse(f"a number below high = {self.high:g}", key="low", got=f"{self.low:g}")
         return self
+
+
+class HeldOutEntry(Entry):
+    """Runs that no fit sees."""
+
+    runs: Annotated[list[Word], Field(min_length=1), Expected(RUNS)]
+    """The runs by name, as import.json lists them, or patterns such as 'A0_*'."""
 
 
 class ResetEntry(Entry):
@@ -240,14 +260,21 @@ class ProblemFile(Entry):
     """What a policy is to do: a mapping with its reward, or a function that returns a Task."""
     held_out: (
         Annotated[
-            Annotated[list[Whole], Field(min_length=1)]
-            | Word
-            | Annotated[list[Word], Field(min_length=1)],
+            Annotated[
+                Annotated[list[Whole], Field(min_length=1)]
+                | Annotated[list[Word], Field(min_length=1)],
+                LIST,
+            ]
+            | Annotated[Word, SINGLE]
+            | Annotated[HeldOutEntry, MAPPING],
+            BY_SHAPE,
             Expected(HELD_OUT),
         ]
         | None
     ) = None
-    """Trajectory numbers of `data`, or other data, that no fit sees."""
+    """What no fit sees: trajectory numbers of `data`, {runs: [names]} of it, or other data."""
+    robot: Annotated[Word, Expected("the robot's name")] | None = None
+    """The robot's name, for titles; left out, the file's."""
 
     @model_validator(mode="after")
     def _check_reset(self) -> "ProblemFile":

@@ -104,7 +104,10 @@ def _make_parameter(parameter: FieldParameter, value: float) -> ParameterEntry:
         low, high = sorted((low / value, high / value))
     content: dict[str, Any] = {"field": parameter.field, "low": low, "high": high}
     if parameter.element is not None:
-        content["name"] = parameter.element
+        several = isinstance(parameter.element, tuple)
+        content["name"] = list(parameter.element) if several else parameter.element
+        if several:
+            content["shared"] = True
     if parameter.index is not None:
         content["index"] = int(parameter.index)
     if parameter.unit:

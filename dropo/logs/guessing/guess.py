@@ -1,0 +1,610 @@
+"""The mapping of a log, guessed: which column is what, in which unit, each guess with its reason.
+
+In reading order: `guess_mapping` reads the names of all columns (`words.read_names`), sorts them by
+quantity, and lets `_Guesser` find time, positions, base, velocities and commands one after another.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dropo.core.services.errors import BadFile, Incompatible
+from dropo.core.services.validation import Array
+from dropo.logs.guessing import words
+from dropo.logs.guessing.base import BaseColumns, find_base, moving_base, quaternion_order
+from dropo.logs.guessing.places import match
+from dropo.logs.guessing.scales import (
+    Scale,
+    angle_unit,
+    command_unit,
+    time_unit,
+    velocity_unit,
+)
+from dropo.logs.guessing.words import ColumnName, read_names
+from dropo.logs.readers.reader import Log
+from dropo.logs.signals.stamps import increasing
+from dropo.logs.units import UNITS, seconds
+from dropo.mjmodel.drives import servo_of
+from dropo.mjmodel.joints import Joint, ModelJoints
+
+Ask = Callable[[str, Sequence[str]], str]
+"""Asks a question that has some answers, on a terminal."""
+LISTED = 8
+"""Columns that a line names."""
+FOLLOWS = 0.7
+"""Correlation with the positions from which on commands of unknown kind are commanded positions."""
+
+
+@dataclass
+class Guess:
+    """What was guessed.
+
+    Attributes
+    ----------
+    mapping : dict
+        The content of a mapping file.
+    lines : list of str
+        Every guess, with its reason.
+    undecided : list of str
+        What the names and numbers do not decide.
+    drives : dict
+        By joint what kind of command drives it, where the model has no actuators.
+    """
+
+    mapping: dict[str, Any] = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)
+    undecided: list[str] = field(default_factory=list)
+    drives: dict[str, str] = field(default_factory=dict)
+
+
+def guess_mapping(
+    log: Log,
+    robot: ModelJoints,
+    given: dict[str, Any] | None = None,
+    ask: Ask | None = None,
+) -> Guess:
+    """Guess which columns of a log are the joints and actuators of a robot.
+
+    Parameters
+    ----------
+    log : Log
+        The first of the logs.
+    robot : ModelJoints
+        The robot; where it has no actuators, commands are taken as those of its joints.
+    given : dict, optional
+        Entries of a mapping file that are not guessed.
+    ask : callable, optional
+        Asks what is not decided; without it, that is noted in `undecided`.
+
+    Returns
+    -------
+    Guess
+
+    Raises
+    ------
+    BadFile
+        If the log cannot be read, or none of its columns is a position.
+    Incompatible
+        If the base moves in the log and is fixed in the model.
+    """
+    guesser = _Guesser(log, robot, given or {}, ask)
+    guesser.find_time()
+    guesser.find_runs()
+    guesser.find_positions()
+    guesser.find_base()
+    guesser.find_velocities()
+    guesser.find_commands()
+    guesser.say_what_is_left()
+    return guesser.guess
+
+
+def _quote(columns: Sequence[ColumnName]) -> str:
+    """The names of columns, for a line."""
+    shown = ", ".join(repr(column.column) for column in columns[:LISTED])
+    more = len(columns) - LISTED
+    return f"{shown} and {more} more" if more > 0 else shown
+
+
+class _Guesser:
+    """A log, a robot, and what has been guessed so far."""
+
+    def __init__(self, log: Log, robot: ModelJoints, given: dict[str, Any], ask: Ask | None):
+        self.guess = Guess()
+        self._log = log
+        self._robot = robot
+        self._given = given
+        self._ask = ask
+        names = [*robot.joints, *robot.actuators]
+        self._columns = read_names(log, names)
+        self._used: set[ColumnName] = set()
+        self._values: dict[ColumnName, Array] = {}
+        self._positions: dict[str, tuple[ColumnName, Scale]] = {}
+        self._base = find_base(self._columns)
+
+    # what all steps need
+
+    def _of(self, quantity: str | None) -> list[ColumnName]:
+        """The columns of a quantity that are not used yet."""
+        return [one for one in self._columns if one.quantity == quantity and one not in self._used]
+
+    def _read(self, columns: Sequence[ColumnName]) -> list[Array]:
+        """The numbers of columns, NaN where a row has none."""
+        wanted: dict[str | None, list[ColumnName]] = {}
+        for column in columns:
+            if column not in self._values:
+                wanted.setdefault(column.topic, []).append(column)
+        for topic, of_topic in wanted.items():
+            names = [column.column for column in of_topic]
+            found = self._log.read(topic, names, lambda fraction, text: None)
+            for column in of_topic:
+                numbers = found[column.column]
+                is_number = numbers.dtype.kind in "biuf"
+                self._values[column] = (
+                    numbers.astype(float) if is_number else np.full(len(numbers), np.nan)
+                )
+        return [self._values[column] for column in columns]
+
+    def _finite(self, column: ColumnName) -> Array:
+        """The numbers of a column, without rows that have none."""
+        values = self._read([column])[0]
+        return values[np.isfinite(values)]
+
+    def _numeric(self, columns: Sequence[ColumnName]) -> list[ColumnName]:
+        """The columns that hold numbers."""
+        return [column for column in columns if len(self._finite(column)) > 1]
+
+    def _decide(self, question: str, options: Sequence[str]) -> str | None:
+        """The answer to a question on a terminal; elsewhere None, and the question is noted."""
+        if self._ask is not None:
+            return self._ask(question, options)
+        self.guess.undecided.append(f"{question} ({' or '.join(options)})")
+        return None
+
+    def _entry(self, column: ColumnName, scale: Scale) -> dict[str, Any]:
+        """An entry of the mapping."""
+        entry: dict[str, Any] = {"column": column.column, "unit": scale.unit}
+        if scale.sign != 1:
+            entry["sign"] = scale.sign
+        if scale.offset:
+            entry["offset"] = scale.offset
+        if column.topic is not None:
+            entry["topic"] = column.topic
+        return entry
+
+    def _given_entry(self, quantity: str, name: str) -> dict[str, Any]:
+        """What the given mapping says of a joint or actuator."""
+        entries = self._given.get(quantity)
+        entry = entries.get(name) if isinstance(entries, dict) else None
+        return entry if isinstance(entry, dict) else {}
+
+    def _match(
+        self, quantity: str, columns: Sequence[ColumnName], names: Sequence[str]
+    ) -> tuple[dict[str, ColumnName], list[ColumnName]]:
+        """Columns by joint or actuator: those of the given mapping, then by their names."""
+        fixed = {}
+        for name in names:
+            wanted = self._given_entry(quantity, name).get("column")
+            found = next((one for one in self._columns if one.column == wanted), None)
+            if found is not None:
+                fixed[name] = found
+        rest = [one for one in columns if one not in fixed.values()]
+        guessed, left = match(rest, [name for name in names if name not in fixed])
+        found_all = fixed | guessed
+        return {name: found_all[name] for name in names if name in found_all}, left
+
+    # step by step
+
+    def find_time(self) -> None:
+        """Find the column of stamps and its unit."""
+        given = self._given.get("time")
+        wanted = given.get("column") if isinstance(given, dict) else None
+        if self._log.topics() or (self._log.time_column and wanted is None):
+            self._stamps = self._log.time_column
+            self._used |= set(self._of(words.TIME))
+            own = self._stamps or "the messages' own"
+            if self._stamps is None:
+                self.guess.lines.append("time: the messages' own stamps")
+                return
+            self.guess.lines.append(f"time: {own!r} in s, the stamps of this kind of log")
+            self.guess.mapping["time"] = {"column": own}
+            return
+        candidates = [one for one in self._columns if one.column == wanted] or self._clocks()
+        self._used |= set(self._of(words.TIME))
+        if not candidates:
+            if self._given.get("rate") is None:
+                self.guess.undecided.append(
+                    f"{self._log.path} has no column of time stamps: how many rows a second "
+                    "(`rate: HZ`)?"
+                )
+            return
+        column = candidates[0]
+        values = self._read([column])[0]
+        scale = time_unit(values[np.isfinite(values)], column.unit)
+        if isinstance(given, dict) and given.get("unit"):
+            scale = Scale(str(given["unit"]), "it was given")
+        if values.dtype.kind == "f" and np.isfinite(values).sum() < 2:  # dates
+            scale = Scale("s", "its cells are dates")
+        self.guess.mapping["time"] = {"column": column.column, "unit": scale.unit}
+        others = f"; {_quote(candidates[1:])} are left" if candidates[1:] else ""
+        self.guess.lines.append(
+            f"time: {column.column!r} in {scale.unit}, since {scale.why}{others}"
+        )
+
+    def _clocks(self) -> list[ColumnName]:
+        """Columns that may be stamps, whose numbers go on."""
+        found = []
+        for column in self._of(words.TIME):
+            values = self._read([column])[0]
+            there = values[np.isfinite(values)]
+            if not len(there) or np.mean(increasing(there)) > 0.9:
+                found.append(column)
+        return sorted(found, key=lambda one: len(one.rest))
+
+    def find_runs(self) -> None:
+        """Find the column that tells runs apart."""
+        if self._log.run_column is not None or "run" in self._given:
+            self._used |= set(self._of(words.RUN))
+            return
+        for column in self._of(words.RUN):
+            self._used.add(column)
+            numbers = self._read([column])[0]
+            if not np.isfinite(numbers).all() or len(np.unique(numbers)) < len(numbers) / 10:
+                self.guess.mapping["run"] = {"column": column.column}
+                self.guess.lines.append(f"runs: told apart by {column.column!r}")
+                return
+
+    def find_positions(self) -> None:
+        """Find the position of every hinge and slide, and their units."""
+        joints = {
+            name: joint
+            for name, joint in self._robot.joints.items()
+            if joint.kind in ("hinge", "slide")
+        }
+        columns = self._numeric(self._of(words.POSITION))
+        columns = [one for one in columns if one not in self._base.all()]
+        found, left = self._match("qpos", columns, list(joints))
+        missing = [name for name in joints if name not in found]
+        if missing:  # a joint's bare name is its position
+            bare = [one for one in self._numeric(self._of(None)) if one not in self._base.all()]
+            more, _ = self._match("qpos", bare, missing)
+            found |= more
+        found = {name: found[name] for name in joints if name in found}
+        if not found and not self._free_joints():
+            self._refuse_positions(columns)
+        self._used |= set(found.values())
+        self._note_ambiguous(left, list(joints), found)
+        hinges = [name for name in found if joints[name].kind == "hinge"]
+        self._scale_angles(hinges, found, joints)
+        for name in found:
+            if joints[name].kind == "slide":
+                self._scale_slide(name, found[name], joints[name])
+        without = [name for name in joints if name not in found]
+        if without:
+            self.guess.lines.append(
+                f"no position in the log: {', '.join(without)}; such a joint starts where the "
+                "model has it"
+            )
+
+    def _free_joints(self) -> list[Joint]:
+        """The free joints of the model."""
+        return [joint for joint in self._robot.joints.values() if joint.kind == "free"]
+
+    def _refuse_positions(self, columns: Sequence[ColumnName]) -> None:
+        """End where no column is a joint's."""
+        names = list(self._robot.joints)
+        shown = _quote(columns or self._columns)
+        expected = f"columns that name the positions of the joints {', '.join(names[:LISTED])}"
+        raise BadFile(self._log.path, "columns", expected, f"{shown}")
+
+    def _note_ambiguous(
+        self, left: Sequence[ColumnName], names: Sequence[str], found: dict[str, ColumnName]
+    ) -> None:
+        """Note joints without a column while columns of positions are left over."""
+        without = [name for name in names if name not in found]
+        if not without or not left:
+            return
+        for name in without:
+            answer = self._decide(
+                f"Which column is the position of {name!r}?",
+                [one.column for one in left[:LISTED]],
+            )
+            column = next((one for one in left if one.column == answer), None)
+            if column is not None:
+                found[name] = column
+
+    def _scale_angles(
+        self, hinges: Sequence[str], found: dict[str, ColumnName], joints: dict[str, Joint]
+    ) -> None:
+        """The unit of all angles."""
+        if not hinges:
+            return
+        columns = [found[name] for name in hinges]
+        values = [self._finite(column) for column in columns]
+        given = next((self._given_entry("qpos", name).get("unit") for name in hinges), None)
+        hints = [given or column.unit for column in columns]
+        scale = angle_unit(values, [joints[name] for name in hinges], hints)
+        if scale is None:
+            size = max(float(np.abs(one).max()) for one in values)
+            answer = self._decide(
+                f"Angles reach {size:.4g}: in which unit are {_quote(columns)}?", ["rad", "deg"]
+            )
+            scale = Scale(answer or "rad", "that was the answer")
+        for name, column in zip(hinges, columns, strict=True):
+            self._keep_position(name, column, scale)
+        whose = ", ".join(f"{name} = {found[name].column!r}" for name in hinges)
+        self.guess.lines.append(f"positions: {whose}; in {scale.unit}, since {scale.why}")
+
+    def _scale_slide(self, name: str, column: ColumnName, joint: Joint) -> None:
+        """The unit of a slide's position."""
+        unit = self._given_entry("qpos", name).get("unit") or column.unit
+        scale = Scale("m", "slides are in m")
+        if unit in ("m", "cm", "mm"):
+            scale = Scale(unit, "its name says so")
+        elif joint.range is not None:
+            size = float(np.abs(self._finite(column)).max())
+            reach = max(abs(end) for end in joint.range)
+            for factor, other in ((100.0, "mm"), (3.0, "cm")):
+                if scale.unit == "m" and size > factor * reach:
+                    scale = Scale(other, f"it reaches {size:.4g}, the joint {reach:.4g} m")
+        self._keep_position(name, column, scale)
+        self.guess.lines.append(
+            f"positions: {name} = {column.column!r}; in {scale.unit}, since {scale.why}"
+        )
+
+    def _keep_position(self, name: str, column: ColumnName, scale: Scale) -> None:
+        """Take a position into the mapping."""
+        self._positions[name] = (column, scale)
+        self.guess.mapping.setdefault("qpos", {})[name] = self._entry(column, scale)
+
+    def find_base(self) -> None:
+        """Map the pose of a free joint, or refuse a base that moves and is fixed in the model."""
+        free = self._free_joints()
+        base = self._base
+        if not free:
+            moves = moving_base(self._log, self._robot)
+            if moves is not None:
+                raise Incompatible(f"{self._log.path}: {moves.sentence} {moves.advice}")
+            self._used |= set(base.all())
+            return
+        values = dict(zip(base.all(), self._read(base.all()), strict=True))
+        if len(base.position) != 3 or len(base.quaternion) != 4:
+            self.guess.lines.append(
+                f"no pose of {free[0].name} in the log: the model's base starts where it stands "
+                "in the model, and falls; fix it there if the machine hung on a stand"
+            )
+            return
+        turn = self._order_of(base, values)
+        seven = [*base.position, *turn]
+        self._used |= set(seven)
+        entry: dict[str, Any] = {"columns": [one.column for one in seven]}
+        if seven[0].topic is not None:
+            entry["topic"] = seven[0].topic
+        self.guess.mapping.setdefault("qpos", {})[free[0].name] = entry
+        self.guess.lines.append(f"base: {free[0].name} = {_quote(seven)}, in m and w, x, y, z")
+
+    def _order_of(self, base: BaseColumns, values: dict[ColumnName, Array]) -> list[ColumnName]:
+        """The columns of the quaternion in the order w, x, y, z."""
+        if base.named:
+            return list(base.quaternion)
+        parts = np.stack([values[one] for one in base.quaternion], axis=1)
+        order = quaternion_order(parts)
+        if order is None:
+            question = f"In which order is the quaternion {_quote(base.quaternion)}?"
+            order = self._decide(question, ["wxyz", "xyzw"])
+        else:
+            self.guess.lines.append(
+                f"quaternion: in the order {', '.join(order)}, since a base is upright most of "
+                "the time"
+            )
+        four = list(base.quaternion)
+        return [four[3], *four[:3]] if order == "xyzw" else four
+
+    def find_velocities(self) -> None:
+        """Find the velocities of the joints that have a position, and their units."""
+        columns = self._numeric(self._of(words.VELOCITY))
+        found, _ = self._match("qvel", columns, list(self._positions))
+        kept: dict[str, tuple[ColumnName, Scale]] = {}
+        for name, column in found.items():
+            self._used.add(column)
+            position, scale = self._positions[name]
+            if column.topic != position.topic:
+                continue
+            joint = self._robot.joints[name]
+            time, place, speed = self._together(position, column)
+            if len(time) < 20:
+                continue
+            hint = self._given_entry("qvel", name).get("unit") or column.unit
+            place = scale.sign * UNITS[scale.unit][1] * (place + scale.offset)
+            unit = velocity_unit(time, place, speed, hint, joint)
+            if unit is None:
+                self.guess.lines.append(
+                    f"velocity: {column.column!r} is left out, since it does not fit the change "
+                    f"of {position.column!r}; it is estimated"
+                )
+                continue
+            kept[name] = (column, unit)
+        if not kept:
+            return
+        for name, (column, unit) in kept.items():
+            self.guess.mapping.setdefault("qvel", {})[name] = self._entry(column, unit)
+        whose = ", ".join(f"{name} = {column.column!r}" for name, (column, _) in kept.items())
+        first = next(iter(kept.values()))[1]
+        units = " and ".join(dict.fromkeys(unit.unit for _, unit in kept.values()))
+        self.guess.lines.append(f"velocities: {whose}; in {units}, since {first.why}")
+
+    def _together(self, one: ColumnName, other: ColumnName) -> tuple[Array, Array, Array]:
+        """Stamps [s] and numbers of two columns of a topic, in the rows that have all."""
+        first, second = self._read([one, other])
+        time = self._time_of(one.topic, len(first))
+        there = np.isfinite(first) & np.isfinite(second) & np.isfinite(time)
+        time, first, second = time[there], first[there], second[there]
+        onward = increasing(time)
+        return time[onward], first[onward], second[onward]
+
+    def _time_of(self, topic: str | None, rows: int) -> Array:
+        """The stamps [s] of a topic's rows."""
+        entry = self.guess.mapping.get("time", {})
+        stamps = getattr(self._log, "stamps", None)
+        column = stamps(topic) if stamps is not None else entry.get("column")
+        if column is None:
+            return np.arange(rows) / float(self._given.get("rate") or 1.0)
+        values = self._log.read(topic, [column], lambda fraction, text: None)[column]
+        return seconds(values, entry.get("unit", "s"), values[0])
+
+    def find_commands(self) -> None:
+        """Find what was commanded to each actuator."""
+        names, owners = self._driven()
+        candidates = self._numeric(self._of(words.COMMAND))
+        by_kind: dict[str, dict[str, ColumnName]] = {}
+        for kind in (words.POSITION, words.EFFORT, words.VELOCITY, None):
+            of_kind = [one for one in candidates if one.kind == kind]
+            found, _ = self._match("ctrl", of_kind, names)
+            missing = [name for name in names if name not in found]
+            left = [one for one in of_kind if one not in found.values()]
+            by_joint, _ = match(left, [owners[name] for name in missing])
+            for name in missing:
+                if owners[name] in by_joint:
+                    found[name] = by_joint[owners[name]]
+            if found:
+                by_kind[kind or self._kind_of(found, owners)] = found
+        efforts, _ = self._match("ctrl", self._numeric(self._of(words.EFFORT)), names)
+        if efforts and words.EFFORT not in by_kind:
+            by_kind["measured effort"] = efforts
+        self._take_commands(by_kind, names, owners)
+
+    def _driven(self) -> tuple[list[str], dict[str, str]]:
+        """What may be commanded, and the joint of each: actuators, or joints without any."""
+        if self._robot.actuators:
+            owners = {
+                name: one.joint.name if one.joint is not None else name
+                for name, one in self._robot.actuators.items()
+            }
+            return list(owners), owners
+        joints = [one for one in self._robot.joints.values() if one.kind in ("hinge", "slide")]
+        return [one.name for one in joints], {one.name: one.name for one in joints}
+
+    def _kind_of(self, found: dict[str, ColumnName], owners: dict[str, str]) -> str:
+        """The kind of commands whose names do not say it, by how the joints follow them."""
+        alike = []
+        for name, column in found.items():
+            position = self._positions.get(owners[name])
+            if position is None or position[0].topic != column.topic:
+                continue
+            commands, places = self._read([column, position[0]])
+            there = np.isfinite(commands) & np.isfinite(places)
+            if np.ptp(commands[there]) > 0 and np.ptp(places[there]) > 0:
+                alike.append(float(np.corrcoef(commands[there], places[there])[0, 1]))
+        if alike:
+            return words.POSITION if np.median(alike) > FOLLOWS else words.EFFORT
+        return self._kind_wanted() or words.POSITION
+
+    def _kind_wanted(self) -> str | None:
+        """The kind of command that the model's actuators take; None where it has none."""
+        model = self._robot.model
+        kinds = []
+        for actuator in self._robot.actuators.values():
+            if servo_of(model, actuator.id) is not None:
+                kinds.append(words.POSITION)
+            else:
+                bias = model.actuator_biasprm[actuator.id]
+                kinds.append(words.VELOCITY if bias[1] == 0 != bias[2] else words.EFFORT)
+        return max(dict.fromkeys(kinds), key=kinds.count) if kinds else None
+
+    def _take_commands(
+        self, by_kind: dict[str, dict[str, ColumnName]], names: list[str], owners: dict[str, str]
+    ) -> None:
+        """Choose the commands that fit the actuators, and take them into the mapping."""
+        wanted = self._kind_wanted()
+        if wanted == words.EFFORT and wanted not in by_kind and "measured effort" in by_kind:
+            chosen, kind = by_kind["measured effort"], words.EFFORT
+            why = "which was measured: no torque was commanded in the log"
+        elif wanted is None and by_kind:
+            kind = next(one for one in by_kind)
+            chosen = by_kind[kind]
+            kind = words.EFFORT if kind == "measured effort" else kind
+            why = "and the model has no actuators: each such joint gets one"
+            self.guess.drives = dict.fromkeys(chosen, kind)
+        elif wanted in by_kind:
+            chosen, kind, why = by_kind[wanted], wanted, "as the model's actuators take"
+        else:
+            self._say_no_commands(wanted, by_kind)
+            return
+        self._scale_commands(chosen, kind, why, owners)
+        without = [name for name in names if name not in chosen]
+        if without and self._robot.actuators:
+            self.guess.lines.append(f"no command in the log: {', '.join(without)}; taken as 0")
+
+    def _say_no_commands(
+        self, wanted: str | None, by_kind: dict[str, dict[str, ColumnName]]
+    ) -> None:
+        """Say that nothing is commanded, or refuse commands of another kind."""
+        if by_kind:
+            kinds = " and ".join(by_kind)
+            raise Incompatible(
+                f"{self._log.path}: the model's actuators take {wanted} commands, and the log has "
+                f"{kinds} alone. Give the model actuators of that kind, or log what they take."
+            )
+        if self._robot.actuators:
+            self.guess.lines.append("no commands in the log: all are taken as 0")
+
+    def _scale_commands(
+        self, chosen: dict[str, ColumnName], kind: str, why: str, owners: dict[str, str]
+    ) -> None:
+        """The units of commands."""
+        entries = {}
+        units = {}
+        for name, column in chosen.items():
+            self._used.add(column)
+            given = self._given_entry("ctrl", name).get("unit")
+            scale = self._command_scale(column, kind, owners[name])
+            if given is not None:
+                scale = Scale(str(given), "it was given")
+            entries[name] = self._entry(column, scale)
+            units[scale.unit] = scale.why
+        self.guess.mapping["ctrl"] = entries
+        whose = ", ".join(f"{name} = {column.column!r}" for name, column in chosen.items())
+        told = "; ".join(f"in {unit}, since {reason}" for unit, reason in units.items())
+        self.guess.lines.append(f"commands ({kind}): {whose}, {why}; {told}")
+
+    def _command_scale(self, column: ColumnName, kind: str, joint: str) -> Scale:
+        """The unit of one command."""
+        hint = column.unit if column.unit in UNITS else None
+        is_slide = (
+            self._robot.joints[joint].kind == "slide" if joint in self._robot.joints else False
+        )
+        if kind == words.EFFORT:
+            torque = "N" if is_slide else "N m"
+            of_current = any(word in column.column.lower() for word in ("current", "amp"))
+            if hint is None and of_current:
+                hint = "A"
+            reason = "its name says so" if hint else "torques are"
+            return Scale(hint or torque, reason)
+        if kind == words.VELOCITY:
+            unit = "m/s" if is_slide else "rad/s"
+            return Scale(hint or unit, "its name says so" if hint else "velocities are")
+        position = self._positions.get(joint)
+        if position is None:
+            return Scale(hint or ("m" if is_slide else "rad"), "nothing says otherwise")
+        commands, places = self._paired(column, position[0])
+        found = command_unit(commands, places, hint, position[1])
+        return found[0] if found else position[1]
+
+    def _paired(self, one: ColumnName, other: ColumnName) -> tuple[Array, Array]:
+        """Two columns at the same rows; of topics of other rates, by their time."""
+        first, second = self._read([one, other])
+        if one.topic != other.topic:
+            at = self._time_of(one.topic, len(first))
+            known = self._time_of(other.topic, len(second))
+            second = np.interp(at, known, second)
+        there = np.isfinite(first) & np.isfinite(second)
+        return first[there], second[there]
+
+    def say_what_is_left(self) -> None:
+        """Name the columns that are not used."""
+        left = [one for one in self._columns if one not in self._used]
+        if left:
+            self.guess.lines.append(f"not used: {_quote(left)}")
+        if not self.guess.mapping.get("ctrl"):
+            self.guess.mapping.pop("ctrl", None)

@@ -1,0 +1,280 @@
+"""Units that the numbers of a log tell: of angles, velocities, commands and time stamps."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.services.validation import Array
+from dropo.data.checks.columns import lattice_step, unwrap
+from dropo.logs.units import SECONDS, UNITS
+from dropo.mjmodel.joints import Joint
+
+
+@dataclass(frozen=True)
+class ScaleSettings:
+    """What the size of numbers says of their unit.
+
+    Attributes
+    ----------
+    margin : float
+        How far outside a joint's range its angle may be, as a fraction of the range.
+    largest_turn : float
+        An angle of more than so many rad is in degrees, where the joint has limits of less.
+    smallest_degrees : float
+        Largest absolute number from which on joints without limits are in degrees.
+    fits : float
+        A logged velocity fits the slope of the position within this factor.
+    tick_bits : tuple of int
+        Bits of encoders whose ticks are tried.
+    lattice : float
+        How near the step of the numbers must be to that of an encoder, as a fraction.
+    spacing : tuple of float
+        Steps of a log are between these [s].
+    """
+
+    margin: float = 0.25
+    largest_turn: float = 3 * math.pi
+    smallest_degrees: float = 60.0
+    fits: float = 1.4
+    tick_bits: tuple[int, ...] = (10, 12, 14, 15, 16, 17, 18, 19, 20)
+    lattice: float = 0.01
+    spacing: tuple[float, float] = (2.5e-4, 0.25)
+
+
+DEFAULTS = ScaleSettings()
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A unit, and why.
+
+    Attributes
+    ----------
+    unit : str
+        One of units.UNITS or units.SECONDS.
+    why : str
+        The reason, the end of "unit, since ...".
+    offset : float
+        What is added to the numbers, in their own unit.
+    sign : int
+        -1 where they count the other way round.
+    """
+
+    unit: str
+    why: str
+    offset: float = 0.0
+    sign: int = 1
+
+
+def time_unit(stamps: Array, hint: str | None, settings: ScaleSettings = DEFAULTS) -> Scale:
+    """Find the unit of time stamps.
+
+    Parameters
+    ----------
+    stamps : (n,) array
+        Numbers.
+    hint : str or None
+        The unit that the column's name says.
+    settings : ScaleSettings, optional
+        What counts.
+
+    Returns
+    -------
+    Scale
+    """
+    if hint in SECONDS:
+        return Scale(hint, "its name says so")
+    step = float(np.median(np.diff(stamps)))
+    for unit, factor in SECONDS.items():
+        if settings.spacing[0] <= step * factor <= settings.spacing[1]:
+            return Scale(unit, f"its rows are {step:.4g} apart, which is {step * factor:.4g} s")
+    return Scale("s", f"its rows are {step:.4g} apart")
+
+
+def angle_unit(
+    values: Sequence[Array],
+    joints: Sequence[Joint],
+    hints: Sequence[str | None],
+    settings: ScaleSettings = DEFAULTS,
+) -> Scale | None:
+    """Find the unit that all angles of a log share.
+
+    Parameters
+    ----------
+    values : sequence of (n,) arrays
+        The numbers of each joint.
+    joints : sequence of Joint
+        Hinges.
+    hints : sequence of str or None
+        The units that the columns' names say.
+    settings : ScaleSettings, optional
+        What counts.
+
+    Returns
+    -------
+    Scale or None
+        None where the numbers may as well be rad as degrees.
+    """
+    hint = next((one for one in hints if one in ("rad", "deg", "rev", "tick")), None)
+    if hint == "tick" or (hint is None and _are_ticks(values)):
+        return _ticks(values, hint)
+    if hint is not None:
+        return Scale(hint, "their names say so")
+    largest = max(float(np.abs(one).max()) for one in values)
+    outside = [
+        (float(np.abs(one).max()), joint)
+        for one, joint in zip(values, joints, strict=True)
+        if not _fits(one, joint, 1.0, settings)
+    ]
+    if outside and all(
+        _fits(one, joint, math.pi / 180, settings)
+        for one, joint in zip(values, joints, strict=True)
+    ):
+        size, joint = max(outside, key=lambda pair: pair[0])
+        low, high = joint.range or (0.0, 0.0)
+        return Scale(
+            "deg",
+            f"{joint.name} reaches {size:.4g}, and its range is [{low:.4g}, {high:.4g}] rad",
+        )
+    step = _common_step(values)
+    if step is not None and _is_part_of(step, 360.0, settings):
+        return Scale("deg", f"they move in steps of 360/{round(360 / step)}")
+    if largest <= settings.largest_turn:
+        return Scale("rad", f"the largest is {largest:.4g}")
+    if largest >= settings.smallest_degrees and any(joint.range is None for joint in joints):
+        return Scale("deg", f"the largest is {largest:.4g}")
+    if all(joint.range is not None for joint in joints) and not outside:
+        return Scale("rad", "they are within the joints' ranges")
+    return None
+
+
+def _fits(values: Array, joint: Joint, factor: float, settings: ScaleSettings) -> bool:
+    """Whether numbers times a factor are within a joint's range, or nearly."""
+    if joint.range is None:
+        return True
+    low, high = joint.range
+    slack = settings.margin * (high - low)
+    return bool(factor * values.min() >= low - slack and factor * values.max() <= high + slack)
+
+
+def _common_step(values: Sequence[Array]) -> float | None:
+    """The median step of the lattices on which numbers lie."""
+    steps = [step for one in values if (step := lattice_step(one)) is not None]
+    return float(np.median(steps)) if steps else None
+
+
+def _is_part_of(step: float, whole: float, settings: ScaleSettings) -> bool:
+    """Whether a step is that of an encoder whose whole turn is so much."""
+    parts = whole / step
+    return any(abs(parts / 2**bits - 1) < settings.lattice for bits in settings.tick_bits)
+
+
+def _are_ticks(values: Sequence[Array]) -> bool:
+    """Whether numbers are whole and beyond 360 degrees, as an encoder's counts are."""
+    whole = all(bool((one == np.rint(one)).all()) for one in values)
+    return whole and max(float(np.abs(one).max()) for one in values) > 720
+
+
+def _ticks(values: Sequence[Array], hint: str | None) -> Scale:
+    """Counts of the smallest usual encoder that holds them, from its middle where all are above."""
+    low = min(float(one.min()) for one in values)
+    high = max(float(np.abs(one).max()) for one in values)
+    turn = next((2**bits for bits in (10, 12, 14, 16) if high < 2**bits), 2**20)
+    why = "their names say ticks" if hint else "all are whole numbers"
+    offset = -turn / 2 if low >= 0 else 0.0
+    middle = f", 0 at its middle, {turn // 2}" if offset else ""
+    return Scale(f"tick/{turn}", f"{why} below {turn}, an encoder's turn{middle}", offset)
+
+
+def velocity_unit(
+    time: Array, positions: Array, velocities: Array, hint: str | None, joint: Joint
+) -> Scale | None:
+    """Find the unit of a velocity from the slope of its position.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Stamps [s].
+    positions : (n,) array
+        In SI units.
+    velocities : (n,) array
+        As they were logged.
+    hint : str or None
+        The unit that the column's name says.
+    joint : Joint
+        A slide or hinge.
+
+    Returns
+    -------
+    Scale or None
+        None where it fits no unit.
+    """
+    base = joint.units("qvel")[0]
+    options = {unit: factor for unit, (si, factor) in UNITS.items() if si == base}
+    if joint.kind == "hinge":
+        positions = unwrap(positions)
+    width = max(3, len(time) // 2000)
+    slope = (positions[2 * width :] - positions[: -2 * width]) / (
+        time[2 * width :] - time[: -2 * width]
+    )
+    sums = np.cumsum(np.concatenate([[0.0], velocities]))
+    mean = (sums[2 * width + 1 :] - sums[: -2 * width - 1])[: len(slope)] / (2 * width + 1)
+    moving = np.abs(slope) > 0.2 * np.sqrt(np.mean(slope**2) + 1e-300)
+    if moving.sum() < 10 or not np.any(mean[moving]):
+        unit = hint if hint in options else base
+        return Scale(unit, "it hardly moves")
+    power = float(np.sum(mean[moving] ** 2))
+    factor = float(np.sum(slope[moving] * mean[moving])) / power
+    likeness = factor * math.sqrt(power / float(np.sum(slope[moving] ** 2)))
+    if abs(likeness) < 0.5:
+        return None
+    unit, known = min(options.items(), key=lambda pair: abs(math.log(abs(factor) / pair[1])))
+    if abs(math.log(abs(factor) / known)) > math.log(DEFAULTS.fits):
+        return None
+    why = f"the positions' slope is {factor:.3g} times its numbers"
+    return Scale(unit, why, sign=-1 if factor < 0 else 1)
+
+
+def command_unit(
+    commands: Array, logged: Array, hint: str | None, position: Scale
+) -> tuple[Scale, float] | None:
+    """Find the unit of commanded positions from the measured ones.
+
+    Parameters
+    ----------
+    commands, logged : (n,) arrays
+        Commands, and measured positions as they were logged.
+    hint : str or None
+        The unit that the column's name says.
+    position : Scale
+        Of the measured positions.
+
+    Returns
+    -------
+    (Scale, float) or None
+        The unit, and the correlation of both; None where they fit in no unit.
+    """
+    correlation = _correlation(commands, logged)
+    si = UNITS[position.unit][0]
+    if hint in UNITS and UNITS[hint][0] == si:
+        return Scale(hint, "its name says so"), correlation
+    measured = UNITS[position.unit][1] * (logged + position.offset)
+    best = None
+    for unit in dict.fromkeys((position.unit, "rad", "deg") if si == "rad" else (position.unit,)):
+        offset = position.offset if unit == position.unit else 0.0
+        wanted = UNITS[unit][1] * (commands + offset)
+        error = float(np.sqrt(np.mean((wanted - measured) ** 2)))
+        if best is None or error < 0.5 * best[0]:
+            best = (error, Scale(unit, "the joint follows them", offset))
+    if best is None:
+        return None
+    return best[1], correlation
+
+
+def _correlation(one: Array, other: Array) -> float:
+    """The correlation of two signals; 0 where one does not move."""
+    if np.ptp(one) == 0 or np.ptp(other) == 0:
+        return 0.0
+    return float(np.corrcoef(one, other)[0, 1])

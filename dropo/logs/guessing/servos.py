@@ -1,0 +1,139 @@
+"""First gains of drives that a model does not have, from what they did in the log."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from dropo.core.services.validation import Array
+from dropo.logs.preparing import clean_run
+from dropo.logs.recordings import LogRun
+from dropo.logs.signals.velocities import estimate_velocities
+from dropo.mjmodel.forces import inverse_forces
+from dropo.mjmodel.joints import ModelJoints
+from dropo.mjmodel.robots import DriveGuess
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """How first gains are estimated.
+
+    Attributes
+    ----------
+    rows : int
+        Rows that they are estimated from at most.
+    frequency : float
+        Hz of a servo whose gain the log does not show.
+    slow : float
+        Speeds below this fraction of the largest count as rest for dry friction.
+    """
+
+    rows: int = 4000
+    frequency: float = 5.0
+    slow: float = 0.02
+
+
+DEFAULTS = DriveSettings()
+
+
+def estimate_drives(
+    runs: Sequence[LogRun],
+    robot: ModelJoints,
+    drives: Mapping[str, DriveGuess],
+    settings: DriveSettings = DEFAULTS,
+) -> dict[str, DriveGuess]:
+    """Estimate the gains of servos by least squares over inverse dynamics.
+
+    Parameters
+    ----------
+    runs : sequence of LogRun
+        As they were read, of which the first is used.
+    robot : ModelJoints
+        The robot with an actuator of each driven joint's name.
+    drives : mapping
+        By joint what is commanded.
+    settings : DriveSettings, optional
+        How they are estimated.
+
+    Returns
+    -------
+    dict
+        By joint the drive with its gains.
+
+    Notes
+    -----
+    The force that the motion needs is kp (u - q) - kd v less rotor inertia and friction, all gains
+    at least 0: first numbers for a fit, not results.
+    """
+    run = clean_run(runs[0], robot)
+    motion = _Motion(run, robot, settings)
+    return {joint: motion.estimate(joint, drive) for joint, drive in drives.items()}
+
+
+class _Motion:
+    """Positions, velocities and accelerations of a run, and the forces that they need."""
+
+    def __init__(self, run: LogRun, robot: ModelJoints, settings: DriveSettings):
+        self._run = run
+        self._robot = robot
+        self._settings = settings
+        first = next(one for one in run.series if one.channel.field == "qpos")
+        self._time = first.time[: settings.rows]
+        n = len(self._time)
+        self._positions = np.tile(robot.model.qpos0, (n, 1))
+        self._velocities = np.zeros((n, robot.model.nv))
+        for joint in robot.joints.values():
+            series = run.of("qpos", joint.name)
+            if series is None or joint.kind not in ("hinge", "slide") or n < 20:
+                continue
+            values = np.interp(self._time, series.time, series.values[:, 0])
+            smooth = estimate_velocities(self._time, values[:, None])
+            self._positions[:, joint.qpos] = smooth.positions[:, 0]
+            self._velocities[:, joint.qvel] = smooth.velocities[:, 0]
+        self._accelerations = np.gradient(self._velocities, self._time, axis=0)
+        self._forces = inverse_forces(
+            robot.model, self._positions, self._velocities, self._accelerations
+        )
+
+    def estimate(self, name: str, drive: DriveGuess) -> DriveGuess:
+        """The gains of a joint's drive."""
+        if drive.kind == "effort":
+            return drive
+        joint = self._robot.joints[name]
+        command = self._command(name)
+        velocity = self._velocities[:, joint.qvel]
+        position = self._positions[:, joint.qpos]
+        inertia = float(self._robot.model.dof_M0[joint.qvel])
+        if drive.kind == "position":
+            columns = [command - position, -velocity]
+        else:
+            columns = [command - velocity]
+        slow = self._settings.slow * float(np.abs(velocity).max() + 1e-12)
+        columns += [-self._accelerations[:, joint.qvel], -np.tanh(velocity / slow)]
+        gains, _ = nnls(np.stack(columns, axis=1), self._forces[:, joint.qvel])
+        return self._make_drive(drive.kind, gains, inertia)
+
+    def _command(self, name: str) -> Array:
+        """The command at the positions' instants, held from row to row."""
+        series = self._run.of("ctrl", name, "command")
+        if series is None:
+            return np.zeros(len(self._time))
+        row = np.searchsorted(series.time, self._time + 1e-9, side="right") - 1
+        return np.asarray(series.values[np.clip(row, 0, None), 0])
+
+    def _make_drive(self, kind: str, gains: Array, inertia: float) -> DriveGuess:
+        """A drive with these gains, or usual ones where the log shows none."""
+        usual = inertia * (2 * np.pi * self._settings.frequency) ** 2
+        if kind == "velocity":
+            damping = float(gains[0]) or usual / (2 * np.pi * self._settings.frequency)
+            return DriveGuess(kind, 0.0, _digits(damping))
+        stiffness = float(gains[0]) or usual
+        whole = inertia + float(gains[2])
+        damping = float(gains[1]) or 0.3 * np.sqrt(stiffness * whole)
+        return DriveGuess(kind, _digits(stiffness), _digits(damping))
+
+
+def _digits(value: float) -> float:
+    """Three digits of a number."""
+    return float(f"{value:.3g}")
