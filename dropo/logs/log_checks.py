@@ -187,9 +187,8 @@ def _check_clock(
     for one in angles:
         gaps = [gap for gap in find_gaps(one.time).tolist() if one.rows[gap] not in seen]
         for gap in gaps:
-            if int(one.rows[gap] - one.rows[gap - 1]) > 1 or not _clock_jumps(
-                angles, one, gap, settings
-            ):
+            is_whole = int(one.rows[gap] - one.rows[gap - 1]) == 1  # no row without a value
+            if not is_whole or not _clock_jumps(angles, one, gap, settings):
                 continue
             seen.add(int(one.rows[gap]))
             jump = float(one.time[gap] - one.time[gap - 1])

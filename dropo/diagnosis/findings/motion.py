@@ -146,10 +146,24 @@ def _pit(linearized: LinearizedWindows, entries: int) -> Array:
     steps = np.unique(np.linspace(0, length - 1, count).round().astype(np.int64))
     places = (steps[:, None] * p + np.arange(p)).ravel()
     covariance = linearized.whiten.covariance(places)[good]
-    white = np.linalg.solve(
-        np.linalg.cholesky(covariance), linearized.residuals[good][:, places, None]
-    )
+    roots = _square_roots(covariance)
+    white = np.linalg.solve(roots, linearized.residuals[good][:, places, None])
     return np.asarray(student_below(white.ravel(), DEGREES))
+
+
+def _square_roots(covariance: Array) -> Array:
+    """Square roots (W, n, n) of covariances: Cholesky factors, or where rounding leaves one without
+    such a factor, those of its correlations with eigenvalues of at least rounding's size.
+    """
+    try:
+        return np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        correlation = covariance / (sd[:, :, None] * sd[:, None, :])
+        values, vectors = np.linalg.eigh(correlation)
+        lowest = len(sd[0]) * np.finfo(float).eps * values[:, -1:]
+        root = vectors * np.sqrt(np.maximum(values, lowest))[:, None, :]
+        return np.asarray(sd[:, :, None] * root)
 
 
 def _neighbours(

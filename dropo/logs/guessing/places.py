@@ -36,7 +36,8 @@ def match(
     scores = np.array([[_likeness(column, name) for name in names] for column in columns])
     found: dict[str, ColumnName] = {}
     if scores.size:
-        for i, j in zip(*linear_sum_assignment(-scores), strict=True):
+        rows, places = linear_sum_assignment(-scores)
+        for i, j in zip(rows.tolist(), places.tolist(), strict=True):
             if scores[i, j] >= ALIKE and _is_clear(scores, i, j):
                 found[names[j]] = columns[i]
     taken = {id(column) for column in found.values()}

@@ -202,7 +202,7 @@ def _order_by_signal(
 
 def _read_priors(file: FileContent[ProblemFile], simulator: MujocoSimulator) -> dict[str, Any]:
     """The priors of the parameters that have one."""
-    priors = {}
+    priors: dict[str, Any] = {}
     for key, own in parameter_names(file, simulator.model).items():
         prior = file.content.parameters[key].prior
         if prior is not None:

@@ -65,7 +65,7 @@ class ParameterEntry(Entry):
     shared: Annotated[bool, Expected("true, where all named elements have one value, or false")] = (
         False
     )
-    """Whether all elements that `name` stands for share one value, or with `relative` one factor."""
+    """Whether all elements of `name` share one value, or with `target: relative` one factor."""
     index: Place | None = None
     """The place in the element's row, where the row has several numbers."""
     low: Number
