@@ -156,7 +156,7 @@ def _square_roots(covariance: Array) -> Array:
     such a factor, those of its correlations with eigenvalues of at least rounding's size.
     """
     try:
-        return np.linalg.cholesky(covariance)
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
         sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         correlation = covariance / (sd[:, :, None] * sd[:, None, :])

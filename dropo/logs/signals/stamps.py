@@ -197,8 +197,8 @@ def _check_lost(
     first = int(np.argmax(missing > 0)) + 1
     level: Level = "error" if lost > settings.many_lost else "warning"
     text = (
-        f"{count} rows are missing, {100 * lost:.2g} % of them: packets were lost, the first before "
-        f"{stamps.place(first)}."
+        f"{count} rows are missing, {100 * lost:.2g} % of them: packets were lost, the first "
+        f"before {stamps.place(first)}."
     )
     advice = "An import fills them by splines; find what loses them."
     if level == "error":
