@@ -260,7 +260,7 @@ def _make_model(
     """The model with drives and a step of the log's, its MJCF, and what to say of it."""
     drives = {joint: DriveGuess(kind) for joint, kind in guess.drives.items()}
     trial = spec.copy()
-    add_drives(trial, {joint: DriveGuess("effort") for joint in drives})
+    add_drives(trial, {joint: DriveGuess("torque") for joint in drives})
     bare = model_joints(load_model(trial))
     mapping = check_mapping(folder / MAP, content, bare)
     runs = read_runs(paths[:1], mapping, ignore_progress)
@@ -270,7 +270,7 @@ def _make_model(
     add_drives(spec, estimates)
     lines = []
     for joint, drive in estimates.items():
-        if drive.kind != "effort":
+        if drive.kind != "torque":
             lines.append(f"drive: {joint} is a {drive.describe()}, which a fit corrects")
     if found.is_urdf:
         fit_step(spec, control_step)

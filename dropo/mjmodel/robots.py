@@ -50,7 +50,7 @@ class DriveGuess:
     Attributes
     ----------
     kind : str
-        "position", "velocity" or "effort": what is commanded.
+        "position", "velocity" or "torque": what is commanded.
     stiffness, damping : float
         Gains of a position or velocity servo [N m/rad, N m s/rad, or N/m, N s/m].
     """

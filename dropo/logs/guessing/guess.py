@@ -468,10 +468,10 @@ class _Guesser:
                 if owners[name] in by_joint:
                     found[name] = by_joint[owners[name]]
             if found:
-                by_kind[kind or self._kind_of(found, owners)] = found
+                by_kind.setdefault(kind or self._kind_of(found, owners), found)
         efforts, _ = self._match("ctrl", self._numeric(self._of(words.EFFORT)), names)
         if efforts and words.EFFORT not in by_kind:
-            by_kind["measured effort"] = efforts
+            by_kind["measured torque"] = efforts
         self._take_commands(by_kind, names, owners)
 
     def _driven(self) -> tuple[list[str], dict[str, str]]:
@@ -517,13 +517,13 @@ class _Guesser:
     ) -> None:
         """Choose the commands that fit the actuators, and take them into the mapping."""
         wanted = self._kind_wanted()
-        if wanted == words.EFFORT and wanted not in by_kind and "measured effort" in by_kind:
-            chosen, kind = by_kind["measured effort"], words.EFFORT
+        if wanted == words.EFFORT and wanted not in by_kind and "measured torque" in by_kind:
+            chosen, kind = by_kind["measured torque"], words.EFFORT
             why = "which was measured: no torque was commanded in the log"
         elif wanted is None and by_kind:
             kind = next(one for one in by_kind)
             chosen = by_kind[kind]
-            kind = words.EFFORT if kind == "measured effort" else kind
+            kind = words.EFFORT if kind == "measured torque" else kind
             why = "and the model has no actuators: each such joint gets one"
             self.guess.drives = dict.fromkeys(chosen, kind)
         elif wanted in by_kind:

@@ -33,7 +33,8 @@ def match(
     left : list of ColumnName
         Columns without a name, or which two names fit as well.
     """
-    scores = np.array([[_likeness(column, name) for name in names] for column in columns])
+    idle = _idle_words(columns, names)
+    scores = np.array([[_likeness(column, name, idle) for name in names] for column in columns])
     found: dict[str, ColumnName] = {}
     if scores.size:
         rows, places = linear_sum_assignment(-scores)
@@ -50,16 +51,24 @@ def match(
     return ordered, left
 
 
+def _idle_words(columns: Sequence[ColumnName], names: Sequence[str]) -> set[str]:
+    """Words that all columns have and no name: they tell none from another."""
+    if len(columns) < 2:
+        return set()
+    common = set.intersection(*(set(column.rest) for column in columns))
+    return common - {word for name in names for word in tokens(name)}
+
+
 def _is_clear(scores: np.ndarray, i: int, j: int) -> bool:
     """Whether no other name fits a column, and no other column the name, as well."""
     others = [*np.delete(scores[i], j), *np.delete(scores[:, j], i)]
     return scores[i, j] >= max(others, default=0.0) + CLEAR
 
 
-def _likeness(column: ColumnName, name: str) -> float:
-    """How much the words left of a column are a name, from 0 to 1."""
+def _likeness(column: ColumnName, name: str, idle: set[str]) -> float:
+    """How much the words left of a column, without idle ones, are a name, from 0 to 1."""
     wanted = tokens(name)
-    rest = list(column.rest)
+    rest = [word for word in column.rest if word not in idle]
     if not rest:
         return 0.0
     if rest == wanted:

@@ -98,7 +98,7 @@ class _Motion:
 
     def estimate(self, name: str, drive: DriveGuess) -> DriveGuess:
         """The gains of a joint's drive."""
-        if drive.kind == "effort":
+        if drive.kind == "torque":
             return drive
         joint = self._robot.joints[name]
         command = self._command(name)

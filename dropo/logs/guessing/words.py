@@ -11,7 +11,7 @@ POSITION, VELOCITY, COMMAND, EFFORT, TIME, RUN, OTHER = (
     "position",
     "velocity",
     "command",
-    "effort",
+    "torque",
     "time",
     "run",
     "other",

@@ -21,6 +21,10 @@ BROKEN = (ValueError, OSError, EOFError, AssertionError, KeyError, IndexError, s
 """What decoders raise on bytes that are none of theirs, beside their own errors."""
 ENCODINGS = ("json", "cdr", "ros1")
 """Encodings of messages that are read."""
+FRAMES = "transforms["
+"""What columns of tf begin with."""
+FIRST = 500
+"""Messages of tf in which frames are looked for."""
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -29,7 +33,17 @@ class _Bag(Log):
 
     def columns(self, topic: str | None) -> list[str]:
         """List the names of the columns."""
-        return columns_of(self._first(self._known(topic)))
+        known = self._known(topic)
+        names = columns_of(self._first(known))
+        if not any(name.startswith(FRAMES) for name in names):
+            return names
+        # frames come in messages of their own
+        found = dict.fromkeys(names)
+        for count, (_, _, message) in enumerate(self._messages(known)):
+            found |= dict.fromkeys(columns_of(message))
+            if count >= FIRST:
+                break
+        return list(found)
 
     def stamps(self, topic: str | None) -> str:
         """Name the column of time stamps.

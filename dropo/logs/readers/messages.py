@@ -10,6 +10,8 @@ STAMP = "header.stamp"
 """The message's own time stamp."""
 LOG_TIME = "log_time"
 """When the recorder received a message."""
+FRAME = "child_frame_id"
+"""The name of a transform, by which it goes in place of its number."""
 LONGEST = 1024
 """A longer array inside a message (a picture) is no row of columns."""
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
@@ -27,7 +29,8 @@ def columns_of(message: Any) -> list[str]:
     -------
     list of str
         Such as "pose.orientation.w"; numbers beside a list `name` of the same length go by the
-        names in it, such as "position[elbow]".
+        names in it, such as "position[elbow]"; transforms by their frames, such as
+        "transforms[base_link].transform.rotation.w".
     """
     return [LOG_TIME, *_paths(message, "")]
 
@@ -57,7 +60,8 @@ def _list_paths(values: Any, path: str) -> list[str]:
     out: list[str] = []
     if len(values) <= LONGEST:
         for i, item in enumerate(values):
-            out += _paths(item, f"{path}[{i}]")
+            frame = _get(item, FRAME)
+            out += _paths(item, f"{path}[{i if frame is None else frame}]")
     return out
 
 
@@ -119,10 +123,19 @@ def make_getter(path: str) -> Callable[[Any], Any]:
 
 def _item(value: Any, owner: Any, place: str) -> Any:
     """An element by its number, or by the names that stand beside the list."""
+    for item in value if _have_frames(value) else ():
+        if _get(item, FRAME) == place:
+            return item
     names = _names(owner)
     if names is not None and place in names:
         place = str(names.index(place))
     return value[int(place)] if place.isdigit() and int(place) < len(value) else None
+
+
+def _have_frames(value: Any) -> bool:
+    """Whether the elements of a list are of frames, as those of tf2_msgs/TFMessage."""
+    is_list = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    return is_list and len(value) > 0 and _get(value[0], FRAME) is not None
 
 
 def _stamp(value: Any) -> np.datetime64:

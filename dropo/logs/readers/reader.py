@@ -18,6 +18,8 @@ from dropo.core.services.registry import find, names
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, str], None]
 """Called with the fraction of the work that is done, and what is being done."""
+CRAZYFLIE_MAGIC = b"\xbc"
+"""The first byte of a Crazyflie's log."""
 MINARI_FILES = (
     "data/metadata.json",
     "metadata.json",
@@ -165,8 +167,8 @@ def open_log(path: str | Path) -> Log:
     return cast(Log, find("readers", _reader_name(place))(place))
 
 
-_FOLDERS = ("lerobot", "minari", "ros2")
-"""Readers that are chosen by the layout of a folder, not by the ending of a file."""
+_FOLDERS = ("crazyflie", "lerobot", "minari", "ros2", "sage")
+"""Readers that are chosen by the layout of a folder or the first byte, not by an ending."""
 
 
 def _reader_name(place: Path) -> str:
@@ -174,20 +176,33 @@ def _reader_name(place: Path) -> str:
     if place.is_dir():
         if (place / "meta" / "info.json").is_file():
             return "lerobot"
+        if (place / "joint_list.txt").is_file():
+            return "sage"
         if (place / "metadata.yaml").is_file():
             return "ros2"
         if any((place / name).exists() for name in MINARI_FILES):
             return "minari"
         expected = (
-            "a ROS 2 bag (metadata.yaml), LeRobot episodes (meta/info.json) or a Minari data set"
+            "a ROS 2 bag (metadata.yaml), LeRobot episodes (meta/info.json), a SAGE motion "
+            "(joint_list.txt) or a Minari data set"
         )
         raise BadFile(place, "", expected, "another folder")
+    if _begins_like_crazyflie(place):
+        return "crazyflie"
     endings = [name for name in names("readers") if name not in _FOLDERS]
     ending = place.suffix.lower().removeprefix(".")
     if ending not in endings:
         expected = f"a log that ends in {', '.join(f'.{name}' for name in endings)}"
         raise BadFile(place, "", expected, f"a file {place.suffix!r}")
     return ending
+
+
+def _begins_like_crazyflie(place: Path) -> bool:
+    """Whether a file without a usual ending begins as a Crazyflie's log, which has none."""
+    if place.suffix not in ("", ".bin", ".log", ".usd"):
+        return False
+    with place.open("rb") as file:
+        return file.read(1) == CRAZYFLIE_MAGIC
 
 
 def package(name: str, path: Path, extra: str) -> Any:

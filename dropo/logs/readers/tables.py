@@ -30,8 +30,8 @@ NO_VALUE = ("", "nan", "null", "none", "na")
 class CsvLog(Log):
     """Text with a row of names, then a line for each row, separated by , ; tabs or blanks.
 
-    An empty cell, "nan" or "null" is no value. Cells may be dates as ISO 8601 writes them; other
-    texts only tell runs apart.
+    An empty cell, "nan" or "null" is no value. Cells may be dates as ISO 8601 writes them, or lists
+    such as "[0.1, 0.2]", whose columns are "name[0]", "name[1]"; other texts only tell runs apart.
     """
 
     @cached_property
@@ -54,9 +54,28 @@ class CsvLog(Log):
             raise BadFile(self.path, "line 1", "the names of the columns", "numbers")
         return names, separator
 
+    @cached_property
+    def _places(self) -> dict[str, tuple[int, int | None]]:
+        """By the name of a column its place in a line, and in the list there, by the first row."""
+        names, separator = self._header
+        first: list[str] = []
+        with self.path.open("rb") as file:
+            file.readline()
+            rows = csv.reader(self._lines(file), delimiter=separator, skipinitialspace=True)
+            first = next((row for row in rows if row), [])
+        places: dict[str, tuple[int, int | None]] = {}
+        for i, name in enumerate(names):
+            cell = first[i] if i < len(first) else ""
+            if cell.strip().startswith("["):
+                count = len(_elements(cell))
+                places |= {f"{name}[{k}]": (i, k) for k in range(count)}
+            else:
+                places[name] = (i, None)
+        return places
+
     def columns(self, topic: str | None) -> list[str]:
         """List the names of the columns."""
-        return self._header[0]
+        return list(self._places)
 
     def read(self, topic: str | None, columns: Sequence[str], progress: Progress) -> Arrays:
         """Read columns by name."""
@@ -68,7 +87,7 @@ class CsvLog(Log):
     ) -> Iterator[Arrays]:
         """The columns, some rows at a time."""
         names, separator = self._header
-        places = [names.index(name) for name in columns]
+        places = [self._places[name] for name in columns]
         size = self.path.stat().st_size
         line = 2
         file.readline()
@@ -80,12 +99,33 @@ class CsvLog(Log):
                     raise self.broken("as many cells in every line", f"line {line + i}", got)
             filled = [row for row in block if row]
             arrays = {}
-            for name, place in zip(columns, places, strict=True):
+            for name, (place, element) in zip(columns, places, strict=True):
                 cells = [row[place] for row in filled]
+                if element is not None:
+                    cells = self._take(cells, name, block, line, place, element)
                 arrays[name] = self._parse_column(cells, name, block, line, place)
             yield arrays
             line += len(block)
             progress(file.tell() / size, f"reading {self.path.name}")
+
+    def _take(
+        self,
+        cells: list[str],
+        name: str,
+        block: list[list[str]],
+        line: int,
+        place: int,
+        element: int,
+    ) -> list[str]:
+        """An element of the list in every cell; a shorter list is refused with its line."""
+        lists = [_elements(cell) for cell in cells]
+        if all(element < len(one) or not one for one in lists):
+            return [one[element] if one else "" for one in lists]
+        for i, row in enumerate(block):
+            if row and 0 < len(_elements(row[place])) <= element:
+                where = f"line {line + i}, column {name!r}"
+                raise BadFile(self.path, where, "a list as long as the first", repr(row[place]))
+        return cells
 
     def _lines(self, file: IO[bytes]) -> Iterator[str]:
         """The lines of text."""
@@ -116,6 +156,12 @@ class CsvLog(Log):
             return np.array([cell.rstrip("Z") for cell in cells], dtype="datetime64[ns]")
         except ValueError:
             return np.array(cells)
+
+
+def _elements(cell: str) -> list[str]:
+    """The elements of a list in a cell, as texts."""
+    inside = cell.strip().removeprefix("[").removesuffix("]").strip()
+    return [part.strip() for part in inside.replace(",", " ").split()]
 
 
 def _number(cell: str) -> float | None:

@@ -1,0 +1,255 @@
+"""Mappings are guessed from names and numbers as loggers write them; what is not clear is asked."""
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from dropo.core.services.errors import BadFile, Incompatible
+from dropo.logs.guessing.guess import Guess, guess_mapping
+from dropo.logs.guessing.words import read_name
+from dropo.logs.readers.reader import open_log
+from dropo.mjmodel.joints import ModelJoints, model_joints
+
+Columns = dict[str, Any]
+SERVOS = """
+<mujoco>
+  <worldbody>
+    <body name="a"><joint name="left_hip" axis="0 1 0" range="-90 90"/>
+      <geom size="0.1" mass="1"/>
+      <body name="b" pos="0 0 -0.3"><joint name="left_knee" axis="0 1 0" range="-140 0"/>
+        <geom size="0.1" mass="1"/></body></body>
+  </worldbody>
+  <actuator><position name="hip_servo" joint="left_hip" kp="20"/>
+    <position name="knee_servo" joint="left_knee" kp="20"/></actuator>
+</mujoco>
+"""
+TIME = np.arange(400) / 200
+HIP = 0.7 * np.sin(2.5 * TIME)
+KNEE = -0.6 + 0.5 * np.sin(4 * TIME)
+SPEEDS = (0.7 * 2.5 * np.cos(2.5 * TIME), 0.5 * 4 * np.cos(4 * TIME))
+GOALS = (0.72 * np.sin(2.5 * TIME + 0.1), -0.6 + 0.55 * np.sin(4 * TIME + 0.1))
+
+
+def robot(text: str = SERVOS) -> ModelJoints:
+    return model_joints(mujoco.MjModel.from_xml_string(text))
+
+
+def guess(folder: Path, columns: Columns, model: ModelJoints | None = None, **more: Any) -> Guess:
+    """What is guessed of a log of these columns."""
+    np.savez(folder / "log.npz", **{f"c{i}": values for i, values in enumerate(columns.values())})
+    table = np.column_stack(list(columns.values()))
+    lines = [",".join(columns), *(",".join(f"{x:.7g}" for x in row) for row in table)]
+    (folder / "log.csv").write_text("\n".join(lines) + "\n")
+    return guess_mapping(open_log(folder / "log.csv"), model or robot(), **more)
+
+
+def columns_of(found: Guess, quantity: str) -> dict[str, str]:
+    return {name: entry["column"] for name, entry in found.mapping.get(quantity, {}).items()}
+
+
+STYLES: dict[str, tuple[Columns, str, dict[str, str], dict[str, str]]] = {
+    "words": (
+        {
+            "t": TIME,
+            "left_hip_pos": HIP,
+            "left_knee_pos": KNEE,
+            "left_hip_vel": SPEEDS[0],
+            "left_knee_vel": SPEEDS[1],
+            "left_hip_cmd": GOALS[0],
+            "left_knee_cmd": GOALS[1],
+        },
+        "rad",
+        {"left_hip": "left_hip_pos", "left_knee": "left_knee_pos"},
+        {"hip_servo": "left_hip_cmd", "knee_servo": "left_knee_cmd"},
+    ),
+    "numbers": (
+        {
+            "time": TIME,
+            "q2": KNEE,
+            "q1": HIP,
+            "dq1": SPEEDS[0],
+            "dq2": SPEEDS[1],
+            "qd1_des": GOALS[0],
+        }
+        | {"q1_des": GOALS[0], "q2_des": GOALS[1]},
+        "rad",
+        {"left_hip": "q1", "left_knee": "q2"},
+        {"hip_servo": "q1_des", "knee_servo": "q2_des"},
+    ),
+    "vectors from 0, degrees, milliseconds": (
+        {
+            "stamp": 1000 * TIME + 5e6,
+            "state[0]": np.degrees(HIP),
+            "state[1]": np.degrees(KNEE),
+            "action[0]": np.degrees(GOALS[0]),
+            "action[1]": np.degrees(GOALS[1]),
+        },
+        "deg",
+        {"left_hip": "state[0]", "left_knee": "state[1]"},
+        {"hip_servo": "action[0]", "knee_servo": "action[1]"},
+    ),
+    "camel case": (
+        {
+            "timestampUs": 1e6 * TIME,
+            "hipAngleDeg": np.degrees(HIP),
+            "kneeAngleDeg": np.degrees(KNEE),
+            "hipTarget": np.degrees(GOALS[0]),
+            "kneeTarget": np.degrees(GOALS[1]),
+            "batteryV": np.full(400, 24.0),
+        },
+        "deg",
+        {"left_hip": "hipAngleDeg", "left_knee": "kneeAngleDeg"},
+        {"hip_servo": "hipTarget", "knee_servo": "kneeTarget"},
+    ),
+    "ticks": (
+        {
+            "t_ms": 1000 * TIME,
+            "hip present position": np.rint(2048 + HIP * 4096 / (2 * np.pi)),
+            "knee present position": np.rint(2048 + KNEE * 4096 / (2 * np.pi)),
+            "hip goal position": np.rint(2048 + GOALS[0] * 4096 / (2 * np.pi)),
+            "knee goal position": np.rint(2048 + GOALS[1] * 4096 / (2 * np.pi)),
+        },
+        "tick/4096",
+        {"left_hip": "hip present position", "left_knee": "knee present position"},
+        {"hip_servo": "hip goal position", "knee_servo": "knee goal position"},
+    ),
+}
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_styles_of_loggers(tmp_path: Path, style: str) -> None:
+    """Joints, commands, units and time of logs in other styles; nothing is asked."""
+    columns, unit, positions, commands = STYLES[style]
+    found = guess(tmp_path, columns)
+    assert found.undecided == []
+    assert columns_of(found, "qpos") == positions
+    assert columns_of(found, "ctrl") == commands
+    assert {entry["unit"] for entry in found.mapping["qpos"].values()} == {unit}
+    assert {entry["unit"] for entry in found.mapping["ctrl"].values()} == {unit}
+    time = found.mapping["time"]
+    factor = {"s": 1.0, "ms": 1e-3, "us": 1e-6}[time["unit"]]
+    assert np.median(np.diff(columns[time["column"]])) * factor == pytest.approx(0.005)
+    if unit == "tick/4096":
+        assert {entry["offset"] for entry in found.mapping["qpos"].values()} == {-2048.0}
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("rad/s", 1), ("deg/s", 180 / np.pi), ("rpm", 30 / np.pi)]
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_velocities_by_the_slope_of_the_positions(
+    tmp_path: Path, unit: str, factor: float, sign: int
+) -> None:
+    """Unit and sign, whatever the name; one that fits no unit is left out, and said to be."""
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    speeds = {"hip speed": sign * factor * SPEEDS[0], "knee speed": sign * factor * SPEEDS[1]}
+    found = guess(tmp_path, columns | speeds)
+    entries = found.mapping["qvel"].values()
+    assert {(entry["unit"], entry.get("sign", 1)) for entry in entries} == {(unit, sign)}
+    found = guess(tmp_path, columns | {"hip speed": SPEEDS[1], "knee speed": 400 * SPEEDS[1]})
+    assert "qvel" not in found.mapping
+    assert any("'hip speed' is left out" in line for line in found.lines)
+
+
+def test_every_guess_is_said(tmp_path: Path) -> None:
+    """Each in a line with its reason, and what is not used."""
+    lines = guess(tmp_path, STYLES["camel case"][0]).lines
+    assert lines[0] == "time: 'timestampUs' in us, since its name says so"
+    assert lines[1].startswith(
+        "positions: left_hip = 'hipAngleDeg', left_knee = 'kneeAngleDeg'; in"
+    )
+    assert lines[2].startswith("commands (position): hip_servo = 'hipTarget'")
+    assert lines[3] == "not used: 'batteryV'"
+
+
+def test_what_is_not_clear_is_asked(tmp_path: Path) -> None:
+    """Angles of 15 on joints without limits may be either; a question decides, or an entry."""
+    free = robot(SERVOS.replace('range="-90 90"', "").replace('range="-140 0"', ""))
+    columns = {"t": TIME, "hip q": 15 * np.sin(TIME), "knee q": 12 * np.cos(TIME)}
+    found = guess(tmp_path, columns, free)
+    assert found.undecided == ["Angles reach 15: in which unit are 'hip q', 'knee q'? (rad or deg)"]
+    asked = []
+
+    def answer(question: str, options: Any) -> str:
+        asked.append(question)
+        return "deg"
+
+    found = guess(tmp_path, columns, free, ask=answer)
+    assert len(asked) == 1
+    assert {entry["unit"] for entry in found.mapping["qpos"].values()} == {"deg"}
+    found = guess(tmp_path, columns, free, given={"qpos": {"left_hip": {"unit": "deg"}}})
+    assert found.undecided == []
+
+
+def test_no_time_is_not_decided(tmp_path: Path) -> None:
+    columns = {"hip q": HIP, "knee q": KNEE}
+    assert "no column of time stamps" in guess(tmp_path, columns).undecided[0]
+    assert guess(tmp_path, columns, given={"rate": 200}).undecided == []
+
+
+def test_other_machines_are_refused(tmp_path: Path) -> None:
+    """No column of a joint; torques for servos; a base that moves and is fixed in the model."""
+    with pytest.raises(
+        BadFile, match="positions of the joints left_hip, left_knee, got 'wheel pos'"
+    ):
+        guess(tmp_path, {"t": TIME, "wheel pos": HIP, "tail pos": KNEE, "ear pos": KNEE})
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    with pytest.raises(Incompatible, match="take position commands, and the log has torque alone"):
+        guess(tmp_path, columns | {"tau_cmd_hip": HIP, "tau_cmd_knee": KNEE})
+    still = {"base_x": 0 * TIME, "base_y": 0 * TIME, "base_z": 0.3 + 0 * TIME}
+    assert guess(tmp_path, columns | still).undecided == []
+    moving = still | {"base_z": 0.3 + 0.1 * HIP}
+    with pytest.raises(
+        Incompatible, match="fixed in the model and moves in the log: base_z moves by"
+    ):
+        guess(tmp_path, columns | moving)
+
+
+def test_a_floating_base(tmp_path: Path) -> None:
+    """Its pose is found, also where the quaternion's columns are in another order."""
+    free = robot(
+        SERVOS.replace(
+            '<body name="a"><joint name="left_hip" axis="0 1 0" range="-90 90"/>',
+            '<body name="t"><freejoint name="root"/><geom size="0.1" mass="1"/>'
+            '<body name="a"><joint name="left_hip" axis="0 1 0" range="-90 90"/>',
+        ).replace("</body></body>", "</body></body></body>")
+    )
+    turn = np.stack([0 * TIME, np.sin(0.1 * HIP), 0 * TIME, np.cos(0.1 * HIP)], axis=1)
+    base = {"base_pos_x": 0 * TIME, "base_pos_y": 0 * TIME, "base_pos_z": 0.3 + 0.01 * HIP}
+    named = {f"base_q{part}": turn[:, i] for i, part in enumerate("xyzw")}
+    numbered = {f"base_quat[{i}]": turn[:, i] for i in range(4)}
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE} | base
+    found = guess(tmp_path, columns | named, free)
+    wanted = ["base_pos_x", "base_pos_y", "base_pos_z", "base_qw", "base_qx", "base_qy", "base_qz"]
+    assert found.mapping["qpos"]["root"]["columns"] == wanted
+    found = guess(tmp_path, columns | numbered, free)
+    assert found.mapping["qpos"]["root"]["columns"][3:] == [f"base_quat[{i}]" for i in (3, 0, 1, 2)]
+    assert any("quaternion: in the order x, y, z, w" in line for line in found.lines)
+
+
+def test_motors_take_torques(tmp_path: Path) -> None:
+    """Of position and torque commands those that the actuators take; measured ones if no other."""
+    motors = robot(SERVOS.replace("<position", "<motor").replace(' kp="20"', ""))
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE, "hip q_des": HIP, "knee q_des": KNEE}
+    torques = {"hip tau_ff_cmd": 3 * HIP, "knee tau_ff_cmd": KNEE}
+    found = guess(tmp_path, columns | torques, motors)
+    assert columns_of(found, "ctrl") == {
+        "hip_servo": "hip tau_ff_cmd",
+        "knee_servo": "knee tau_ff_cmd",
+    }
+    found = guess(tmp_path, columns | {"hip torque": HIP, "knee torque": KNEE}, motors)
+    assert columns_of(found, "ctrl") == {"hip_servo": "hip torque", "knee_servo": "knee torque"}
+    assert any("was measured: no torque was commanded" in line for line in found.lines)
+
+
+def test_words_of_names() -> None:
+    """A word of a joint's name keeps its meaning."""
+    name = read_name("Rotation.pos", None, ["Rotation", "Pitch"])
+    assert (name.quantity, name.rest) == ("position", ("rotation",))
+    name = read_name("position[elbow]", "/arm/joint_commands", ["elbow"])
+    assert (name.quantity, name.kind, name.rest) == ("command", "position", ("elbow",))
+    name = read_name("q_dot_3 [deg/s]", None, ["j3"])
+    assert (name.quantity, name.unit) == ("velocity", "deg/s")
