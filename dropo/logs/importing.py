@@ -629,11 +629,23 @@ def _problem_text(
         "lambda": segment_steps(found.control_step, found.trajectories),
         "start_noise": True,
     }
+    estimated = _estimated(found)
+    if estimated:
+        content["estimated"] = estimated
     held_out = held_out_runs([run for run, rows in found.rows.items() if rows["trajectories"]])
     if held_out:
         content["held_out"] = {"runs": held_out}
     motion = _whole_states(found, robot)
     return format_problem(content, command, robot, _variances(found), motion, found.control_step)
+
+
+def _estimated(found: Import) -> dict[str, float]:
+    """The velocities that were smoothed from positions, with the error of each."""
+    return {
+        name: float(f"{noise.sd:.3g}")
+        for name, noise in found.noise.items()
+        if noise.estimated and noise.sd is not None and "[" not in name
+    }
 
 
 def _variances(found: Import) -> dict[str, float]:

@@ -55,7 +55,10 @@ def with_velocities(problem: Problem) -> Problem:
         start_noise=True,
         epsilon=_all_variances(problem, variance),
         warnings=(*problem.warnings, warning),
-        estimated=dict(zip(names, np.sqrt(variance).tolist(), strict=True)),
+        estimated={
+            **problem.estimated,
+            **dict(zip(names, np.sqrt(variance).tolist(), strict=True)),
+        },
     )
 
 

@@ -81,6 +81,7 @@ def read_problem(
             warnings=_describe_warnings(fitted, simulator),
             priors=priors,
             task=task,
+            estimated=_read_estimated(file, simulator),
         )
     return with_velocities(problem)
 
@@ -185,6 +186,14 @@ def _read_epsilon(
         expected = f"one number, or one for each of the {len(signals)} signals"
         raise file.refusal("epsilon", expected, f"{len(epsilon)} numbers")
     return np.array(epsilon)
+
+
+def _read_estimated(file: FileContent[ProblemFile], simulator: MujocoSimulator) -> dict[str, float]:
+    """The signals that were estimated, with their errors."""
+    names = [signal.name for signal in simulator.signals]
+    for name in file.content.estimated:
+        file.require_known(f"estimated.{name}", name, names, "a signal")
+    return dict(file.content.estimated)
 
 
 def _order_by_signal(

@@ -273,6 +273,10 @@ class ProblemFile(Entry):
         | None
     ) = None
     """What no fit sees: trajectory numbers of `data`, {runs: [names]} of it, or other data."""
+    estimated: Annotated[
+        dict[Key, NonNegative], Expected("a mapping from signals to standard deviations")
+    ] = {}
+    """Signals of the data that were estimated rather than measured, with the estimates' errors."""
     robot: Annotated[Word, Expected("the robot's name")] | None = None
     """The robot's name, for titles; left out, the file's."""
 

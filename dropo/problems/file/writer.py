@@ -87,6 +87,8 @@ def _make_content(
         content["epsilon"] = np.asarray(problem.epsilon, dtype=float).tolist()
     if problem.start_noise:
         content["start_noise"] = True
+    if problem.estimated:
+        content["estimated"] = dict(problem.estimated)
     effects = _make_effects(simulator)
     if effects:
         content["effects"] = effects

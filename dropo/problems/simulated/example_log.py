@@ -1,8 +1,8 @@
 """An example to begin with: the model of an arm with position servos, and logs of a machine.
 
 `python -m dropo.problems.simulated.example_log DIR` writes `arm.xml`, which is what an engineer
-believes, and CSV logs of a simulated machine that is another: rotors, dry friction and a weaker
-servo, simulated at a finer step, its encoders read in ticks and logged in degrees.
+believes, and CSV logs of a simulated machine that is another: it has rotors and dry friction. It is
+simulated at a finer step, its encoders are read in ticks, and logged in degrees.
 """
 
 import sys
@@ -47,11 +47,8 @@ class Machine:
 
     Attributes
     ----------
-    armature, friction, viscous : tuple of float
-        Of shoulder and elbow: rotor inertia [kg m^2], dry friction [N m], more viscous friction
-        [N m s/rad] than the model's.
-    weaker : float
-        Factor on the elbow servo's gain.
+    armature, friction : tuple of float
+        Of shoulder and elbow: rotor inertia [kg m^2], dry friction [N m].
     finer : int
         Physics steps of the machine in one of the model.
     rate : float
@@ -64,8 +61,6 @@ class Machine:
 
     armature: tuple[float, float] = (0.02, 0.008)
     friction: tuple[float, float] = (0.25, 0.1)
-    viscous: tuple[float, float] = (0.0, 0.1)
-    weaker: float = 0.8
     finer: int = 4
     rate: float = 100.0
     rows: int = 1000
@@ -140,10 +135,6 @@ def _angles(commands: Array, machine: Machine) -> Array:
         joint = spec.joint(name)
         joint.armature = machine.armature[i]
         joint.frictionloss = machine.friction[i]
-        joint.damping[0] += machine.viscous[i]
-    servo = spec.actuator("elbow_servo")
-    servo.gainprm[0] *= machine.weaker
-    servo.biasprm[1] *= machine.weaker
     simulator = MujocoSimulator(spec, [], frame_skip=skip, threads=1)
     n = len(commands)
     blank = Trajectories(np.zeros((n, 4)), commands, np.zeros((n, 4)), np.arange(n) == n - 1)
