@@ -49,6 +49,7 @@ from .logs.signals.resampling import resample as resample
 from .logs.signals.resampling import resample_rotations as resample_rotations
 from .logs.signals.states import estimate_states as estimate_states
 from .logs.signals.velocities import estimate_velocities as estimate_velocities
+from .logs.starting import init as init
 from .mjmodel.fields import FieldParameter as FieldParameter
 from .problems.file.writer import write_problem as write_problem
 from .problems.loading import load as load
@@ -119,6 +120,7 @@ __all__ = [
     "hide",
     "identify",
     "import_logs",
+    "init",
     "load",
     "load_policy",
     "predict",
