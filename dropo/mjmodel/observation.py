@@ -267,6 +267,31 @@ class Layout:
             out[..., places] = logarithm(multiply(conjugate, rows[..., columns]))
         return out
 
+    def missing_state(self, model: mujoco.MjModel) -> list[ObservedColumn]:
+        """Find what of qpos, qvel and act no column holds.
+
+        Parameters
+        ----------
+        model : MjModel
+            The compiled model.
+
+        Returns
+        -------
+        list of ObservedColumn
+        """
+        held = set(self.columns)
+        sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na}
+        every = [ObservedColumn(field, i) for field in STATE for i in range(sizes[field])]
+        return [column for column in every if column not in held]
+
+    @property
+    def of_state(self) -> NDArray[np.bool_]:
+        """Which of the p signals are of qpos, qvel or act (p,)."""
+        plain, _ = self._signal_places()
+        out = np.ones(len(self.signals), dtype=bool)
+        out[plain] = [self.columns[i].field in STATE for i in self._plain]
+        return out
+
     def by_column(self, per_signal: Array) -> Array:
         """Give each observation column (P,) its signal's number (p,); 0 for a quaternion's."""
         out = np.zeros(len(self))

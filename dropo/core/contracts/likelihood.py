@@ -8,6 +8,7 @@ also integrates over one draw of the parameters for each group of rows.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,11 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array, check_shape, float_array
+
+if TYPE_CHECKING:
+    from dropo.core.contracts.estimator import Run
+    from dropo.core.contracts.maximize import SearchResult
+    from dropo.core.contracts.problem import Problem
 
 
 class LogLikelihood(ABC):
@@ -164,7 +170,15 @@ class LocalLogLikelihood(LogLikelihood):
     """A log-likelihood that holds near the point where it was built.
 
     Its `unknowns` are bounded by that region.
+
+    Attributes
+    ----------
+    errors_from_model : bool
+        Whether its information is that of all that is unknown, noise with a memory too, so that
+        standard errors below those of the information are chance.
     """
+
+    errors_from_model = False
 
     @abstractmethod
     def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
@@ -257,6 +271,73 @@ class LocalLikelihood(Likelihood):
         centre = (space.low + space.high) / 2
         width = (space.high - space.low) / 6
         return self.linearize_at(simulator, segments, family, epsilon, centre, width, rng)
+
+
+@dataclass(frozen=True, eq=False)
+class RunFit:
+    """What a likelihood of whole runs found.
+
+    Attributes
+    ----------
+    problem : Problem
+        The runs from the start states that were found: its segments are the rows of `objective`.
+    objective : LocalLogLikelihood
+        The log-likelihood around its maximum.
+    found : SearchResult
+        The maximum, and how the search ended.
+    epsilon : (p,) array
+        Noise variance of each signal of the problem that was given [signal unit^2].
+    details : dict
+        For fit.json: the noise of each signal, the runs and their pieces.
+    warnings : tuple of str
+        What speaks against it, a sentence each.
+    """
+
+    problem: "Problem"
+    objective: LocalLogLikelihood
+    found: "SearchResult"
+    epsilon: Array
+    details: dict[str, Any]
+    warnings: tuple[str, ...] = ()
+
+
+class RunLikelihood(Likelihood):
+    """A likelihood of whole runs, whose start states are unknowns that it finds itself.
+
+    It searches parameters and starts together, and so needs no optimizer. A plug-in writes
+    `fit_runs` and `bind`.
+    """
+
+    @abstractmethod
+    def fit_runs(
+        self, problem: "Problem", run: "Run", family: Family, noise: Epsilon, mean: Array
+    ) -> RunFit:
+        """Find its maximum.
+
+        Parameters
+        ----------
+        problem : Problem
+            Rows that follow each other.
+        run : Run
+            Records and counts the simulations.
+        family : Family
+            The distributions over the simulator's parameters.
+        noise : float, (p,) array or Noise
+            Noise variance of each signal; where it is learned, its memory and tails are too.
+        mean : (d,) array
+            Where the search begins, in the parameters' units.
+
+        Returns
+        -------
+        RunFit
+
+        Raises
+        ------
+        Incompatible
+            If the data hold no runs, or the noise is of a kind that it does not know.
+        SimulationFailed
+            If simulations diverge wherever the search begins.
+        """
 
 
 @dataclass(frozen=True, eq=False)

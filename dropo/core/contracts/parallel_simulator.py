@@ -61,6 +61,18 @@ class ParallelSimulator(Simulator):
         """The number s of start coordinates of the simulator itself."""
         return self.simulator.start_size
 
+    @property
+    def state_coordinates(self) -> NDArray[np.bool_]:
+        """Which start coordinates (s,) move the state of the simulator itself."""
+        return self.simulator.state_coordinates
+
+    def observing_state(self) -> tuple[Simulator, Array]:
+        """The simulator itself with starts in all coordinates of its state, on the executor."""
+        whole, columns = self.simulator.observing_state()
+        if whole is self.simulator:
+            return self, columns
+        return ParallelSimulator(whole, self.executor, self.parts), columns
+
     def targets(self, segments: Segments) -> Array:
         """Measured signals (R, p) at every compared row of the segments."""
         return self.simulator.targets(segments)

@@ -122,6 +122,72 @@ class Simulator(ABC):
                 f"{WITHOUT_GRADIENTS}"
             )
 
+    def predict_with_ends(
+        self, values: ArrayLike, segments: Segments, *, offsets: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Predict every compared row, and the state in which each segment ends.
+
+        A state is given as the offset that the measured state at that instant needs: a segment that
+        starts there with these offsets goes on where this one ended. Rotations are vectors in the
+        tangent space of the measured one.
+
+        Parameters
+        ----------
+        values : (K, d) array_like
+            K parameter vectors, in the parameters' units.
+        segments : Segments
+            N segments with R compared rows.
+        offsets : (K, N, s) array_like, optional
+            As of `predict`.
+
+        Returns
+        -------
+        predictions : (K, R, p) array
+            As of `predict`.
+        ends : (K, N, s) array
+            In start coordinates; NaN where the simulation failed. Of a coordinate that is not
+            `state_coordinates`, what is compared there less what was measured.
+
+        Raises
+        ------
+        BadArgument
+            As `predict`.
+        Incompatible
+            If the simulator's start coordinates are not its signals, and it does not say where
+            segments end.
+        """
+        predictions = self.predict(values, segments, offsets=offsets)
+        return predictions, self._ends(predictions, segments)
+
+    def _ends(self, predictions: Array, segments: Segments) -> Array:
+        """Ends (K, N, s) from predictions (K, R, p), where start coordinates are the signals."""
+        if self.start_size != len(self.signals):
+            raise Incompatible(
+                f"{type(self).__name__} has {self.start_size} start coordinates and"
+                f" {len(self.signals)} signals, and does not say in which state segments end."
+            )
+        segment = segments.rows[0]
+        last = np.flatnonzero(np.append(segment[1:] != segment[:-1], True))
+        return predictions[:, last] - self.targets(segments)[last]
+
+    @property
+    def state_coordinates(self) -> NDArray[np.bool_]:
+        """Which of the s start coordinates move the state (s,); all unless overridden."""
+        return np.ones(self.start_size, dtype=bool)
+
+    def observing_state(self) -> tuple["Simulator", Array]:
+        """Make the same simulator with starts in all coordinates of its state.
+
+        Returns
+        -------
+        simulator : Simulator
+            Itself where the data's columns hold the whole state, as it is unless overridden; else
+            one of data with further columns behind theirs.
+        columns : (c,) array
+            What these columns hold where nothing is known of them.
+        """
+        return self, np.zeros(0)
+
     @property
     def start_size(self) -> int:
         """The number s of start coordinates that `offsets` moves; p unless overridden."""

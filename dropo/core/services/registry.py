@@ -70,6 +70,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "linear": "dropo.likelihoods.linear:Linear",
         "unscented": "dropo.likelihoods.unscented:Unscented",
         "random-effects": "dropo.likelihoods.random_effects:RandomEffects",
+        "trajectory": "dropo.likelihoods.trajectory:Trajectory",
         "ghurye-olkin": "dropo.likelihoods.ghurye_olkin:GhuryeOlkin",
     },
     "families": {

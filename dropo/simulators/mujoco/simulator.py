@@ -246,6 +246,29 @@ class MujocoSimulator(RobotSimulator):
         out.signals = out.layout.signals
         return out
 
+    def observing_state(self) -> tuple["MujocoSimulator", Array]:
+        """Make the same simulator for data that hold qpos, qvel and act whole.
+
+        Returns
+        -------
+        simulator : MujocoSimulator
+            Itself where they do; else one whose missing columns follow those of the data.
+        columns : (c,) array
+            What is not observed starts at qpos0, or rests.
+        """
+        missing = self.layout.missing_state(self.model)
+        if not missing:
+            return self, np.zeros(0)
+        items = [f"{column.field}[{column.place}]" for column in missing]
+        whole = self.observing([*self.observation, *items])
+        rest = [self.model.qpos0[c.place] if c.field == "qpos" else 0.0 for c in missing]
+        return whole, np.array(rest)
+
+    @property
+    def state_coordinates(self) -> NDArray[np.bool_]:
+        """Which start coordinates (s,) are of qpos, qvel or act, and not of sensor data."""
+        return self.layout.of_state
+
     def spec(self) -> mujoco.MjSpec:
         """Make an editable specification of the model, without its parameters and effects.
 

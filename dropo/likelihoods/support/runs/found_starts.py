@@ -1,0 +1,59 @@
+"""A simulator whose runs begin in the start states that were found."""
+
+import numpy as np
+
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.trajectories import Segments
+from dropo.core.services.validation import Array
+from dropo.likelihoods.support.runs.linearization import Observed
+
+
+class FoundStarts(Simulator):
+    """Replays pieces of runs from found starts, and gives what was measured alone.
+
+    Parameters
+    ----------
+    observed : Observed
+        The simulator of whole states, and which m of its signals were measured.
+    rows : (P,) array of int
+        The rows at which the pieces begin.
+    starts : (P, s) array
+        Offsets of the starts, at `value`.
+    by_value : (P, s, d) array
+        How they follow the parameters.
+    value : (d,) array
+    """
+
+    def __init__(
+        self, observed: Observed, rows: Array, starts: Array, by_value: Array, value: Array
+    ):
+        inner = observed.simulator
+        self.observed = observed
+        self.of_row = {int(row): p for p, row in enumerate(rows)}
+        self.starts = starts
+        self.by_value = by_value
+        self.value = value
+        self.space = inner.space
+        self.signals = tuple(np.array(inner.signals, dtype=object)[observed.measured])
+        self.nominal = inner.nominal
+        self.steps_per_action = inner.steps_per_action
+        self.control_step = inner.control_step
+
+    @property
+    def start_size(self) -> int:
+        """The number of the simulator's start coordinates."""
+        return self.observed.simulator.start_size
+
+    def targets(self, segments: Segments) -> Array:
+        """(R, m) the measured signals."""
+        return self.observed.simulator.targets(segments)[:, self.observed.measured]
+
+    def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
+        piece = [self.of_row[row] for row in segments.steps[:, 0].tolist()]
+        moved = np.einsum("psd,kd->kps", self.by_value[piece], values - self.value)
+        whole = np.zeros((len(values), len(segments), self.start_size))
+        whole[:, :, self.observed.state] = self.starts[piece] + moved
+        if offsets is not None:
+            whole += offsets
+        predicted = self.observed.simulator.predict(values, segments, offsets=whole)
+        return predicted[:, :, self.observed.measured]

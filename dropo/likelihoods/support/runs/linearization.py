@@ -1,0 +1,228 @@
+"""Windows simulated and linearized in starts and parameters, and condensed to one start a piece."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dropo.core.contracts.simulator import Simulator, describe_failures
+from dropo.core.numerics.finite_differences import axial_design, difference_quotients
+from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.validation import Array
+from dropo.likelihoods.support.runs.windows import Windows
+
+BLOCK = 1 << 24
+"""Predicted numbers that one call of the simulator may give; no result depends on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What of the simulator's signals was measured, and which coordinates a start has.
+
+    Attributes
+    ----------
+    simulator : Simulator
+        It starts in all s coordinates of its state; its signals are its start coordinates.
+    measured : (p,) array of bool
+        The m signals that were measured.
+    state : (p,) array of bool
+        The s start coordinates that move the state.
+    """
+
+    simulator: Simulator
+    measured: NDArray[np.bool_]
+    state: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Half widths of the differences: starts (s,) in their coordinates, values (d,)."""
+
+    starts: Array
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Residuals of all instants as linear functions of one start a piece and of the parameters.
+
+    An instant is a measurement: the first of each run, and that at the end of every transition.
+
+    Attributes
+    ----------
+    piece : (T,) array of int
+        The piece of each instant.
+    row : (T,) array of int
+        The transition that ends at each instant; of a run's first instant, the one that begins.
+    first : (T,) array of bool
+        Whether it is the first measurement of a run.
+    valid : (T, m) array of bool
+        What is compared: at the first measurement of a run the state alone.
+    matrix : (T, m, s + d + 1) array
+        Derivatives of the predictions in start and parameters, and the residuals, in the signals'
+        units; 0 where nothing is compared.
+    of_start : (N, s, s) array
+        d window's start / d start of its piece.
+    of_value : (N, s, d) array
+        d window's start / d parameter.
+    gap : (N, s) array
+        Where the linearized motion before a window reaches its start, less that start.
+    """
+
+    piece: NDArray[np.int64]
+    row: NDArray[np.int64]
+    first: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
+    matrix: Array
+    of_start: Array
+    of_value: Array
+    gap: Array
+
+    @property
+    def states(self) -> int:
+        """The number s of start coordinates."""
+        return self.gap.shape[1]
+
+    @property
+    def residuals(self) -> Array:
+        """(T, m) the residuals with all gaps closed."""
+        return np.asarray(self.matrix[:, :, -1])
+
+
+def linearize_windows(
+    observed: Observed, windows: Windows, value: Array, starts: Array, steps: Steps
+) -> Columns:
+    """Simulate every window from its start, differentiate, and close the gaps between windows.
+
+    Parameters
+    ----------
+    observed : Observed
+    windows : Windows
+        N of them.
+    value : (d,) array
+        Parameters.
+    starts : (N, s) array
+        Offsets of the starts from the measured states.
+    steps : Steps
+
+    Returns
+    -------
+    Columns
+
+    Raises
+    ------
+    SimulationFailed
+        If a simulation diverges.
+    """
+    d = len(value)
+    s = len(steps.starts)
+    places = np.flatnonzero(observed.state)
+    space = observed.simulator.space
+    design = space.feasible(value + axial_design(steps.values, -steps.values))
+    moves = np.zeros((2 * s, len(observed.state)))
+    moves[:, places] = axial_design(steps.starts, -steps.starts)[1:]
+    values = np.concatenate([design, np.repeat(value[None], 2 * s, axis=0)])
+    moves = np.concatenate([np.zeros((len(design), len(observed.state))), moves])
+    predicted, ends = _predict(observed, windows, values, starts, moves)
+
+    # Differences of predictions (R, m, .) and of ends (N, s, .).
+    widths = np.diagonal(design[1 : 1 + d] - design[1 + d :])
+    order = np.append(0, np.arange(2 * d + 1, 2 * (s + d) + 1))
+    by_start = difference_quotients(predicted[order], 2 * steps.starts)
+    by_value = difference_quotients(predicted[: 2 * d + 1], widths)
+    end_by_start = difference_quotients(ends[order], 2 * steps.starts)
+    end_by_value = difference_quotients(ends[: 2 * d + 1], widths)
+
+    # Each window's start as a function of its piece's start and the parameters.
+    count = len(starts)
+    of_start = np.tile(np.eye(s), (count, 1, 1))
+    of_value = np.zeros((count, s, d))
+    gap = np.zeros((count, s))
+    for depth in range(1, int(windows.depth.max()) + 1):
+        now = np.flatnonzero(windows.depth == depth)
+        before = now - 1
+        of_start[now] = end_by_start[before] @ of_start[before]
+        of_value[now] = end_by_start[before] @ of_value[before] + end_by_value[before]
+        carried = (end_by_start[before] @ gap[before][:, :, None])[:, :, 0]
+        gap[now] = carried + ends[0][before] - starts[now]
+
+    window = windows.segments.rows[0]
+    targets = observed.simulator.targets(windows.segments)[:, observed.measured]
+    shift = (by_start @ gap[window][:, :, None])[:, :, 0]
+    matrix = np.concatenate(
+        [
+            by_start @ of_start[window],
+            by_value + by_start @ of_value[window],
+            (targets - predicted[0] - shift)[:, :, None],
+        ],
+        axis=2,
+    )
+    return _with_first_instants(observed, windows, starts, matrix, of_start, of_value, gap)
+
+
+def _predict(
+    observed: Observed, windows: Windows, values: Array, starts: Array, moves: Array
+) -> tuple[Array, Array]:
+    """Predictions (K, R, m) and ends (K, N, s), from moved starts, in calls that fit in memory."""
+    segments = windows.segments
+    base = np.zeros((len(starts), len(observed.state)))
+    base[:, observed.state] = starts
+    rows = len(segments.rows[0])
+    each = max(1, BLOCK // (rows * len(observed.measured)))
+    predicted = []
+    ends = []
+    for first in range(0, len(values), each):
+        part = slice(first, first + each)
+        found, end = observed.simulator.predict_with_ends(
+            values[part], segments, offsets=base + moves[part, None]
+        )
+        if not np.isfinite(found).all():
+            space = observed.simulator.space
+            raise SimulationFailed(describe_failures(found, values[part], space))
+        predicted.append(found[:, :, observed.measured])
+        ends.append(end[:, :, observed.state])
+    return np.concatenate(predicted), np.concatenate(ends)
+
+
+def _with_first_instants(
+    observed: Observed,
+    windows: Windows,
+    starts: Array,
+    matrix: Array,
+    of_start: Array,
+    of_value: Array,
+    gap: Array,
+) -> Columns:
+    """The columns with each run's first measurement before the others of its piece."""
+    segment, step = windows.segments.rows
+    row = windows.segments.steps[segment, step]
+    piece = windows.piece[segment]
+    s = starts.shape[1]
+
+    # A start is measured directly: residual = measured - (measured + offset).
+    opening = np.flatnonzero(windows.opens_run)
+    window = np.flatnonzero(windows.depth == 0)[opening]
+    coordinate = np.cumsum(observed.state) - 1
+    measured = np.flatnonzero(observed.measured)
+    direct = observed.state[measured]
+    own = coordinate[measured[direct]]
+    at_start = np.zeros((len(opening), *matrix.shape[1:]))
+    at_start[:, np.flatnonzero(direct), own] = 1.0
+    at_start[:, np.flatnonzero(direct), -1] = -starts[window][:, own]
+    valid = np.ones((len(matrix), len(measured)), dtype=bool)
+    first_row = windows.segments.steps[window, 0]
+
+    every_row = np.concatenate([first_row, row])
+    is_first = np.concatenate([np.ones(len(opening), bool), np.zeros(len(row), bool)])
+    order = np.lexsort((~is_first, every_row))
+    assert matrix.shape[2] == s + of_value.shape[2] + 1
+    return Columns(
+        piece=np.concatenate([opening, piece])[order],
+        row=every_row[order],
+        first=is_first[order],
+        valid=np.concatenate([np.tile(direct, (len(opening), 1)), valid])[order],
+        matrix=np.concatenate([at_start, matrix])[order],
+        of_start=of_start,
+        of_value=of_value,
+        gap=gap,
+    )

@@ -1,0 +1,570 @@
+"""The likelihood of whole runs, with the states in which they start as unknowns.
+
+What is measured is no start: noise on it, or a velocity that no sensor gives, would be taken for
+motion. Every measurement is used once, for what the model predicts at that instant.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.family import Family
+from dropo.core.contracts.fisher_scoring import maximize_locally
+from dropo.core.contracts.likelihood import LogLikelihood, RunFit, RunLikelihood
+from dropo.core.contracts.maximize import SearchResult
+from dropo.core.contracts.noise import Epsilon, NoiseModel
+from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.fit import Status
+from dropo.core.records.trajectories import Segments, Trajectories
+from dropo.core.services.errors import Incompatible, SimulationFailed
+from dropo.core.services.validation import Array, known, require
+from dropo.likelihoods.support.runs.condensed import Condensed, condense, log_densities
+from dropo.likelihoods.support.runs.found_starts import FoundStarts
+from dropo.likelihoods.support.runs.linearization import (
+    Columns,
+    Observed,
+    Steps,
+    linearize_windows,
+)
+from dropo.likelihoods.support.runs.noise_levels import (
+    NoiseLaw,
+    NoiseSettings,
+    RestrictedEstimates,
+    white,
+)
+from dropo.likelihoods.support.runs.rows import RunRows
+from dropo.likelihoods.support.runs.windows import Windows, following_rows, windows_of
+
+SETTLED = "Parameters and start states stopped moving after {} rounds."
+UNSETTLED = "Parameters or start states still moved after {} rounds."
+STALLED = "No shorter step came closer to the measurements after {} rounds."
+INTERRUPTED = "Interrupted: this is the best so far."
+
+
+@dataclass(frozen=True)
+class TrajectorySettings:
+    """What decides how runs are cut and searched.
+
+    Attributes
+    ----------
+    window : int
+        Control steps in a window where the problem compares single steps.
+    growth : float
+        A run is cut where an error of the start has grown by this factor: behind it the start is
+        known so well that a link adds little, and the linearization no longer holds.
+    start_step : float
+        Half width of the differences in starts, as a fraction of each coordinate's spread.
+    value_step, least_value_step : float
+        The same of the parameters, as a fraction of their intervals: at first, and at least; in
+        between, a standard error.
+    prior_spread : float
+        A start is within this many spreads of its coordinate from its first guess.
+    longest : float
+        Longest step of a parameter, as a fraction of its interval.
+    rounds : int
+        Linearizations at most.
+    halvings : int
+        How often a step is halved that leads away from the measurements.
+    close : float
+        Noise is looked into from where no parameter moves by more standard errors than this.
+    settled : float
+        The end: no parameter moves by more standard errors than this.
+    worse : float
+        A step is halved that costs more than this [nats].
+    spread_gain : float
+        A spread between groups is kept where it raises the log-likelihood by more than this [nats].
+    stuck : float
+        Mean square of a window's whitened residuals from which it does not follow the motion.
+    """
+
+    window: int = 20
+    growth: float = 1e3
+    start_step: float = 1e-4
+    value_step: float = 1e-3
+    least_value_step: float = 1e-5
+    prior_spread: float = 10.0
+    longest: float = 0.25
+    rounds: int = 30
+    halvings: int = 5
+    close: float = 1.0
+    settled: float = 0.02
+    worse: float = 1.0
+    spread_gain: float = 2.0
+    stuck: float = 2.0
+
+
+@dataclass(frozen=True)
+class Trajectory(RunLikelihood):
+    """The likelihood of whole runs, their start states integrated out.
+
+    Attributes
+    ----------
+    unmeasured : tuple of str
+        Signals of which the data hold a guess, beside those that the problem calls estimated.
+    settings : TrajectorySettings
+    noise : NoiseSettings
+
+    Notes
+    -----
+    y_k = h(F^k(x, u; theta)) + n, with one start x a run, wide prior. Runs are simulated in windows
+    with starts of their own, linked as in multiple shooting [1]_: each ends where the next begins.
+    Linearized, the links eliminate all starts but the first, and a Schur complement this one. n is
+    white, or of first order (memory), or a Student t, as the restricted likelihood says [2]_.
+
+    References
+    ----------
+    .. [1] Bock, "Numerical treatment of inverse problems in chemical reaction kinetics", Springer
+       Series in Chemical Physics 18 (1981), 102.
+    .. [2] Patterson, Thompson, "Recovery of inter-block information when block sizes are unequal",
+       Biometrika 58 (1971), 545.
+    """
+
+    unmeasured: tuple[str, ...] = ()
+    settings: TrajectorySettings = field(default_factory=TrajectorySettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+
+    def fit_runs(
+        self, problem: Problem, run: Run, family: Family, noise: Epsilon, mean: Array
+    ) -> RunFit:
+        """Find parameters, starts and noise levels together.
+
+        Raises
+        ------
+        Incompatible
+            If the data hold no runs, or rows have a covariance of their own.
+        SimulationFailed
+            If simulations diverge at the first parameters.
+        """
+        _require_runs(problem)
+        length = problem.horizon if problem.horizon > 1 else self.settings.window
+        unmeasured = (*problem.estimated, *self.unmeasured)
+        search = _Search(self, problem.simulator, problem.trajectories, length, unmeasured)
+        search.take_noise(noise)
+        found = search.run(run, mean)
+        return search.fit(problem, family, found)
+
+    def bind(
+        self,
+        simulator: Simulator,
+        segments: Segments,
+        family: Family,
+        epsilon: Epsilon,
+        rng: np.random.Generator,
+    ) -> LogLikelihood:
+        """Make the log-likelihood around the middle of the search box, for known noise.
+
+        Raises
+        ------
+        Incompatible
+            If the noise is to be learned, or segments are no whole transitions in their order.
+        """
+        rows = segments.steps[segments.steps >= 0]
+        whole = np.array_equal(rows, np.arange(len(segments.trajectories)))
+        if not whole or len(segments.rows[0]) != len(rows):
+            raise Incompatible(
+                "The likelihood 'trajectory' compares every row of whole runs: give segments of one"
+                " step, or with every step compared."
+            )
+        if NoiseModel(epsilon, len(simulator.signals)).unknowns:
+            raise Incompatible(
+                "The likelihood 'trajectory' learns noise with the start states, in a search of its"
+                " own (method 'dropo'). Give epsilon."
+            )
+        search = _Search(self, simulator, segments.trajectories, self.settings.window, ())
+        search.take_noise(epsilon)
+        space = simulator.space
+        state = search.first((space.low + space.high) / 2)
+        for _ in range(self.settings.halvings):
+            state = search.advanced(state, np.zeros(len(space)))
+        return search.objective(state, family)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where the search is: parameters (d,), window starts (N, s), windows, noise law."""
+
+    value: Array
+    starts: Array
+    windows: Windows
+    law: NoiseLaw
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """A state linearized: its columns, and its pieces without their starts."""
+
+    state: _State
+    columns: Columns
+    condensed: Condensed
+
+    @property
+    def information(self) -> Array:
+        """(d, d) of all pieces."""
+        return np.asarray(self.condensed.information.sum(axis=0))
+
+
+class _Search:
+    """The joint search of one problem's parameters, starts and noise."""
+
+    def __init__(
+        self,
+        likelihood: Trajectory,
+        simulator: Simulator,
+        data: Trajectories,
+        length: int,
+        unmeasured: tuple[str, ...],
+    ):
+        self.settings = likelihood.settings
+        self.noise_settings = likelihood.noise
+        self.simulator = simulator
+        whole, columns = simulator.observing_state()
+        names = [signal.name for signal in simulator.signals]
+        guessed = {known("signal", name, names) for name in unmeasured}
+        measured = np.zeros(len(whole.signals), dtype=bool)
+        measured[: len(names)] = [name not in guessed for name in names]
+        require(bool(measured.any()), "unmeasured", "not all signals", unmeasured, "Trajectory")
+        self.observed = Observed(whole, measured, whole.state_coordinates)
+        data = _with_columns(data, columns)
+        self.first_windows = windows_of(following_rows(data), length)
+
+        spread = whole._start_spread(self.first_windows.segments)[whole.state_coordinates]
+        self.start_step = self.settings.start_step * spread
+        self.start_prior = (self.settings.prior_spread * spread) ** -2.0
+        self.width = simulator.space.high - simulator.space.low
+        self.value_step = self.settings.value_step * self.width
+        self.law: NoiseLaw | None = None
+        self.given = False
+        self.degrees: float | None = None
+
+    # --- what is given
+
+    def take_noise(self, noise: Epsilon) -> None:
+        """Takes variances that are known, and the tails that are asked for."""
+        model = NoiseModel(noise, len(self.simulator.signals))
+        if model.noise.rows is not None:
+            raise Incompatible(
+                "The likelihood 'trajectory' takes no filtered starts: it estimates its own. Use"
+                " starts='measured'."
+            )
+        own = self.observed.measured[: len(self.simulator.signals)]
+        self.given = model.noise.learned is None
+        if self.given:
+            model = model.positive("Trajectory")
+        self.degrees = model.noise.degrees
+        self.law = white(np.sqrt(np.maximum(model.shape[own], 1e-300)), self.degrees)
+
+    def first(self, value: Array) -> _State:
+        """The state in which the search begins: measured starts."""
+        assert self.law is not None
+        count = len(self.first_windows.segments)
+        starts = np.zeros((count, int(self.observed.state.sum())))
+        return _State(value, starts, self.first_windows, self.law)
+
+    # --- one round
+
+    def look(self, state: _State) -> _Look:
+        """Linearize a state; count its simulations with those of the problem's simulator."""
+        whole = self.observed.simulator
+        before = whole.steps, whole.failures
+        steps = Steps(self.start_step, self.value_step)
+        try:
+            columns = linearize_windows(
+                self.observed, state.windows, state.value, state.starts, steps
+            )
+        finally:
+            if whole is not self.simulator:
+                self.simulator.steps += whole.steps - before[0]
+                self.simulator.failures += whole.failures - before[1]
+        return _Look(state, columns, self._condense(columns, state))
+
+    def _condense(self, columns: Columns, state: _State) -> Condensed:
+        """The pieces without their starts."""
+        opening = np.flatnonzero(state.windows.depth == 0)
+        return condense(columns, state.law, self.start_prior, state.starts[opening])
+
+    def with_noise(self, look: _Look, *, choose: bool) -> _Look:
+        """The same with noise levels as the residuals have them."""
+        if self.given:
+            return look
+        prior = np.concatenate([self.start_prior, self.width**-2.0])
+        estimates = RestrictedEstimates(look.columns, prior, self.noise_settings)
+        law = look.state.law
+        if choose:
+            law = estimates.choose(white(law.sd)) if self.degrees is None else law
+        law = estimates.levels(law)
+        state = replace(look.state, law=law)
+        return replace(look, state=state, condensed=self._condense(look.columns, state))
+
+    def step_of(self, look: _Look) -> Array:
+        """(d,) the Gauss-Newton step of the parameters, within their box."""
+        information = look.information
+        size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+        scaled = information / np.outer(size, size) + 1e-12 * np.eye(len(size))
+        root = np.linalg.cholesky(scaled).T
+        right = np.linalg.solve(root.T, look.condensed.scores.sum(axis=0) / size)
+        space = self.simulator.space
+        longest = self.settings.longest * self.width
+        low = np.maximum(space.low - look.state.value, -longest) * size
+        high = np.minimum(space.high - look.state.value, longest) * size
+        high = np.maximum(high, low + 1e-12 * np.maximum(np.abs(low), 1e-30))
+        return np.asarray(lsq_linear(root, right, (low, high)).x / size)
+
+    def moved(self, look: _Look, step: Array, share: float = 1.0) -> _State:
+        """The state behind a share of a step (d,), with the starts that go with it."""
+        windows = look.state.windows
+        condensed = look.condensed
+        by_piece = condensed.start_step + condensed.start_by_value @ step
+        columns = look.columns
+        own = by_piece[windows.piece]
+        starts = (columns.of_start @ own[:, :, None])[:, :, 0]
+        starts += columns.of_value @ step + columns.gap
+        value = np.clip(
+            look.state.value + share * step, self.simulator.space.low, self.simulator.space.high
+        )
+        return replace(look.state, value=value, starts=look.state.starts + share * starts)
+
+    def advanced(self, state: _State, step: Array) -> _State:
+        """The state behind one round in which the parameters make a given step."""
+        return self.moved(self.look(state), step)
+
+    def errors(self, look: _Look) -> Array:
+        """(d,) standard errors by the information, at most the width of the box."""
+        information = look.information + np.diag(self.width**-2.0)
+        return np.sqrt(np.diagonal(np.linalg.inv(information)))
+
+    def cut(self, look: _Look) -> _Look | None:
+        """The state with runs cut where errors of their start have grown, to be looked at anew."""
+        scale = 1 / np.sqrt(self.start_prior)
+        growth = np.abs(look.columns.of_start) * scale / scale[:, None]
+        largest = growth.max(axis=(1, 2))
+        windows = look.state.windows
+        first = []
+        for piece in np.unique(windows.piece[largest > self.settings.growth]):
+            own = np.flatnonzero((windows.piece == piece) & (largest > self.settings.growth))
+            first.append(own[0])
+        if not first:
+            return None
+        state = replace(look.state, windows=windows.cut_before(np.array(first)))
+        return self.look(state)
+
+    # --- the search
+
+    def run(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
+        """Rounds until nothing moves."""
+        best: _Look | None = None
+        try:
+            return self._rounds(run, mean)
+        except KeyboardInterrupt:
+            best = self._best
+            if best is None:
+                raise
+        return best, self._result(best, Status.INTERRUPTED, INTERRUPTED, 0)
+
+    def _rounds(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
+        """The search, whose best look is kept for an interruption."""
+        settings = self.settings
+        self._best: _Look | None = None
+        step = np.zeros(len(mean))
+        share = 1.0
+        chosen = 0
+        state = self.first(mean)
+        failure: SimulationFailed | None = None
+        for count in range(1, settings.rounds + 1):
+            try:
+                look = self._counted(run, state)
+                failure = None
+            except SimulationFailed as error:
+                failure = error
+                look = None
+            best = self._best
+            if best is None and failure is not None:
+                raise failure
+            if best is not None and (look is None or self._is_worse(look, best, chosen > 0)):
+                # Further from the measurements than before: half of the step.
+                share /= 2
+                if share < 0.5**settings.halvings:
+                    return best, self._result(best, Status.CONVERGED, STALLED, count)
+                state = self.moved(best, step, share)
+                state = replace(state, law=best.state.law)
+                continue
+            assert look is not None
+            look = self.cut(look) or look
+            errors = self.errors(look)
+            near = best is not None and bool(
+                np.all(np.abs(step) < settings.close * self.errors(best))
+            )
+            look = self.with_noise(look, choose=near and chosen < 2)
+            chosen += near
+            step = self.step_of(look)
+            share = 1.0
+            self._best = look
+            errors = self.errors(look)
+            run.progress(min(0.95, count / 8), f"round {count}, whole runs")
+            done = bool(np.all(np.abs(step) < settings.settled * errors))
+            if done and (chosen >= 2 or (self.given and count > 2)):
+                return look, self._result(look, Status.CONVERGED, SETTLED, count)
+            least = settings.least_value_step * self.width
+            self.value_step = np.clip(errors, least, settings.value_step * self.width)
+            state = self.moved(look, step)
+        assert self._best is not None
+        return self._best, self._result(
+            self._best, Status.OUT_OF_BUDGET, UNSETTLED, settings.rounds
+        )
+
+    def _is_worse(self, look: _Look, best: _Look, law_is_known: bool) -> bool:
+        """Whether a look is further from the measurements than the best, under the same noise."""
+        if self.given or law_is_known:
+            law = best.state.law
+            lost = log_densities(best.columns, law).sum() - log_densities(look.columns, law).sum()
+        else:
+            counts = best.columns.valid.sum(axis=0)
+            ratio = _mean_squares(look.columns) / _mean_squares(best.columns)
+            lost = 0.5 * np.sum(counts * np.log(ratio))
+        return bool(lost > self.settings.worse)
+
+    def _counted(self, run: Run, state: _State) -> _Look:
+        """A look whose simulations count as an evaluation."""
+        with run.counting(evaluations=1):
+            return self.look(state)
+
+    def _result(self, look: _Look, status: Status, reason: str, count: int) -> SearchResult:
+        """How the search ended; the point is filled in with the family."""
+        value = float(look.condensed.values.sum())
+        return SearchResult(look.state.value, value, count, reason.format(count), status)
+
+    # --- the fit
+
+    def objective(self, state: _State, family: Family, look: _Look | None = None) -> RunRows:
+        """The log-likelihood around a state."""
+        look = look or self.look(state)
+        group = _groups(state.windows)
+        own = RunRows(
+            family, look.condensed, look.columns, group, state.value, look.state.law.variance
+        )
+        targets = self.observed.simulator.targets(state.windows.segments)
+        own.predicted = own.predicted + targets[:, self.observed.measured]
+        return own
+
+    def fit(self, problem: Problem, family: Family, end: tuple[_Look, SearchResult]) -> RunFit:
+        """The maximum in the family, and the problem as it was compared."""
+        look, found = end
+        objective = self.objective(look.state, family, look)
+        phi = self._member(objective, family, look)
+        value = objective(phi)
+        found = replace(found, point=phi, value=value)
+        windows = look.state.windows
+        opening = np.flatnonzero(windows.depth == 0)
+        rows = windows.segments.steps[opening, 0]
+        simulator = FoundStarts(
+            self.observed,
+            rows,
+            look.state.starts[opening],
+            look.condensed.start_by_value,
+            look.state.value,
+        )
+        compared = replace(
+            problem,
+            simulator=simulator,
+            trajectories=windows.pieces,
+            everything=None,
+            horizon=1,
+            reset="start",
+            set_columns=None,
+            every_step=False,
+            epsilon=None,
+            start_noise=False,
+            held_out=None,
+            estimated={},
+            settings={},
+        )
+        variance = np.zeros(len(self.observed.measured))
+        variance[self.observed.measured] = look.state.law.variance
+        names = [signal.name for signal in problem.simulator.signals]
+        for name, sd in problem.estimated.items():
+            variance[names.index(name)] = sd**2
+        epsilon = variance[: len(names)]
+        return RunFit(compared, objective, found, epsilon, self._details(look))
+
+    def _member(self, objective: RunRows, family: Family, look: _Look) -> Array:
+        """Phi of the maximum: without spread, unless one gains enough."""
+        unknowns = objective.unknowns
+        scales = [i for i, name in enumerate(unknowns.names) if name.startswith("scale.")]
+        plain = family.phi(look.state.value, np.zeros(len(look.state.value)))
+        plain = np.clip(plain, unknowns.low, unknowns.high)
+        if not scales or len(objective.scores) < 2:
+            return plain
+        start = plain.copy()
+        relative = look.state.value if family.logarithmic else np.ones(len(look.state.value))
+        start[scales] = np.clip(
+            3 * self.errors(look) / relative, unknowns.low[scales], unknowns.high[scales]
+        )
+        found = maximize_locally(objective, start)
+        gain = found.value - objective(plain)
+        return found.phi if gain > self.settings.spread_gain * len(scales) else plain
+
+    def _details(self, look: _Look) -> dict[str, Any]:
+        """What fit.json says of runs, starts and noise."""
+        law = look.state.law
+        windows = look.state.windows
+        signals = np.array(self.observed.simulator.signals, dtype=object)[self.observed.measured]
+        noise = {}
+        for j, signal in enumerate(signals):
+            degrees = float(law.degrees[j])
+            noise[signal.name] = {
+                "sd": float(law.sd[j]),
+                "correlation": float(law.memory[j]),
+                "degrees": degrees if np.isfinite(degrees) else None,
+                "unit": signal.unit,
+            }
+        return {
+            "trajectory": {
+                "runs": len(windows.runs.spans),
+                "pieces": len(windows.pieces.spans),
+                "window": windows.length,
+                "noise": noise,
+            }
+        }
+
+
+def _require_runs(problem: Problem) -> None:
+    """Raise Incompatible where rows do not follow each other, or segments start otherwise."""
+    if problem.reset == "partial":
+        raise Incompatible(
+            "The likelihood 'trajectory' finds the start states of whole runs, and the problem's"
+            " resets are partial. Use 'emulated', or leave `reset` out."
+        )
+    runs = following_rows(problem.trajectories)
+    if len(runs.spans) == len(runs):
+        raise Incompatible(
+            "The likelihood 'trajectory' needs rows that follow each other: each must begin with"
+            " what the one before it ended with. Use 'emulated'."
+        )
+
+
+def _with_columns(data: Trajectories, columns: Array) -> Trajectories:
+    """The data with further constant columns (c,)."""
+    if not len(columns):
+        return data
+    further = np.broadcast_to(columns, (len(data), len(columns)))
+    return replace(
+        data,
+        observations=np.concatenate([data.observations, further], axis=1),
+        next_observations=np.concatenate([data.next_observations, further], axis=1),
+    )
+
+
+def _groups(windows: Windows) -> Array:
+    """(P,) the group of each piece, numbered as they come."""
+    first = np.array([start for start, _ in windows.pieces.spans])
+    assert windows.pieces.group is not None
+    return np.unique(windows.pieces.group[first], return_inverse=True)[1]
+
+
+def _mean_squares(columns: Columns) -> Array:
+    """(m,) mean squared residuals."""
+    found = np.sum(columns.residuals**2, axis=0) / np.maximum(columns.valid.sum(axis=0), 1)
+    return np.maximum(found, 1e-300)
