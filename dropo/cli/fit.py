@@ -135,6 +135,9 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     problem, spans = _without_disturbances(arguments, _problem(arguments))
     options = {name: getattr(arguments, name) for name in SETTINGS}
     given = {name: value for name, value in options.items() if value is not None}
+    if arguments.length is not None and arguments.method == "dropo":
+        # Who says how long a segment is wants segments, from measured states.
+        given.setdefault("likelihood", problem.settings.get("likelihood", "emulated"))
     estimator = estimator_for(problem, arguments.method, given)
     record = run_record("fit", arguments.method, estimator, problem, arguments.seed)
     if arguments.length == AUTO:

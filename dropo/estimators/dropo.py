@@ -8,11 +8,13 @@ import numpy as np
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import (
+    AUTOMATIC,
     GroupedLogLikelihood,
     Likelihood,
     LocalLikelihood,
     LocalLogLikelihood,
     LogLikelihood,
+    RunLikelihood,
 )
 from dropo.core.contracts.maximize import SearchResult, maximize
 from dropo.core.contracts.noise import Noise
@@ -35,7 +37,16 @@ from dropo.estimators.support.final_step import corrected_by_simulation
 from dropo.estimators.support.sobol_start import best_sobol_point
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
+from dropo.estimators.support.whole_runs import (
+    NOISY,
+    NOT_MEASURED,
+    bound_to_segments,
+    lacks_states,
+    may_follow_runs,
+    starts_are_noisy,
+)
 from dropo.evaluation.emulator_check import check_emulator, parameters_without_spread
+from dropo.evaluation.held_out import held_out_errors
 
 SWEEP = tuple(10.0**k for k in range(-8, -1))
 """Noise variances of figure 6.4: 1e-8, 1e-7, ..., 1e-2 [signal unit^2]."""
@@ -51,7 +62,10 @@ class DROPO(Estimator):
     Attributes
     ----------
     likelihood : str or Likelihood
-        A name, or one with settings of its own.
+        A name, or one with settings of its own. "auto": "trajectory", which finds the start states
+        of whole runs, where part of the state was not measured, or where rows follow each other and
+        residuals say that they begin with noisy measurements; else "emulated". Only for segments of
+        one step without an optimizer of one's own.
     family : str
         The family of distributions.
     optimizer : str or None
@@ -87,7 +101,7 @@ class DROPO(Estimator):
     world", thesis, Politecnico di Torino, 2021.
     """
 
-    likelihood: str | Likelihood = "emulated"
+    likelihood: str | Likelihood = AUTOMATIC
     family: str = "truncated_gaussian"
     optimizer: str | None = None
     epsilon: float | tuple[float, ...] | Literal["learn", "tune"] | None = None
@@ -116,16 +130,23 @@ class DROPO(Estimator):
 
     # --- what is fitted: the likelihood, the noise, the first mean
 
+    @property
+    def _likelihood_name(self) -> str:
+        """The name of the likelihood of segments."""
+        if not isinstance(self.likelihood, str):
+            return type(self.likelihood).__name__
+        return "emulated" if self.likelihood == AUTOMATIC else self.likelihood
+
     def _make_likelihood(self) -> Likelihood:
         """The likelihood that the settings name."""
         if not isinstance(self.likelihood, str):
             return self.likelihood
-        kind = find("likelihoods", self.likelihood)
+        kind = find("likelihoods", self._likelihood_name)
         if self.draws is None:
             return kind()
         if "draws" not in getattr(kind, "__dataclass_fields__", {}):
             raise Incompatible(
-                f"The likelihood {self.likelihood!r} draws nothing. Leave draws out, or use"
+                f"The likelihood {self._likelihood_name!r} draws nothing. Leave draws out, or use"
                 " 'monte-carlo'."
             )
         return kind(draws=self.draws)
@@ -170,7 +191,7 @@ class DROPO(Estimator):
         given = problem.epsilon if self.epsilon is None else self.epsilon
         if given is not None and not isinstance(given, str):
             noise = self._make_noise(problem, given)
-        elif isinstance(self._make_likelihood(), LocalLikelihood):
+        elif isinstance(self._make_likelihood(), LocalLikelihood | RunLikelihood):
             noise = self._make_noise(problem, noise_scale(problem, run), "each")
         else:
             noise = self._make_noise(problem, noise_shape(problem, run), "factor")
@@ -184,13 +205,20 @@ class DROPO(Estimator):
         family = find("families", self.family)(problem.space)
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)
+        if isinstance(likelihood, RunLikelihood):
+            return self._fit_runs(problem, run, family, likelihood, noise, mean, "")
+        if self._may_follow_runs(problem) and lacks_states(problem):
+            along_runs = self._tried_runs(problem, run, family, noise, mean, NOT_MEASURED)
+            if isinstance(along_runs, Fit):
+                return along_runs
+            problem = along_runs
         if isinstance(likelihood, LocalLikelihood):
             return self._fit_locally(problem, run, family, likelihood, noise, mean, likelihood_rng)
 
         # A sampled likelihood is searched as it is, over the whole box.
         if self.starts == "filtered":
             raise Incompatible(
-                f"{self.likelihood!r} takes no filtered starts. Use 'emulated', 'linear' or"
+                f"{self._likelihood_name!r} takes no filtered starts. Use 'emulated', 'linear' or"
                 " 'unscented'."
             )
         objective = likelihood.bind(
@@ -233,6 +261,15 @@ class DROPO(Estimator):
             objective, found = search(problem, noise, mean)
         except SimulationFailed:
             objective, found = search(problem, noise, best_sobol_point(problem, run))
+
+        # Where its residuals say that starts are noisy, go on with starts that are found.
+        if self._may_follow_runs(problem) and found.status is not Status.INTERRUPTED:
+            if starts_are_noisy(problem, objective.mean(found.point)):
+                found_mean = family.mean(found.point[: len(family.unknowns)])
+                along_runs = self._tried_runs(problem, run, family, noise, found_mean, NOISY)
+                if isinstance(along_runs, Fit):
+                    return along_runs
+                problem = along_runs
 
         # Filter the start states at the estimate, and fit from there.
         start_filter: StartFilter | None = None
@@ -278,6 +315,78 @@ class DROPO(Estimator):
             constant_parameters=constant,
         )
 
+    # --- the fit of whole runs
+
+    def _may_follow_runs(self, problem: Problem) -> bool:
+        """Whether a likelihood of whole runs may be chosen."""
+        automatic = self.likelihood == AUTOMATIC and self.optimizer is None
+        as_they_come = self.starts == "measured" and self.epsilon != "tune"
+        return automatic and as_they_come and may_follow_runs(problem)
+
+    def _tried_runs(
+        self,
+        problem: Problem,
+        run: Run,
+        family: Family,
+        noise: Noise,
+        mean: Array,
+        reason: str,
+    ) -> Fit | Problem:
+        """The fit of whole runs, or the problem with a warning where simulations diverge."""
+        likelihood = find("likelihoods", "trajectory")()
+        run.progress(0.0, reason)
+        try:
+            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason)
+        except SimulationFailed as error:
+            warning = f"start states could not be found along whole runs: {error}"
+            return replace(problem, warnings=(*problem.warnings, warning))
+
+    def _fit_runs(
+        self,
+        problem: Problem,
+        run: Run,
+        family: Family,
+        likelihood: RunLikelihood,
+        noise: Noise,
+        mean: Array,
+        reason: str,
+    ) -> Fit:
+        """The fit by a likelihood that finds the start states of whole runs, from a first mean."""
+        if self.optimizer is not None or self.starts == "filtered":
+            raise Incompatible(
+                "A likelihood of whole runs finds parameters and starts by a search of its own."
+                " Leave 'optimizer' and 'starts' out, or use 'emulated'."
+            )
+        bound = bound_to_segments(problem)
+        if bound:
+            raise Incompatible(
+                f"{bound[0]} acts by the time since a segment's start or on the sensors, which"
+                " whole runs cannot have. Use 'emulated'."
+            )
+        try:
+            found = likelihood.fit_runs(problem, run, family, noise, mean)
+        except SimulationFailed:
+            start = best_sobol_point(problem, run)
+            found = likelihood.fit_runs(problem, run, family, noise, start)
+        search = replace(found.found, reason=f"{found.found.reason} {reason}".strip())
+        name = "trajectory" if reason else self._likelihood_name
+        fit = self._summarise(
+            found.problem,
+            run,
+            family,
+            found.objective,
+            search,
+            warnings=found.warnings,
+            details=found.details,
+            likelihood=name,
+            optimizer="gauss-newton",
+        )
+        return replace(
+            fit,
+            epsilon=found.epsilon,
+            held_out=held_out_errors(problem, run, fit.mean),
+        )
+
     def _local_optimizer(self, rng: np.random.Generator) -> MakeOptimizer:
         """What makes the optimizer inside each outer iteration."""
         kind = find("optimizers", self.optimizer or "")
@@ -302,7 +411,10 @@ class DROPO(Estimator):
         """The fit at a maximum; further: what else `summarize` takes."""
         is_local = isinstance(objective, LocalLogLikelihood)
         default_optimizer = "fisher-scoring" if is_local else "cma-es"
-        own_likelihood = type(self.likelihood).__name__
+        parts = {
+            "likelihood": self._likelihood_name,
+            "optimizer": self.optimizer or default_optimizer,
+        }
         with run.counting():
             mean_prediction = objective.mean(found.point)
         fit = summarize(
@@ -318,13 +430,11 @@ class DROPO(Estimator):
             status=found.status,
             message=found.reason,
             objective=objective,
-            likelihood=self.likelihood if isinstance(self.likelihood, str) else own_likelihood,
-            optimizer=self.optimizer or default_optimizer,
-            **further,
+            **(parts | further),
         )
 
         # Whether the groups of recordings have the shape of the family.
-        follows_the_spread = self.likelihood in ("emulated", "random-effects")
+        follows_the_spread = fit.likelihood in ("emulated", "random-effects")
         if not (follows_the_spread and isinstance(objective, LocalLogLikelihood)):
             return fit
         if fit.status is Status.INTERRUPTED:

@@ -35,6 +35,7 @@ from dropo.likelihoods.support.runs.noise_levels import (
     NoiseSettings,
     RestrictedEstimates,
     white,
+    whiten,
 )
 from dropo.likelihoods.support.runs.rows import RunRows
 from dropo.likelihoods.support.runs.windows import Windows, following_rows, windows_of
@@ -441,9 +442,13 @@ class _Search:
     def objective(self, state: _State, family: Family, look: _Look | None = None) -> RunRows:
         """The log-likelihood around a state."""
         look = look or self.look(state)
+        law = look.state.law
+        whitened = None
+        if self.given:
+            whitened = whiten(look.columns, law)[~look.columns.first, :, -1]
         group = _groups(state.windows)
         own = RunRows(
-            family, look.condensed, look.columns, group, state.value, look.state.law.variance
+            family, look.condensed, look.columns, group, state.value, law.variance, whitened
         )
         targets = self.observed.simulator.targets(state.windows.segments)
         own.predicted = own.predicted + targets[:, self.observed.measured]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator
+from dropo.core.contracts.likelihood import AUTOMATIC
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.services.errors import Incompatible
@@ -102,4 +103,6 @@ def _takes_draws(likelihood: Any) -> bool:
     """Whether a likelihood, by its name, takes a number of draws; True for a method without one."""
     if not isinstance(likelihood, str):
         return True
+    if likelihood == AUTOMATIC:
+        return False
     return "draws" in [field.name for field in fields(find("likelihoods", likelihood))]

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from dropo.core.contracts.problem import Problem
 
 
+AUTOMATIC = "auto"
+"""In the place of a likelihood's name: "trajectory" where the data ask for it, else "emulated"."""
+
+
 class LogLikelihood(ABC):
     """The log-likelihood of phi: the sum of the log densities of the R compared rows.
 

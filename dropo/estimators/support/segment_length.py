@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.likelihood import AUTOMATIC
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_choices import HorizonChoice, HorizonTrial
@@ -92,6 +93,9 @@ class ChooseHorizon(Estimator):
         positive = len(self.lengths) >= 1 and min(self.lengths) >= 1
         rule = "whole numbers of at least 1"
         require(positive, "lengths", rule, self.lengths, "ChooseHorizon")
+        # All horizons by one likelihood, that of segments.
+        if getattr(self.estimator, "likelihood", None) == AUTOMATIC:
+            object.__setattr__(self, "estimator", replace(self.estimator, likelihood="emulated"))
 
     @property
     def name(self) -> str:  # type: ignore[override]

@@ -168,7 +168,10 @@ def local_standard_errors(
     free = np.concatenate([inside, np.ones(len(phi) - own, dtype=bool)])
     errors = np.full(len(phi), np.nan)
     degrees = np.full(len(phi), np.nan)
-    covariance, degrees[free] = sandwich(scores[:, free], information[np.ix_(free, free)], units)
+    own_information = information[np.ix_(free, free)]
+    covariance, degrees[free] = sandwich(scores[:, free], own_information, units)
+    if objective.errors_from_model:
+        covariance = _at_least(covariance, np.linalg.pinv(own_information, hermitian=True))
     errors[free] = np.sqrt(np.diagonal(covariance))
 
     means = [names.index(f"mean.{name}") for name in family.space.names]
@@ -182,6 +185,13 @@ def local_standard_errors(
     whole[np.ix_(free, free)] = covariance
     correlation = _correlation_errors(family, phi[:own], whole[:own, :own], settings)
     return StandardErrors(errors[means], scale, degrees[means], jacobian, correlation)
+
+
+def _at_least(covariance: Array, least: Array) -> Array:
+    """A covariance with no standard deviation below that of another one."""
+    variance = np.diagonal(covariance)
+    ratio = np.maximum(np.diagonal(least) / np.where(variance > 0, variance, 1.0), 1.0)
+    return np.asarray(covariance * np.sqrt(np.outer(ratio, ratio)))
 
 
 def _correlation_errors(

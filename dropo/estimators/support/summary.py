@@ -210,7 +210,7 @@ def _check_model(
     """The model check, by whitened residuals where the measurements' covariance is known."""
     learned = objective is None or len(objective.unknowns) > len(family.unknowns)
     moments = getattr(objective, "moments", None)
-    whitened = None
+    whitened = getattr(objective, "whitened", None)
     if moments is not None and not learned and problem.noise_degrees is None:
         mean, covariance = moments(phi)
         residual = problem.simulator.targets(problem.segments) - mean

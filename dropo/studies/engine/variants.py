@@ -7,6 +7,7 @@ from typing import Any
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.fit_by_name import estimator_for
+from dropo.core.contracts.likelihood import AUTOMATIC
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.registry import find
@@ -65,7 +66,9 @@ class Variant:
     def _scale(self) -> tuple[str, Any]:
         """The method, and the name of its likelihood, if it has one."""
         own = getattr(find("methods", self.method), "likelihood", None)
-        return self.method, self.settings.get("likelihood", own)
+        # What is chosen by itself is this one, but for logs of which starts must be found.
+        usual = "emulated" if own == AUTOMATIC else own
+        return self.method, self.settings.get("likelihood", usual)
 
     def to_json(self) -> dict[str, Any]:
         """The variant as the item of a task holds it; `Variant(**item)` reads it."""

@@ -1,7 +1,5 @@
 """The log-likelihood of the parameters, and of their spread from group to group of runs."""
 
-from typing import Any
-
 import numpy as np
 
 from dropo.core.contracts.family import Family
@@ -34,6 +32,8 @@ class RunRows(LocalLogLikelihood):
         Parameters.
     epsilon : (m,) array
         Noise variances, for `epsilon`.
+    whitened : (R, m) array, optional
+        Whitened residuals, where the noise was given.
     """
 
     errors_from_model = True
@@ -46,12 +46,13 @@ class RunRows(LocalLogLikelihood):
         group: Array,
         centre: Array,
         epsilon: Array,
+        whitened: Array | None = None,
     ):
         self.family = family
         self.unknowns = family.unknowns
         self.centre = coordinates(family, centre)
         self._epsilon = epsilon
-        self.columns = columns
+        self.whitened = whitened
         # In the coordinates of the family: logarithms, or the parameters as they are.
         unit = centre if family.logarithmic else np.ones_like(centre)
         count = int(columns.row.max()) + 1
@@ -65,7 +66,7 @@ class RunRows(LocalLogLikelihood):
         self.information = np.zeros((groups, len(centre), len(centre)))
         np.add.at(self.information, group, condensed.information * np.outer(unit, unit))
         self.rows_of_group = np.bincount(self.group_of_row, minlength=groups)
-        self.slopes, self.predicted, self.behind = _profiled(columns, condensed, unit)
+        self.slopes, self.predicted = _profiled(columns, condensed, unit)
 
     def _rows(self, phi: Array) -> Array:
         if is_tensor(phi):
@@ -89,10 +90,6 @@ class RunRows(LocalLogLikelihood):
         """Return predictions (K, R, m) at values (K, d), each from the best starts."""
         away = coordinates(self.family, values) - self.centre
         return self.predicted + np.moveaxis(self.slopes @ away.T, -1, 0)
-
-    def residuals(self) -> Array:
-        """Return measured less predicted (R, m) at the centre."""
-        return np.asarray(self.columns.residuals[self.behind])
 
     def _of_groups(self, phi: Array) -> tuple[Array, Array, Array]:
         """Values (G,) beside those of the centre, scores of the mean (G, d), (I + H S)^-1."""
@@ -138,11 +135,11 @@ def _by_row(values: Array, columns: Columns, count: int) -> Array:
     return out
 
 
-def _profiled(columns: Columns, condensed: Condensed, unit: Array) -> tuple[Any, Any, Any]:
-    """Slopes (R, m, d) along the best starts, minus residuals (R, m), and the rows' instants."""
+def _profiled(columns: Columns, condensed: Condensed, unit: Array) -> tuple[Array, Array]:
+    """Slopes (R, m, d) along the best starts, and predicted less measured (R, m)."""
     s = columns.states
     behind = np.flatnonzero(~columns.first)
     matrix = columns.matrix[behind]
     follow = condensed.start_by_value[columns.piece[behind]]  # (R, s, d)
     slopes = matrix[:, :, s:-1] + matrix[:, :, :s] @ follow
-    return slopes * unit, -matrix[:, :, -1], behind
+    return slopes * unit, -matrix[:, :, -1]
