@@ -376,13 +376,18 @@ class DROPO(Estimator):
             family,
             found.objective,
             search,
-            warnings=found.warnings,
             details=found.details,
             likelihood=name,
             optimizer="gauss-newton",
         )
+        check = fit.model_check
+        if found.doubts and check is not None:
+            sentences = (*check.sentences, *found.doubts)
+            check = replace(check, passed=False, sentences=sentences)
         return replace(
             fit,
+            model_check=check,
+            warnings=(*fit.warnings, *found.doubts),
             epsilon=found.epsilon,
             held_out=held_out_errors(problem, run, fit.mean),
         )

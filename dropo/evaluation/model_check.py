@@ -96,6 +96,7 @@ def check_model(
     *,
     whitened: Array | None = None,
     learned: bool = True,
+    unexplained: tuple[Array, Array] | None = None,
     settings: ModelCheckSettings = SETTINGS,
 ) -> ModelCheck:
     """Compare the measurements with fitted mean predictions.
@@ -115,6 +116,9 @@ def check_model(
         square must not be above 1.
     learned : bool
         Whether epsilon was fitted.
+    unexplained : tuple of (R, p) and (R, p, d) array, optional
+        What is new in the residuals of each row, with its Jacobian, where noise has a memory: this
+        must not follow state and command. By default the residuals themselves.
     settings : ModelCheckSettings
         Levels and limits.
 
@@ -133,6 +137,9 @@ def check_model(
     if whitened is not None and not learned:
         size, sentence = _size(whitened, units, settings)
         sentences += sentence
+    sentences += _lost_motion(problem, residual, targets, settings)
+    if unexplained is not None:
+        residual, jacobian = unexplained
     # Residuals that are only rounding are no evidence of anything.
     scale = np.sqrt(np.mean(residual**2, axis=0))
     rounding = settings.rounding * np.std(targets, axis=0)
@@ -157,7 +164,6 @@ def check_model(
         left = _Residuals(_cut(rest, settings.outlier), scaled_jacobian, group, units, names)
         structure, sentence = _structure(left, features, settings)
         sentences += sentence
-        sentences += _lost_motion(problem, residual, targets, settings)
     return ModelCheck(not sentences, size, structure, tuple(sentences))
 
 
@@ -171,7 +177,8 @@ def _lost_motion(
     segments = problem.segments
     run = segments.trajectories.trajectory[segments.steps[segments.rows[0], 0]]
     follows = run[1:] == run[:-1]
-    if not follows.any():
+    size = np.sqrt(np.mean(residual**2, axis=0))
+    if not follows.any() or not (size > settings.rounding * targets.std(axis=0)).any():
         return []
     variance = np.maximum(targets.var(axis=0), 1e-300)
     share = np.mean(residual**2, axis=0) / variance

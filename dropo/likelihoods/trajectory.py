@@ -37,7 +37,7 @@ from dropo.likelihoods.support.runs.noise_levels import (
     white,
     whiten,
 )
-from dropo.likelihoods.support.runs.rows import RunRows
+from dropo.likelihoods.support.runs.rows import RunRows, profiled
 from dropo.likelihoods.support.runs.windows import Windows, following_rows, windows_of
 
 SETTLED = "Parameters and start states stopped moving after {} rounds."
@@ -78,8 +78,9 @@ class TrajectorySettings:
         A step is halved that costs more than this [nats].
     spread_gain : float
         A spread between groups is kept where it raises the log-likelihood by more than this [nats].
-    stuck : float
-        Mean square of a window's whitened residuals from which it does not follow the motion.
+    astray, astray_z : float
+        The model is wrong where what is new at an instant is this many times as large along whole
+        runs as within windows of their own, and by so many standard errors.
     """
 
     window: int = 20
@@ -95,7 +96,8 @@ class TrajectorySettings:
     settled: float = 0.02
     worse: float = 1.0
     spread_gain: float = 2.0
-    stuck: float = 2.0
+    astray: float = 1.15
+    astray_z: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -271,15 +273,17 @@ class _Search:
         """Linearize a state; count its simulations with those of the problem's simulator."""
         whole = self.observed.simulator
         before = whole.steps, whole.failures
-        steps = Steps(self.start_step, self.value_step)
+        unit = 1 / np.sqrt(self.start_prior)
+        steps = Steps(self.start_step, self.value_step, unit, self.settings.growth)
         try:
-            columns = linearize_windows(
+            columns, windows = linearize_windows(
                 self.observed, state.windows, state.value, state.starts, steps
             )
         finally:
             if whole is not self.simulator:
                 self.simulator.steps += whole.steps - before[0]
                 self.simulator.failures += whole.failures - before[1]
+        state = replace(state, windows=windows)
         return _Look(state, columns, self._condense(columns, state))
 
     def _condense(self, columns: Columns, state: _State) -> Condensed:
@@ -337,21 +341,6 @@ class _Search:
         information = look.information + np.diag(self.width**-2.0)
         return np.sqrt(np.diagonal(np.linalg.inv(information)))
 
-    def cut(self, look: _Look) -> _Look | None:
-        """The state with runs cut where errors of their start have grown, to be looked at anew."""
-        scale = 1 / np.sqrt(self.start_prior)
-        growth = np.abs(look.columns.of_start) * scale / scale[:, None]
-        largest = growth.max(axis=(1, 2))
-        windows = look.state.windows
-        first = []
-        for piece in np.unique(windows.piece[largest > self.settings.growth]):
-            own = np.flatnonzero((windows.piece == piece) & (largest > self.settings.growth))
-            first.append(own[0])
-        if not first:
-            return None
-        state = replace(look.state, windows=windows.cut_before(np.array(first)))
-        return self.look(state)
-
     # --- the search
 
     def run(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
@@ -393,7 +382,6 @@ class _Search:
                 state = replace(state, law=best.state.law)
                 continue
             assert look is not None
-            look = self.cut(look) or look
             errors = self.errors(look)
             near = best is not None and bool(
                 np.all(np.abs(step) < settings.close * self.errors(best))
@@ -411,6 +399,8 @@ class _Search:
             least = settings.least_value_step * self.width
             self.value_step = np.clip(errors, least, settings.value_step * self.width)
             state = self.moved(look, step)
+            if not near:  # far off, motion may have looked more unstable than it is
+                state = replace(state, windows=self.first_windows)
         assert self._best is not None
         return self._best, self._result(
             self._best, Status.OUT_OF_BUDGET, UNSETTLED, settings.rounds
@@ -450,6 +440,9 @@ class _Search:
         own = RunRows(
             family, look.condensed, look.columns, group, state.value, law.variance, whitened
         )
+        if law.memory.any():
+            slopes, less = profiled(look.columns, whiten(look.columns, law), look.condensed)
+            own.unexplained = (-less * law.sd, slopes * law.sd[:, None])
         targets = self.observed.simulator.targets(state.windows.segments)
         own.predicted = own.predicted + targets[:, self.observed.measured]
         return own
@@ -492,7 +485,9 @@ class _Search:
         for name, sd in problem.estimated.items():
             variance[names.index(name)] = sd**2
         epsilon = variance[: len(names)]
-        return RunFit(compared, objective, found, epsilon, self._details(look))
+        return RunFit(
+            compared, objective, found, epsilon, self._details(look), doubts=self._doubts(look)
+        )
 
     def _member(self, objective: RunRows, family: Family, look: _Look) -> Array:
         """Phi of the maximum: without spread, unless one gains enough."""
@@ -510,6 +505,32 @@ class _Search:
         found = maximize_locally(objective, start)
         gain = found.value - objective(plain)
         return found.phi if gain > self.settings.spread_gain * len(scales) else plain
+
+    def _doubts(self, look: _Look) -> tuple[str, ...]:
+        """A sentence where runs stray from the measurements further than noise explains.
+
+        Noise is what windows with a start of their own leave, which hardly see a wrong model.
+        """
+        windows = look.state.windows
+        if self.given or len(windows.segments) < 2 * len(windows.pieces.spans):
+            return ()
+        columns = look.columns.unlinked()
+        estimates = RestrictedEstimates(columns, self.start_prior, self.noise_settings)
+        law = look.state.law
+        if self.degrees is None:
+            within = estimates.choose(white(law.news))
+        else:
+            within = estimates.levels(white(law.news, self.degrees))
+        ratio = law.news / within.news
+        z = np.log(ratio) * np.sqrt(2 * columns.valid.sum(axis=0))
+        worst = int(np.argmax(ratio))
+        if ratio[worst] <= self.settings.astray or z[worst] <= self.settings.astray_z:
+            return ()
+        name = self.observed.simulator.signals[np.flatnonzero(self.observed.measured)[worst]].name
+        return (
+            f"the model is wrong: along whole runs, {name} strays {ratio[worst]:.3g} times as far"
+            f" as the noise that it has within {windows.length} steps",
+        )
 
     def _details(self, look: _Look) -> dict[str, Any]:
         """What fit.json says of runs, starts and noise."""

@@ -293,8 +293,8 @@ class RunFit:
         Noise variance of each signal of the problem that was given [signal unit^2].
     details : dict
         For fit.json: the noise of each signal, the runs and their pieces.
-    warnings : tuple of str
-        What speaks against it, a sentence each.
+    doubts : tuple of str
+        What says that the model is wrong, a sentence each.
     """
 
     problem: "Problem"
@@ -302,7 +302,7 @@ class RunFit:
     found: "SearchResult"
     epsilon: Array
     details: dict[str, Any]
-    warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 class RunLikelihood(Likelihood):

@@ -217,7 +217,13 @@ def _check_model(
         root = np.linalg.cholesky(covariance)
         whitened = np.linalg.solve(root, residual[:, :, None])[:, :, 0]
     return check_model(
-        problem, mean_prediction, errors.jacobian, epsilon, whitened=whitened, learned=learned
+        problem,
+        mean_prediction,
+        errors.jacobian,
+        epsilon,
+        whitened=whitened,
+        learned=learned,
+        unexplained=getattr(objective, "unexplained", None),
     )
 
 

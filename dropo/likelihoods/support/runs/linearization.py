@@ -1,6 +1,6 @@
 """Windows simulated and linearized in starts and parameters, and condensed to one start a piece."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,24 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Half widths of the differences: starts (s,) in their coordinates, values (d,)."""
+    """How far windows are moved, and how long they stay linked.
+
+    Attributes
+    ----------
+    starts : (s,) array
+        Half widths of the differences in start coordinates.
+    values : (d,) array
+        The same in parameters.
+    unit : (s,) array
+        Of each start coordinate, in which growth is measured.
+    growth : float
+        A run is cut where an error of its start has grown by this factor.
+    """
 
     starts: Array
     values: Array
+    unit: Array
+    growth: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +81,10 @@ class Columns:
         d window's start / d parameter.
     gap : (N, s) array
         Where the linearized motion before a window reaches its start, less that start.
+    window : (T,) array of int
+        The window of each instant.
+    of_window : (T, m, s) array
+        Derivatives of the predictions in the start of their own window.
     """
 
     piece: NDArray[np.int64]
@@ -77,6 +95,13 @@ class Columns:
     of_start: Array
     of_value: Array
     gap: Array
+    window: NDArray[np.int64]
+    of_window: Array
+
+    def unlinked(self) -> "Columns":
+        """Make the same residuals as functions of one start a window, the parameters known."""
+        matrix = np.concatenate([self.of_window, self.matrix[:, :, -1:]], axis=2)
+        return replace(self, piece=self.window, matrix=matrix)
 
     @property
     def states(self) -> int:
@@ -91,7 +116,7 @@ class Columns:
 
 def linearize_windows(
     observed: Observed, windows: Windows, value: Array, starts: Array, steps: Steps
-) -> Columns:
+) -> tuple[Columns, Windows]:
     """Simulate every window from its start, differentiate, and close the gaps between windows.
 
     Parameters
@@ -107,7 +132,9 @@ def linearize_windows(
 
     Returns
     -------
-    Columns
+    columns : Columns
+    windows : Windows
+        The same, with runs cut where errors of their start have grown too far.
 
     Raises
     ------
@@ -138,13 +165,20 @@ def linearize_windows(
     of_start = np.tile(np.eye(s), (count, 1, 1))
     of_value = np.zeros((count, s, d))
     gap = np.zeros((count, s))
+    cuts = []
     for depth in range(1, int(windows.depth.max()) + 1):
         now = np.flatnonzero(windows.depth == depth)
+        linked = end_by_start[now - 1] @ of_start[now - 1]
+        growth = np.abs(linked) * steps.unit / steps.unit[:, None]
+        short = np.all(growth < steps.growth, axis=(1, 2))  # of numbers that are not finite too
+        cuts.append(now[~short])
+        now = now[short]
         before = now - 1
-        of_start[now] = end_by_start[before] @ of_start[before]
+        of_start[now] = linked[short]
         of_value[now] = end_by_start[before] @ of_value[before] + end_by_value[before]
         carried = (end_by_start[before] @ gap[before][:, :, None])[:, :, 0]
         gap[now] = carried + ends[0][before] - starts[now]
+    windows = windows.cut_before(np.concatenate(cuts)) if cuts else windows
 
     window = windows.segments.rows[0]
     targets = observed.simulator.targets(windows.segments)[:, observed.measured]
@@ -157,7 +191,8 @@ def linearize_windows(
         ],
         axis=2,
     )
-    return _with_first_instants(observed, windows, starts, matrix, of_start, of_value, gap)
+    links = (of_start, of_value, gap)
+    return _with_first_instants(observed, windows, starts, matrix, by_start, links), windows
 
 
 def _predict(
@@ -189,14 +224,12 @@ def _with_first_instants(
     windows: Windows,
     starts: Array,
     matrix: Array,
-    of_start: Array,
-    of_value: Array,
-    gap: Array,
+    by_start: Array,
+    links: tuple[Array, Array, Array],
 ) -> Columns:
     """The columns with each run's first measurement before the others of its piece."""
     segment, step = windows.segments.rows
     row = windows.segments.steps[segment, step]
-    piece = windows.piece[segment]
     s = starts.shape[1]
 
     # A start is measured directly: residual = measured - (measured + offset).
@@ -210,14 +243,13 @@ def _with_first_instants(
     at_start[:, np.flatnonzero(direct), own] = 1.0
     at_start[:, np.flatnonzero(direct), -1] = -starts[window][:, own]
     valid = np.ones((len(matrix), len(measured)), dtype=bool)
-    first_row = windows.segments.steps[window, 0]
 
-    every_row = np.concatenate([first_row, row])
+    every_row = np.concatenate([windows.segments.steps[window, 0], row])
     is_first = np.concatenate([np.ones(len(opening), bool), np.zeros(len(row), bool)])
     order = np.lexsort((~is_first, every_row))
-    assert matrix.shape[2] == s + of_value.shape[2] + 1
+    of_start, of_value, gap = links
     return Columns(
-        piece=np.concatenate([opening, piece])[order],
+        piece=np.concatenate([opening, windows.piece[segment]])[order],
         row=every_row[order],
         first=is_first[order],
         valid=np.concatenate([np.tile(direct, (len(opening), 1)), valid])[order],
@@ -225,4 +257,6 @@ def _with_first_instants(
         of_start=of_start,
         of_value=of_value,
         gap=gap,
+        window=np.concatenate([window, segment])[order],
+        of_window=np.concatenate([at_start[:, :, :s], by_start])[order],
     )

@@ -88,6 +88,11 @@ class NoiseLaw:
         return np.where(finite, (nu + 1) / (nu + 3), 1.0)
 
     @property
+    def news(self) -> Array:
+        """(m,) scale of what is new at an instant: sd sqrt(1 - rho^2)."""
+        return np.asarray(self.sd * np.sqrt(1 - self.memory**2))
+
+    @property
     def variance(self) -> Array:
         """(m,) variances; of a Student t with at most 2 degrees of freedom that of its core."""
         has_variance = self.degrees > 2

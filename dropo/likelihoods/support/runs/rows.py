@@ -34,9 +34,16 @@ class RunRows(LocalLogLikelihood):
         Noise variances, for `epsilon`.
     whitened : (R, m) array, optional
         Whitened residuals, where the noise was given.
+
+    Attributes
+    ----------
+    unexplained : tuple of (R, m) and (R, m, d) array, or None
+        What is new in the residuals of each row, with slopes along the best starts, where noise has
+        a memory.
     """
 
     errors_from_model = True
+    unexplained: tuple[Array, Array] | None = None
 
     def __init__(
         self,
@@ -66,7 +73,8 @@ class RunRows(LocalLogLikelihood):
         self.information = np.zeros((groups, len(centre), len(centre)))
         np.add.at(self.information, group, condensed.information * np.outer(unit, unit))
         self.rows_of_group = np.bincount(self.group_of_row, minlength=groups)
-        self.slopes, self.predicted = _profiled(columns, condensed, unit)
+        self.slopes, self.predicted = profiled(columns, columns.matrix, condensed)
+        self.slopes = self.slopes * unit
 
     def _rows(self, phi: Array) -> Array:
         if is_tensor(phi):
@@ -135,11 +143,25 @@ def _by_row(values: Array, columns: Columns, count: int) -> Array:
     return out
 
 
-def _profiled(columns: Columns, condensed: Condensed, unit: Array) -> tuple[Array, Array]:
-    """Slopes (R, m, d) along the best starts, and predicted less measured (R, m)."""
+def profiled(columns: Columns, matrix: Array, condensed: Condensed) -> tuple[Array, Array]:
+    """Follow the best starts.
+
+    Parameters
+    ----------
+    columns : Columns
+    matrix : (T, m, s + d + 1) array
+        Theirs, or whitened.
+    condensed : Condensed
+
+    Returns
+    -------
+    slopes : (R, m, d) array
+        Of the predictions in the parameters, with the starts that go with them.
+    predicted : (R, m) array
+        Predicted less measured.
+    """
     s = columns.states
     behind = np.flatnonzero(~columns.first)
-    matrix = columns.matrix[behind]
+    own = matrix[behind]
     follow = condensed.start_by_value[columns.piece[behind]]  # (R, s, d)
-    slopes = matrix[:, :, s:-1] + matrix[:, :, :s] @ follow
-    return slopes * unit, -matrix[:, :, -1]
+    return own[:, :, s:-1] + own[:, :, :s] @ follow, -own[:, :, -1]

@@ -101,8 +101,10 @@ class Windows:
         Returns
         -------
         Windows
-            Other windows: those behind a cut are as before.
+            The same windows, of more pieces.
         """
+        if not len(windows):
+            return self
         cut = self.cut.copy()
         cut[self.segments.steps[windows, 0] - 1] = True
         return replace(self, cut=cut)
