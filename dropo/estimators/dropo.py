@@ -264,8 +264,8 @@ class DROPO(Estimator):
 
         # Where its residuals say that starts are noisy, go on with starts that are found.
         if self._may_follow_runs(problem) and found.status is not Status.INTERRUPTED:
-            if starts_are_noisy(problem, objective.mean(found.point)):
-                found_mean = family.mean(found.point[: len(family.unknowns)])
+            found_mean = family.mean(found.point[: len(family.unknowns)])
+            if starts_are_noisy(problem, run, found_mean, objective.mean(found.point)):
                 along_runs = self._tried_runs(problem, run, family, noise, found_mean, NOISY)
                 if isinstance(along_runs, Fit):
                     return along_runs

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import stats
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
@@ -43,9 +44,9 @@ class NoisyStartSettings:
         Residuals below this share of the signal are no evidence.
     """
 
-    spans: tuple[int, ...] = (2, 3, 5, 10, 20)
-    shortest: int = 3
-    level: float = 1e-4
+    spans: tuple[int, ...] = (2, 3, 5, 10, 20, 30)
+    shortest: int = 2
+    level: float = 1e-3
     ratio: float = 0.85
     own: float = 0.2
     rounding: float = 1e-7
@@ -129,16 +130,24 @@ def _is_bound(instance: EffectInstance) -> bool:
 
 
 def starts_are_noisy(
-    problem: Problem, predicted: Array, settings: NoisyStartSettings = SETTINGS
+    problem: Problem,
+    run: Run,
+    mean: Array,
+    predicted: Array,
+    settings: NoisyStartSettings = SETTINGS,
 ) -> bool:
-    """Tell whether successive residuals cancel, as those from noisy starts do.
+    """Tell whether residuals cancel along runs, as those from noisy starts do.
 
     Parameters
     ----------
     problem : Problem
         Of single steps.
+    run : Run
+        Counts the simulations over longer spans, which are made where single steps do not tell.
+    mean : (d,) array
+        Of a fit.
     predicted : (R, p) array
-        Mean predictions of a fit.
+        Its mean predictions.
     settings : NoisyStartSettings
 
     Returns
@@ -156,15 +165,25 @@ def starts_are_noisy(
     evident &= _own_share(residual) > settings.own
     if not evident.any():
         return False
-    spans = problem.trajectories.spans
-    tests = [
+    residual = residual[:, evident]
+    longest = max(stop - start for start, stop in problem.trajectories.spans)
+    spans = [span for span in settings.spans if longest >= settings.shortest * span]
+    # Each signal and all together, over every span, in both ways.
+    tests = 2 * len(spans) * (residual.shape[1] + 1)
+    limit = float(stats.norm.isf(settings.level / tests))
+    found = [test for span in spans for test in _variance_ratios(residual, problem, span, settings)]
+    if _is_low(found, limit, settings):
+        return True
+    found = [
         test
-        for span in settings.spans
-        for test in _variance_ratios(residual[:, evident], spans, span, settings)
+        for span in spans
+        for test in _longer_spans(residual, evident, problem, run, mean, span)
     ]
-    if not tests:
-        return False
-    limit = stats.norm.isf(settings.level / len(tests))
+    return _is_low(found, limit, settings)
+
+
+def _is_low(tests: list[tuple[float, float]], limit: float, settings: NoisyStartSettings) -> bool:
+    """Whether some ratio is low, by enough standard errors."""
     return any(ratio < settings.ratio and z < -limit for ratio, z in tests)
 
 
@@ -197,21 +216,44 @@ def _own_share(residual: Array) -> Array:
 
 
 def _variance_ratios(
-    residual: Array, spans: list[tuple[int, int]], span: int, settings: NoisyStartSettings
+    residual: Array, problem: Problem, span: int, settings: NoisyStartSettings
 ) -> list[tuple[float, float]]:
-    """Of each signal the variance of sums over a span, over that of independent ones, and its z."""
+    """The variance of sums over a span, over that of as many independent residuals, and its z."""
     sums = []
     count = 0
-    for start, stop in spans:
+    for start, stop in problem.trajectories.spans:
         if stop - start < settings.shortest * span:
             continue
         nothing = np.zeros((1, residual.shape[1]))
         total = np.cumsum(np.concatenate([nothing, residual[start:stop]]), axis=0)
         sums.append(total[span:] - total[:-span])
         count += stop - start
-    if not sums:
-        return []
     variance = np.mean(np.concatenate(sums) ** 2, axis=0)
     ratio = variance / (span * np.mean(residual**2, axis=0))
     error = np.sqrt(2 * (2 * span - 1) * (span - 1) / (3 * span * count))
-    return list(zip(ratio.tolist(), ((ratio - 1) / error).tolist(), strict=True))
+    return _and_together(ratio, (ratio - 1) / error, residual)
+
+
+def _longer_spans(
+    residual: Array, evident: Array, problem: Problem, run: Run, mean: Array, span: int
+) -> list[tuple[float, float]]:
+    """The variance of residuals a span behind a start, over that of added ones, and its z.
+
+    As sums, with what the motion makes of each residual on the way.
+    """
+    longer = problem.using(horizon=span)
+    with run.counting(evaluations=1):
+        predicted = problem.simulator.predict(mean[None], longer.segments)[0]
+    left = (problem.simulator.targets(longer.segments) - predicted)[:, evident]
+    if not np.isfinite(left).all():
+        return []
+    ratio = np.mean(left**2, axis=0) / (span * np.mean(residual**2, axis=0))
+    error = np.sqrt(2 / len(left) + 2 / len(residual))
+    return _and_together(ratio, np.log(ratio) / error, left)
+
+
+def _and_together(ratio: Array, z: Array, residual: Array) -> list[tuple[float, float]]:
+    """Ratio and z of each signal, and of all: residuals of correlation r have ratios of r^2."""
+    correlation = np.atleast_2d(np.corrcoef(residual.T))
+    together = (float(np.median(ratio)), float(z.sum() / np.sqrt(np.sum(correlation**2))))
+    return [*zip(ratio.tolist(), z.tolist(), strict=True), together]
