@@ -384,6 +384,9 @@ class DROPO(Estimator):
         if found.doubts and check is not None:
             sentences = (*check.sentences, *found.doubts)
             check = replace(check, passed=False, sentences=sentences)
+        if not found.reached:
+            unknown = np.full(len(fit.mean), np.nan)
+            fit = replace(fit, mean_se=unknown, scale_se=unknown)
         return replace(
             fit,
             model_check=check,

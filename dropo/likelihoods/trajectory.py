@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import lsq_linear
 
 from dropo.core.contracts.estimator import Run
@@ -19,7 +20,7 @@ from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.fit import Status
-from dropo.core.records.trajectories import Segments, Trajectories
+from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, known, require
 from dropo.likelihoods.support.runs.condensed import Condensed, condense, log_densities
@@ -43,6 +44,10 @@ from dropo.likelihoods.support.runs.windows import Windows, following_rows, wind
 SETTLED = "Parameters and start states stopped moving after {} rounds."
 UNSETTLED = "Parameters or start states still moved after {} rounds."
 STALLED = "No shorter step came closer to the measurements after {} rounds."
+NOT_REACHED = (
+    "the search did not reach the measurements: {:.0%} of the windows of single runs are far from"
+    " them. There are no intervals"
+)
 INTERRUPTED = "Interrupted: this is the best so far."
 
 
@@ -78,6 +83,11 @@ class TrajectorySettings:
         A step is halved that costs more than this [nats].
     spread_gain : float
         A spread between groups is kept where it raises the log-likelihood by more than this [nats].
+    stuck, stuck_level : float
+        A window is stuck where its mean squared residual is this many times the noise's, and so
+        large with this probability only.
+    most_stuck : float
+        Share of windows that are stuck above which the search did not reach the measurements.
     astray, astray_z : float
         The model is wrong where what is new at an instant is this many times as large along whole
         runs as within windows of their own, and by so many standard errors.
@@ -96,6 +106,9 @@ class TrajectorySettings:
     settled: float = 0.02
     worse: float = 1.0
     spread_gain: float = 2.0
+    stuck: float = 2.0
+    stuck_level: float = 1e-3
+    most_stuck: float = 0.05
     astray: float = 1.15
     astray_z: float = 5.0
 
@@ -345,44 +358,39 @@ class _Search:
 
     def run(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
         """Rounds until nothing moves."""
-        best: _Look | None = None
+        self._best: _Look | None = None
         try:
             return self._rounds(run, mean)
         except KeyboardInterrupt:
-            best = self._best
-            if best is None:
+            if self._best is None:
                 raise
-        return best, self._result(best, Status.INTERRUPTED, INTERRUPTED, 0)
+            return self._best, self._result(self._best, Status.INTERRUPTED, INTERRUPTED, 0)
 
     def _rounds(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
         """The search, whose best look is kept for an interruption."""
         settings = self.settings
-        self._best: _Look | None = None
         step = np.zeros(len(mean))
         share = 1.0
         chosen = 0
         state = self.first(mean)
-        failure: SimulationFailed | None = None
         for count in range(1, settings.rounds + 1):
+            best = self._best
+            look: _Look | None = None
             try:
                 look = self._counted(run, state)
-                failure = None
-            except SimulationFailed as error:
-                failure = error
-                look = None
-            best = self._best
-            if best is None and failure is not None:
-                raise failure
+            except SimulationFailed:
+                if best is None:
+                    raise
             if best is not None and (look is None or self._is_worse(look, best, chosen > 0)):
                 # Further from the measurements than before: half of the step.
                 share /= 2
                 if share < 0.5**settings.halvings:
+                    best = self.with_noise(best, choose=chosen < 2)
                     return best, self._result(best, Status.CONVERGED, STALLED, count)
                 state = self.moved(best, step, share)
                 state = replace(state, law=best.state.law)
                 continue
             assert look is not None
-            errors = self.errors(look)
             near = best is not None and bool(
                 np.all(np.abs(step) < settings.close * self.errors(best))
             )
@@ -485,9 +493,14 @@ class _Search:
         for name, sd in problem.estimated.items():
             variance[names.index(name)] = sd**2
         epsilon = variance[: len(names)]
-        return RunFit(
-            compared, objective, found, epsilon, self._details(look), doubts=self._doubts(look)
-        )
+        stuck = self._stuck(look)
+        doubts = self._doubts(look)
+        details = self._details(look)
+        details["trajectory"]["stuck_windows"] = stuck
+        reached = stuck <= self.settings.most_stuck
+        if not reached:
+            doubts = (*doubts, NOT_REACHED.format(stuck))
+        return RunFit(compared, objective, found, epsilon, details, doubts, reached)
 
     def _member(self, objective: RunRows, family: Family, look: _Look) -> Array:
         """Phi of the maximum: without spread, unless one gains enough."""
@@ -505,6 +518,21 @@ class _Search:
         found = maximize_locally(objective, start)
         gain = found.value - objective(plain)
         return found.phi if gain > self.settings.spread_gain * len(scales) else plain
+
+    def _stuck(self, look: _Look) -> float:
+        """The share of windows whose residuals are larger than any noise of the law leaves."""
+        law = look.state.law
+        columns = look.columns
+        residual = whiten(columns, law)[:, :, -1]
+        finite = np.isfinite(law.degrees)
+        tails = np.clip(stats.t.cdf(residual, np.where(finite, law.degrees, 5.0)), 1e-15, 1 - 1e-15)
+        scores = np.where(finite, stats.norm.ppf(tails), residual)
+        squares = np.where(columns.valid, scores**2, 0.0).sum(axis=1)
+        total = np.bincount(columns.window, squares)
+        count = np.bincount(columns.window, columns.valid.sum(axis=1))
+        far = total > self.settings.stuck * count
+        unlikely = stats.chi2.sf(total, np.maximum(count, 1)) < self.settings.stuck_level
+        return float(np.mean(far & unlikely))
 
     def _doubts(self, look: _Look) -> tuple[str, ...]:
         """A sentence where runs stray from the measurements further than noise explains.
@@ -583,7 +611,7 @@ def _with_columns(data: Trajectories, columns: Array) -> Trajectories:
     )
 
 
-def _groups(windows: Windows) -> Array:
+def _groups(windows: Windows) -> Ints:
     """(P,) the group of each piece, numbered as they come."""
     first = np.array([start for start, _ in windows.pieces.spans])
     assert windows.pieces.group is not None

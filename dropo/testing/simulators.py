@@ -1,5 +1,6 @@
 """Checks that every simulator must pass."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,7 @@ def check_simulator(
     _check_every_step(simulator, segments, design, predictions)
     _check_groups(simulator, segments, design)
     _check_offsets(simulator, segments, design, predictions)
+    _check_ends(simulator, segments, design)
     _check_jacobian(simulator, segments, design[0], predictions[0], rtol)
     if simulator.has_gradients:
         _check_gradients(simulator, segments, design, predictions, rtol)
@@ -174,6 +176,46 @@ def _check_offsets(
     assert np.allclose(found, predictions, rtol=1e-9, atol=1e-12), (
         f"{type(simulator).__name__}.predict changes under start offsets of zero: "
         f"{_gap(predictions, found)}"
+    )
+
+
+def _check_ends(simulator: Simulator, segments: Segments, values: Array) -> None:
+    """A segment that starts where another one ended goes on as if they were one."""
+    name = type(simulator).__name__
+    whole, columns = simulator.observing_state()
+    coordinates = whole.state_coordinates
+    assert coordinates.shape == (whole.start_size,), (
+        f"{name}.state_coordinates has shape {coordinates.shape}, not {(whole.start_size,)}"
+    )
+    data = segments.trajectories
+    spans = [(start, stop) for start, stop in data.spans if stop - start >= 2]
+    if segments.levels[1:] or not spans:
+        return
+    further = np.broadcast_to(columns, (len(data), len(columns)))
+    data = replace(
+        data,
+        observations=np.concatenate([data.observations, further], axis=1),
+        next_observations=np.concatenate([data.next_observations, further], axis=1),
+    )
+    first = np.array([start for start, _ in spans])
+    halves = [data.from_rows(first), data.from_rows(first + 1)]
+    try:
+        _, ends = whole.predict_with_ends(values, halves[0])
+        expected = (len(values), len(first), whole.start_size)
+        assert ends.shape == expected, (
+            f"{name}.predict_with_ends gives ends of shape {ends.shape}, not {expected}"
+        )
+        # An end is given from the measurement there; the next row begins with its own.
+        follows = (data.next_observations[first] == data.observations[first + 1]).all(axis=1)
+        apart = np.where(coordinates, ends, 0.0)
+        found = whole.predict(values, halves[1], offsets=apart)[:, follows]
+    except Incompatible:
+        return
+    together = whole.predict(values, data.from_rows(first, 2))[:, follows]
+    size = np.abs(together).max(axis=(0, 1), initial=1e-12)
+    assert np.all(np.abs(found - together) <= 1e-6 * size), (
+        f"{name}: a segment that starts where another one ended goes on otherwise: "
+        f"{_gap(together, found)}"
     )
 
 

@@ -295,6 +295,8 @@ class RunFit:
         For fit.json: the noise of each signal, the runs and their pieces.
     doubts : tuple of str
         What says that the model is wrong, a sentence each.
+    reached : bool
+        Whether the search came so close to the measurements that errors mean anything.
     """
 
     problem: "Problem"
@@ -303,6 +305,7 @@ class RunFit:
     epsilon: Array
     details: dict[str, Any]
     doubts: tuple[str, ...] = ()
+    reached: bool = True
 
 
 class RunLikelihood(Likelihood):

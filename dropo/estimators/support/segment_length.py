@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -94,8 +95,9 @@ class ChooseHorizon(Estimator):
         rule = "whole numbers of at least 1"
         require(positive, "lengths", rule, self.lengths, "ChooseHorizon")
         # All horizons by one likelihood, that of segments.
-        if getattr(self.estimator, "likelihood", None) == AUTOMATIC:
-            object.__setattr__(self, "estimator", replace(self.estimator, likelihood="emulated"))
+        estimator: Any = self.estimator
+        if getattr(estimator, "likelihood", None) == AUTOMATIC:
+            object.__setattr__(self, "estimator", replace(estimator, likelihood="emulated"))
 
     @property
     def name(self) -> str:  # type: ignore[override]

@@ -38,9 +38,9 @@ class UnloggedStatesSettings:
         A fitted spread above this fraction of the mean is one that is not there.
     """
 
-    development: int = 20
-    evaluation: int = 40
-    controls: int = 4
+    development: int = 10
+    evaluation: int = 30
+    controls: int = 3
     first_evaluation: int = 500_000
     accepted: tuple[float, float] = (0.90, 0.98)
     widest: float = 1.5

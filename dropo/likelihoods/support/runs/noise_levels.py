@@ -262,13 +262,13 @@ class RestrictedEstimates:
         known = total[:, :-1, :-1] + self.prior
         right = total[:, :-1, -1]
         inverse = np.linalg.inv(known)
-        solved = (inverse @ right[:, :, None])[:, :, 0]
-        v = np.concatenate([-solved, np.ones((len(solved), 1))], axis=1)
+        solved = np.asarray((inverse @ right[:, :, None])[:, :, 0], dtype=float)
+        v: Array = np.concatenate([-solved, np.ones((len(solved), 1))], axis=1)
         left = total[:, -1, -1].sum() - np.sum(right * solved)
         value = -np.sum(self.counts * np.log(law.sd)) - 0.5 * left
         value -= 0.5 * np.sum(self.followers * np.log1p(-(law.memory**2)))
         value -= 0.5 * np.linalg.slogdet(known)[1].sum()
-        return _Solution(inverse, v, float(value))
+        return _Solution(np.asarray(inverse, dtype=float), v, float(value))
 
     def _scaled_by_leverage(self, law: NoiseLaw, grams: Array) -> Array:
         """(m,) sum of squares over numbers less leverages, of every signal."""
@@ -311,7 +311,9 @@ class RestrictedEstimates:
 
     # --- tails: the likelihood of residuals corrected for their leverage
 
-    def _corrected(self, law: NoiseLaw, unit: Array, grams: Array) -> tuple[Array, Array]:
+    def _corrected(
+        self, law: NoiseLaw, unit: Array, grams: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
         """(T, m) residuals in standard deviations, and which of them say something."""
         weighted = grams
         if np.isfinite(law.degrees).any():

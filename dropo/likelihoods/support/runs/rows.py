@@ -5,6 +5,7 @@ import numpy as np
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.numerics.array_api import is_tensor
+from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.likelihoods.linear import coordinates, moments_of, slopes_of_moments
@@ -50,7 +51,7 @@ class RunRows(LocalLogLikelihood):
         family: Family,
         condensed: Condensed,
         columns: Columns,
-        group: Array,
+        group: Ints,
         centre: Array,
         epsilon: Array,
         whitened: Array | None = None,

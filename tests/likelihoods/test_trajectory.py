@@ -1,0 +1,178 @@
+"""The likelihood of whole runs: starts that are found, noise as it is, and no invented spread."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.noise import Noise
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.errors import Incompatible
+from dropo.estimators.dropo import DROPO
+from dropo.families.truncated_gaussian import TruncatedGaussian
+from dropo.likelihoods.trajectory import Trajectory, TrajectorySettings
+from dropo.simulators.toy import SlidingBlock, simulate
+from dropo.studies.intervals.coverage import DryBlock
+from dropo.studies.unlogged_states.machines import simulate_log
+from dropo.testing import check_likelihood
+
+SEED = 77_000
+TRUTH = np.array([1.5, 0.8])
+SD = np.array([2e-3, 1e-2])
+
+
+def block(seed=0, runs=12, steps=60, spread=0.0, simulator=None):
+    """Noisy states of a sliding block that is pushed at random; each run may have parameters of its
+    own.
+    """
+    rng = np.random.default_rng([SEED, seed])
+    forces = np.repeat(rng.normal(0, 3, (runs, steps // 5, 1)), 5, axis=1)
+    values = TRUTH * np.exp(spread * rng.standard_normal((runs, 2)))
+    clean = simulate(simulator or SlidingBlock(), values, forces, np.zeros(2))
+    states = np.concatenate(
+        [
+            clean.observations.reshape(runs, steps, 2),
+            clean.next_observations.reshape(runs, steps, 2)[:, -1:],
+        ],
+        axis=1,
+    )
+    states = states + SD * rng.standard_normal(states.shape)
+    data = replace(
+        clean,
+        observations=states[:, :-1].reshape(-1, 2),
+        next_observations=states[:, 1:].reshape(-1, 2),
+    )
+    return Problem("block", SlidingBlock(), data)
+
+
+def along_runs(problem, likelihood=None, noise=None):
+    """What the likelihood finds from the middle of the box."""
+    likelihood = likelihood or Trajectory()
+    noise = noise or Noise(np.full(len(problem.simulator.signals), 1e-2), "each")
+    space = problem.space
+    run = Run(problem, np.random.default_rng(0))
+    family = TruncatedGaussian(space)
+    return likelihood.fit_runs(problem, run, family, noise, (space.low + space.high) / 2)
+
+
+def test_it_keeps_to_the_contract():
+    """All that every likelihood must do."""
+    check_likelihood(Trajectory())
+
+
+def test_velocities_that_were_not_logged():
+    """Positions alone: within 4.5 of the optimal standard errors, which its own are near; control:
+    velocities made of positions and taken for measured are ten times further off.
+    """
+    log = simulate_log("arm", "positions, white", SEED)
+    fit = DROPO().fit(log.problem, rng=0)
+    assert fit.likelihood == "trajectory"
+    assert "not measured" in fit.message
+    assert (np.abs(fit.mean - log.truth) < 4.5 * log.optimum).all()
+    assert (fit.mean_se > 0.8 * log.optimum).all()
+    assert (fit.mean_se < 1.5 * log.optimum).all()
+    assert fit.trusted
+    smoothed = DROPO(likelihood="emulated").fit(log.problem, rng=0)
+    assert np.abs((smoothed.mean - log.truth) / log.optimum).max() > 45
+
+
+def test_noisy_starts_are_no_spread():
+    """All states of a mass on a spring noisy: found without a spread; control: measured starts give
+    another stiffness, a spread of more than a tenth, and no doubt.
+    """
+    log = simulate_log("spring-mass", "all noisy", SEED)
+    fit = DROPO().fit(log.problem, rng=0)
+    assert fit.likelihood == "trajectory"
+    assert "noisy measurements" in fit.message
+    assert (np.abs(fit.mean - log.truth) < 4.5 * log.optimum).all()
+    assert (fit.mean_se < 1.5 * log.optimum).all()
+    assert (fit.sd < 0.01 * fit.mean).all()
+    measured = DROPO(likelihood="emulated").fit(log.problem, rng=0)
+    assert np.abs((measured.mean - log.truth) / log.optimum).max() > 20
+    assert (measured.sd / measured.mean).max() > 0.1
+    assert measured.trusted
+
+
+def test_the_information_is_that_of_cramer_and_rao():
+    """With noise that is known, to a percent: that of runs whose start is unknown."""
+    log = simulate_log("arm", "all noisy", SEED)
+    found = along_runs(log.problem, noise=Noise(np.array([1e-3, 1e-2]) ** 2))
+    information = found.objective.information.sum(axis=0)
+    errors = np.sqrt(np.diagonal(np.linalg.inv(information)))
+    np.testing.assert_allclose(errors, log.optimum, rtol=0.01)
+
+
+def test_windows_are_only_a_way_to_the_end():
+    """Windows of 7 or of 60 steps are the same likelihood: a fiftieth of a standard error apart."""
+    problem = block()
+    short, whole = (
+        along_runs(problem, Trajectory(settings=TrajectorySettings(window=window)))
+        for window in (7, 60)
+    )
+    error = np.sqrt(np.diagonal(np.linalg.inv(whole.objective.information.sum(axis=0))))
+    assert (np.abs(short.found.point[:2] - whole.found.point[:2]) < 0.02 * error).all()
+    np.testing.assert_allclose(short.epsilon, whole.epsilon, rtol=1e-3)
+
+
+def test_noise_is_as_it_is():
+    """Memory and long tails are found where they are, and nowhere else."""
+    expected = {
+        "all noisy": (0.0, None),
+        "AR(1) 0.9": (0.9, None),
+        "Student t 3": (0.0, 3.0),
+    }
+    for noise, (memory, degrees) in expected.items():
+        found = along_runs(simulate_log("arm", noise, SEED).problem)
+        for sensor in found.details["trajectory"]["noise"].values():
+            assert sensor["correlation"] == pytest.approx(memory, abs=0.08 if memory else 0.0)
+            assert (sensor["degrees"] is None) == (degrees is None)
+            if degrees is not None:
+                assert 2 <= sensor["degrees"] <= 6
+
+
+def test_levels_allow_for_the_starts():
+    """Runs of six rows, whose starts eat two of twelve numbers: the restricted level is within 4.5
+    standard errors of the true one; control: the plain mean square is not.
+    """
+    problem = block(runs=600, steps=5)
+    found = along_runs(problem)
+    error = np.sqrt(2 / (600 * 4))
+    np.testing.assert_allclose(found.epsilon, SD**2, rtol=4.5 * error)
+    left = found.problem.simulator.targets(found.problem.segments) - found.objective.mean(
+        found.found.point
+    )
+    plain = np.mean(left**2, axis=0) / SD**2
+    assert (plain < 1 - 4.5 * error).any()
+
+
+def test_spreads_from_run_to_run():
+    """A spread of 10 % is found; where there is none, none is said to be."""
+    varied = along_runs(block(runs=30, spread=0.1)).found.point
+    assert (varied[2:] / varied[:2] > 0.05).all()
+    assert (varied[2:] / varied[:2] < 0.2).all()
+    plain = along_runs(block(runs=30)).found.point
+    assert (plain[2:] / plain[:2] < 1e-3).all()
+
+
+def test_a_model_that_lacks_something_is_doubted():
+    """Dry friction that the model does not have: the fit says so; control: it says nothing of one
+    that lacks nothing.
+    """
+    assert DROPO().fit(block(), rng=0).trusted
+    fit = DROPO().fit(block(simulator=DryBlock()), rng=0)
+    assert fit.likelihood == "trajectory"
+    assert fit.trusted is False
+
+
+def test_what_it_refuses():
+    """Rows that do not follow each other, and parts that it does not take."""
+    problem = block(runs=4, steps=10)
+    data = problem.trajectories
+    apart = replace(data, next_observations=data.next_observations + 1e-3)
+    with pytest.raises(Incompatible, match="rows that follow each other"):
+        DROPO(likelihood="trajectory").fit(replace(problem, trajectories=apart))
+    with pytest.raises(Incompatible, match="a search of its own"):
+        DROPO(likelihood="trajectory", optimizer="cma-es").fit(problem)
+    with pytest.raises(Incompatible, match="partial"):
+        DROPO(likelihood="trajectory").fit(replace(problem, reset="partial"))
