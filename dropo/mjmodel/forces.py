@@ -15,6 +15,15 @@ from dropo.mjmodel.joints import Joint, actuators
 
 FIXED = int(mujoco.mjtGain.mjGAIN_FIXED)
 AFFINE = int(mujoco.mjtGain.mjGAIN_AFFINE)
+CONTACT_ROWS = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS,
+        mujoco.mjtConstraint.mjCNSTR_CONTACT_PYRAMIDAL,
+        mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC,
+    )
+)
+"""The kinds of constraints that are contacts."""
 NO_BIAS = int(mujoco.mjtBias.mjBIAS_NONE)
 AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
@@ -109,6 +118,40 @@ def _within(values: Array, limits: Array) -> Array:
     """Values within limits; quicker than `np.clip` where they are few."""
     low, high = limits.tolist()
     return np.minimum(np.maximum(values, low), high)
+
+
+def joint_loads(model: mujoco.MjModel, state: StepState, contacts: bool) -> Array:
+    """Compute the forces that joints carry: of gravity and inertia, or of contacts.
+
+    Parameters
+    ----------
+    model : MjModel
+        The model as it is simulated.
+    state : StepState
+        n simulations at one physics step.
+    contacts : bool
+        Whether forces of contacts are meant; else the bias forces of gravity and velocity.
+
+    Returns
+    -------
+    (n, nv) array
+        Generalised forces [N or N m].
+    """
+    data = mujoco.MjData(model)
+    found = np.zeros_like(state.qvel)
+    for i in range(len(found)):
+        data.qpos[:] = state.qpos[i]
+        data.qvel[:] = state.qvel[i]
+        data.ctrl[:] = state.ctrl[i]
+        data.qacc_warmstart[:] = 0.0
+        mujoco.mj_forward(model, data)
+        if not contacts:
+            found[i] = data.qfrc_bias
+        elif data.nefc:
+            rows = np.isin(data.efc_type, CONTACT_ROWS)
+            forces = np.where(rows, data.efc_force, 0.0)
+            mujoco.mj_mulJacTVec(model, data, found[i], forces)
+    return found
 
 
 def torque_scale(model: mujoco.MjModel, joint: Joint) -> float:

@@ -5,13 +5,13 @@ the simulation is then the model's own, bit for bit.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from dropo.core.records.parameters import Parameter
-from dropo.core.records.trajectories import Segments
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known
 
@@ -51,6 +51,28 @@ class Quantity:
 
 
 @dataclass(frozen=True, eq=False)
+class RecordedPast:
+    """What was recorded before n simulations begin, for effects that remember.
+
+    Attributes
+    ----------
+    states : (T, 1 + nq + nv + na) array
+        The time in its trajectory [s] and the measured state of each row of the data.
+    commands : (T, nu) array
+        The commands of each row.
+    start : (n,) array of int
+        The row at which each simulation begins.
+    cache : dict
+        What was computed from it.
+    """
+
+    states: Array
+    commands: Array
+    start: Ints
+    cache: dict[Any, Any]
+
+
+@dataclass(frozen=True, eq=False)
 class StepState:
     """n simulations at one physics step, for effects that depend on the state.
 
@@ -68,6 +90,13 @@ class StepState:
         States of the actuators that have one.
     model : MjModel
         The model as it is simulated, with all parameters and effects written into it.
+    time : (n,) array
+        The time since the beginning of each trajectory [s].
+    memory : dict
+        What effects note from one physics step to the next, each under a key of its own; empty
+        where simulations begin.
+    past : RecordedPast or None
+        What was recorded before the simulations began; None where nothing was.
     """
 
     qpos: Array
@@ -76,6 +105,9 @@ class StepState:
     step: int
     act: Array
     model: Model
+    time: Array
+    memory: dict[Any, Any] = field(default_factory=dict)
+    past: RecordedPast | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +185,10 @@ class EffectInstance:
     order : int
         The order of a harmonic, else 0. Several harmonics at one place are one periodic effect
         where all orders are multiples of the lowest, else each has a shape of its own.
+    formula : str
+        The text of a law (`dropo.effects.law`), else "".
+    remembers : bool
+        Whether its hooks need what was recorded before a segment (`StepState.past`).
     trials : tuple
         The magnitudes (q,) that a screening tries, in sets that are tried together. By default each
         probe is a set; of several quantities, the last probes of each make one set.
@@ -183,6 +219,8 @@ class EffectInstance:
     general: bool = False
     alike: tuple[str, ...] = ()
     order: int = 0
+    formula: str = ""
+    remembers: bool = False
     trials: tuple[tuple[tuple[float, ...], ...], ...] = ()
 
     def __post_init__(self) -> None:

@@ -48,6 +48,7 @@ _EFFECTS = (
     "sensor_polling",
     "gear_lash",
     "parameter_drift",
+    "law",
 )
 _MEASURED = "dropo.problems.measured"
 BUILT_IN: dict[str, dict[str, str]] = {

@@ -11,8 +11,11 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.registry import names
 from dropo.core.services.validation import Array
+from dropo.effects.law import law_of_text
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
+LAW = "law"
+"""The effect that a formula makes."""
 BY_NAME = ("payload",)
 """Effects that are looked for only where they are named: a payload has four numbers, and what it
 does is looked for as a mass, a centre of mass and an inertia.
@@ -55,10 +58,14 @@ def instances_for(
     found: list[EffectInstance] = []
     for text in wanted:
         name, _, place = text.partition(":")
+        if name == LAW:
+            # Without a formula, one is looked for in what remains.
+            found += [law_of_text(simulator.effect_context, place)] if place else []
+            continue
         for instance in instances_of(simulator.effect_context, name, place):
             if not declared(simulator, instance, free):
                 found.append(instance)
-    if not found:
+    if not found and LAW not in wanted:
         raise BadArgument(
             "No effect is left to look for: all that were named are declared as parameters."
         )

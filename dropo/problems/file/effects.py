@@ -9,8 +9,11 @@ from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.file_content import FileContent, describe_options, describe_value
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array
+from dropo.effects.law import law_instance
 from dropo.problems.file.schema import EffectEntry, ProblemFile
 
+LAW = "law"
+"""The effect that a formula makes."""
 EITHER = "either sizes, or fit with bounds for every quantity"
 
 
@@ -69,6 +72,8 @@ def make_effect_entry(instance: EffectInstance, sizes: Array | None = None) -> E
     content: dict[str, object] = {"effect": instance.effect, "target": instance.target}
     if instance.variant:
         content["variant"] = instance.variant
+    if instance.formula:
+        content["formula"] = instance.formula
     if sizes is None:
         content["fit"] = {q.name: [float(q.low), float(q.high)] for q in instance.quantities}
     else:
@@ -82,6 +87,11 @@ def _find_effect(
 ) -> EffectInstance:
     """The effect of that name and variant at its place."""
     name = file.require_known(f"{key}.effect", entry.effect, names("effects"), "an effect")
+    if (name == LAW) != bool(entry.formula):
+        expected = "a formula" if name == LAW else f"no formula, which the effect {LAW} has"
+        raise file.refusal(f"{key}.formula", expected, describe_value(entry.formula or None))
+    if entry.formula:
+        return _find_law(file, key, entry, robot)
     every = list(find("effects", name)(robot))
     alike = [instance for instance in every if instance.variant == entry.variant]
     if not alike:
@@ -91,6 +101,25 @@ def _find_effect(
     places = {instance.target or "": instance for instance in alike}
     target = file.require_known(f"{key}.target", entry.target or "", places, f"a place of {name}")
     return places[target]
+
+
+def _find_law(
+    file: FileContent[ProblemFile], key: str, entry: EffectEntry, robot: EffectContext
+) -> EffectInstance:
+    """The effect of a formula, whose constants are the names of sizes or bounds."""
+    if entry.sizes is not None:
+        typical = dict(entry.sizes)
+    else:
+        typical = {name: max(map(abs, pair)) for name, pair in (entry.fit or {}).items()}
+    with file.at(f"{key}.formula"):
+        return law_instance(
+            robot,
+            entry.target,
+            entry.formula,
+            entry.variant,
+            constants=list(typical),
+            typical=typical,
+        )
 
 
 def _require_quantities(

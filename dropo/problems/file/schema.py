@@ -122,6 +122,8 @@ class EffectEntry(Entry):
     """The body, joint, actuator or signal that has it; null for the whole machine."""
     variant: Annotated[str, Expected("the name of a variant")] = ""
     """The variant of the effect, where it has several."""
+    formula: Annotated[str, Expected("a formula")] = ""
+    """The formula of a law, such as -c * abs(v) * v, whose constants are its quantities."""
     sizes: Annotated[dict[Key, Number], Expected("a mapping from quantities to sizes")] | None = (
         None
     )

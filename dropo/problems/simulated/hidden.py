@@ -9,6 +9,7 @@ from dropo.core.contracts.effect import EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known, require
+from dropo.effects.law import law_of_text
 from dropo.problems.hopper.problem import hopper_problem
 from dropo.problems.simulated.robots import ROBOTS, masses, problem_of, simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -68,11 +69,14 @@ def _hidden(text: str, simulator: MujocoSimulator) -> tuple[EffectInstance, Arra
     """A text such as "joint_damping:leg_joint=0.6" as an effect with its magnitudes."""
     name, _, values = text.partition("=")
     effect, _, place = name.partition(":")
-    instances = {
-        instance.label: instance
-        for instance in instances_of(simulator.effect_context, effect.partition(".")[0], place)
-    }
-    instance = instances[known("effect", name, instances)]
+    if effect == "law":
+        instance = law_of_text(simulator.effect_context, place)
+    else:
+        instances = {
+            one.label: one
+            for one in instances_of(simulator.effect_context, effect.partition(".")[0], place)
+        }
+        instance = instances[known("effect", name, instances)]
     quantities = instance.quantities
     wanted = ", ".join(f"{quantity.name} [{quantity.unit}]" for quantity in quantities)
     try:

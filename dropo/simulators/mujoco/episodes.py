@@ -307,6 +307,7 @@ class _Layers:
         self.needs_every_step = bool(self.reacting) or bool(self._delays.any())
         self._own_friction = worker.model.dof_frictionloss.copy()
         self._step = 0
+        self._memory: dict[object, object] = {}
 
     def reset(self, row: Array) -> Array:
         """Begins an episode in a state with that observation row (P,).
@@ -314,6 +315,7 @@ class _Layers:
         Returns the constant forces and torques of the effects, (nbody, 6).
         """
         self._step = 0
+        self._memory = {}
         self.delay_line = _DelayLine(self._delays, row) if self._delays.any() else None
         if self._history is not None:
             self._history.clear()
@@ -327,7 +329,8 @@ class _Layers:
 
     def react(self, state: Array, commands: Array) -> Reaction:
         """What follows from a state (1, s) and a command (1, nu); friction is set at once."""
-        found = react(self._worker.model, state, commands, self._step, self.reacting)
+        model = self._worker.model
+        found = react(model, state, commands, self._step, self.reacting, self._memory)
         self._worker.model.dof_frictionloss[:] = self._own_friction + found.friction[0]
         self._step += 1
         return found

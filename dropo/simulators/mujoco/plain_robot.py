@@ -63,6 +63,7 @@ class Robot:
         self.data.act[:] = act
         self.data.xfrc_applied[:] = constant_wrenches(self.effects, self.model.nbody)
         self._given: list[Array] = []
+        self._memory: dict[object, object] = {}
         self._steps = 0
 
     def step(self, command: Array) -> None:
@@ -99,7 +100,8 @@ class Robot:
     def _react(self, command: Array) -> None:
         """Sets what depends on the present state."""
         now = self.state()[None]
-        found = react(self.model, now, command[None], self._steps, self._reacting)
+        steps = self._steps
+        found = react(self.model, now, command[None], steps, self._reacting, self._memory)
         self.data.ctrl[:] = found.commands[0]
         self.data.qfrc_applied[:] = found.forces[0]
         self.model.dof_frictionloss[:] = self.given_model.dof_frictionloss + found.friction[0]

@@ -5,6 +5,7 @@ import os
 import queue
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import ActiveEffects, EffectContext, EffectInstance, magnitudes_of
+from dropo.core.contracts.effect import (
+    ActiveEffects,
+    EffectContext,
+    EffectInstance,
+    RecordedPast,
+    magnitudes_of,
+)
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadArgument, Incompatible
@@ -39,7 +46,7 @@ from dropo.simulators.mujoco.layers import (
     total_delays,
     true_starts,
 )
-from dropo.simulators.mujoco.worker import Worker, acts_after_clamp
+from dropo.simulators.mujoco.worker import Worker, acts_after_clamp, reacting_effects
 
 MAX_BYTES = 1 << 25
 """The bytes of states that one call into C may return; no result depends on it."""
@@ -308,6 +315,7 @@ class MujocoSimulator(RobotSimulator):
         self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="mujoco")
         self._commands: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
         self._curvatures: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
+        self._pasts: WeakKeyDictionary[Segments, RecordedPast] = WeakKeyDictionary()
 
     @cached_property
     def general(self) -> mujoco.MjModel | None:
@@ -330,7 +338,7 @@ class MujocoSimulator(RobotSimulator):
 
     def __getstate__(self) -> dict[str, Any]:
         self.general  # noqa: B018 - compiled while the source is at hand
-        of_process = ("_workers", "_pool", "_commands", "_curvatures", "_source")
+        of_process = ("_workers", "_pool", "_commands", "_curvatures", "_pasts", "_source")
         return {name: value for name, value in vars(self).items() if name not in of_process}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -520,13 +528,31 @@ class MujocoSimulator(RobotSimulator):
                     states = self._start_states(segments, block, own_starts, ends)
                     own = commands[block, : length * per_action]
                     held = np.repeat(own, self.frame_skip // per_action, axis=1)
-                    observed, last = self._roll(worker, active, states, held, segments.every_step)
+                    past = None
+                    if reacting_effects(active):
+                        past = self._past(segments, block)
+                        states[:, 0] = past.states[past.start, 0]
+                    every = segments.every_step
+                    observed, last = self._roll(worker, active, states, held, every, past)
                     found.update(zip(block.tolist(), observed, strict=True))
                     if chained:
                         ends.update(zip(block.tolist(), last, strict=True))
         finally:
             self._workers[general].put(worker)
         return np.concatenate([found[i] for i in part.tolist()])
+
+    def _past(self, segments: Segments, block: Ints) -> RecordedPast:
+        """What was recorded before a block of segments begins."""
+        if segments not in self._pasts:
+            data = segments.trajectories
+            first, last = np.array(data.spans).T
+            states = self.layout.full_states(data.observations, self.model)
+            rows = np.arange(len(states)) - np.repeat(first, last - first)
+            states[:, 0] = self.control_step * rows
+            commands = self.commands_of(data.actions)
+            self._pasts[segments] = RecordedPast(states, commands, segments.steps[:, 0], {})
+        whole = self._pasts[segments]
+        return replace(whole, start=whole.start[block])
 
     def _start_states(
         self, segments: Segments, block: Ints, starts: Array, ends: dict[int, Array]
@@ -545,13 +571,19 @@ class MujocoSimulator(RobotSimulator):
         return states
 
     def _roll(
-        self, worker: Worker, active: ActiveEffects, states: Array, commands: Array, every: bool
+        self,
+        worker: Worker,
+        active: ActiveEffects,
+        states: Array,
+        commands: Array,
+        every: bool,
+        past: RecordedPast | None,
     ) -> tuple[Array, Array]:
         """Observations (n, L or 1, P) after every action or the last one, and last states (n, s).
 
         The commands are (n, L frame_skip, nu), one a physics step. NaN where MuJoCo stopped early.
         """
-        trace, _ = worker.roll(states, commands, active)
+        trace, _ = worker.roll(states, commands, active, past)
         skip = self.frame_skip
         actions = commands.shape[1] // skip
         first = 0 if every else actions - 1
@@ -568,7 +600,7 @@ class MujocoSimulator(RobotSimulator):
             observed[:, :, late] = delayed[:, skip - 1 :: skip][:, first:]
         # MuJoCo halts a rollout at its first warning and repeats the state: its clock stands still
         clock = (np.arange(first + 1, actions + 1) * skip - 0.5) * worker.model.opt.timestep
-        stopped = after[:, :, 0] < clock
+        stopped = after[:, :, 0] - states[:, :1] < clock
         bad = stopped | ~(np.abs(after) < MAX_STATE).all(axis=2)
         observed[bad] = np.nan
         last = after[:, -1].copy()

@@ -3,12 +3,18 @@
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 
-from dropo.core.contracts.effect import ActiveEffects, EffectInstance, StepState
+from dropo.core.contracts.effect import (
+    ActiveEffects,
+    EffectInstance,
+    RecordedPast,
+    StepState,
+)
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import Binding
 
@@ -76,7 +82,11 @@ class Worker:
         self._changed = unclamped or frictions or bool(changes)
 
     def roll(
-        self, states: Array, controls: Array, active: ActiveEffects = ()
+        self,
+        states: Array,
+        controls: Array,
+        active: ActiveEffects = (),
+        past: RecordedPast | None = None,
     ) -> tuple[Array, Array]:
         """Simulate from start states under commands.
 
@@ -88,6 +98,8 @@ class Worker:
             Commands, one a physics step.
         active : sequence of (EffectInstance, (q,) array)
             The effects with their magnitudes, as written with `set`.
+        past : RecordedPast, optional
+            What was recorded before the simulations begin.
 
         Returns
         -------
@@ -110,10 +122,15 @@ class Worker:
             return mujoco.rollout.rollout(
                 self.model, [self.data], states, inputs, control_spec=spec
             )
-        return self._roll_stepwise(states, inputs, spec, reacting)
+        return self._roll_stepwise(states, inputs, spec, reacting, past)
 
     def _roll_stepwise(
-        self, states: Array, inputs: Array, spec: int, reacting: ActiveEffects
+        self,
+        states: Array,
+        inputs: Array,
+        spec: int,
+        reacting: ActiveEffects,
+        past: RecordedPast | None,
     ) -> tuple[Array, Array]:
         """As `roll`, one physics step at a time, with effects that depend on the state."""
         nu = self.model.nu
@@ -124,12 +141,13 @@ class Worker:
         now = states
         given = np.empty((len(states), 1, inputs.shape[2]))
         models = [self.model]
+        memory: dict[Any, Any] = {}
         adds_friction = any(one.friction is not None for one, _ in reacting)
         if adds_friction:
             models = [copy.copy(self.model) for _ in states]
         for step in range(steps):
             given[:, 0] = inputs[:, step]
-            reaction = react(self.model, now, inputs[:, step, :nu], step, reacting)
+            reaction = react(self.model, now, inputs[:, step, :nu], step, reacting, memory, past)
             given[:, 0, :nu] = reaction.commands
             given[:, 0, nu : nu + nv] += reaction.forces
             if adds_friction:
@@ -191,6 +209,8 @@ def react(
     commands: Array,
     step: int,
     reacting: ActiveEffects,
+    memory: dict[Any, Any],
+    past: RecordedPast | None = None,
 ) -> Reaction:
     """Evaluate the effects that depend on the state.
 
@@ -206,6 +226,10 @@ def react(
         Physics steps since the start.
     reacting : sequence of (EffectInstance, (q,) array)
         The effects, see `reacting_effects`.
+    memory : dict
+        What effects noted in the steps before; {} at the start, and then the same one.
+    past : RecordedPast, optional
+        What was recorded before the start.
 
     Returns
     -------
@@ -217,7 +241,9 @@ def react(
     forces = np.zeros((len(states), model.nv))
     friction = np.zeros_like(forces)
     for instance, magnitudes in reacting:
-        state = StepState(qpos, qvel, commands, step, act, model)
+        state = StepState(
+            qpos, qvel, commands, step, act, model, states[:, 0], memory, past
+        )
         if instance.command_feedback is not None:
             commands = instance.command_feedback(state, magnitudes)
         if instance.force is not None:

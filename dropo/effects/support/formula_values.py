@@ -1,0 +1,150 @@
+"""The value of a formula, and of the hidden states that it remembers.
+
+What is here is written into `model.py` files, which run without this package.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dropo.core.services.validation import Array
+
+Node = tuple[Any, ...]
+"""A part of a formula: its kind, then what belongs to it (`dropo.effects.support.formula`)."""
+DIRECTION_WIDTH = 1e-2
+"""The speed below which the sign of a speed fades out [rad/s, m/s]."""
+TINY = 1e-12
+"""Stands for a time constant or a distance of 0."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """A formula that can be evaluated.
+
+    Attributes
+    ----------
+    root : tuple
+        Its tree.
+    constants : tuple of str
+        The names of its q constants, in the order of their magnitudes.
+    variables : tuple of (str, str)
+        The variables that it takes, each with the joint that it belongs to; "" for the own one.
+    hidden : int
+        How many hidden states it remembers.
+    """
+
+    root: Node
+    constants: tuple[str, ...]
+    variables: tuple[tuple[str, str], ...]
+    hidden: int
+
+
+def evaluate(
+    program: Program, values: dict[tuple[str, str], Array], magnitudes: Array, memory: dict[int, Any]
+) -> Array:
+    """Evaluate a formula in n states, and carry its hidden states on to them.
+
+    Parameters
+    ----------
+    program : Program
+        The formula.
+    values : dict of (str, str) to (n,) array
+        The variables that it takes; with hidden states also the time "t", and the own "q".
+    magnitudes : (q,) array
+        Its constants.
+    memory : dict of int to tuple
+        What each hidden state was in the states before these; changed in place.
+
+    Returns
+    -------
+    (n,) array
+        0 where the formula has no finite value.
+    """
+    constants = dict(zip(program.constants, magnitudes, strict=True))
+    with np.errstate(all="ignore"):
+        found = np.asarray(_value(program.root, values, constants, memory), dtype=float)
+    count = len(next(iter(values.values()))) if values else 1
+    found = np.broadcast_to(found, (count,))
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+def _value(
+    node: Node, values: dict[tuple[str, str], Array], constants: dict[str, Any], memory: Any
+) -> Any:
+    """The value of a part of a formula."""
+    kind = node[0]
+    if kind == "number":
+        return node[1]
+    if kind == "constant":
+        return constants[node[1]]
+    if kind == "variable":
+        return values[node[1], node[2]]
+    inside = [_value(one, values, constants, memory) for one in node[2]]
+    if kind == "hidden":
+        return _hidden(node, inside, values, memory)
+    return _operation(node[1], inside)
+
+
+def _operation(name: str, inside: list[Any]) -> Any:
+    """The value of a function or an operator."""
+    first = inside[0]
+    if name == "-" and len(inside) == 1:
+        return -first
+    if name == "direction":
+        return np.tanh(first / DIRECTION_WIDTH)
+    if name == "dead":
+        return np.sign(first) * np.maximum(np.abs(first) - np.abs(inside[1]), 0.0)
+    one = {
+        "abs": np.abs,
+        "sign": np.sign,
+        "tanh": np.tanh,
+        "exp": np.exp,
+        "sin": np.sin,
+        "cos": np.cos,
+        "sqrt": np.sqrt,
+    }
+    if name in one:
+        return one[name](first)
+    two = {
+        "+": np.add,
+        "-": np.subtract,
+        "*": np.multiply,
+        "/": np.true_divide,
+        "**": np.power,
+        "max": np.maximum,
+        "min": np.minimum,
+    }
+    return two[name](first, np.float64(inside[1]) if np.isscalar(inside[1]) else inside[1])
+
+
+def _hidden(
+    node: Node, inside: list[Any], values: dict[tuple[str, str], Array], memory: dict[int, Any]
+) -> Array:
+    """A hidden state, carried on exactly for inputs that are constant in between.
+
+    lag(x, T): T dz/dt = x - z. dahl(w): dz/dq = (1 - z sign(dq)) / w, between -1 and 1.
+    """
+    place = node[3]
+    time = values["t", ""]
+    if node[1] == "lag":
+        now = np.broadcast_to(np.asarray(inside[0], dtype=float), time.shape)
+        if place not in memory:
+            state = np.array(now)
+        else:
+            state, before, then = memory[place]
+            kept = np.exp(-np.maximum(time - then, 0.0) / max(abs(inside[1]), TINY))
+            state = before + (state - before) * kept
+        memory[place] = (state, now, time)
+        return state
+    now = values["q", ""]
+    if place not in memory:
+        state = np.zeros_like(now)
+    else:
+        state, before, _ = memory[place]
+        moved = now - before
+        towards = np.sign(moved)
+        state = towards + (state - towards) * np.exp(-np.abs(moved) / max(abs(inside[0]), TINY))
+        state = np.where(moved == 0, memory[place][0], state)
+    memory[place] = (state, now, time)
+    return state
