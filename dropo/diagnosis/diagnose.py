@@ -37,10 +37,12 @@ from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.replay import replay
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
-from dropo.diagnosis.parts import Cause
+from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
+from dropo.diagnosis.parts import Cause, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.result import Diagnosis, HeldOut
-from dropo.diagnosis.search.library import instances_for, robot_of
+from dropo.diagnosis.search.invariance import invariance
+from dropo.diagnosis.search.library import LAW, instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
@@ -77,6 +79,8 @@ class DiagnosisSettings:
         How the windows' horizon is chosen.
     noise : NoiseSettings
         When the sensors' noise is not taken to be white.
+    laws : LawSettings
+        How laws are looked for in what known effects leave unexplained.
     far_off : int or None
         Numbers missing by regression from which the search is that for models that are far off
         (None: never) ...
@@ -102,6 +106,7 @@ class DiagnosisSettings:
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    laws: LawSettings = field(default_factory=LawSettings)
 
 
 @dataclass(frozen=True)
@@ -338,11 +343,8 @@ class Diagnose:
         complete = not searched.interrupted
         progress(0.9, "what remains")
         rest, forces = remaining(data, library, last, selection.floor, rng)
-        found_effects = [
-            (instance, last.theta[library.places[instance.label]]) for instance in last.accepted
-        ]
         simulator = robot_of(data)
-        extended = replace(data, simulator=simulator.with_effects((), found_effects))
+        extended = _extended(data, library, last)
         declared = last.theta[: len(data.space)]
 
         # Once the causes are known, disturbances stand out: leave them out and begin anew.
@@ -353,19 +355,31 @@ class Diagnose:
                 return self._run(whole, rng, progress, log, undisturbed, library.simulator.steps)
             undisturbed = None
 
+        # Where known effects leave something, it may follow a law that none of them stands for.
+        laws: WithLaws | None = None
+        if complete and not far_off and self._wants_laws(library, last, rest):
+            laws = find_laws(data, selection, first, last, setup.instances, rng, self.settings.laws)
+        if laws is not None:
+            first, last, reviews, selection = laws.first, laws.last, laws.reviews, laws.selection
+            library = selection.library
+            rest, forces = remaining(data, library, last, selection.floor, rng)
+            extended = _extended(data, library, last)
+            declared = last.theta[: len(data.space)]
+
         # How good each model is on data held out.
         errors = _errors_without_and_with(data, library, last, reviews)
         found = causes(
             library,
             last,
             reviews,
-            setup.count,
+            setup.count + (0 if laws is None else laws.tried),
             errors,
             selection.settings,
             CAUSES if complete else replace(CAUSES, experiments=0),
             known=setup.errors(),
             named=None if setup.explained is None else setup.explained.certain,
             again=partial(stability, selection, partial(self._train, data)) if complete else None,
+            laws={} if laws is None else laws.laws,
         )
         if far_off and not found and complete:
             # Motions do not bear out what regression finds.
@@ -423,6 +437,14 @@ class Diagnose:
             simulator_steps=steps,
             interrupted=searched.interrupted,
         )
+
+    def _wants_laws(self, library: Library, last: State, rest: Remaining) -> bool:
+        """Whether a law is to be looked for: something remains, or an effect only acts like it."""
+        if self.effects is not None and LAW not in self.effects:
+            return False
+        if not rest.calibrated:
+            return True
+        return any(not invariance(library, last.test, one).constant for one in last.accepted)
 
     def _train(self, problem: Problem, length: int) -> Windows:
         """Windows to fit of so many control steps."""
@@ -505,6 +527,12 @@ def _free(problem: Problem, parameters: Sequence[str] | None) -> Ints:
     return np.array([names.index(name) for name in chosen], dtype=np.int64)
 
 
+def _extended(problem: Problem, library: Library, last: State) -> Problem:
+    """A problem whose simulator has what was found."""
+    found = [(instance, last.theta[library.places[instance.label]]) for instance in last.accepted]
+    return replace(problem, simulator=robot_of(problem).with_effects((), found))
+
+
 @dataclass(frozen=True, eq=False)
 class _Setup:
     """What a search works on.
@@ -526,6 +554,11 @@ class _Setup:
     count: int
     wiring: tuple[str, ...]
     noise: Noise | None = None
+
+    @property
+    def instances(self) -> list[EffectInstance]:
+        """The effects that may be accepted."""
+        return without_impulses(self.library.instances)
 
     def first(self) -> State:
         """The model as it is, with its declared parameters and the noise fitted."""
@@ -643,7 +676,7 @@ def _search(setup: _Setup) -> _Searched:
 def _explain(setup: _Setup, first: State) -> tuple[State, dict[str, Review]]:
     """The model that the search ends with, and its effects' reviews."""
     selection = setup.selection
-    instances = without_impulses(setup.library.instances)
+    instances = setup.instances
     last, reviews = review(selection, first)
     while True:
         found = selection.run(first, last, instances)

@@ -66,6 +66,8 @@ class Alternative:
         Why it cannot be distinguished from the cause.
     to_tell : str or None
         What to record to tell the two apart; None where nothing was found.
+    formula : str
+        The text of a law, else "".
     """
 
     effect: str
@@ -73,11 +75,12 @@ class Alternative:
     variant: str
     why: str
     to_tell: str | None = None
+    formula: str = ""
 
     @property
     def place(self) -> str:
         """The effect and where it acts, in words."""
-        return effect_in_words(self.effect, self.target, self.variant)
+        return effect_in_words(self.effect, self.target, self.variant, self.formula)
 
     def to_json(self) -> dict[str, Any]:
         """As diagnosis.json has it."""
@@ -87,6 +90,8 @@ class Alternative:
             "variant": self.variant,
             "why": self.why,
         }
+        if self.formula:
+            found["formula"] = self.formula
         return found if self.to_tell is None else {**found, "to_tell": self.to_tell}
 
     @classmethod
@@ -98,6 +103,7 @@ class Alternative:
             variant=saved.get("variant", ""),
             why=saved["why"],
             to_tell=saved.get("to_tell"),
+            formula=saved.get("formula", ""),
         )
 
 
@@ -177,6 +183,10 @@ class Cause:
         The variable with which its size differs, where it is no true cause.
     stability : Stability or None
         Where else it is named; None where that was not tried, as where whole motions were fitted.
+    formula : str
+        The text of a law, whose constants are in `estimate`, else "".
+    called : str
+        The nearest law that has a name, such as "quadratic drag"; "" where it is not known.
     """
 
     effect: str
@@ -191,23 +201,28 @@ class Cause:
     confused_with: tuple[Alternative, ...] = ()
     acts_like: str | None = None
     stability: Stability | None = None
+    formula: str = ""
+    called: str = ""
 
     @property
     def place(self) -> str:
         """The effect and where it acts, in words."""
-        return effect_in_words(self.effect, self.target, self.variant)
+        return effect_in_words(self.effect, self.target, self.variant, self.formula)
 
     @property
     def sentence(self) -> str:
         """Such as "joint damping at leg_joint, damping +0.79 +- 0.01 N m s/rad"."""
-        return ", ".join([self.place, *(f"{name} {e}" for name, e in self.estimate.items())])
+        place = f"{self.place} ({self.called})" if self.called else self.place
+        return ", ".join([place, *(f"{name} {e}" for name, e in self.estimate.items())])
 
     def to_json(self, rank: int) -> dict[str, Any]:
         """As diagnosis.json has it; rank: its place among the causes, from 1."""
+        law = {"formula": self.formula, "called": self.called} if self.formula else {}
         return {
             "effect": self.effect,
             "target": self.target,
             "variant": self.variant,
+            **law,
             "rank": rank,
             "estimate": {name: found.to_json() for name, found in self.estimate.items()},
             "p_value": self.p_value,
@@ -238,6 +253,8 @@ class Cause:
             confused_with=tuple(map(Alternative.from_json, saved["confused_with"])),
             acts_like=saved.get("acts_like"),
             stability=None if stability is None else Stability.from_json(stability),
+            formula=saved.get("formula", ""),
+            called=saved.get("called", ""),
         )
 
 
@@ -371,7 +388,7 @@ class Remaining:
         return cls(saved["calibrated"], saved["p_value"], where, saved.get("forces", {}))
 
 
-def effect_in_words(effect: str, target: str | None, variant: str) -> str:
+def effect_in_words(effect: str, target: str | None, variant: str, formula: str = "") -> str:
     """Write an effect and where it acts: "joint damping at knee", "contact stiffness (margin)".
 
     Parameters
@@ -380,6 +397,8 @@ def effect_in_words(effect: str, target: str | None, variant: str) -> str:
         Its name, and which kind of it; empty where it has one kind.
     target : str or None
         Where it acts; None where it is global.
+    formula : str
+        The text of a law.
 
     Returns
     -------
@@ -387,4 +406,5 @@ def effect_in_words(effect: str, target: str | None, variant: str) -> str:
     """
     where = f" at {target}" if target else ""
     kind = f" ({variant})" if variant else ""
-    return f"{effect.replace('_', ' ')}{where}{kind}"
+    name = f"the law {formula}" if formula else effect.replace("_", " ")
+    return f"{name}{where}{kind}"

@@ -14,6 +14,7 @@ from dropo.core.numerics.tails import normal_tail
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.experiment import experiment
+from dropo.diagnosis.laws.discovery import FoundLaw
 from dropo.diagnosis.parts import Alternative, Cause, Estimate, Leader, Stability, Suspect
 from dropo.diagnosis.search.invariance import invariance, standing_out
 from dropo.diagnosis.search.linearization import Library
@@ -47,6 +48,8 @@ class CauseSettings:
 
 
 SETTINGS = CauseSettings()
+NO_LAWS: Mapping[str, FoundLaw] = {}
+"""Where none was looked for."""
 
 
 def causes(
@@ -62,6 +65,7 @@ def causes(
     named: Collection[str] | None = None,
     again: Callable[[EffectInstance, Review, Collection[Alternative]], Stability | None]
     | None = None,
+    laws: Mapping[str, FoundLaw] = NO_LAWS,
 ) -> tuple[Cause, ...]:
     """Summarize each accepted effect, in the order in which they were found.
 
@@ -88,6 +92,8 @@ def causes(
         The labels of the effects that are causes; all if None.
     again : callable, optional
         Tries a cause on other windows, as `stability` does.
+    laws : mapping of str to FoundLaw
+        What is said of laws that were found, by label.
 
     Returns
     -------
@@ -110,6 +116,12 @@ def causes(
         regimes = invariance(library, last.test, instance)
         others = ambiguity(last, instance, own, selection)
         alternatives = _alternatives(library, last, instance, own, others, settings)
+        law = laws.get(instance.label)
+        if law is not None:
+            alternatives += tuple(
+                Alternative("law", one.target, "", one.why, formula=one.formula)
+                for one in law.others
+            )
         cause = Cause(
             effect=instance.effect,
             target=instance.target,
@@ -123,6 +135,8 @@ def causes(
             confused_with=alternatives,
             acts_like=_shape(last, instance) if regimes.constant else regimes.variable,
             stability=None if again is None else again(instance, own, alternatives),
+            formula=instance.formula,
+            called="" if law is None else law.called,
         )
         found.append(cause)
     return tuple(found)

@@ -181,7 +181,7 @@ def unexplained_force(
     stride = max(1, len(train.windows) // settings.windows)
     train = train.take(np.arange(0, len(train.windows), stride))
     if responses is None:
-        responses = _responses(library, train, instances), _responses(library, test, instances)
+        responses = responses_to(library, train, instances), responses_to(library, test, instances)
     of_train, of_test = responses
 
     # The noise and the forces that the windows to fit are most likely under.
@@ -207,10 +207,25 @@ def unexplained_force(
     return Unexplained(sd, 1 / unit, gain, z, excess, responses, settings)
 
 
-def _responses(
+def responses_to(
     library: Library, linearized: LinearizedWindows, instances: Sequence[EffectInstance]
 ) -> Array:
-    """d residual / d force (W, n, pieces nv)."""
+    """Simulate how residuals respond to each force.
+
+    Parameters
+    ----------
+    library : Library
+        With impulses among its effects.
+    linearized : LinearizedWindows
+        W windows of n measurements.
+    instances : sequence of EffectInstance
+        The impulses, as of `impulses_of`.
+
+    Returns
+    -------
+    (W, n, pieces nv) array
+        d residual / d force.
+    """
     free = np.concatenate([library.places[instance.label] for instance in instances])
     steps = library.steps[free]
     thetas = np.repeat(linearized.theta[None], len(free), axis=0)

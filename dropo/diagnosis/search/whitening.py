@@ -194,6 +194,10 @@ class Whitener:
         mean = _windows_first(scaled) @ self.scaled @ self.inner
         return _windows_last(mean, scaled.shape[:-1])
 
+    def latent(self, residuals: Array) -> Array:
+        """Expect the latent numbers z (W, m) given residuals (W, n)."""
+        return self._latent(self._differences(residuals) / self.rows) * self.scale
+
     def _explained(self, z: Array) -> Array:
         """A z (..., W, n), in units of the noise."""
         explained = _windows_first(z) @ self.scaled.swapaxes(1, 2)

@@ -530,7 +530,7 @@ class MujocoSimulator(RobotSimulator):
                     held = np.repeat(own, self.frame_skip // per_action, axis=1)
                     past = None
                     if reacting_effects(active):
-                        past = self._past(segments, block)
+                        past = self.recorded_past(segments, block)
                         states[:, 0] = past.states[past.start, 0]
                     every = segments.every_step
                     observed, last = self._roll(worker, active, states, held, every, past)
@@ -541,8 +541,20 @@ class MujocoSimulator(RobotSimulator):
             self._workers[general].put(worker)
         return np.concatenate([found[i] for i in part.tolist()])
 
-    def _past(self, segments: Segments, block: Ints) -> RecordedPast:
-        """What was recorded before a block of segments begins."""
+    def recorded_past(self, segments: Segments, block: Ints) -> RecordedPast:
+        """Give what was recorded before some segments begin.
+
+        Parameters
+        ----------
+        segments : Segments
+            N segments.
+        block : (n,) array of int
+            Which of them.
+
+        Returns
+        -------
+        RecordedPast
+        """
         if segments not in self._pasts:
             data = segments.trajectories
             first, last = np.array(data.spans).T

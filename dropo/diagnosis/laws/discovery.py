@@ -1,0 +1,543 @@
+"""Laws for what no known effect explains: proposed by the residual forces, fitted by simulation,
+confirmed on data held out in competition with the effects of the registry.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dropo.core.contracts.effect import EffectInstance, StepState
+from dropo.core.contracts.problem import Problem
+from dropo.core.services.validation import Array
+from dropo.diagnosis.findings.horizons import horizons
+from dropo.diagnosis.laws.forces import ResidualForces, residual_forces
+from dropo.diagnosis.laws.pursuit import (
+    Proposal,
+    PursuitSettings,
+    different,
+    formulas_tried,
+    propose,
+)
+from dropo.diagnosis.laws.shapes import Ranges, Shape, ShapeSettings, shapes_at
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows
+from dropo.diagnosis.search.review import Review, review
+from dropo.diagnosis.search.screening import Candidate
+from dropo.diagnosis.search.selection import (
+    Round,
+    Selection,
+    State,
+    Trial,
+    commonest_first,
+    gain_of,
+    is_confirmed,
+)
+from dropo.effects.law import hidden_states, joint_variables, law_instance
+from dropo.effects.support.formula_values import Program, evaluate
+from dropo.mjmodel.forces import motors
+from dropo.mjmodel.joints import Joint, joints
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+
+LETTER = "c"
+"""What the constants before the terms are called."""
+
+
+@dataclass(frozen=True)
+class LawSettings:
+    """How laws are looked for.
+
+    Attributes
+    ----------
+    refitted : int
+        Formulas that are fitted by simulation for each law.
+    laws : int
+        Laws that are accepted at most, each at a joint of its own.
+    similarity : float
+        Cosine from which two formulas do the same to the data.
+    worse : float
+        Part by which errors after no printed horizon may grow.
+    quantiles : int
+        Quantiles that say how a joint moves.
+    chunk : int
+        Terms that are whitened at once.
+    shapes : ShapeSettings
+        Which terms there are.
+    pursuit : PursuitSettings
+        How formulas are put together.
+    """
+
+    refitted: int = 6
+    laws: int = 2
+    similarity: float = 0.998
+    worse: float = 0.03
+    quantiles: int = 41
+    chunk: int = 64
+    shapes: ShapeSettings = field(default_factory=ShapeSettings)
+    pursuit: PursuitSettings = field(default_factory=PursuitSettings)
+
+
+SETTINGS = LawSettings()
+
+
+@dataclass(frozen=True)
+class OtherFormula:
+    """A formula that the data cannot tell from a law.
+
+    Attributes
+    ----------
+    formula : str
+        Its text.
+    target : str
+        Its joint.
+    why : str
+        Why not.
+    """
+
+    formula: str
+    target: str
+    why: str
+
+
+@dataclass(frozen=True)
+class FoundLaw:
+    """What is said of a law beside its sizes.
+
+    Attributes
+    ----------
+    called : str
+        The nearest law that has a name.
+    others : tuple of OtherFormula
+        Other formulas that the data cannot tell from it.
+    """
+
+    called: str
+    others: tuple[OtherFormula, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WithLaws:
+    """A search that went on with laws.
+
+    Attributes
+    ----------
+    selection : Selection
+        The search, whose library has the laws.
+    first, last : State
+        As they were, with places for the laws' constants; and the model with the laws.
+    reviews : mapping of str to Review
+        Of each accepted effect, by its label.
+    laws : mapping of str to FoundLaw
+        By the label of each law.
+    tried : int
+        How many formulas were tried.
+    """
+
+    selection: Selection
+    first: State
+    last: State
+    reviews: Mapping[str, Review]
+    laws: Mapping[str, FoundLaw]
+    tried: int
+
+
+def find_laws(
+    problem: Problem,
+    selection: Selection,
+    first: State,
+    last: State,
+    instances: Sequence[EffectInstance],
+    rng: np.random.Generator,
+    settings: LawSettings = SETTINGS,
+) -> WithLaws | None:
+    """Look for laws of force at the joints in what a search left unexplained.
+
+    Parameters
+    ----------
+    problem : Problem
+        That is diagnosed.
+    selection : Selection
+        The search that ended.
+    first, last : State
+        The model as it is, and where the search ended.
+    instances : sequence of EffectInstance
+        The effects that were looked for, which compete with laws.
+    rng : numpy.random.Generator
+        Draws the starts of windows by which horizons are compared.
+    settings : LawSettings
+        How laws are looked for.
+
+    Returns
+    -------
+    WithLaws or None
+        None where no law is confirmed.
+    """
+    if not isinstance(selection.library.simulator, MujocoSimulator):
+        return None
+    begun = last
+    tried = 0
+    laws: dict[str, FoundLaw] = {}
+    for _ in range(settings.laws):
+        taken = {instance.target for instance in last.accepted if instance.formula}
+        forces = residual_forces(selection.library, last, selection.floor)
+        pool, proposals = _proposals(selection.library.simulator, forces, taken, settings)
+        tried = max(tried, pool)
+        count = len(instances) + formulas_tried(pool)
+        selection.progress(0.9, f"fitting laws, of {pool} terms tried")
+        found = _confirmed(selection, last, first, proposals, count, settings)
+        if found is None:
+            break
+        law, told, state, larger = found
+        laws[law.label] = told
+        selection, first, last = _extended(selection, larger, first), _padded(first, larger), state
+        # With the law, others may be confirmed, and what stood in for it not be needed any more.
+        last, reviews = review(selection, last)
+        last = selection.run(first, last, instances)
+        last, reviews = review(selection, last)
+    present = {instance.label for instance in last.accepted}
+    laws = {label: told for label, told in laws.items() if label in present}
+    if not laws or _some_horizon_is_worse(problem, selection, begun, last, rng, settings):
+        return None
+    selection.latest = last
+    return WithLaws(selection, first, last, reviews, laws, tried)
+
+
+def _proposals(
+    simulator: MujocoSimulator, forces: ResidualForces, taken: set[str | None], settings: LawSettings
+) -> tuple[int, list[tuple[Proposal, list[Proposal]]]]:
+    """How many terms there are, and the formulas that promise most with others like them."""
+    measured = set(simulator.layout.names)
+    places = [
+        joint
+        for joint in joints(simulator.model)
+        if {f"qpos.{joint.name}", f"qvel.{joint.name}"} <= measured and joint.name not in taken
+    ]
+    names = [joint.name for joint in places]
+    shapes = {
+        joint.name: shapes_at(_ranges(simulator, forces, joint, names, settings), settings.shapes)
+        for joint in places
+    }
+    pool = sum(map(len, shapes.values()))
+    found: list[Proposal] = []
+    steps = forces.windows.windows.steps
+    for joint in places:
+        own = shapes[joint.name]
+        columns, full = _columns(simulator, forces, joint, own, settings)
+        variance = forces.variance
+        found += propose(
+            joint.name,
+            own,
+            columns,
+            forces.residuals,
+            variance,
+            steps,
+            pool,
+            full,
+            settings.pursuit,
+        )
+    found.sort(key=lambda one: -one.score)
+    groups = different(found, settings.similarity)
+    # The best, but of each joint and number of terms two at least where there is room.
+    chosen: list[tuple[Proposal, list[Proposal]]] = []
+    counts: dict[tuple[str, int], int] = {}
+    for group in groups:
+        key = (group[0].joint, len(group[0].shapes))
+        counts[key] = counts.get(key, 0) + 1
+        if counts[key] <= 2 and len(chosen) < settings.refitted:
+            chosen.append(group)
+    return pool, chosen
+
+
+def _ranges(
+    simulator: MujocoSimulator,
+    forces: ResidualForces,
+    joint: Joint,
+    measured: Sequence[str],
+    settings: LawSettings,
+) -> Ranges:
+    """How a joint moves in the windows."""
+    grid = np.linspace(0, 1, settings.quantiles)
+    driven = {one.id for one, _ in motors(simulator.model)}
+    return Ranges(
+        q=np.quantile(forces.states.qpos[:, joint.qpos], grid),
+        v=np.quantile(forces.states.qvel[:, joint.qvel], grid),
+        motor=joint.id in driven,
+        others=tuple(name for name in measured if name != joint.name),
+        seconds=float(forces.past.states[:, 0].max()),
+        hinge=joint.kind == "hinge",
+    )
+
+
+def _columns(
+    simulator: MujocoSimulator,
+    forces: ResidualForces,
+    joint: Joint,
+    shapes: Sequence[Shape],
+    settings: LawSettings,
+) -> tuple[Array, Array]:
+    """The whitened responses (K, N) to the terms, and their lengths (K,) with all they have."""
+    context = simulator.effect_context
+    values = np.empty((len(shapes), len(forces.states.time)))
+    shared: dict[tuple[str, str], Array] = {}
+    for i, shape in enumerate(shapes):
+        own = {name: size for name, size in shape.own} | {LETTER: 1.0}
+        text = f"{LETTER} * ({shape.written([name for name, _ in shape.own])})"
+        law = law_instance(context, joint.name, text)
+        constants = np.array([own[quantity.name] for quantity in law.quantities])
+        values[i] = values_at(simulator, forces, joint, _program(law), constants, shared)
+    columns = np.concatenate(
+        [
+            forces.columns(values[first : first + settings.chunk], joint.qvel)
+            for first in range(0, len(values), settings.chunk)
+        ]
+    )
+    whole = replace(forces, basis=None)
+    full = np.concatenate(
+        [
+            np.linalg.norm(whole.columns(values[first : first + settings.chunk], joint.qvel), axis=1)
+            for first in range(0, len(values), settings.chunk)
+        ]
+    )
+    return columns, full
+
+
+def _program(law: EffectInstance) -> Program:
+    """What a law of a joint evaluates."""
+    hook = law.force
+    program: Program = hook.args[-1]  # type: ignore[union-attr]
+    return program
+
+
+def values_at(
+    simulator: MujocoSimulator,
+    forces: ResidualForces,
+    joint: Joint,
+    program: Program,
+    constants: Array,
+    shared: dict[tuple[str, str], Array],
+) -> Array:
+    """Evaluate a formula in the states of all windows.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The model.
+    forces : ResidualForces
+        The windows.
+    joint : Joint
+        Where the formula acts.
+    program : Program
+        The formula.
+    constants : (q,) array
+        Its constants.
+    shared : dict
+        Variables that were computed before; those of this formula are added.
+
+    Returns
+    -------
+    (W (L + 1),) array
+    """
+    ids = tuple({one.id: own for one, own in motors(simulator.model)}.get(joint.id, ()))
+    others = tuple((one.name, one.qpos, one.qvel) for one in joints(simulator.model))
+
+    def variables(state: StepState) -> dict[tuple[str, str], Array]:
+        """The variables of the formula."""
+        return joint_variables(state, joint, ids, others, program.variables)
+
+    if not program.hidden:
+        missing = [one for one in program.variables if one not in shared]
+        shared |= joint_variables(forces.states, joint, ids, others, missing)
+        if not program.variables:
+            return np.broadcast_to(evaluate(program, {}, constants, {}), forces.states.time.shape)
+        return evaluate(program, {one: shared[one] for one in program.variables}, constants, {})
+    # Hidden states follow the recorded motion from its beginning.
+    hidden = hidden_states(program, forces.states, forces.past, variables, constants)
+    rows = forces.past.states
+    model = simulator.model
+    time, qpos, qvel, act = np.split(rows, np.cumsum([1, model.nq, model.nv]), axis=1)
+    state = StepState(qpos, qvel, forces.past.commands, 0, act, forces.states.model, time[:, 0])
+    whole = evaluate(program, variables(state), constants, dict(hidden))
+    after = forces.steps[:, -1:] + 1
+    last = np.minimum(after, len(whole) - 1)
+    last = np.where(rows[last, 0] == 0, forces.steps[:, -1:], last)
+    return whole[np.concatenate([forces.steps, last], axis=1)].ravel()
+
+
+def formula_of(proposal: Proposal) -> tuple[str, dict[str, float]]:
+    """Write a proposal as a formula with first sizes of its constants.
+
+    Parameters
+    ----------
+    proposal : Proposal
+        The terms and the constants before them.
+
+    Returns
+    -------
+    text : str
+        Such as "-c * abs(v) * v", with positive constants.
+    sizes : dict of str to float
+        By constant.
+    """
+    sizes: dict[str, float] = {}
+    text = ""
+    several = len(proposal.shapes) > 1
+    for i, (shape, size) in enumerate(zip(proposal.shapes, proposal.sizes.tolist(), strict=True)):
+        names = []
+        for name, first in shape.own:
+            own = f"{name}{i + 1}" if several else name
+            sizes[own] = first
+            names.append(own)
+        letter = f"{LETTER}{i + 1}" if several else LETTER
+        sizes[letter] = abs(size)
+        sign = "-" if size < 0 else "+"
+        term = f"{letter} * {shape.written(names)}".removesuffix(" * 1")
+        text += f" {sign} {term}"
+    text = text.strip()
+    return (text[2:] if text.startswith("+") else f"-{text[2:]}"), sizes
+
+
+def _confirmed(
+    selection: Selection,
+    state: State,
+    first: State,
+    groups: Sequence[tuple[Proposal, list[Proposal]]],
+    count: int,
+    settings: LawSettings,
+) -> tuple[EffectInstance, FoundLaw, State, Library] | None:
+    """The law that data held out confirm, what is said of it, the state and library with it."""
+    if not groups:
+        return None
+    context = selection.library.simulator.effect_context  # type: ignore[attr-defined]
+    trials: list[tuple[Trial, Proposal, list[Proposal], Library]] = []
+    for proposal, alike in groups:
+        text, sizes = formula_of(proposal)
+        law = law_instance(context, proposal.joint, text, typical=sizes)
+        library = _larger(selection.library, law)
+        own = _extended(selection, library, state)
+        starting = _padded(state, library)
+        order = np.array([sizes[quantity.name] for quantity in law.quantities])
+        candidate = Candidate(law, order, proposal.gain, proposal.signature)
+        (trial,) = own.try_candidates(starting, [candidate])
+        trials.append((trial, proposal, alike, library))
+    ordered = commonest_first(
+        sorted((trial for trial, *_ in trials), key=lambda one: -one.penalized_gain),
+        selection.settings,
+    )
+    by_trial = {id(trial): (trial, *rest) for trial, *rest in trials}
+    needed = selection.settings.needed_gain(count)
+    for trial in ordered[: selection.settings.polished]:
+        if trial.trained <= selection.settings.fitted_gain:
+            continue
+        _, proposal, alike, library = by_trial[id(trial)]
+        own = _extended(selection, library, state)
+        if own._only_by_feedback(trial.state):
+            continue
+        polished = own.polish(trial.state)
+        if not is_confirmed(state.test, polished.test, needed, selection.settings):
+            continue
+        told = _told(proposal, alike, trial, polished, by_trial, selection)
+        return trial.candidate.instance, told, polished, library
+    return None
+
+
+def _told(
+    proposal: Proposal,
+    alike: Sequence[Proposal],
+    accepted: Trial,
+    polished: State,
+    trials: Mapping[int, tuple[Trial, Proposal, list[Proposal], Library]],
+    selection: Selection,
+) -> FoundLaw:
+    """The name of a law, and what cannot be told from it."""
+    others: dict[str, OtherFormula] = {}
+    limit = selection.settings.indistinguishable_z
+    for trial, other, likes, _ in trials.values():
+        if trial is accepted:
+            continue
+        deficit, z = gain_of(trial.state.test, polished.test)
+        if not (z < limit or deficit < selection.settings.deficit):
+            continue
+        text = formula_of(other)[0]
+        why = f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
+        others[f"{other.joint}:{text}"] = OtherFormula(text, other.joint, why)
+        for like in likes[:1]:
+            text = formula_of(like)[0]
+            why = f"similarity {float(like.signature @ other.signature):.3f} to the one before"
+            others.setdefault(f"{like.joint}:{text}", OtherFormula(text, like.joint, why))
+    for like in alike[:3]:
+        text = formula_of(like)[0]
+        why = f"similarity {float(like.signature @ proposal.signature):.3f}"
+        others.setdefault(f"{like.joint}:{text}", OtherFormula(text, like.joint, why))
+    return FoundLaw(name_of(proposal), tuple(others.values())[:4])
+
+
+def name_of(proposal: Proposal) -> str:
+    """Name the nearest known law: that of the terms that are no known effects."""
+    names = [shape.law for shape in proposal.shapes if not shape.known]
+    beside = [shape.law for shape in proposal.shapes if shape.known]
+    return " and ".join(dict.fromkeys([*names, *beside]))
+
+
+def _larger(library: Library, law: EffectInstance) -> Library:
+    """A library with one more effect, behind all others."""
+    simulator = library.simulator.with_effects([law])  # type: ignore[attr-defined]
+    simulator.steps = library.simulator.steps
+    return Library(simulator, [*library.instances, law], library.declared, library.differences)
+
+
+def _extended(selection: Selection, library: Library, like: State) -> Selection:
+    """The search in a larger library, its rounds with places for what is new there."""
+    del like
+    rounds = {id(one): _padded_round(one, library) for one in selection.rounds}
+    own = replace(selection, library=library, rounds=list(rounds.values()), origins={})
+    own.origins.update(
+        {label: rounds.get(id(one), one) for label, one in selection.origins.items()}
+    )
+    own.screening.remembered.update(selection.screening.remembered)
+    own.screening.first = (
+        None
+        if selection.screening.first is None
+        else _padded_side(selection.screening.first, library)
+    )
+    return own
+
+
+def _padded_round(one: Round, library: Library) -> Round:
+    """A round with places for what is new in a library."""
+    trials = [replace(trial, state=_padded(trial.state, library)) for trial in one.trials]
+    return Round(_padded(one.before, library), one.screened, trials)
+
+
+def _padded(state: State, library: Library) -> State:
+    """A state with places for what is new in a library, which it does not have."""
+    return replace(
+        state,
+        train=_padded_side(state.train, library),
+        test=_padded_side(state.test, library),
+    )
+
+
+def _padded_side(side: LinearizedWindows, library: Library) -> LinearizedWindows:
+    """Windows with places for what is new in a library."""
+    new = len(library.simulator.space) - len(side.theta)
+    theta = np.append(side.theta, np.zeros(new))
+    at, noise = side.linearized_at
+    return replace(side, theta=theta, linearized_at=(np.append(at, np.zeros(new)), noise))
+
+
+def _some_horizon_is_worse(
+    problem: Problem,
+    selection: Selection,
+    begun: State,
+    last: State,
+    rng: np.random.Generator,
+    settings: LawSettings,
+) -> bool:
+    """Whether errors after some printed horizon are larger with the laws than without them."""
+    library = selection.library
+    before = _padded(begun, library)
+    (draws,) = rng.spawn(1)
+    without, with_laws = horizons(problem, library, [before.theta, last.theta], last, draws)
+    for old, new in zip(without, with_laws, strict=True):
+        if not new.rmse <= (1 + settings.worse) * max(old.rmse, new.noise):
+            return True
+    return False

@@ -1,0 +1,208 @@
+"""The forces at the joints that nothing explains yet, and the states in which they act.
+
+A window's residuals are R w + B z + e: forces w, a constant one at each degree of freedom in each
+piece of the window, errors z of its start, and noise e. So a formula's values in the pieces, times
+R, are what it would change, and regressing the whitened residuals on that is regressing the forces
+on the formula with their covariance in time. Contacts are in R, which is simulated.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dropo.core.contracts.effect import ActiveEffects, RecordedPast, StepState, magnitudes_of
+from dropo.core.services.validation import Array
+from dropo.diagnosis.findings.unexplained_forces import impulses_of, responses_to
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows
+from dropo.diagnosis.search.selection import State
+from dropo.diagnosis.search.whitening import Whitener, learn_noise
+from dropo.simulators.mujoco.layers import changes_commands, commands_per_physics_step
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+
+RANK = 1e-9
+"""Relative length below which what remains of a column is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualForces:
+    """What W windows say of forces that nothing explains.
+
+    Attributes
+    ----------
+    windows : LinearizedWindows
+        The windows, with random forces in their covariance.
+    responses : (W, n, P, nv) array
+        The change of the residuals by a force at each degree of freedom in each of P pieces.
+    basis : (N, f) array or None
+        What the numbers explain that are fitted anyway, whitened and orthonormal.
+    residuals : (N,) array
+        The whitened residuals without that.
+    states : StepState
+        Of W (L + 1) states: those of each window in turn.
+    past : RecordedPast
+        The data, for hidden states.
+    steps : (W, L) array of int
+        The row of the data of each step.
+    length : int
+        L, control steps in a window.
+    """
+
+    windows: LinearizedWindows
+    responses: Array
+    basis: Array | None
+    residuals: Array
+    states: StepState
+    past: RecordedPast
+    steps: np.ndarray
+    length: int
+
+    @property
+    def variance(self) -> float:
+        """The mean square of the whitened residuals, at least a half."""
+        count = max(self.windows.residuals[~self.windows.lost].size, 1)
+        return max(float(self.residuals @ self.residuals) / count, 0.5)
+
+    def by_piece(self, values: Array) -> Array:
+        """Average values (..., W (L + 1)) at states over the pieces: (..., W, P)."""
+        count = len(self.responses)
+        at = values.reshape(*values.shape[:-1], count, self.length + 1)
+        steps = 0.5 * (at[..., 1:] + at[..., :-1])
+        pieces = self.responses.shape[2]
+        piece = np.arange(self.length) * pieces // self.length
+        sums = np.zeros((*steps.shape[:-1], pieces))
+        np.add.at(sums, (..., piece), steps)
+        return sums / np.bincount(piece, minlength=pieces)
+
+    def columns(self, values: Array, dof: int) -> Array:
+        """Whiten what forces of the values (K, W (L + 1)) at a degree of freedom change.
+
+        Returns (K, N), without what is explained anyway.
+        """
+        pieces = self.by_piece(values)
+        changes = np.einsum("wnp,kwp->kwn", self.responses[..., dof], pieces)
+        rows = self.windows.flat(changes)
+        if self.basis is None:
+            return rows
+        left = rows - (rows @ self.basis) @ self.basis.T
+        # What is as good as explained is rounding.
+        lengths = np.linalg.norm(rows, axis=1)
+        left[np.linalg.norm(left, axis=1) < RANK * lengths] = 0.0
+        return left
+
+
+def residual_forces(library: Library, state: State, floor: Array) -> ResidualForces:
+    """Find what a state's windows to fit say of forces that it does not explain.
+
+    Parameters
+    ----------
+    library : Library
+        With impulses among its effects, around a `MujocoSimulator`.
+    state : State
+        The model with what was found.
+    floor : (p,) array
+        Lower bound of the noise.
+
+    Returns
+    -------
+    ResidualForces
+    """
+    simulator = library.simulator
+    if not isinstance(simulator, MujocoSimulator):
+        raise AssertionError("laws are looked for around a MuJoCo model")
+    train = state.train
+    instances = impulses_of(library)
+    nv = len({instance.target for instance in instances})
+    pieces = len(instances) // nv
+    responses = responses_to(library, train, instances)
+    unit = np.array([instance.quantities[0].probes[0] for instance in instances[:nv]])
+    good = ~train.lost
+    noise, sd = learn_noise(
+        np.concatenate([train.start_loadings, responses], axis=2)[good],
+        train.residuals[good],
+        train.whiten.noise,
+        floor,
+        unit,
+        pieces=pieces,
+        known=train.known_loadings[good],
+    )
+    known = train.known_loadings
+    loadings = np.concatenate([train.start_loadings, responses, known], axis=2)
+    ones = np.ones(known.shape[2])
+    scale = np.concatenate([np.tile(noise.sigma, 2), np.tile(sd, pieces), ones])
+    windows = replace(train, whiten=Whitener(loadings, scale, noise))
+    basis = None
+    space = simulator.space
+    free = state.free
+    free = free[(train.theta[free] > space.low[free]) & (train.theta[free] < space.high[free])]
+    if len(free):
+        jacobian = library.jacobian(train.theta, free, train.windows)
+        basis = np.linalg.qr(windows.flat(jacobian).T)[0]
+    residuals = windows.flat(windows.residuals)
+    if basis is not None:
+        residuals = residuals - basis @ (basis.T @ residuals)
+    by_latent = np.concatenate([train.start_loadings, responses], axis=2)
+    states, past = _states(simulator, state, windows, by_latent)
+    return ResidualForces(
+        windows=windows,
+        responses=responses.reshape(*responses.shape[:2], pieces, nv),
+        basis=basis,
+        residuals=residuals,
+        states=states,
+        past=past,
+        steps=train.windows.segments.steps,
+        length=train.windows.length,
+    )
+
+
+def _states(
+    simulator: MujocoSimulator, state: State, windows: LinearizedWindows, loadings: Array
+) -> tuple[StepState, RecordedPast]:
+    """The states of all windows as estimated from their measurements, and the data.
+
+    loadings: (W, n, k) of errors of the start and of forces.
+    """
+    segments = windows.windows.segments
+    data = segments.trajectories
+    layout = simulator.layout
+    count, length = segments.steps.shape
+    p = len(windows.whiten.sigma)
+
+    # Signals: what was simulated, moved by what the measurements say of start and forces.
+    latent = windows.whiten.latent(windows.residuals)[:, : loadings.shape[2]]
+    latent[windows.lost] = 0.0
+    latent[:, p : 2 * p] = 0.0
+    moved = np.einsum("wnk,wk->wn", loadings, latent) - windows.residuals
+    moved[windows.lost] = 0.0
+    measured = data.next_observations[segments.steps]
+    later = layout.move(
+        measured.reshape(count * length, -1), moved.reshape(count * length, p)
+    ).reshape(count, length, -1)
+    first = layout.move(segments.starts, latent[:, :p])
+    rows = np.concatenate([first[:, None], later], axis=1).reshape(count * (length + 1), -1)
+    model = simulator.model_of(state.theta, _active(state, simulator))
+    full = layout.full_states(rows, model)
+
+    # Commands, as accepted effects change them, in the mean over each step.
+    begins = np.array(data.spans)[data.trajectory[segments.steps[:, 0]], 0]
+    commands = simulator.commands_of(data.actions)
+    active = _active(state, simulator)
+    whole = commands[segments.steps]
+    if changes_commands(active):
+        everything = np.arange(count)
+        changed = commands_per_physics_step(
+            segments, everything, commands, model, simulator.frame_skip, active
+        )
+        whole = changed.reshape(count, length, simulator.frame_skip, -1).mean(axis=2)
+    held = np.concatenate([whole, whole[:, -1:]], axis=1).reshape(count * (length + 1), -1)
+    steps = segments.steps[:, :1] - begins[:, None] + np.arange(length + 1)
+    time = (simulator.control_step * steps).ravel()
+    qpos, qvel, act = np.split(full[:, 1:], np.cumsum([model.nq, model.nv]), axis=1)
+    states = StepState(qpos, qvel, held, 0, act, model, time)
+
+    return states, simulator.recorded_past(segments, np.arange(count))
+
+
+def _active(state: State, simulator: MujocoSimulator) -> ActiveEffects:
+    """The effects of a state with their magnitudes."""
+    free = magnitudes_of(simulator.effects, state.theta[len(simulator.bindings) :])
+    return [*simulator.fixed, *free]

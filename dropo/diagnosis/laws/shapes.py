@@ -1,0 +1,252 @@
+"""The shapes of which laws are made: terms of a formula, each times a constant."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.services.validation import Array
+from dropo.effects.joint_cogging import COGS
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A term of a law, without its constant.
+
+    Attributes
+    ----------
+    text : str
+        The formula, with {0}, {1} in the place of its own constants.
+    law : str
+        What a law of this term is called, such as "quadratic drag".
+    own : tuple of (str, float)
+        Its own constants: what they are called, and a first size.
+    known : bool
+        Whether an effect of the registry stands for it, so that it is no law by itself.
+    """
+
+    text: str
+    law: str
+    own: tuple[tuple[str, float], ...] = ()
+    known: bool = False
+
+    def written(self, names: Sequence[str]) -> str:
+        """The term with the given names of its own constants."""
+        return self.text.format(*names)
+
+    @property
+    def numbers(self) -> str:
+        """The term with its own constants' first sizes."""
+        return self.text.format(*(repr(size) for _, size in self.own))
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """How a joint moves in the data, from which first sizes of constants are taken.
+
+    Attributes
+    ----------
+    q, v : (k,) arrays
+        Quantiles of the position and of the speed.
+    motor : bool
+        Whether a motor drives it.
+    others : tuple of str
+        The other slides and hinges whose states are measured.
+    seconds : float
+        The longest trajectory [s].
+    hinge : bool
+        Whether it turns.
+    """
+
+    q: Array
+    v: Array
+    motor: bool
+    others: tuple[str, ...]
+    seconds: float
+    hinge: bool
+
+
+@dataclass(frozen=True)
+class ShapeSettings:
+    """Which shapes are tried.
+
+    Attributes
+    ----------
+    places : tuple of float
+        Quantiles of the position at which stops, slack and detents are tried ...
+    widths : tuple of float
+        ... and their widths, in parts of its range.
+    speeds : tuple of float
+        Quantiles of the speed that are tried as scales.
+    orders : int
+        Orders of ripples, at most.
+    distances : tuple of float
+        Presliding distances, in parts of the range of the position.
+    times : tuple of float
+        Time constants, in parts of the longest trajectory.
+    """
+
+    places: tuple[float, ...] = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)
+    widths: tuple[float, ...] = (0.03, 0.08, 0.2)
+    speeds: tuple[float, ...] = (0.15, 0.4, 0.7, 0.9)
+    orders: int = 40
+    distances: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1)
+    times: tuple[float, ...] = (0.05, 0.2, 0.6)
+
+
+SETTINGS = ShapeSettings()
+
+
+def shapes_at(ranges: Ranges, settings: ShapeSettings = SETTINGS) -> list[Shape]:
+    """List the shapes for a joint.
+
+    Parameters
+    ----------
+    ranges : Ranges
+        How it moves.
+    settings : ShapeSettings
+        Which shapes.
+
+    Returns
+    -------
+    list of Shape
+        Each differently written.
+    """
+    found = [
+        *_of_speed(ranges, settings),
+        *_of_position(ranges, settings),
+        *_of_load(ranges),
+        *_of_time(ranges, settings),
+        *_of_others(ranges),
+        *_remembering(ranges, settings),
+    ]
+    return list({shape.numbers: shape for shape in found}.values())
+
+
+def _of_speed(ranges: Ranges, settings: ShapeSettings) -> Iterator[Shape]:
+    """Drags and frictions."""
+    yield Shape("v", "viscous friction", known=True)
+    yield Shape("sign(v)", "dry friction", known=True)
+    yield Shape("abs(v) * v", "quadratic drag")
+    yield Shape("v**3", "cubic drag")
+    yield Shape("sign(v) * sqrt(abs(v))", "square-root friction")
+    yield Shape("abs(v)", "viscous friction that differs by direction")
+    yield Shape("v**2", "quadratic drag that differs by direction")
+    for speed in _scales(ranges.v, settings.speeds):
+        yield Shape("tanh(v / {0})", "friction that saturates with speed", (("w", speed),))
+        yield Shape("exp(-(v / {0})**2) * sign(v)", "Stribeck", (("w", speed),), known=True)
+
+
+def _of_position(ranges: Ranges, settings: ShapeSettings) -> Iterator[Shape]:
+    """Springs, stops, detents, ripples."""
+    yield Shape("1", "constant force", known=True)
+    yield Shape("q", "spring", known=True)
+    yield Shape("q**2", "spring with a quadratic part")
+    yield Shape("q**3", "cubic spring")
+    yield Shape("abs(q) * q", "spring that stiffens")
+    yield Shape("abs(q)", "spring that differs by side")
+    yield Shape("q * v", "viscous friction that grows along the way")
+    yield Shape("q**2 * v", "viscous friction that grows away from the middle")
+    yield Shape("q * sign(v)", "dry friction that grows along the way")
+    yield Shape("q**2 * sign(v)", "dry friction that grows away from the middle")
+    span = float(ranges.q[-1] - ranges.q[0])
+    for place in _quantiles(ranges.q, settings.places):
+        own = ("a", place)
+        yield Shape("max(q - {0}, 0)", "tether or stop", (own,))
+        yield Shape("max({0} - q, 0)", "tether or stop", (own,))
+        for part in settings.widths:
+            sizes = (own, ("w", part * span))
+            text = "(q - {0}) * exp(-((q - {0}) / {1})**2)"
+            yield Shape(text, "detent", sizes)
+    for part in settings.places:
+        width = float(np.quantile(np.abs(ranges.q), part))
+        if width > 0:
+            yield Shape("dead(q, {0})", "spring with play", (("w", width),))
+    if ranges.hinge:
+        for order in range(1, settings.orders + 1):
+            known = order in COGS
+            yield Shape(f"sin({order} * q)", "torque ripple", known=known)
+            yield Shape(f"cos({order} * q)", "torque ripple", known=known)
+
+
+def _of_load(ranges: Ranges) -> Iterator[Shape]:
+    """What grows with the motor's force or the load."""
+    yield Shape("abs(load) * sign(v)", "friction that grows with the load")
+    yield Shape("abs(load) * v", "viscous friction that grows with the load")
+    yield Shape("load", "gravity and inertia that are off")
+    yield Shape("contact", "contact force that is off")
+    yield Shape("abs(contact) * sign(v)", "friction that grows with the contact force")
+    if not ranges.motor:
+        return
+    yield Shape("motor", "gain", known=True)
+    yield Shape("abs(motor) * sign(v)", "friction that grows with the drive's force", known=True)
+    yield Shape("abs(motor) * v", "viscous friction that grows with the drive's force")
+    yield Shape("motor * abs(v)", "force that falls with speed", known=True)
+    yield Shape("motor * v**2", "force that falls with the square of speed")
+    yield Shape("abs(motor) * motor", "gain that falls with the force")
+    yield Shape("motor**3", "gain that falls with the force")
+    yield Shape("motor**2", "gain that differs by direction")
+    yield Shape("abs(motor)", "gain that differs by direction")
+    yield Shape("motor * q", "gain that changes along the way")
+    yield Shape("motor * q**2", "gain that changes away from the middle")
+
+
+def _of_time(ranges: Ranges, settings: ShapeSettings) -> Iterator[Shape]:
+    """What changes in the course of each trajectory."""
+    yield Shape("t", "force that grows with time")
+    yield Shape("t * v", "viscous friction that grows with time")
+    yield Shape("t * sign(v)", "dry friction that grows with time")
+    if ranges.motor:
+        yield Shape("motor * t", "thermal derating")
+    for part in settings.times:
+        own = (("T", part * ranges.seconds),)
+        yield Shape("exp(-t / {0}) * v", "viscous friction that warms up", own)
+        yield Shape("exp(-t / {0}) * sign(v)", "dry friction that warms up", own)
+        if ranges.motor:
+            yield Shape("motor * exp(-t / {0})", "derating over time", own)
+
+
+def _of_others(ranges: Ranges) -> Iterator[Shape]:
+    """What other joints do."""
+    for other in ranges.others:
+        own = other if other.isidentifier() else None
+        q, v = (f"q.{own}", f"v.{own}") if own else (f'q["{other}"]', f'v["{other}"]')
+        yield Shape(f"{v} * v", "coupling by the product of speeds")
+        yield Shape(f"{v}**2", "coupling by the square of another speed")
+        yield Shape(f"abs({v}) * {v}", "drag of another joint")
+        yield Shape(v, "viscous coupling")
+        yield Shape(f"sign({v})", "dry friction of another joint")
+        yield Shape(q, "spring between joints")
+        yield Shape(f"{q}**3", "cubic spring between joints")
+        yield Shape(f"{q} * q", "spring that another joint changes")
+        yield Shape(f"{q} * v", "viscous friction that another joint changes")
+
+
+def _remembering(ranges: Ranges, settings: ShapeSettings) -> Iterator[Shape]:
+    """What has states of its own."""
+    span = float(ranges.q[-1] - ranges.q[0])
+    for part in settings.distances:
+        own = (("x", part * span),)
+        yield Shape("dahl({0})", "presliding (Dahl) friction", own)
+        yield Shape("abs(load) * dahl({0})", "presliding friction that grows with the load", own)
+        if ranges.motor:
+            text = "abs(motor) * dahl({0})"
+            yield Shape(text, "presliding friction that grows with the drive's force", own)
+    for part in settings.times:
+        own = (("T", part * ranges.seconds),)
+        if ranges.motor:
+            yield Shape("motor * lag(motor**2, {0})", "thermal derating by past force", own)
+            yield Shape("lag(motor, {0})", "force with a lag", own)
+        yield Shape("lag(v, {0})", "viscoelastic (Maxwell) element", own)
+
+
+def _quantiles(grid: Array, parts: Sequence[float]) -> list[float]:
+    """Values at parts of a sorted grid of quantiles, to three digits."""
+    places = np.interp(parts, np.linspace(0, 1, len(grid)), grid)
+    return [float(f"{place:.3g}") for place in places]
+
+
+def _scales(grid: Array, parts: Sequence[float]) -> list[float]:
+    """Positive sizes of a quantity at parts of its quantiles."""
+    sizes = np.quantile(np.abs(grid), parts)
+    return [float(f"{size:.3g}") for size in sizes if size > 0]
