@@ -100,6 +100,28 @@ def law_instance(
     )
 
 
+def places(context: EffectContext, variant: str = "") -> list[str]:
+    """List the places of laws of a variant.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot.
+    variant : str
+        As of `law_instance`.
+
+    Returns
+    -------
+    list of str
+        Joints, actuators or bodies.
+    """
+    if variant == "":
+        return [joint.name for joint in joints(context.model)]
+    if variant == COMMAND:
+        return [actuator.name for actuator in actuators(context.model)]
+    return list(element_names(context.model, "body"))
+
+
 def units_at(context: EffectContext, target: str | None, variant: str = "") -> tuple[Units, str]:
     """List the variables of laws at a place.
 
@@ -384,5 +406,3 @@ def hidden_states(
             for out, part in zip(whole, parts, strict=True):
                 out[at[alive]] = np.broadcast_to(part, at.shape)[alive]
     return found
-
-

@@ -8,7 +8,7 @@ The room imports core alone. Add a figure as a function with `ax=None` that take
 `axes_of`, and list it here.
 """
 
-from dropo.plots.causes import candidates, changes, forces, residuals, similarity, sizes
+from dropo.plots.causes import candidates, changes, forces, law, residuals, similarity, sizes
 from dropo.plots.checks import expected_coverage, ranks
 from dropo.plots.distribution import corner, correlation, parameters
 from dropo.plots.motion import calibration, errors, horizon, trajectory
@@ -25,6 +25,7 @@ __all__ = [
     "expected_coverage",
     "forces",
     "horizon",
+    "law",
     "moves",
     "noise",
     "parameters",

@@ -259,6 +259,46 @@ def _means(x: Array, y: Array, inside: Ints) -> tuple[Array, Array, Array]:
     return centre, mean, half
 
 
+def law(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
+    """Draw the force that a law stands for, with 95 % intervals, and the law.
+
+    Parameters
+    ----------
+    result : Diagnosis or FigureData
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+    found : int
+        Which of the figure data's `laws`.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    BadArgument
+        If the result has no such data.
+    """
+    data = figure_data_of(result)
+    ax = axes_of(ax)
+    if found >= len(data.laws):
+        return empty(ax, "No law was found.")
+    shown = data.laws[found]
+    half = 1.96 * np.array(shown.error)
+    ax.axhline(0, color=GREY, lw=0.8)
+    ax.plot(shown.x, shown.law, color=AFTER, lw=1.6, label="law")
+    ax.errorbar(shown.x, shown.force, half, color=INK, fmt="o", ms=4, capsize=2, label="data")
+    ax.xaxis.get_major_locator().set_params(nbins=6)
+    place = shown.label.partition(":")[2]
+    ax.set(
+        xlabel=with_unit(shown.axis, shown.axis_unit),
+        ylabel=with_unit(f"force at {place}", shown.unit),
+    )
+    legend(ax)
+    return ax
+
+
 def sizes(result: Any, ax: Axes | None = None, *, found: int = 0, unit: str = "") -> Axes:
     """Draw a cause's magnitude, estimated anew in quarters of the data, with 95 % intervals.
 

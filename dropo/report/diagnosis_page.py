@@ -192,6 +192,8 @@ def causes_section(content: dict[str, Any]) -> Section:
     ]
     remarks = [_confused(cause, other) for cause in causes for other in cause.confused_with]
     for cause in causes:
+        if cause.formula:
+            remarks.append(f"{cause.place}: {cause.called or 'a law without a name'}.")
         if cause.acts_like:
             differs = f"its size differs with {cause.acts_like}"
             remarks.append(f"{words(_label(cause))} only acts like the cause: {differs}.")
@@ -319,7 +321,7 @@ def _p_value(value: float) -> str:
 
 def _confused(cause: Cause, other: Alternative) -> str:
     """What the data cannot tell from a cause."""
-    place = effect_in_words(other.effect, other.target, "")
+    place = effect_in_words(other.effect, other.target, "", other.formula)
     more = f" To tell: {other.to_tell}." if other.to_tell else ""
     return f"{words(_label(cause))} may as well be {place}: {other.why}.{more}"
 
@@ -342,6 +344,17 @@ def _evidence(found: FigureData, units: dict[str, str]) -> Section | None:
             f"Dots: error of {one.signal} over {one.axis}. {text}",
         )
         shown.append(figure(svg, f"{words(one.label)}: errors over {one.axis}", text))
+    for i, curve in enumerate(found.laws):
+        off = np.subtract(curve.force, curve.law) / np.maximum(curve.error, 1e-300)
+        text = (
+            "The force that is missing without the law, fitted in parts of the data, and the law. "
+            f"They differ by {float(np.sqrt(np.mean(off**2))):.2g} standard errors."
+        )
+        svg = picture(
+            partial(plots.law, found, found=i),
+            f"Force over {curve.axis}. {text}",
+        )
+        shown.append(figure(svg, f"{words(curve.label)}: force over {curve.axis}", text))
     for i, part in enumerate(found.sizes):
         listed = ", ".join(
             f"{size:.0%} ± {196 * error:.0f} %"

@@ -13,6 +13,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadFile
 from dropo.core.services.registry import find, names
 from dropo.diagnosis.search.library import declared
+from dropo.effects.law import law_of_text
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.plain_model import write_extended
 from dropo.problems.file.verification import PlainRollout
@@ -25,6 +26,11 @@ SAME = 1e-9
 ROUNDED = 1e-5
 """What changes through the data changes the numbers of model.xml, which have six digits."""
 MASS = 1.23456789
+LAWS = (
+    "-0.05 * c * abs(v) * v",
+    "0.1 * d * t - 0.1 * c * dahl(x) - 0.1 * f * abs(load) * lag(v, T)",
+)
+"""Laws, of small forces where their constants are 1."""
 WINDOWS = np.array([0, 7, 12, 24, 31, 38, 48])
 
 
@@ -58,6 +64,9 @@ def test_every_effect_is_there(effect, arm, tmp_path):
     arm = with_tendon(arm) if effect.startswith("tendon") else arm
     every = find("effects", effect)(arm.simulator.effect_context)
     instances = [one for one in every if not declared(arm.simulator, one)]
+    if effect == "law":
+        context = arm.simulator.effect_context
+        instances = [law_of_text(context, f"elbow:{text}") for text in LAWS]
     for i, one in enumerate((instances[0], instances[-1])):
         ours, plain, off = both(with_effect(arm, one), tmp_path / str(i))
         same = ROUNDED if one.time_profile else SAME

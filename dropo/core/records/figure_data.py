@@ -147,6 +147,36 @@ class Sums:
 
 
 @dataclass(frozen=True)
+class LawCurve:
+    """The force at a joint that a law stands for, as the data have it without the law.
+
+    Attributes
+    ----------
+    label : str
+        The law.
+    axis, axis_unit : str
+        The variable that it depends on, and its unit.
+    unit : str
+        Of the force.
+    x : tuple of float
+        The mean of the variable in each part of the data.
+    force, error : tuple of float
+        The force there and its standard error.
+    law : tuple of float
+        The law's.
+    """
+
+    label: str
+    axis: str
+    axis_unit: str
+    unit: str
+    x: Numbers
+    force: Numbers
+    error: Numbers
+    law: Numbers
+
+
+@dataclass(frozen=True)
 class FigureData:
     """All numbers behind the figures of a diagnosis but the motion, which `Predictions` keep.
 
@@ -166,6 +196,8 @@ class FigureData:
         Of the most promising effects.
     sums : tuple of Sums
         For each accepted effect.
+    laws : tuple of LawCurve
+        For each accepted law.
     """
 
     needed: float
@@ -175,6 +207,7 @@ class FigureData:
     forces: Forces
     similarity: Similarity
     sums: tuple[Sums, ...]
+    laws: tuple[LawCurve, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Give plain numbers of seven digits."""
@@ -195,9 +228,14 @@ class FigureData:
         -------
         FigureData
         """
-        kinds: dict[str, Any] = {"axes": AgainstAxis, "sizes": Sizes, "sums": Sums}
+        kinds: dict[str, Any] = {
+            "axes": AgainstAxis,
+            "sizes": Sizes,
+            "sums": Sums,
+            "laws": LawCurve,
+        }
         lists = {
-            name: tuple(kind(**_tuples(entry)) for entry in kept[name])
+            name: tuple(kind(**_tuples(entry)) for entry in kept.get(name, ()))
             for name, kind in kinds.items()
         }
         rounds = tuple(tuple(Bar(**bar) for bar in one) for one in kept["rounds"])

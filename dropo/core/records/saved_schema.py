@@ -231,6 +231,7 @@ class SavedAlternative(Saved):
     variant: str = ""
     why: str
     to_tell: str | None = None
+    formula: str = ""
 
 
 class SavedStability(Saved):
@@ -257,6 +258,8 @@ class SavedCause(Saved):
     confused_with: list[SavedAlternative]
     acts_like: str | None = None
     stability: SavedStability | None = None
+    formula: str = ""
+    called: str = ""
 
 
 class SavedSuspect(Saved):

@@ -161,6 +161,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "coverage": "dropo.studies.intervals.coverage:coverage",
         "first-models": "dropo.studies.first_models.study:first_models",
         "hidden-effects": "dropo.studies.hidden_effects.study:hidden_effects",
+        "laws": "dropo.studies.laws.study:laws",
         "measured": "dropo.studies.measured.study:measured",
         "hopper-v5": "dropo.studies.hidden_effects.hopper_v5:hopper_v5_study",
         "sliding": "dropo.studies.tiboni_2021.sliding:sliding_study",
@@ -175,6 +176,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "mjlab": "dropo.exports.mjlab:mjlab",
         "isaac-lab": "dropo.exports.isaac_lab:isaac_lab",
         "bam": "dropo.exports.bam:bam",
+        "effect": "dropo.exports.effect:effect",
     },
 }
 SERVICES = {

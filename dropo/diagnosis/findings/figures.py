@@ -18,6 +18,7 @@ from dropo.core.records.figure_data import (
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.remaining import force_names
 from dropo.diagnosis.findings.unexplained_forces import Unexplained, unexplained_force
+from dropo.diagnosis.laws.curve import law_curve
 from dropo.diagnosis.search.invariance import (
     bins_of,
     command_change_variable,
@@ -120,12 +121,16 @@ def figure_data(
     axes = []
     sizes: list[Sizes] = []
     sums = []
+    laws = []
     for instance in last.accepted:
         response = response_of(library, last.test, instance)
         without = reviews[instance.label].without
         axes.append(_against_axis(library, without, last, instance, response))
         sizes += _sizes(library, last.test, instance, response)
         sums.append(_sums(last.test, instance, response))
+        if instance.formula and instance.force is not None:
+            sizes_here = last.theta[library.places[instance.label]]
+            laws.append(law_curve(library, instance, sizes_here, without, selection.floor))
 
     chosen = {instance.label: (instance, reviews[instance.label]) for instance in last.accepted}
     rounds = [_bars(batch, last, chosen, selection.settings) for batch in selection.rounds]
@@ -137,6 +142,7 @@ def figure_data(
         forces=_forces(library, before, rest),
         similarity=_similarity(selection, settings.similar),
         sums=tuple(sums),
+        laws=tuple(laws),
     )
 
 

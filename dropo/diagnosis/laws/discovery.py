@@ -77,6 +77,8 @@ class LawSettings:
 
 
 SETTINGS = LawSettings()
+_Tried = tuple[Trial, Proposal, list[Proposal], Library]
+"""A refitted law: its trial, its formula, others that do the same, and the library with it."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +190,7 @@ def find_laws(
             break
         law, told, state, larger = found
         laws[law.label] = told
-        selection, first, last = _extended(selection, larger, first), _padded(first, larger), state
+        selection, first, last = _extended(selection, larger), _padded(first, larger), state
         # With the law, others may be confirmed, and what stood in for it not be needed any more.
         last, reviews = review(selection, last)
         last = selection.run(first, last, instances)
@@ -202,7 +204,10 @@ def find_laws(
 
 
 def _proposals(
-    simulator: MujocoSimulator, forces: ResidualForces, taken: set[str | None], settings: LawSettings
+    simulator: MujocoSimulator,
+    forces: ResidualForces,
+    taken: set[str | None],
+    settings: LawSettings,
 ) -> tuple[int, list[tuple[Proposal, list[Proposal]]]]:
     """How many terms there are, and the formulas that promise most with others like them."""
     measured = set(simulator.layout.names)
@@ -279,11 +284,11 @@ def _columns(
     values = np.empty((len(shapes), len(forces.states.time)))
     shared: dict[tuple[str, str], Array] = {}
     for i, shape in enumerate(shapes):
-        own = {name: size for name, size in shape.own} | {LETTER: 1.0}
+        own = dict(shape.own) | {LETTER: 1.0}
         text = f"{LETTER} * ({shape.written([name for name, _ in shape.own])})"
         law = law_instance(context, joint.name, text)
         constants = np.array([own[quantity.name] for quantity in law.quantities])
-        values[i] = values_at(simulator, forces, joint, _program(law), constants, shared)
+        values[i] = values_at(simulator, forces, joint, program_of(law), constants, shared)
     columns = np.concatenate(
         [
             forces.columns(values[first : first + settings.chunk], joint.qvel)
@@ -293,15 +298,22 @@ def _columns(
     whole = replace(forces, basis=None)
     full = np.concatenate(
         [
-            np.linalg.norm(whole.columns(values[first : first + settings.chunk], joint.qvel), axis=1)
+            np.linalg.norm(
+                whole.columns(values[first : first + settings.chunk], joint.qvel), axis=1
+            )
             for first in range(0, len(values), settings.chunk)
         ]
     )
     return columns, full
 
 
-def _program(law: EffectInstance) -> Program:
-    """What a law of a joint evaluates."""
+def joint_at(simulator: MujocoSimulator, name: str) -> Joint:
+    """Return the slide or hinge of that name."""
+    return next(joint for joint in joints(simulator.model) if joint.name == name)
+
+
+def program_of(law: EffectInstance) -> Program:
+    """Return what a law of a joint evaluates."""
     hook = law.force
     program: Program = hook.args[-1]  # type: ignore[union-attr]
     return program
@@ -406,18 +418,7 @@ def _confirmed(
     """The law that data held out confirm, what is said of it, the state and library with it."""
     if not groups:
         return None
-    context = selection.library.simulator.effect_context  # type: ignore[attr-defined]
-    trials: list[tuple[Trial, Proposal, list[Proposal], Library]] = []
-    for proposal, alike in groups:
-        text, sizes = formula_of(proposal)
-        law = law_instance(context, proposal.joint, text, typical=sizes)
-        library = _larger(selection.library, law)
-        own = _extended(selection, library, state)
-        starting = _padded(state, library)
-        order = np.array([sizes[quantity.name] for quantity in law.quantities])
-        candidate = Candidate(law, order, proposal.gain, proposal.signature)
-        (trial,) = own.try_candidates(starting, [candidate])
-        trials.append((trial, proposal, alike, library))
+    trials = [_tried(selection, state, proposal, alike) for proposal, alike in groups]
     ordered = commonest_first(
         sorted((trial for trial, *_ in trials), key=lambda one: -one.penalized_gain),
         selection.settings,
@@ -428,10 +429,13 @@ def _confirmed(
         if trial.trained <= selection.settings.fitted_gain:
             continue
         _, proposal, alike, library = by_trial[id(trial)]
-        own = _extended(selection, library, state)
-        if own._only_by_feedback(trial.state):
+        own = _extended(selection, library)
+        if own.only_by_feedback(trial.state):
             continue
         polished = own.polish(trial.state)
+        trial, proposal, library, polished = _pruned(
+            selection, state, (trial, proposal, [], library), polished
+        )
         if not is_confirmed(state.test, polished.test, needed, selection.settings):
             continue
         told = _told(proposal, alike, trial, polished, by_trial, selection)
@@ -439,12 +443,57 @@ def _confirmed(
     return None
 
 
+def _tried(
+    selection: Selection, state: State, proposal: Proposal, alike: list[Proposal]
+) -> "_Tried":
+    """A state refitted with a proposed law, and the library that has the law."""
+    context = selection.library.simulator.effect_context  # type: ignore[attr-defined]
+    text, sizes = formula_of(proposal)
+    law = law_instance(context, proposal.joint, text, typical=sizes)
+    library = _larger(selection.library, law)
+    own = _extended(selection, library)
+    order = np.array([sizes[quantity.name] for quantity in law.quantities])
+    candidate = Candidate(law, order, proposal.gain, proposal.signature)
+    (trial,) = own.try_candidates(_padded(state, library), [candidate])
+    return trial, proposal, alike, library
+
+
+def _pruned(
+    selection: Selection, state: State, tried: "_Tried", polished: State
+) -> tuple[Trial, Proposal, Library, State]:
+    """A law without the terms that data held out do not ask for, fitted to the end."""
+    trial, proposal, alike, library = tried
+    for i in range(len(proposal.shapes)):
+        if len(proposal.shapes) == 1:
+            break
+        kept = [k for k in range(len(proposal.shapes)) if k != i]
+        shapes = tuple(proposal.shapes[k] for k in kept)
+        if all(shape.known for shape in shapes):
+            continue
+        sizes = _fitted(proposal, trial.candidate.instance, polished, library)
+        fewer = replace(proposal, shapes=shapes, sizes=sizes[kept])
+        again = _tried(selection, state, fewer, alike)
+        whole = _extended(selection, again[3]).polish(again[0].state)
+        if gain_of(whole.test, polished.test)[0] < selection.settings.deficit:
+            return _pruned(selection, state, (again[0], fewer, alike, again[3]), whole)
+    return trial, proposal, library, polished
+
+
+def _fitted(proposal: Proposal, law: EffectInstance, polished: State, library: Library) -> Array:
+    """The constants (k,) before the terms of a proposal as fitted, with their signs."""
+    numbers = polished.theta[library.places[law.label]]
+    by_name = dict(zip([q.name for q in law.quantities], numbers.tolist(), strict=True))
+    several = len(proposal.shapes) > 1
+    names = [f"{LETTER}{k + 1}" if several else LETTER for k in range(len(proposal.shapes))]
+    return np.array([np.sign(s) * by_name[n] for n, s in zip(names, proposal.sizes, strict=True)])
+
+
 def _told(
     proposal: Proposal,
     alike: Sequence[Proposal],
     accepted: Trial,
     polished: State,
-    trials: Mapping[int, tuple[Trial, Proposal, list[Proposal], Library]],
+    trials: Mapping[int, _Tried],
     selection: Selection,
 ) -> FoundLaw:
     """The name of a law, and what cannot be told from it."""
@@ -484,9 +533,8 @@ def _larger(library: Library, law: EffectInstance) -> Library:
     return Library(simulator, [*library.instances, law], library.declared, library.differences)
 
 
-def _extended(selection: Selection, library: Library, like: State) -> Selection:
+def _extended(selection: Selection, library: Library) -> Selection:
     """The search in a larger library, its rounds with places for what is new there."""
-    del like
     rounds = {id(one): _padded_round(one, library) for one in selection.rounds}
     own = replace(selection, library=library, rounds=list(rounds.values()), origins={})
     own.origins.update(

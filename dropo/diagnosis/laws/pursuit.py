@@ -141,7 +141,9 @@ def propose(
     sets += _best(pair[order], tuples, known, settings.kept)
 
     best_pairs = tuples[: settings.pairs]
-    triples = {tuple(sorted((*two, i))) for two in best_pairs for i in range(len(usable)) if i not in two}
+    triples = {
+        tuple(sorted((*two, i))) for two in best_pairs for i in range(len(usable)) if i not in two
+    }
     chosen = np.array(sorted(triples), dtype=np.int64).reshape(-1, 3)
     if len(chosen):
         grams = gram[chosen[:, :, None], chosen[:, None, :]]
@@ -188,7 +190,9 @@ def formulas_tried(pool: int) -> int:
     return max(pool, 1)
 
 
-def different(proposals: list[Proposal], similarity: float) -> list[tuple[Proposal, list[Proposal]]]:
+def different(
+    proposals: list[Proposal], similarity: float
+) -> list[tuple[Proposal, list[Proposal]]]:
     """Group proposals that do the same to the data, the best of each group first.
 
     Parameters

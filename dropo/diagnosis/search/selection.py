@@ -418,7 +418,7 @@ class Selection:
     def _accept_first(self, state: State, trials: Iterable[Trial], needed: float) -> State | None:
         """The first of a few trials that windows held out confirm when it is fitted to the end."""
         for trial in islice(trials, self.settings.polished):
-            if self._only_by_feedback(trial.state):
+            if self.only_by_feedback(trial.state):
                 continue
             polished = self.polish(trial.state)
             if is_confirmed(state.test, polished.test, needed, self.settings):
@@ -460,7 +460,7 @@ class Selection:
         trials.sort(key=lambda trial: -trial.penalized_gain)
         return commonest_first(trials, self.settings)
 
-    def _only_by_feedback(self, state: State) -> bool:
+    def only_by_feedback(self, state: State) -> bool:
         """Whether the state's last effect is there only because commands respond to chance."""
         sides = (state.train, state.test)
         return absent_in_single_steps(self.library, sides, state.accepted[-1], self.floor)

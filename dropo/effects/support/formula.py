@@ -210,9 +210,13 @@ def _of_joint(tree: ast.AST) -> tuple[str, str] | None:
     """The name and the joint of a part such as v.elbow or v["left elbow"]."""
     if isinstance(tree, ast.Attribute) and isinstance(tree.value, ast.Name):
         return tree.value.id, tree.attr
-    if isinstance(tree, ast.Subscript) and isinstance(tree.value, ast.Name):
-        if isinstance(tree.slice, ast.Constant) and isinstance(tree.slice.value, str):
-            return tree.value.id, tree.slice.value
+    if (
+        isinstance(tree, ast.Subscript)
+        and isinstance(tree.value, ast.Name)
+        and isinstance(tree.slice, ast.Constant)
+        and isinstance(tree.slice.value, str)
+    ):
+        return tree.value.id, tree.slice.value
     return None
 
 

@@ -41,7 +41,10 @@ class Program:
 
 
 def evaluate(
-    program: Program, values: dict[tuple[str, str], Array], magnitudes: Array, memory: dict[int, Any]
+    program: Program,
+    values: dict[tuple[str, str], Array],
+    magnitudes: Array,
+    memory: dict[int, Any],
 ) -> Array:
     """Evaluate a formula in n states, and carry its hidden states on to them.
 
@@ -121,7 +124,7 @@ def _operation(name: str, inside: list[Any]) -> Any:
 def _hidden(
     node: Node, inside: list[Any], values: dict[tuple[str, str], Array], memory: dict[int, Any]
 ) -> Array:
-    """A hidden state, carried on exactly for inputs that are constant in between.
+    """A hidden state, carried on from the states before these.
 
     lag(x, T): T dz/dt = x - z. dahl(w): dz/dq = (1 - z sign(dq)) / w, between -1 and 1.
     """
@@ -133,8 +136,10 @@ def _hidden(
             state = np.array(now)
         else:
             state, before, then = memory[place]
-            kept = np.exp(-np.maximum(time - then, 0.0) / max(abs(inside[1]), TINY))
-            state = before + (state - before) * kept
+            # Exact for an input that changes evenly in between.
+            passed = np.maximum(time - then, TINY) / max(abs(inside[1]), TINY)
+            slope = (now - before) / passed
+            state = now - slope + (state - before + slope) * np.exp(-passed)
         memory[place] = (state, now, time)
         return state
     now = values["q", ""]

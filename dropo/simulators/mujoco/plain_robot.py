@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from dropo.core.contracts.effect import ActiveEffects
+from dropo.core.contracts.effect import ActiveEffects, RecordedPast
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import OPTION
 from dropo.simulators.mujoco.layers import change_commands
@@ -55,8 +55,17 @@ class Robot:
         self._reacting = reacting_effects(effects)
         self.reset(model.qpos0, np.zeros(model.nv))
 
-    def reset(self, qpos: Array, qvel: Array, act: Array | float = 0.0) -> None:
-        """Begin anew at positions (nq,), velocities (nv,) and states (na,) of the actuators."""
+    def reset(
+        self,
+        qpos: Array,
+        qvel: Array,
+        act: Array | float = 0.0,
+        past: RecordedPast | None = None,
+    ) -> None:
+        """Begin anew at positions (nq,), velocities (nv,) and states (na,) of the actuators.
+
+        past: what was recorded before, of a robot that goes on where a recording was.
+        """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = qpos
         self.data.qvel[:] = qvel
@@ -64,6 +73,9 @@ class Robot:
         self.data.xfrc_applied[:] = constant_wrenches(self.effects, self.model.nbody)
         self._given: list[Array] = []
         self._memory: dict[object, object] = {}
+        self._past = past
+        if past is not None:
+            self.data.time = past.states[past.start[0], 0]
         self._steps = 0
 
     def step(self, command: Array) -> None:
@@ -101,7 +113,9 @@ class Robot:
         """Sets what depends on the present state."""
         now = self.state()[None]
         steps = self._steps
-        found = react(self.model, now, command[None], steps, self._reacting, self._memory)
+        found = react(
+            self.model, now, command[None], steps, self._reacting, self._memory, self._past
+        )
         self.data.ctrl[:] = found.commands[0]
         self.data.qfrc_applied[:] = found.forces[0]
         self.model.dof_frictionloss[:] = self.given_model.dof_frictionloss + found.friction[0]

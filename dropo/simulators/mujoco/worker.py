@@ -241,9 +241,7 @@ def react(
     forces = np.zeros((len(states), model.nv))
     friction = np.zeros_like(forces)
     for instance, magnitudes in reacting:
-        state = StepState(
-            qpos, qvel, commands, step, act, model, states[:, 0], memory, past
-        )
+        state = StepState(qpos, qvel, commands, step, act, model, states[:, 0], memory, past)
         if instance.command_feedback is not None:
             commands = instance.command_feedback(state, magnitudes)
         if instance.force is not None:

@@ -1,0 +1,133 @@
+"""Laws: formulas as text, the units of their constants, the forces they make, what they remember."""
+
+import numpy as np
+import pytest
+
+from dropo.core.services.errors import InvalidInput
+from dropo.effects.law import law_instance, law_of_text
+from dropo.effects.support.formula import read_formula
+from dropo.effects.support.formula_values import evaluate
+from dropo.mjmodel.joints import joints
+from dropo.problems.simulated.robots import simulated_robot
+from tests.models.hidden_in_arm import instance, problem
+
+
+@pytest.fixture(scope="module")
+def found():
+    """An arm with two hinges, and data of it with nothing hidden."""
+    return problem([], episodes=4, steps=30)
+
+
+UNITS = {("q", ""): "rad", ("v", ""): "rad/s", ("t", ""): "s", ("motor", ""): "N m"}
+
+
+@pytest.mark.parametrize(
+    ("text", "units"),
+    [
+        ("-c * abs(v) * v", ["N m s^2/rad^2"]),
+        ("-c * tanh(v / w)", ["N m", "rad/s"]),
+        ("k * dead(q, p)", ["N m/rad", "rad"]),
+        ("-c * motor * lag(motor**2, T)", ["1/N^2 m^2", "s"]),
+        ("-f * dahl(x) + c * sin(6 * q)", ["N m", "rad", "N m"]),
+        ("c * max(q - a, 0)", ["N m/rad", "rad"]),
+    ],
+)
+def test_units_follow_from_the_formula(text, units):
+    """Each constant has the unit that makes the value a torque; the text is read back the same."""
+    formula = read_formula(text, UNITS, "N m")
+    assert list(formula.units) == units
+    assert read_formula(formula.text, UNITS, "N m").program == formula.program
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("-c * abs(vv)", "Did you mean 'v'"),
+        ("-c * absolute(v)", "Did you mean 'abs'"),
+        ("__import__('os').system('true')", "may have numbers"),
+        ("(lambda: 0)()", "may have numbers"),
+        ("c.__class__", "No variable called"),
+        ("c * d * v", "cannot be told apart"),
+        ("c * v + q", "do not go together"),
+        ("v", "no constant"),
+        ("c * v *", "no formula"),
+        ("c * lag(v, q)", "must be a number or a constant"),
+        ("c * abs(v, v)", "takes 1 arguments"),
+        ("c * " + "(" * 60 + "v" + ")" * 60 + " * v" * 100, "characters"),
+    ],
+)
+def test_what_is_no_formula_is_refused(text, told):
+    """Free code, unknown names, wrong units: one line that says what is wrong, and what is near."""
+    with pytest.raises(InvalidInput, match=told):
+        read_formula(text, UNITS, "N m", ["c", "d"])
+
+
+def test_values():
+    """Shapes have the values that they are named for; what is not finite is 0."""
+    v = np.array([-2.0, 0.0, 0.5])
+    for text, expected in [
+        ("c * abs(v) * v", 3 * np.abs(v) * v),
+        ("c * dead(v, 1)", 3 * np.array([-1.0, 0, 0])),
+        ("c * max(v, 0)", 3 * np.array([0, 0, 0.5])),
+        ("c * v**2 / 2 - c", 1.5 * v**2 - 3),
+        ("c * sqrt(v)", np.array([0, 0, 3 * np.sqrt(0.5)])),
+        ("c / v", np.array([-1.5, 0, 6])),
+    ]:
+        program = read_formula(text, {("v", ""): "1"}, "1").program
+        np.testing.assert_allclose(evaluate(program, {("v", ""): v}, np.array([3.0]), {}), expected)
+
+
+def test_a_linear_law_is_the_known_effect(found):
+    """-c v is joint_damping, to what an explicit force differs from an implicit one; -2 c v not."""
+    simulator = found.simulator
+    segments = found.trajectories.from_rows(np.arange(0, 100, 9), 5, every_step=True)
+    law = law_of_text(simulator.effect_context, "elbow:-c * v")
+    damping = instance(simulator, "joint_damping:elbow")
+    fine = simulator.with_finer_steps(20)
+
+    def predicted(one, size):
+        robot = fine.with_effects((), [(one, np.array([size]))])
+        return robot.predict(np.asarray(robot.nominal)[None], segments)[0]
+
+    change = np.abs(predicted(damping, 0.1) - predicted(damping, 0.0)).max()
+    assert np.abs(predicted(law, 0.1) - predicted(damping, 0.1)).max() < 0.02 * change
+    assert np.abs(predicted(law, 0.2) - predicted(damping, 0.1)).max() > 0.3 * change
+
+
+@pytest.mark.parametrize("text", ["-c * motor * t", "-c * lag(v, T)", "-c * dahl(x)"])
+def test_a_segment_knows_its_past(text):
+    """Where time or a hidden state matters, a segment from the middle of a motion without noise
+    goes on as the whole motion did.
+    """
+    arm = simulated_robot("torque-arm")
+    law = law_instance(arm.simulator.effect_context, "elbow", text)
+    sizes = np.array([{"c": 0.3, "T": 0.05, "x": 0.05}[q.name] for q in law.quantities])
+    hidden = [(law, sizes)]
+    data = problem(hidden, sigma=1e-15, episodes=2, steps=40).trajectories
+    robot = arm.simulator.with_effects((), hidden)
+    segments = data.from_rows(np.array([20, 30, 60]), 5)
+    predicted = robot.predict(np.asarray(robot.nominal)[None], segments)[0]
+    error = np.abs(predicted - segments.targets).max()
+    plain = arm.simulator.predict(np.asarray(arm.simulator.nominal)[None], segments)[0]
+    assert error < 0.05 * np.abs(plain - segments.targets).max()
+
+
+def test_laws_of_commands_and_bodies(found):
+    """c u added to a command is a gain; a constant force on a body is external_force."""
+    simulator = found.simulator
+    context = simulator.effect_context
+    segments = found.trajectories.from_rows(np.arange(0, 100, 9), 5, every_step=True)
+    name = simulator.action_names[0]
+
+    def predicted(one, size):
+        robot = simulator.with_effects((), [(one, np.array([size]))])
+        return robot.predict(np.asarray(robot.nominal)[None], segments)[0]
+
+    gain = predicted(instance(simulator, f"actuator_gain:{name}"), 0.1)
+    law = law_instance(context, name, "c * u", "command")
+    np.testing.assert_allclose(predicted(law, 0.1), gain, atol=1e-9)
+    body = simulator.model.body(2).name
+    pushed = predicted(instance(simulator, f"external_force:{body}.x"), 0.4)
+    along = law_instance(context, body, "c * 1", "x")
+    np.testing.assert_allclose(predicted(along, 0.4), pushed, atol=1e-3 * np.abs(pushed).max())
+    assert [joint.name for joint in joints(simulator.model)] == ["shoulder", "elbow"]
