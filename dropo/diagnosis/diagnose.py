@@ -349,22 +349,19 @@ class Diagnose:
 
         # Once the causes are known, disturbances stand out: leave them out and begin anew.
         length = setup.train.length
-        if undisturbed is None and self.disturbances and not far_off and complete:
+        laws = searched.laws
+        looks = self.disturbances and not far_off and complete and laws is None
+        if undisturbed is None and looks:
             undisturbed = without_disturbances(data, extended.simulator, declared)
             if undisturbed is not None and self._can_diagnose(undisturbed.problem, length):
                 return self._run(whole, rng, progress, log, undisturbed, library.simulator.steps)
             undisturbed = None
 
         # Where known effects leave something, it may follow a law that none of them stands for.
-        laws: WithLaws | None = None
-        if complete and not far_off and self._wants_laws(library, last, rest):
-            laws = find_laws(data, selection, first, last, setup.instances, rng, self.settings.laws)
-        if laws is not None:
-            first, last, reviews, selection = laws.first, laws.last, laws.reviews, laws.selection
-            library = selection.library
-            rest, forces = remaining(data, library, last, selection.floor, rng)
-            extended = _extended(data, library, last)
-            declared = last.theta[: len(data.space)]
+        if laws is None and complete and not far_off and self._wants_laws(library, last, rest):
+            further = self._with_laws(setup, searched, rng)
+            if further is not None:
+                return self._result(problem, *further, rng, log, undisturbed, spent)
 
         # How good each model is on data held out.
         errors = _errors_without_and_with(data, library, last, reviews)
@@ -372,7 +369,7 @@ class Diagnose:
             library,
             last,
             reviews,
-            setup.count + (0 if laws is None else laws.tried),
+            setup.count if laws is None else setup.count + laws.tried,
             errors,
             selection.settings,
             CAUSES if complete else replace(CAUSES, experiments=0),
@@ -388,14 +385,13 @@ class Diagnose:
         thetas = [nominal_of(library), first.theta, last.theta]
         (draws,) = rng.spawn(1)
         nominal, fitted, with_causes = horizons(data, library, thetas, last, draws)
+        # With disturbances the windows' own horizon alone, on all data held out.
+        own_horizon = replace(HELD_OUT, horizons=())
         inside: list[list[Horizon]] = []
         if undisturbed is not None:
-            # The windows' own horizon alone, on all data held out.
-            own_horizon = replace(HELD_OUT, horizons=())
             inside = horizons(whole, library, thetas, last, draws, own_horizon)
 
-        wrong = not rest.calibrated
-        verdict = _verdict(found, wrong)
+        verdict = _verdict(found, not rest.calibrated)
         beyond = () if far_off else _beyond(verdict, with_causes, length)
 
         # What figures and tables show.
@@ -403,8 +399,7 @@ class Diagnose:
         figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
         arithmetic = numerics(problem, data, library, first, last, found) if complete else ()
-        steps = spent + library.simulator.steps
-        compared = self.disturbances and wrong and not far_off and complete
+        compared = self.disturbances and not (rest.calibrated or far_off) and complete
         odd = outlier_runs(data, extended, declared) if compared else ()
         replayed = None
         if far_off and data.held_out is not None and complete:
@@ -434,9 +429,27 @@ class Diagnose:
             figures=figures,
             motion=shown,
             warnings=(*data.warnings, *setup.warnings, *_not_white(library, last), *beyond),
-            simulator_steps=steps,
+            simulator_steps=spent + library.simulator.steps,
             interrupted=searched.interrupted,
         )
+
+    def _with_laws(
+        self, setup: "_Setup", searched: "_Searched", rng: np.random.Generator
+    ) -> "tuple[_Setup, _Searched] | None":
+        """A search that went on with laws; None where none is confirmed."""
+        laws = find_laws(
+            setup.problem,
+            setup.selection,
+            searched.first,
+            searched.last,
+            setup.instances,
+            rng,
+            self.settings.laws,
+        )
+        if laws is None:
+            return None
+        setup = replace(setup, selection=laws.selection, library=laws.selection.library)
+        return setup, _Searched(laws.first, laws.last, laws.reviews, laws=laws)
 
     def _wants_laws(self, library: Library, last: State, rest: Remaining) -> bool:
         """Whether a law is to be looked for: something remains, or an effect only acts like it."""
@@ -622,13 +635,14 @@ class _Setup:
 @dataclass(frozen=True, eq=False)
 class _Searched:
     """What a search ends with: the model as it is, the one that explains the data, the reviews of
-    its effects, and whether it was interrupted before its end.
+    its effects, whether it was interrupted before its end, and the laws that were found.
     """
 
     first: State
     last: State
     reviews: Mapping[str, Review]
     interrupted: bool = False
+    laws: WithLaws | None = None
 
 
 def _solved(setup: _Setup, settings: NoiseSettings) -> tuple[_Setup, _Searched]:

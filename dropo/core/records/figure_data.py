@@ -235,7 +235,7 @@ class FigureData:
             "laws": LawCurve,
         }
         lists = {
-            name: tuple(kind(**_tuples(entry)) for entry in kept.get(name, ()))
+            name: tuple(kind(**_tuples(one)) for one in kept.get(name, ()))
             for name, kind in kinds.items()
         }
         rounds = tuple(tuple(Bar(**bar) for bar in one) for one in kept["rounds"])

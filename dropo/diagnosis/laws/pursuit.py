@@ -1,5 +1,6 @@
 """Formulas of up to three terms that the residual forces at a joint ask for."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import comb, log
 
@@ -125,35 +126,7 @@ def propose(
         price = 0.5 * numbers * log(steps) + log(max(comb(pool, terms), 1))
         return np.asarray(gain / variance - price)
 
-    sets: list[tuple[float, tuple[int, ...]]] = []
-    single = score_of(0.5 * along**2, 1, 1 + extra)
-    sets += _best(single, [(int(i),) for i in range(len(usable))], known, settings.kept)
-
-    first, second = np.triu_indices(len(usable), 1)
-    cross = gram[first, second]
-    apart = 1 - cross**2
-    fine = apart > settings.independent
-    first, second, cross, apart = first[fine], second[fine], cross[fine], apart[fine]
-    gain = 0.5 * (along[first] ** 2 - 2 * along[first] * along[second] * cross + along[second] ** 2)
-    pair = score_of(gain / apart, 2, 2 + extra[first] + extra[second])
-    order = np.argsort(-pair)[: 20 * settings.pairs]
-    tuples = [(int(first[k]), int(second[k])) for k in order]
-    sets += _best(pair[order], tuples, known, settings.kept)
-
-    best_pairs = tuples[: settings.pairs]
-    triples = {
-        tuple(sorted((*two, i))) for two in best_pairs for i in range(len(usable)) if i not in two
-    }
-    chosen = np.array(sorted(triples), dtype=np.int64).reshape(-1, 3)
-    if len(chosen):
-        grams = gram[chosen[:, :, None], chosen[:, None, :]]
-        fine = np.linalg.det(grams) > settings.independent**2
-        chosen = chosen[fine]
-        sides = along[chosen]
-        solved = np.linalg.solve(grams[fine], sides[..., None])[..., 0]
-        three = score_of(0.5 * (solved * sides).sum(axis=1), 3, 3 + extra[chosen].sum(axis=1))
-        sets += _best(three, [tuple(row) for row in chosen.tolist()], known, settings.kept)
-
+    sets = _sets(gram, along, known, score_of, extra, settings)
     found = []
     for score, members in sets:
         if score <= 0:
@@ -166,6 +139,51 @@ def propose(
         terms = tuple(shapes[usable[i]] for i in members)
         found.append(Proposal(joint, terms, sizes, gain_here, score, signature))
     return sorted(found, key=lambda one: -one.score)
+
+
+def _sets(
+    gram: Array,
+    along: Array,
+    known: Array,
+    score_of: Callable[[Array, int, Array], Array],
+    extra: Array,
+    settings: PursuitSettings,
+) -> list[tuple[float, tuple[int, ...]]]:
+    """The best sets of one, two and three of K terms with their scores.
+
+    gram: (K, K) cosines of the responses; along: (K,) the residuals along each; known: (K,) whether
+    a known effect stands for it; extra: (K,) how many constants of its own each has.
+    """
+    sets: list[tuple[float, tuple[int, ...]]] = []
+    single = score_of(0.5 * along**2, 1, 1 + extra)
+    sets += _best(single, [(i,) for i in range(len(known))], known, settings.kept)
+
+    first, second = np.triu_indices(len(known), 1)
+    cross = gram[first, second]
+    apart = 1 - cross**2
+    fine = apart > settings.independent
+    first, second, cross, apart = first[fine], second[fine], cross[fine], apart[fine]
+    gain = 0.5 * (along[first] ** 2 - 2 * along[first] * along[second] * cross + along[second] ** 2)
+    pair = score_of(gain / apart, 2, 2 + extra[first] + extra[second])
+    order = np.argsort(-pair)[: 20 * settings.pairs]
+    tuples = [(int(first[k]), int(second[k])) for k in order]
+    sets += _best(pair[order], tuples, known, settings.kept)
+
+    best_pairs = tuples[: settings.pairs]
+    triples = {
+        tuple(sorted((*two, i))) for two in best_pairs for i in range(len(known)) if i not in two
+    }
+    chosen = np.array(sorted(triples), dtype=np.int64).reshape(-1, 3)
+    if len(chosen):
+        grams = gram[chosen[:, :, None], chosen[:, None, :]]
+        fine = np.linalg.det(grams) > settings.independent**2
+        chosen = chosen[fine]
+        sides = along[chosen]
+        solved = np.linalg.solve(grams[fine], sides[..., None])[..., 0]
+        three = score_of(0.5 * (solved * sides).sum(axis=1), 3, 3 + extra[chosen].sum(axis=1))
+        sets += _best(three, [tuple(row) for row in chosen.tolist()], known, settings.kept)
+
+    return sets
 
 
 def _best(

@@ -124,7 +124,7 @@ class SelectionSettings:
 
     def needed_gain(self, effects: int) -> float:
         """Return the held-out gain [nats] that confirms one of so many effects."""
-        return float(np.log(effects / self.false_alarm))
+        return float(np.log(max(effects, 1) / self.false_alarm))
 
 
 SETTINGS = SelectionSettings()

@@ -13,7 +13,7 @@ from dropo import Diagnose
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.tables import number
-from dropo.core.services.validation import Array, require
+from dropo.core.services.validation import Array, known, require
 from dropo.diagnosis.diagnose import DiagnosisSettings
 from dropo.effects.law import law_instance
 from dropo.problems.simulated.robots import masses, problem_of, simulated_robot
@@ -56,7 +56,7 @@ EVALUATION = {
     ),
 }
 """The laws that are reported, on seeds of their own."""
-FIRST_SEED = {"development": 0, "evaluation": 1000}
+FIRST_SEED = {"development": 0, "evaluation": 1000, "null": 2000}
 NULLS = ("gaussian", "t3", "ar1", "quantised")
 """Noise of machines with nothing hidden."""
 
@@ -65,7 +65,7 @@ def laws(
     work: Work,
     seeds: int | None = None,
     *,
-    sets: Sequence[str] = ("development", "evaluation"),
+    names: Sequence[str] = (*EVALUATION, *DEVELOPMENT),
     nulls: Sequence[str] = NULLS,
 ) -> Study:
     """How often the formula of a hidden law is found, and what is found where none is.
@@ -76,8 +76,8 @@ def laws(
         Runs the tasks.
     seeds : int or None
         Runs of each law and of each kind of noise; 1 if None.
-    sets : sequence of str
-        "development", "evaluation" or both.
+    names : sequence of str
+        Some of the laws of `EVALUATION` and `DEVELOPMENT`.
     nulls : sequence of str
         Some of `NULLS`.
 
@@ -89,14 +89,19 @@ def laws(
     ------
     BadArgument
         If `seeds` is below 1.
+    UnknownName
+        If there is no such law or kind of noise.
     """
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "laws")
     count = seeds or 1
     items: list[list[Any]] = []
-    for name in sets:
-        for law in DEVELOPMENT if name == "development" else EVALUATION:
-            items += [[name, law, FIRST_SEED[name] + seed] for seed in range(count)]
-    items += [["null", kind, 2000 + seed] for kind in nulls for seed in range(count)]
+    for name in names:
+        known("law", name, (*EVALUATION, *DEVELOPMENT))
+        kind = "development" if name in DEVELOPMENT else "evaluation"
+        items += [[kind, name, FIRST_SEED[kind] + seed] for seed in range(count)]
+    for name in nulls:
+        known("kind of noise", name, NULLS)
+        items += [["null", name, FIRST_SEED["null"] + seed] for seed in range(count)]
     runs = work.map(run, items)
     hidden = [one for one in runs if one["set"] != "null"]
     none = [one for one in runs if one["set"] == "null"]
