@@ -1,4 +1,4 @@
-"""Laws: formulas as text, the units of their constants, the forces they make, what they remember."""
+"""Laws: formulas as text, units of their constants, the forces they make, what they remember."""
 
 import numpy as np
 import pytest

@@ -11,7 +11,7 @@ from dropo.core.contracts.effect import EffectInstance, StepState
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.horizons import horizons
-from dropo.diagnosis.laws.forces import ResidualForces, residual_forces
+from dropo.diagnosis.laws.forces import ResidualForces, residual_forces, step_errors
 from dropo.diagnosis.laws.pursuit import (
     Proposal,
     PursuitSettings,
@@ -438,9 +438,27 @@ def _confirmed(
         )
         if not is_confirmed(state.test, polished.test, needed, selection.settings):
             continue
+        if not _of_the_machine(library, state, polished, needed, selection):
+            continue
         told = _told(proposal, alike, trial, polished, by_trial, selection)
         return trial.candidate.instance, told, polished, library
     return None
+
+
+def _of_the_machine(
+    library: Library, state: State, polished: State, needed: float, selection: Selection
+) -> bool:
+    """Whether a law is confirmed with infinitely short physics steps too."""
+    simulator = library.simulator
+    if not isinstance(simulator, MujocoSimulator):
+        raise AssertionError("laws are looked for around a MuJoCo model")
+    before = _padded_side(state.test, library)
+    sides = []
+    for side in (before, polished.test):
+        errors = step_errors(simulator, side)
+        errors[side.lost] = 0.0
+        sides.append(replace(side, residuals=side.residuals - errors))
+    return is_confirmed(*sides, needed, selection.settings)
 
 
 def _tried(

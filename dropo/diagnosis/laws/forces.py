@@ -130,16 +130,16 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
     ones = np.ones(known.shape[2])
     scale = np.concatenate([np.tile(noise.sigma, 2), np.tile(sd, pieces), ones])
     windows = replace(train, whiten=Whitener(loadings, scale, noise))
-    basis = None
+    # What fitted numbers explain, and the length of the physics step, is no force.
     space = simulator.space
     free = state.free
     free = free[(train.theta[free] > space.low[free]) & (train.theta[free] < space.high[free])]
+    explained = [step_errors(simulator, train)[None]]
     if len(free):
-        jacobian = library.jacobian(train.theta, free, train.windows)
-        basis = np.linalg.qr(windows.flat(jacobian).T)[0]
+        explained.append(library.jacobian(train.theta, free, train.windows))
+    basis = np.linalg.qr(windows.flat(np.concatenate(explained)).T)[0]
     residuals = windows.flat(windows.residuals)
-    if basis is not None:
-        residuals = residuals - basis @ (basis.T @ residuals)
+    residuals = residuals - basis @ (basis.T @ residuals)
     by_latent = np.concatenate([train.start_loadings, responses], axis=2)
     states, past = _states(simulator, state, windows, by_latent)
     return ResidualForces(
@@ -152,6 +152,29 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
         steps=train.windows.segments.steps,
         length=train.windows.length,
     )
+
+
+def step_errors(simulator: MujocoSimulator, side: LinearizedWindows) -> Array:
+    """Estimate what predictions would change with infinitely short physics steps.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The model with every effect.
+    side : LinearizedWindows
+        W windows of n measurements.
+
+    Returns
+    -------
+    (W, n) array
+        Twice the change by half the step, as of an integrator of first order; 0 where a simulation
+        diverges.
+    """
+    finer = simulator.with_finer_steps(2)
+    predicted = finer.predict(side.theta[None], side.windows.segments)
+    simulator.steps += finer.steps
+    change = predicted.reshape(side.residuals.shape) - side.predicted
+    return np.asarray(2 * np.nan_to_num(change))
 
 
 def _states(

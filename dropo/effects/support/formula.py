@@ -144,9 +144,9 @@ class _Reader:
         """Read one part."""
         if depth > DEEPEST:
             raise BadArgument(f"The formula {self.text!r} has too many parts within each other.")
-        if isinstance(tree, ast.Constant) and type(tree.value) in (int, float):
+        if isinstance(tree, ast.Constant) and isinstance(tree.value, int | float):
             number = float(tree.value)
-            if np.isfinite(number):
+            if not isinstance(tree.value, bool) and np.isfinite(number):
                 return ("number", number)
         if isinstance(tree, ast.Name):
             return self._name(tree.id)

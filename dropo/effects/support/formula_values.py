@@ -118,7 +118,7 @@ def _operation(name: str, inside: list[Any]) -> Any:
         "max": np.maximum,
         "min": np.minimum,
     }
-    return two[name](first, np.float64(inside[1]) if np.isscalar(inside[1]) else inside[1])
+    return two[name](first, np.asarray(inside[1], dtype=float))
 
 
 def _hidden(

@@ -14,7 +14,6 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array, known, require
-from dropo.diagnosis.diagnose import DiagnosisSettings
 from dropo.effects.law import law_instance
 from dropo.problems.simulated.robots import masses, problem_of, simulated_robot
 from dropo.studies.engine.study import Study, Table
@@ -25,8 +24,8 @@ NOISE = 1e-3
 """Standard deviation of every sensor's noise, in its unit."""
 FINER = 4
 """Physics steps of the hidden machine for one of the model."""
-WINDOWS = DiagnosisSettings().windows
-"""About how many windows are held out."""
+WINDOWS = 48
+"""About how many windows are fitted, and how many are held out."""
 COUNTED = 100.0
 """Nats on data held out that the true law must gain for a run to count."""
 DEVELOPMENT = {
@@ -147,7 +146,7 @@ def run(item: list[Any]) -> dict[str, Any]:
     if kind == "null":
         data = _with_noise(data, name, rng)
     problem = problem_of(MACHINE, robot, data, NOISE)
-    found = Diagnose().run(problem, rng=seed)
+    found = Diagnose(windows=WINDOWS).run(problem, rng=seed)
     causes = [cause.to_json(rank) for rank, cause in enumerate(found.causes, 1)]
     said = [one for one in causes if one["effect"] == "law"]
     answer |= {
@@ -177,7 +176,7 @@ def run(item: list[Any]) -> dict[str, Any]:
 def _oracle(problem: Problem, hidden: list[Any], length: int) -> float:
     """The log-likelihood of the true model on data held out [nats per transition]."""
     true = replace(problem, simulator=problem.simulator.with_effects((), hidden))
-    return Diagnose(length=length).baseline(true)
+    return Diagnose(length=length, windows=WINDOWS).baseline(true)
 
 
 def _with_noise(data: Any, kind: str, rng: np.random.Generator) -> Any:
