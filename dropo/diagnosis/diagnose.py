@@ -398,7 +398,6 @@ class Diagnose:
         progress(0.95, "what the pictures show")
         figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
-        arithmetic = numerics(problem, data, library, first, last, found) if complete else ()
         compared = self.disturbances and not (rest.calibrated or far_off) and complete
         odd = outlier_runs(data, extended, declared) if compared else ()
         replayed = None
@@ -422,7 +421,7 @@ class Diagnose:
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=undetermined(library, last),
-            numerics=arithmetic,
+            numerics=numerics(problem, data, library, first, last, found) if complete else (),
             disturbances=None if undisturbed is None else left_out(undisturbed, inside),
             outlier_runs=odd,
             replay=replayed,
