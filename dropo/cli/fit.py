@@ -71,7 +71,13 @@ def add(commands: Any) -> None:
         help="simulations for each transition in one evaluation",
     )
     parser.add_argument(
-        "--start", choices=("middle", "least-squares", "random"), help="where the search begins"
+        "--start",
+        type=_start,
+        metavar="NAME|DIR|PARAMETER=X,...",
+        help=(
+            "where the search begins: middle, least-squares, random, at the mean of another fit's"
+            " folder, or at values"
+        ),
     )
     parser.add_argument(
         "--transitions", type=whole(1), metavar="N", help="use the first N transitions alone"
@@ -126,7 +132,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     """Fit, print and save; the exit status."""
     from dropo.cli.record import keep_for_report, run_record
     from dropo.core.contracts.fit_by_name import estimator_for
-    from dropo.core.records.fit import Status
+    from dropo.core.records.fit import Fit, Status
     from dropo.core.records.fit_choices import ExcludedSpan, ExcludedSpans
     from dropo.core.services.evaluation_log import EvaluationLog
     from dropo.estimators.support.segment_length import ChooseHorizon
@@ -135,6 +141,8 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     problem, spans = _without_disturbances(arguments, _problem(arguments))
     options = {name: getattr(arguments, name) for name in SETTINGS}
     given = {name: value for name, value in options.items() if value is not None}
+    if isinstance(arguments.start, Path):
+        given["start"] = Fit.load(arguments.start)
     if arguments.length is not None and arguments.method == "dropo":
         # Who says how long a segment is wants segments, from measured states.
         given.setdefault("likelihood", problem.settings.get("likelihood", "emulated"))
@@ -248,6 +256,22 @@ def _degrees(text: str) -> float:
             f"expected degrees of freedom, a number above 2, got {text!r}"
         )
     return value
+
+
+def _start(text: str) -> Any:
+    """A type for argparse: a name, the folder of a fit, or values by parameter."""
+    if "=" not in text:
+        return Path(text) if Path(text).is_dir() else text
+    values = {}
+    for part in text.split(","):
+        name, _, number = part.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError:
+            raise argparse.ArgumentTypeError(
+                f"expected values such as mass=1.5,friction=0.2, got {part!r}"
+            ) from None
+    return values
 
 
 def _length(text: str) -> int | str:

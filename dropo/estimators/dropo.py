@@ -24,6 +24,7 @@ from dropo.core.contracts.simulator import describe_failures
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import StartFilter
 from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.start_mean import Start, checked_start, given_start
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.registry import find
@@ -79,9 +80,10 @@ class DROPO(Estimator):
         Of a sampled likelihood, for each transition in one evaluation.
     budget : int
         Evaluations of one search.
-    start : {"middle", "least-squares", "random"}
+    start : {"middle", "least-squares", "random"}, mapping, sequence of float or Fit
         The first mean: the middle of the box, a least-squares estimate, or drawn from the box
-        (uniformly, in logarithms where a parameter is searched so).
+        (uniformly, in logarithms where a parameter is searched so); values by parameter (those left
+        out are in the middle) or of all of them in order; or the mean of another fit.
     sweep : tuple of float
         The noise variances that "tune" tries [signal unit^2].
     mse_threshold : float or None
@@ -107,7 +109,7 @@ class DROPO(Estimator):
     epsilon: float | tuple[float, ...] | Literal["learn", "tune"] | None = None
     draws: int | None = None
     budget: int = 5000
-    start: Literal["least-squares", "middle", "random"] = "middle"
+    start: Start = "middle"
     sweep: tuple[float, ...] = SWEEP
     mse_threshold: float | None = None
     start_noise: bool | None = None
@@ -116,7 +118,8 @@ class DROPO(Estimator):
     name = "dropo"
 
     def __post_init__(self) -> None:
-        known("start", self.start, ("least-squares", "middle", "random"))
+        start = checked_start(self.start, ("least-squares", "middle", "random"))
+        object.__setattr__(self, "start", start)
         known("starts", self.starts, ("measured", "filtered"))
         if isinstance(self.epsilon, str):
             known("epsilon", self.epsilon, ("learn", "tune"))
@@ -168,6 +171,9 @@ class DROPO(Estimator):
     def _first_mean(self, problem: Problem, run: Run, rng: np.random.Generator) -> Array:
         """(d,) means where the search begins, in the parameters' units."""
         space = problem.space
+        given = given_start(self.start, space)
+        if given is not None:
+            return given
         if self.start == "least-squares":
             return estimate(problem, run).value
         if self.start == "random":

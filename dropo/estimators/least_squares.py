@@ -9,6 +9,7 @@ from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.start_mean import Start, checked_start, given_start
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, float_array, known, require
@@ -71,6 +72,8 @@ class LeastSquares(Estimator):
         Half the width of the differences, as a fraction of each parameter's interval. None: a
         hundredth in a first pass, one standard error in a second, but no less than a thousandth:
         contacts that switch give slopes without bound as differences shrink.
+    start : {"middle"}, mapping, sequence of float or Fit
+        Where the first pass begins, as that of `DROPO`.
 
     Notes
     -----
@@ -80,6 +83,7 @@ class LeastSquares(Estimator):
     weights: Literal["noise", "equal"] | tuple[float, ...] = "noise"
     budget: int = 100
     step: float | None = None
+    start: Start = "middle"
     name = "least-squares"
 
     def __post_init__(self) -> None:
@@ -89,10 +93,12 @@ class LeastSquares(Estimator):
         require(possible, "step", rule, self.step, "LeastSquares")
         if isinstance(self.weights, str):
             known("weights", self.weights, ("noise", "equal"))
+        object.__setattr__(self, "start", checked_start(self.start, ("middle",)))
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """The estimate as a family without spread."""
-        found = estimate(problem, run, self.weights, self.budget, self.step)
+        start = given_start(self.start, problem.space)
+        found = estimate(problem, run, self.weights, self.budget, self.step, start)
         family = find("families", "point")(problem.space)
         rows = len(problem.segments.rows[0])
         noise = np.maximum(found.noise, rounding(problem))  # a perfect fit would have no density
@@ -119,9 +125,10 @@ def estimate(
     weights: str | tuple[float, ...] = "noise",
     budget: int = 100,
     step: float | None = None,
+    start: Array | None = None,
     settings: DifferenceSettings = DIFFERENCES,
 ) -> PointEstimate:
-    """Estimate the parameters by least squares in two passes from the middle of the box.
+    """Estimate the parameters by least squares in two passes.
 
     The second pass begins where the first ended, with the noise and the steps found there.
 
@@ -132,6 +139,8 @@ def estimate(
         Counts the simulations.
     weights, budget, step
         As those of `LeastSquares`.
+    start : (d,) array, optional
+        Where the first pass begins; the middle of the box if None.
     settings : DifferenceSettings
         Limits of the steps that are not given.
 
@@ -149,11 +158,11 @@ def estimate(
     space = problem.space
     targets = problem.simulator.targets(problem.segments)
     width = space.high - space.low
-    middle = space.from_unit(np.full(len(space), 0.5))
+    begin = space.from_unit(np.full(len(space), 0.5)) if start is None else start
 
     variances = _first_variances(problem, run, weights)
     largest = settings.largest if step is None else step
-    first = _solve(problem, run, variances, middle, budget, largest * width)
+    first = _solve(problem, run, variances, begin, budget, largest * width)
 
     if weights == "noise":
         # A perfect model leaves rounding errors.

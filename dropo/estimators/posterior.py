@@ -17,6 +17,7 @@ from dropo.core.records.draws import ChainTooShort, Draws
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import PosteriorDiagnostics, PosteriorDraws
 from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.start_mean import Start, checked_start, given_start
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
@@ -89,9 +90,9 @@ class Posterior(Estimator):
         noise. Each is a text such as "normal(3.5, 0.2)" or a frozen distribution of scipy.stats.
         The problem's own priors count for parameters or their means. Without one, the prior is flat
         on the box, in the logarithm where a parameter is on a log scale.
-    start : {"least-squares", "middle"}
-        Where walkers begin on likelihoods that are not local: a least-squares estimate or the
-        middle of the box.
+    start : {"least-squares", "middle"}, mapping, sequence of float or Fit
+        Where walkers begin on likelihoods that are not local: a least-squares estimate, the middle
+        of the box, or values as `DROPO` takes them.
     settings : DrawSettings
     """
 
@@ -101,14 +102,15 @@ class Posterior(Estimator):
     epsilon: float | tuple[float, ...] | Noise | Literal["learn"] | None = None
     sampler: str | Sampler = "emcee"
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    start: Literal["least-squares", "middle"] = "least-squares"
+    start: Start = "least-squares"
     settings: DrawSettings = field(default_factory=DrawSettings)
     name = "posterior"
     uses_priors = True
 
     def __post_init__(self) -> None:
         known("posterior over", self.over, ("parameters", "distribution"))
-        known("start", self.start, ("least-squares", "middle"))
+        start = checked_start(self.start, ("least-squares", "middle"))
+        object.__setattr__(self, "start", start)
         valid = not isinstance(self.epsilon, str) or self.epsilon == "learn"
         require(valid, "epsilon", "a variance or 'learn'", self.epsilon, "Posterior")
 
@@ -239,13 +241,17 @@ class Posterior(Estimator):
         spread = np.full(len(unknowns), 0.05)
         if self.start == "middle":
             return start, spread
-        found = find("methods", "least-squares")()._fit(problem, run)
         d = len(problem.space)
+        mean = given_start(self.start, problem.space)
+        if mean is None:
+            found = find("methods", "least-squares")()._fit(problem, run)
+            mean = found.mean
+            if self._of_parameters:
+                spread[:d] = _unit_width(problem.space, mean, found.mean_se)
         if self._of_parameters:
-            start[:d] = found.mean
-            spread[:d] = _unit_width(problem.space, found.mean, found.mean_se)
+            start[:d] = mean
         else:
-            start[: len(family.unknowns)] = family.phi(found.mean)
+            start[: len(family.unknowns)] = family.phi(mean)
         return start, spread
 
     # --- the fit

@@ -14,6 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.records.fit_parts import GroupEffects, VarianceComponentTests, VarianceTest
 from dropo.core.records.fit_report import span
+from dropo.core.records.start_mean import Start
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table
 from dropo.core.services.validation import Array, known
@@ -76,7 +77,7 @@ class RandomEffects(Estimator):
 
     family: Literal["truncated_gaussian", "full"] = "truncated_gaussian"
     epsilon: float | tuple[float, ...] | Literal["learn", "tune"] | None = None
-    start: Literal["least-squares", "middle", "random"] = "middle"
+    start: Start = "middle"
     start_noise: bool | None = None
     settings: GroupSettings = field(default_factory=GroupSettings)
     name = "random-effects"

@@ -468,3 +468,40 @@ def test_no_log_of_the_physics_is_left(problem: Path, monkeypatch: pytest.Monkey
     before = sorted(problem.parent.iterdir())
     assert main(["fit", "problem.yaml", *SMALL, "--quiet"]) == 0
     assert sorted(problem.parent.iterdir()) == before
+
+
+def test_it_begins_at_values_or_at_another_fit(
+    problem: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By parameter on the command line or in the problem file, alike; or in the folder of a fit."""
+    name = load(str(problem)).space.names[0]
+    middle = float(np.mean([load(str(problem)).space.low[0], load(str(problem)).space.high[0]]))
+    begun = {}
+    with_key = problem.with_name("begun.yaml")
+    with_key.write_text(f"{problem.read_text()}\nstart: {{{name}: {0.9 * middle}}}\n")
+    for key, file, more in (
+        ("option", problem, ("--start", f"{name}={0.9 * middle}")),
+        ("file", with_key, ()),
+        ("folder", problem, ("--start", str(tmp_path / "option"))),
+    ):
+        folder = tmp_path / key
+        arguments = ["fit", str(file), *SMALL, *more, "--out", str(folder), "--quiet"]
+        assert main(arguments) == 0
+        begun[key] = result(folder)["parameters"]
+    assert begun["option"] == begun["file"] != begun["folder"]
+    refused = [
+        (f"{name}=x", "expected values such as mass=1.5,friction=0.2"),
+        (f"{name}=1e9", f"start of {name} must be within its bounds"),
+        (f"{name}x=1", name),
+        ("midle", "middle"),
+    ]
+    for text, words in refused:
+        try:
+            status = main(["fit", str(problem), "--start", text])
+        except SystemExit as ended:
+            status = ended.code
+        assert status == 2
+        assert words in capsys.readouterr().err
+    with_key.write_text(f"{problem.read_text()}\nstart: {{{name}: 1e9}}\n")
+    assert main(["fit", str(with_key)]) == 2
+    assert f"start of {name} must be within its bounds" in capsys.readouterr().err

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from dropo.core.contracts.prior import read_prior
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.start_mean import given_start
 from dropo.core.records.trajectories import Reset, Trajectories
 from dropo.core.services.errors import BadEntry
 from dropo.core.services.file_content import FileContent
@@ -82,6 +84,7 @@ def read_problem(
             priors=priors,
             task=task,
             estimated=_read_estimated(file, simulator),
+            settings=_read_start(file, simulator.space),
         )
     return with_velocities(problem)
 
@@ -207,6 +210,16 @@ def _order_by_signal(
         expected = f"a variance for each of the {len(signals)} signals"
         raise file.refusal("epsilon", expected, f"none for {', '.join(missing)}")
     return np.array([variances[name] for name in signals])
+
+
+def _read_start(file: FileContent[ProblemFile], space: ParameterSpace) -> dict[str, Any]:
+    """Where searches begin, as a setting of methods."""
+    start = file.content.start
+    if not start:
+        return {}
+    with file.at("start"):
+        given_start(start, space)
+    return {"start": start}
 
 
 def _read_priors(file: FileContent[ProblemFile], simulator: MujocoSimulator) -> dict[str, Any]:

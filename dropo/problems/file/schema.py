@@ -219,6 +219,11 @@ class ProblemFile(Entry):
         bool, Expected("true, where the measured start states carry the noise too, or false")
     ] = False
     """Whether the measured start states carry the noise too."""
+    start: Annotated[
+        dict[Key, Annotated[Finite, Expected("a number within the parameter's bounds")]],
+        Expected("a mapping from parameters to the values where a search begins"),
+    ] = {}
+    """Where a search begins, by parameter; the others begin in the middle of their bounds."""
     student_t: (
         Annotated[Finite, Field(gt=2), Expected("degrees of freedom, a number above 2")] | None
     ) = None
