@@ -5,23 +5,18 @@ three files; `_gather` cuts the runs into trajectories, and `_join_arrays` makes
 data.npz of them.
 """
 
-import hashlib
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dropo._version import __version__
-from dropo.core.services.atomic_write import atomic_write, write_json, write_npz, write_text
-from dropo.core.services.errors import BadArgument, BadFile
+from dropo.core.services.errors import BadArgument
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding, errors_first
@@ -37,22 +32,18 @@ from dropo.logs.grids import (
     whole_spans,
 )
 from dropo.logs.guessing.check import check_logs
+from dropo.logs.import_files import RECORD, check_place, write_import
 from dropo.logs.log_checks import LogCheckSettings
 from dropo.logs.mapping import Mapping as LogMapping
 from dropo.logs.mapping import read_mapping
 from dropo.logs.preparing import NoiseSettings, SignalNoise, add_velocities, clean_run
-from dropo.logs.problem_text import format_problem, held_out_runs, segment_steps
 from dropo.logs.readers.reader import Progress
 from dropo.logs.recordings import LogRun, read_runs
 from dropo.logs.signals.clocks import AlignmentSettings, SignalDelay, align_runs
 from dropo.mjmodel.joints import ModelJoints, load_model_joints
 
-PROBLEM = "problem.yaml"
-RECORD = "import.json"
 SHOWN = 20
 """Excluded spans that are printed."""
-SUM = "problem_sum"
-"""In import.json the SHA-256 of the problem file as it was written."""
 
 
 @dataclass(frozen=True)
@@ -337,13 +328,20 @@ def prepare(
 def _rate_warning(runs: Sequence[LogRun], robot: ModelJoints, skip: int, error: float) -> Finding:
     """That the log's rows are resampled, and the time step with which they are not."""
     wanted = (1 + error) * skip * robot.timestep
-    step = wanted / max(1, math.ceil(wanted / robot.timestep - 1e-3))
+    step = _plain_step(wanted, robot.timestep)
     text = (
         f"a row every {1e3 * wanted:.5g} ms is no whole number of the model's physics steps of "
         f"{1e3 * robot.timestep:g} ms: all rows are resampled on {1e3 * skip * robot.timestep:.5g} "
         "ms."
     )
     return Finding("warning", "time", text, f'`<option timestep="{step:.6g}"/>` avoids it.')
+
+
+def _plain_step(wanted: float, longest: float) -> float:
+    """The part of a control step that has the fewest digits, of the first few not above another."""
+    first = max(1, math.ceil(wanted / longest - 1e-3))
+    parts = [wanted / count for count in range(first, first + 4)]
+    return min(parts, key=lambda step: len(f"{step:.6g}"))
 
 
 def worse_velocities(
@@ -532,138 +530,3 @@ def _join_arrays(pieces: list[_Piece], runs: list[str]) -> dict[str, NDArray[Any
         for name in candidates:
             arrays[f"actions.{name}"] = np.concatenate([piece.actions[name] for piece in pieces])
     return arrays
-
-
-# Files
-
-
-def check_place(out: Path) -> None:
-    """Refuse a place that is no .npz file, or beside which someone changed a problem file.
-
-    Parameters
-    ----------
-    out : Path
-        Of the data file.
-
-    Raises
-    ------
-    BadFile
-        If nothing may be written there.
-    """
-    if out.suffix != ".npz":
-        raise BadFile(out, "--out", "a file that ends in .npz", repr(out.suffix))
-    problem = out.parent / PROBLEM
-    if problem.exists() and _sum_of(problem.read_bytes()) != _written_sum(out.parent / RECORD):
-        expected = (
-            "no file, or one that an import wrote, since this one would be lost (move it, or "
-            "import into another folder)"
-        )
-        raise BadFile(problem, "", expected, "one that was changed")
-
-
-def _sum_of(content: bytes) -> str:
-    """The SHA-256 of a file's content."""
-    return hashlib.sha256(content).hexdigest()
-
-
-def _written_sum(record: Path) -> str:
-    """The SHA-256 of the problem file that the import before wrote; empty where it is not known."""
-    try:
-        return str(json.loads(record.read_text()).get(SUM, ""))
-    except (OSError, ValueError, AttributeError):
-        return ""
-
-
-def write_import(
-    found: Import,
-    out: Path,
-    model: str,
-    robot: ModelJoints,
-    command: str,
-    facts: Mapping[str, Any] = MappingProxyType({}),
-    files: Mapping[str, str] = MappingProxyType({}),
-) -> None:
-    """Write data, problem file and record, each whole; none where one cannot be written.
-
-    Parameters
-    ----------
-    found : Import
-        What an import made of the logs.
-    out : Path
-        The data file.
-    model : str
-        The model, by its path from there.
-    robot : ModelJoints
-        Its joints and actuators.
-    command : str
-        What writes them.
-    facts : mapping
-        More for import.json.
-    files : mapping
-        Other files by name, with their text.
-    """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    problem = _problem_text(found, out.name, model, robot, command, str(facts.get("robot", "")))
-    record = found.to_json() | dict(facts) | {SUM: _sum_of(problem.encode())}
-    with ExitStack() as stack:
-        names = (out.name, PROBLEM, RECORD, *files)
-        parts = [stack.enter_context(atomic_write(out.parent / name)) for name in names]
-        write_npz(parts[0], found.arrays)
-        write_text(parts[1], problem)
-        write_json(parts[2], record)
-        for part, text in zip(parts[3:], files.values(), strict=True):
-            write_text(part, text)
-
-
-def _problem_text(
-    found: Import, data: str, model: str, robot: ModelJoints, command: str, name: str
-) -> str:
-    """The problem file."""
-    content: dict[str, Any] = {"robot": name or robot.name} if name or robot.name else {}
-    content |= {
-        "model": model,
-        "frame_skip": found.frame_skip,
-        "data": data,
-        "observation": found.observation,
-        "action": found.action,
-        "lambda": segment_steps(found.control_step, found.trajectories),
-        "start_noise": True,
-    }
-    estimated = _estimated(found)
-    if estimated:
-        content["estimated"] = estimated
-    held_out = held_out_runs([run for run, rows in found.rows.items() if rows["trajectories"]])
-    if held_out:
-        content["held_out"] = {"runs": held_out}
-    motion = _whole_states(found, robot)
-    return format_problem(content, command, robot, _variances(found), motion, found.control_step)
-
-
-def _estimated(found: Import) -> dict[str, float]:
-    """The velocities that were smoothed from positions, with the error of each."""
-    return {
-        name: float(f"{noise.sd:.3g}")
-        for name, noise in found.noise.items()
-        if noise.estimated and noise.sd is not None and "[" not in name
-    }
-
-
-def _variances(found: Import) -> dict[str, float]:
-    """The variance of every signal's noise; empty where one is not known, or joints turn freely."""
-    levels = {
-        name: noise.sd for name, noise in found.noise.items() if name.startswith(("qpos", "qvel"))
-    }
-    known = {name: sd**2 for name, sd in levels.items() if sd is not None and sd > 0}
-    are_whole = len(known) == len(levels) and not any("[" in name for name in known)
-    ordered = sorted(known, key=lambda name: name.startswith("qvel"))
-    return {name: known[name] for name in ordered} if are_whole else {}
-
-
-def _whole_states(found: Import, robot: ModelJoints) -> tuple[Array, Array] | None:
-    """The rows of the longest trajectory as positions and velocities, where all were measured."""
-    if found.observation != ["qpos", "qvel"]:
-        return None
-    longest = int(np.argmax(found.trajectories))
-    first = sum(found.trajectories[:longest])
-    rows = found.arrays["observations"][first : first + found.trajectories[longest]]
-    return rows[:, : robot.model.nq], rows[:, robot.model.nq :]

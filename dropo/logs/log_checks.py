@@ -50,8 +50,8 @@ class LogCheckSettings:
     degrees : float
         Angles are in degrees where, as rad, they reach so many times as far as a joint's range.
     carries_on : float
-        A clock has jumped where the joints moved over a gap by less than this fraction of what
-        their speed on both sides makes of it.
+        A clock has jumped where the moving joints went over a gap by what their speed makes of one
+        usual step, within this fraction of it.
     stamps : StampSettings
         Of time stamps.
     columns : ColumnSettings
@@ -63,7 +63,7 @@ class LogCheckSettings:
     quaternion_norm: float = 0.05
     quaternion_order: float = 0.5
     degrees: float = 3.0
-    carries_on: float = 0.2
+    carries_on: float = 0.5
     stamps: StampSettings = field(default_factory=StampSettings)
     columns: ColumnSettings = field(default_factory=ColumnSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
@@ -216,13 +216,14 @@ def _clock_jumps(
         step = float(np.median(np.diff(one.time[gap - 6 : gap])))
         before = float(values[gap - 1] - values[gap - 6]) / (5 * step)
         after = float(values[gap + 5] - values[gap]) / (5 * step)
-        expected = 0.5 * (before + after) * float(first.time[gap] - first.time[gap - 1])
+        speed = 0.5 * (before + after)
         noise = float(np.abs(np.diff(values[gap - 6 : gap], n=2)).max())
-        is_moving = before * after > 0 and abs(before + after) / 2 * step > 3 * noise
+        is_moving = before * after > 0 and abs(speed) * step > 3 * noise
         if not is_moving:
             continue
         moving += 1
-        if abs(values[gap] - values[gap - 1]) > settings.carries_on * abs(expected):
+        moved = float(values[gap] - values[gap - 1])
+        if abs(moved - speed * step) > settings.carries_on * abs(speed) * step + noise:
             return False
     return moving > 0
 

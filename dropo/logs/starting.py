@@ -19,16 +19,14 @@ from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.logs.guessing.guess import Ask, Guess, guess_mapping
 from dropo.logs.guessing.servos import estimate_drives
+from dropo.logs.import_files import PROBLEM, check_place, write_import
 from dropo.logs.importing import (
     DEFAULTS,
-    PROBLEM,
     Import,
     ImportSettings,
-    check_place,
     ignore_progress,
     prepare,
     worse_velocities,
-    write_import,
 )
 from dropo.logs.mapping import KIND, check_mapping
 from dropo.logs.preparing import clean_run, compare_velocities

@@ -539,3 +539,18 @@ ctrl: {m1: {column: u1}, m2: {column: u2}}
     ).arrays
     np.testing.assert_allclose(table["observations"], archive["observations"], atol=1e-5)
     np.testing.assert_allclose(table["actions"], archive["actions.current"], atol=1e-5)
+
+
+def test_a_rate_that_must_be_resampled(folder: Path, arm: Any) -> None:
+    """Rows every 2.5 ms on a model of 1 ms are resampled; the step that is proposed avoids it."""
+    found = imported(folder, arm.log(rate=400, seconds=4))
+    warning = next(str(finding) for finding in found.findings if "whole number" in str(finding))
+    assert warning == (
+        "warning: time: a row every 2.5 ms is no whole number of the model's physics steps of "
+        '1 ms: all rows are resampled on 2 ms. `<option timestep="0.0005"/>` avoids it.'
+    )
+    text = (folder / "robot.xml").read_text()
+    (folder / "robot.xml").write_text(text.replace('"0.001"', '"0.0005"'))
+    again = imported(folder, arm.log(rate=400, seconds=4))
+    assert not any("whole number" in str(finding) for finding in again.findings)
+    assert again.control_step == pytest.approx(0.0025)

@@ -315,3 +315,81 @@ def test_a_quaternion_in_another_order(folder: Path) -> None:
     columns = tossed()
     columns["q"] = 2 * columns["q"]
     assert "a quaternion must have length 1, and one has 2" in found(folder, columns)[0].sentence
+
+
+def stick_slip(rows: int, rng: np.random.Generator) -> NDArray[Any]:
+    """Ticks of a joint that dry friction holds for 15 rows, and that then goes on for 12."""
+    place = 0.0
+    ticks = []
+    for k in range(rows):
+        if k % 27 >= 15:
+            place += rng.uniform(3.0, 6.0)
+        ticks.append(np.rint(place))
+    return np.array(ticks)
+
+
+def test_a_joint_held_by_friction_is_no_dead_sensor(folder: Path, clean: Columns) -> None:
+    """It breaks loose with steps like its next ones; one that hung jumps by all that it missed."""
+    rows = len(clean["q1"])
+    ticks = stick_slip(rows, np.random.default_rng(3)) * 1e-4
+    (folder / "map.yaml").write_text(
+        "time: {column: t}\nqpos: {shoulder: {column: q1}, elbow: {column: q2}}\n"
+    )
+    sentences = [finding.sentence for finding in found(folder, {**clean, "q1": ticks})]
+    assert not any("hangs" in sentence for sentence in sentences)
+    hung = clean["q1"].copy()
+    hung[1500:1560] = hung[1500]
+    sentences = [finding.sentence for finding in found(folder, {**clean, "q1": hung})]
+    assert any("hangs once" in sentence for sentence in sentences)
+
+
+def test_the_resolution_of_all_joints_is_one_line(folder: Path, clean: Columns) -> None:
+    step = 2 * np.pi / 256
+    coarse = {name: np.rint(clean[name] / step) * step for name in ("q1", "q2")}
+    (folder / "map.yaml").write_text(
+        "time: {column: t}\nqpos: {shoulder: {column: q1}, elbow: {column: q2}}\n"
+    )
+    lines = [str(finding) for finding in found(folder, {**clean, **coarse})]
+    told = [line for line in lines if "resolution" in line]
+    assert told == [
+        "warning: qpos.shoulder, qpos.elbow: the resolution of 2 signals is 0.0245437 rad, coarse "
+        "beside what they move. Their noise is at least 0.00708515 rad."
+    ]
+
+
+def test_the_order_of_a_quaternion(folder: Path) -> None:
+    """By the names of its columns, and by its turns beside the angular velocity."""
+    (folder / "robot.xml").write_text(BALL)
+    (folder / "map.yaml").write_text(BALL_MAP)
+    told = [str(finding) for finding in found(folder, tossed("x y z w"))]
+    assert told[0].startswith("error: qpos.ball: its quaternion is in the order x, y, z, w.")
+    assert not any("order" in str(finding) for finding in found(folder, tossed()))
+
+
+def test_packets_that_were_lost(folder: Path, clean: Columns) -> None:
+    """Of one row in 20 a warning, of one in three an error; a clean log has none."""
+    for share, level in ((0.05, "warning"), (0.35, "error")):
+        keep = np.random.default_rng(0).uniform(size=len(clean["t"])) > share
+        findings = found(folder, {name: column[keep] for name, column in clean.items()})
+        told = [finding for finding in findings if "packets were lost" in finding.sentence]
+        assert [finding.level for finding in told] == [level]
+
+
+def test_degrees_and_clocks(folder: Path, clean: Columns) -> None:
+    """Degrees where the range is in rad; a clock that jumps, beside a gap in which joints moved."""
+    text = (folder / "robot.xml").read_text()
+    wide = 'type="hinge" range="-200 200"'
+    limited = text.replace('name="elbow" type="hinge"', f'name="elbow" {wide}')
+    (folder / "robot.xml").write_text(limited)
+    assert found(folder, clean) == []
+    told = found(folder, {**clean, "q2": np.degrees(clean["q2"])})
+    assert told[0].level == "error"
+    assert "these are degrees" in told[0].sentence
+    jumped = clean["t"].copy()
+    jumped[1200:] += 3.0
+    told = found(folder, {**clean, "t": jumped})
+    assert told[0].sentence.startswith("the clock jumps by 3.002 s, row 1200 at")
+    lost = np.r_[0:1200, 1700:4000]
+    told = found(folder, {name: column[lost] for name, column in clean.items()})
+    assert [finding.level for finding in told] == ["warning"]
+    assert "1 gap of" in told[0].sentence

@@ -257,3 +257,28 @@ def test_noisy_velocities_are_smoothed_instead(example: Path) -> None:
         found = init(example / "arm.xml", logs(example), example / f"out{kept}")
         assert ("qvel" in found.mapping) == kept
         assert any("smoothed from the positions in place" in line for line in found.lines) != kept
+
+
+def test_a_tossed_box(tmp_path: Path) -> None:
+    """A free body alone, its quaternion last to first: mapped, imported, and loaded."""
+    text = """<mujoco model="toss"><option timestep="0.001"/><worldbody>
+      <body name="box" pos="0 0 1"><freejoint name="box"/>
+      <geom type="box" size="0.05 0.05 0.05" mass="0.3"/></body></worldbody>
+      </mujoco>"""
+    (tmp_path / "box.xml").write_text(text)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qvel[:] = [1, 0, 3, 1, 2, 0.5]
+    lines = ["time,box_pos_x,box_pos_y,box_pos_z,box_quat_x,box_quat_y,box_quat_z,box_quat_w"]
+    for k in range(100):
+        numbers = [0.005 * k, *data.qpos[:3], *data.qpos[4:], data.qpos[3]]
+        lines.append(",".join(f"{x:.8f}" for x in numbers))
+        mujoco.mj_step(model, data, 5)
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    init(tmp_path / "box.xml", tmp_path / "log.csv", tmp_path / "out")
+    problem = load(tmp_path / "out" / "problem.yaml", threads=1)
+    errors = problem.simulator.predict(np.empty((1, 0)), problem.segments)[0]
+    assert np.abs(errors - problem.simulator.targets(problem.segments)).max() < 0.02
+    (tmp_path / "log.csv").write_text("\n".join(lines).replace("box_quat", "box_spin") + "\n")
+    with pytest.raises(BadFile, match="expected columns that name the positions of the joints box"):
+        init(tmp_path / "box.xml", tmp_path / "log.csv", tmp_path / "again")

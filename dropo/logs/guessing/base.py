@@ -6,17 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.data.checks.findings import Finding
+from dropo.data.checks.findings import Finding, Level
 from dropo.data.checks.kinematics import rotation_vectors
 from dropo.logs.guessing.words import ColumnName, read_names, tokens
 from dropo.logs.readers.reader import Log
 from dropo.mjmodel.joints import ModelJoints
 
-WORDS = (
-    *("base", "root", "torso", "trunk", "pelvis", "imu", "body", "odom", "floating", "pose"),
-    *("chassis", "transform", "orientation"),
-)
-"""Words of what belongs to a base."""
+CERTAIN = ("base", "root", "torso", "trunk", "pelvis", "odom", "floating", "chassis")
+"""Words of what belongs to a base ..."""
+WORDS = (*CERTAIN, "imu", "body", "pose", "transform", "orientation")
+"""... with those that may be of another body, such as an arm's hand."""
 _NOT_A_POSITION = (
     *("vel", "velocity", "acc", "accel", "acceleration", "gyro", "angular", "twist", "force"),
     *("linear", "mag", "covariance", "rpy", "euler", "torque", "scale", "target", "cmd", "goal"),
@@ -76,19 +75,22 @@ class BaseColumns:
         return (*self.position, *self.quaternion, *self.gyro)
 
 
-def find_base(columns: Sequence[ColumnName]) -> BaseColumns:
+def find_base(columns: Sequence[ColumnName], names: Sequence[str] = ()) -> BaseColumns:
     """Find the columns of a base by their names.
 
     Parameters
     ----------
     columns : sequence of ColumnName
         All columns of a log.
+    names : sequence of str
+        What the base is called beside `WORDS`.
 
     Returns
     -------
     BaseColumns
         The first of each kind.
     """
+    own = {*WORDS, *(word for name in names for word in tokens(name))}
     groups: dict[tuple[str, ...], dict[str, ColumnName]] = {}
     for column in columns:
         words = tokens(column.column)
@@ -102,7 +104,7 @@ def find_base(columns: Sequence[ColumnName]) -> BaseColumns:
             groups.setdefault(key, {}).setdefault(last, column)
     found = BaseColumns()
     for key, parts in groups.items():
-        if not set(key) & set(WORDS):
+        if not set(key) & own:
             continue
         found = _with_group(found, key, parts)
     return found
@@ -186,11 +188,17 @@ def moving_base(log: Log, robot: ModelJoints) -> Finding | None:
     Returns
     -------
     Finding or None
-        An error.
+        An error; a warning where the columns may be of another body than the base.
     """
     if any(joint.kind == "free" for joint in robot.joints.values()):
         return None
-    found = find_base(read_names(log, [*robot.joints, *robot.actuators]))
+    columns = read_names(log, [*robot.joints, *robot.actuators])
+    certain = [one for one in columns if set(_words_of(one)) & set(CERTAIN)]
+    found = find_base(certain)
+    level: Level = "error"
+    if not found.all():
+        found = find_base(columns)
+        level = "warning"
     values = {}
     for column in found.all():
         numbers = log.read(column.topic, [column.column], lambda fraction, text: None)
@@ -202,7 +210,15 @@ def moving_base(log: Log, robot: ModelJoints) -> Finding | None:
         return None
     text = f"the base is fixed in the model and moves in the log: {how}."
     advice = "Give the model a free joint, or log with the base held."
-    return Finding("error", "", text, advice)
+    if level == "warning":
+        text = f"the base is fixed in the model, and {how}."
+        advice = "If that is the base, give the model a free joint, or log with the base held."
+    return Finding(level, "", text, advice)
+
+
+def _words_of(column: ColumnName) -> list[str]:
+    """The words of a column's topic and name."""
+    return [*tokens(column.topic or ""), *tokens(column.column)]
 
 
 def quaternion_order(parts: Array, settings: BaseSettings = DEFAULTS) -> str | None:

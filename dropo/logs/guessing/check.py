@@ -45,7 +45,7 @@ def check_logs(
         moves = moving_base(open_log(path), robot)
         if moves is not None:
             found.append(moves)
-            break
+            break  # one line for all logs
     return errors_first(found)
 
 

@@ -14,7 +14,7 @@ from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.validation import Array
 from dropo.logs.guessing import words
 from dropo.logs.guessing.base import BaseColumns, find_base, moving_base, quaternion_order
-from dropo.logs.guessing.places import match
+from dropo.logs.guessing.places import POSSIBLE, likeness, match
 from dropo.logs.guessing.scales import (
     Scale,
     angle_unit,
@@ -121,7 +121,7 @@ class _Guesser:
         self._used: set[ColumnName] = set()
         self._values: dict[ColumnName, Array] = {}
         self._positions: dict[str, tuple[ColumnName, Scale]] = {}
-        self._base = find_base(self._columns)
+        self._base = find_base(self._columns, [joint.name for joint in self._free_joints()])
 
     # what all steps need
 
@@ -306,9 +306,16 @@ class _Guesser:
         if not without or not left:
             return
         for name in without:
+            options = [
+                one
+                for one in left
+                if likeness(one, name) >= POSSIBLE or (one.rest and one.rest[-1].isdigit())
+            ]
+            if not options:
+                continue
             answer = self._decide(
                 f"Which column is the position of {name!r}?",
-                [one.column for one in left[:LISTED]],
+                [one.column for one in options[:LISTED]],
             )
             column = next((one for one in left if one.column == answer), None)
             if column is not None:
@@ -364,12 +371,14 @@ class _Guesser:
         base = self._base
         if not free:
             moves = moving_base(self._log, self._robot)
-            if moves is not None:
+            if moves is not None and moves.level == "error":
                 raise Incompatible(f"{self._log.path}: {moves.sentence} {moves.advice}")
             self._used |= set(base.all())
             return
         values = dict(zip(base.all(), self._read(base.all()), strict=True))
         if len(base.position) != 3 or len(base.quaternion) != 4:
+            if not self._positions:
+                self._refuse_positions(self._numeric(self._of(words.POSITION)))
             self.guess.lines.append(
                 f"no pose of {free[0].name} in the log: the model's base starts where it stands "
                 "in the model, and falls; fix it there if the machine hung on a stand"

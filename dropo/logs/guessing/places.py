@@ -10,6 +10,8 @@ from dropo.logs.guessing.words import ColumnName, tokens
 
 ALIKE = 0.6
 """Share of two names that must be the same (Ratcliff and Obershelp)."""
+POSSIBLE = 0.4
+"""Share from which on a column may be a joint's, so that it is asked for."""
 CLEAR = 0.05
 """By how much the best joint of a column must be better than the second."""
 
@@ -34,21 +36,37 @@ def match(
         Columns without a name, or which two names fit as well.
     """
     idle = _idle_words(columns, names)
-    scores = np.array([[_likeness(column, name, idle) for name in names] for column in columns])
+    numbers = [_only_number(column, idle) for column in columns]
+    found: dict[str, ColumnName] = {}
+    if columns and None not in numbers:
+        found = _by_number(dict(zip(numbers, columns, strict=True)), names)  # type: ignore[arg-type]
+    else:
+        found = _by_words(columns, names, idle)
+        if not found and len(columns) == len(names) == 1:
+            found = {names[0]: columns[0]}
+    taken = {id(column) for column in found.values()}
+    left = [column for column in columns if id(column) not in taken]
+    return {name: found[name] for name in names if name in found}, left
+
+
+def _by_words(
+    columns: Sequence[ColumnName], names: Sequence[str], idle: set[str]
+) -> dict[str, ColumnName]:
+    """By name the column whose words are most alike, where that is clear."""
+    scores = np.array([[likeness(column, name, idle) for name in names] for column in columns])
     found: dict[str, ColumnName] = {}
     if scores.size:
         rows, places = linear_sum_assignment(-scores)
         for i, j in zip(rows.tolist(), places.tolist(), strict=True):
             if scores[i, j] >= ALIKE and _is_clear(scores, i, j):
                 found[names[j]] = columns[i]
-    taken = {id(column) for column in found.values()}
-    left = [column for column in columns if id(column) not in taken]
-    if not found:
-        found = _by_number(left, names)
-        taken = {id(column) for column in found.values()}
-        left = [column for column in left if id(column) not in taken]
-    ordered = {name: found[name] for name in names if name in found}
-    return ordered, left
+    return found
+
+
+def _only_number(column: ColumnName, idle: set[str]) -> int | None:
+    """The number of a column whose name says nothing else; None of others."""
+    rest = [word for word in column.rest if word not in idle]
+    return int(rest[0]) if len(rest) == 1 and rest[0].isdigit() else None
 
 
 def _idle_words(columns: Sequence[ColumnName], names: Sequence[str]) -> set[str]:
@@ -65,8 +83,23 @@ def _is_clear(scores: np.ndarray, i: int, j: int) -> bool:
     return scores[i, j] >= max(others, default=0.0) + CLEAR
 
 
-def _likeness(column: ColumnName, name: str, idle: set[str]) -> float:
-    """How much the words left of a column, without idle ones, are a name, from 0 to 1."""
+def likeness(column: ColumnName, name: str, idle: set[str] | frozenset[str] = frozenset()) -> float:
+    """Say how much the words left of a column are a name.
+
+    Parameters
+    ----------
+    column : ColumnName
+        The column.
+    name : str
+        Of a joint or actuator.
+    idle : set of str
+        Words that do not count.
+
+    Returns
+    -------
+    float
+        From 0 to 1.
+    """
     wanted = tokens(name)
     rest = [word for word in column.rest if word not in idle]
     if not rest:
@@ -79,22 +112,27 @@ def _likeness(column: ColumnName, name: str, idle: set[str]) -> float:
         return 0.0
     if one <= other or other <= one:
         return 0.7 + 0.25 * len(one & other) / len(one | other)
-    likeness = difflib.SequenceMatcher(None, "".join(rest), "".join(wanted)).ratio()
-    return 0.95 * likeness
+    return 0.95 * difflib.SequenceMatcher(None, "".join(rest), "".join(wanted)).ratio()
 
 
-def _by_number(columns: Sequence[ColumnName], names: Sequence[str]) -> dict[str, ColumnName]:
-    """By name the column that stands at its place, where columns are numbered as many as names."""
-    numbered = []
-    for column in columns:
-        numbers = [int(word) for word in column.rest if word.isdigit()]
-        if len(numbers) == 1:
-            numbered.append((numbers[0], column))
-    numbered.sort(key=lambda pair: pair[0])
-    places = [number for number, _ in numbered]
-    begins_well = bool(places) and places == list(range(places[0], places[0] + len(names)))
-    if len(numbered) == len(names) and begins_well and places[0] in (0, 1):
-        return {name: column for name, (_, column) in zip(names, numbered, strict=True)}
-    if len(columns) == len(names) == 1:
-        return {names[0]: columns[0]}
+def _by_number(columns: dict[int, ColumnName], names: Sequence[str]) -> dict[str, ColumnName]:
+    """By name the column of its number, or at its place where columns count from 0 or 1."""
+    own = {}
+    for name in names:
+        digits = [int(word) for word in tokens(name) if word.isdigit()]
+        if len(digits) == 1:
+            own[digits[0]] = name
+    are_numbered = len(own) == len(names)
+    if are_numbered and set(own) == set(columns):
+        return {own[number]: column for number, column in columns.items()}
+    places = sorted(columns)
+    if len(places) == len(names) and places in (
+        list(range(len(names))),
+        list(range(1, 1 + len(names))),
+    ):
+        ordered = [own[number] for number in sorted(own)] if are_numbered else list(names)
+        return {name: columns[place] for name, place in zip(ordered, places, strict=True)}
+    from_zero = 0 in columns and 0 not in own
+    if are_numbered and not from_zero:
+        return {own[number]: column for number, column in columns.items() if number in own}
     return {}

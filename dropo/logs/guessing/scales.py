@@ -118,6 +118,8 @@ def angle_unit(
         None where the numbers may as well be rad as degrees.
     """
     hint = next((one for one in hints if one in ("rad", "deg", "rev", "tick")), None)
+    if hint == "tick" and not _are_whole(values):
+        hint = None
     if hint == "tick" or (hint is None and _are_ticks(values)):
         return _ticks(values, hint)
     if hint is not None:
@@ -171,10 +173,14 @@ def _is_part_of(step: float, whole: float, settings: ScaleSettings) -> bool:
     return any(abs(parts / 2**bits - 1) < settings.lattice for bits in settings.tick_bits)
 
 
+def _are_whole(values: Sequence[Array]) -> bool:
+    """Whether all numbers are whole."""
+    return all(bool((one == np.rint(one)).all()) for one in values)
+
+
 def _are_ticks(values: Sequence[Array]) -> bool:
     """Whether numbers are whole and beyond 360 degrees, as an encoder's counts are."""
-    whole = all(bool((one == np.rint(one)).all()) for one in values)
-    return whole and max(float(np.abs(one).max()) for one in values) > 720
+    return _are_whole(values) and max(float(np.abs(one).max()) for one in values) > 720
 
 
 def _ticks(values: Sequence[Array], hint: str | None) -> Scale:

@@ -55,7 +55,7 @@ _UNITS: dict[str, tuple[str, ...]] = {
     "mN m": ("mnm",),
     "N m": ("nm",),
     "mA": ("ma", "milliamps"),
-    "A": ("amp", "amps", "ampere", "a"),
+    "A": ("amp", "amps", "ampere"),
     "mm": ("mm",),
     "cm": ("cm",),
     "ms": ("ms", "msec", "millis", "milliseconds"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadFile, Incompatible
+from dropo.logs.guessing.base import moving_base
 from dropo.logs.guessing.guess import Guess, guess_mapping
 from dropo.logs.guessing.words import read_name
 from dropo.logs.readers.reader import open_log
@@ -208,6 +209,17 @@ def test_other_machines_are_refused(tmp_path: Path) -> None:
         guess(tmp_path, columns | moving)
 
 
+def test_an_imu_may_be_on_another_body(tmp_path: Path) -> None:
+    """Its turns are a warning for a check of logs, and refuse nothing."""
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    hand = {f"imu_gyro_{part}": 2 * HIP for part in "xyz"}
+    assert guess(tmp_path, columns | hand).undecided == []
+    found = moving_base(open_log(tmp_path / "log.csv"), robot())
+    assert found is not None
+    assert found.level == "warning"
+    assert "imu_gyro_x is" in found.sentence
+
+
 def test_a_floating_base(tmp_path: Path) -> None:
     """Its pose is found, also where the quaternion's columns are in another order."""
     free = robot(
@@ -253,3 +265,31 @@ def test_words_of_names() -> None:
     assert (name.quantity, name.kind, name.rest) == ("command", "position", ("elbow",))
     name = read_name("q_dot_3 [deg/s]", None, ["j3"])
     assert (name.quantity, name.unit) == ("velocity", "deg/s")
+
+
+ROW = "".join(
+    f'<body name="b{i}" pos="0 0 0.1"><joint name="joint{i}" axis="0 1 0"/><geom size="0.05"/>'
+    for i in (1, 2, 3)
+)
+NUMBERED = f"<mujoco><worldbody>{ROW}</body></body></body></worldbody></mujoco>"
+
+
+@pytest.mark.parametrize(
+    ("first", "wanted"),
+    [(0, ["q0", "q1", "q2"]), (1, ["q1", "q2", "q3"])],
+)
+def test_numbers_count_from_0_or_1(tmp_path: Path, first: int, wanted: list[str]) -> None:
+    """Columns q0 to q2 are joint1 to joint3, as q1 to q3 are: never one place off."""
+    columns = {"t": TIME} | {f"q{first + i}": HIP + 0.1 * i for i in range(3)}
+    found = guess(tmp_path, columns, robot(NUMBERED))
+    assert list(columns_of(found, "qpos").values()) == wanted
+
+
+def test_four_numbers_for_three_joints_are_not_guessed(tmp_path: Path) -> None:
+    """From 0: which one is too many is not known; from 1 the names say it."""
+    columns = {"t": TIME} | {f"q{i}": HIP + 0.1 * i for i in range(4)}
+    with pytest.raises(BadFile, match="positions of the joints joint1, joint2, joint3"):
+        guess(tmp_path, columns, robot(NUMBERED))
+    columns = {"t": TIME} | {f"q{1 + i}": HIP + 0.1 * i for i in range(4)}
+    found = guess(tmp_path, columns, robot(NUMBERED))
+    assert list(columns_of(found, "qpos").values()) == ["q1", "q2", "q3"]
