@@ -5,6 +5,7 @@ where it has none (`_make_model`), imports the logs, and writes everything at on
 """
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,7 +145,7 @@ def init(
     """
     paths = [logs] if isinstance(logs, str | Path) else list(logs)
     found = find_robot(robot)
-    folder = Path(out) if out is not None else Path(found.name)
+    folder = Path(out) if out is not None else Path(re.sub(r"[^\w.-]+", "_", found.name))
     _check_folder(folder)
     given = read_yaml(Path(mapping), KIND) if mapping is not None else {}
     spec, lost = load_spec(found)

@@ -136,15 +136,24 @@ class _Guesser:
             if column not in self._values:
                 wanted.setdefault(column.topic, []).append(column)
         for topic, of_topic in wanted.items():
-            names = [column.column for column in of_topic]
-            found = self._log.read(topic, names, lambda fraction, text: None)
+            found = self._read_topic(topic, [column.column for column in of_topic])
             for column in of_topic:
-                numbers = found[column.column]
-                is_number = numbers.dtype.kind in "biuf"
-                self._values[column] = (
-                    numbers.astype(float) if is_number else np.full(len(numbers), np.nan)
-                )
+                self._values[column] = found[column.column]
         return [self._values[column] for column in columns]
+
+    def _read_topic(self, topic: str | None, names: list[str]) -> dict[str, Array]:
+        """Columns of a topic as numbers; one that holds texts, too, has none."""
+        try:
+            found = self._log.read(topic, names, lambda fraction, text: None)
+        except BadFile:
+            if len(names) == 1:
+                return {names[0]: np.full(1, np.nan)}
+            return {name: self._read_topic(topic, [name])[name] for name in names}
+        out = {}
+        for name, values in found.items():
+            is_number = values.dtype.kind in "biuf"
+            out[name] = values.astype(float) if is_number else np.full(len(values), np.nan)
+        return out
 
     def _finite(self, column: ColumnName) -> Array:
         """The numbers of a column, without rows that have none."""
@@ -153,6 +162,7 @@ class _Guesser:
 
     def _numeric(self, columns: Sequence[ColumnName]) -> list[ColumnName]:
         """The columns that hold numbers."""
+        self._read(columns)  # all at once
         return [column for column in columns if len(self._finite(column)) > 1]
 
     def _decide(self, question: str, options: Sequence[str]) -> str | None:
@@ -201,10 +211,9 @@ class _Guesser:
         given = self._given.get("time")
         wanted = given.get("column") if isinstance(given, dict) else None
         if self._log.topics() or (self._log.time_column and wanted is None):
-            self._stamps = self._log.time_column
+            own = self._log.time_column
             self._used |= set(self._of(words.TIME))
-            own = self._stamps or "the messages' own"
-            if self._stamps is None:
+            if own is None:
                 self.guess.lines.append("time: the messages' own stamps")
                 return
             self.guess.lines.append(f"time: {own!r} in s, the stamps of this kind of log")

@@ -73,6 +73,7 @@ _EMPTY = (
 )
 """Words that say nothing of which joint it is, unless joints are called so."""
 _PER_SECOND = ("s", "sec", "second")
+_ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
 _TOKEN = re.compile(r"[A-Za-z]+|\d+")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
@@ -183,8 +184,19 @@ def read_names(log: Log, joints: Sequence[str]) -> list[ColumnName]:
             if topic is None:
                 raise
             continue
-        found += [read_name(column, topic, joints) for column in columns]
+        found += [read_name(column, topic, joints) for column in _without_aliases(columns)]
     return found
+
+
+def _without_aliases(columns: Sequence[str]) -> list[str]:
+    """The columns without "state[0]" where there is "state[elbow]", too, which is the same."""
+    parts = [_ELEMENT.fullmatch(column) for column in columns]
+    named = {part[1] for part in parts if part and not part[2].isdigit()}
+    return [
+        column
+        for column, part in zip(columns, parts, strict=True)
+        if part is None or not part[2].isdigit() or part[1] not in named
+    ]
 
 
 def _quantity(words: list[str]) -> tuple[str | None, str | None, set[str]]:

@@ -129,7 +129,9 @@ def _numbers_of_runs(file: FileContent[ProblemFile], patterns: list[str]) -> lis
         names += run_names(source)
     found = []
     for pattern in patterns:
-        fitting = [i for i, name in enumerate(names) if fnmatchcase(name, pattern)]
+        fitting = [
+            i for i, name in enumerate(names) if name == pattern or fnmatchcase(name, pattern)
+        ]
         if not fitting:
             file.require_known("held_out.runs", pattern, dict.fromkeys(names), "the name of a run")
         found += fitting
