@@ -229,12 +229,14 @@ class _Guesser:
                 )
             return
         column = candidates[0]
-        values = self._read([column])[0]
-        scale = time_unit(values[np.isfinite(values)], column.unit)
+        self._used.add(column)
+        stamps = self._finite(column)
+        if len(stamps) < 2:
+            scale = Scale("s", "its cells are dates")
+        else:
+            scale = time_unit(stamps, column.unit)
         if isinstance(given, dict) and given.get("unit"):
             scale = Scale(str(given["unit"]), "it was given")
-        if values.dtype.kind == "f" and np.isfinite(values).sum() < 2:  # dates
-            scale = Scale("s", "its cells are dates")
         self.guess.mapping["time"] = {"column": column.column, "unit": scale.unit}
         others = f"; {_quote(candidates[1:])} are left" if candidates[1:] else ""
         self.guess.lines.append(
@@ -244,7 +246,10 @@ class _Guesser:
     def _clocks(self) -> list[ColumnName]:
         """Columns that may be stamps, whose numbers go on."""
         found = []
-        for column in self._of(words.TIME):
+        named = self._of(words.TIME) or [
+            one for one in self._columns if set(words.tokens(one.column)) & set(words.TIME_UNITS)
+        ]
+        for column in named:
             values = self._read([column])[0]
             there = values[np.isfinite(values)]
             if not len(there) or np.mean(increasing(there)) > 0.9:

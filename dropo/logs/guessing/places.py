@@ -42,6 +42,10 @@ def match(
         found = _by_number(dict(zip(numbers, columns, strict=True)), names)  # type: ignore[arg-type]
     else:
         found = _by_words(columns, names, idle)
+        pairs = zip(numbers, columns, strict=True)
+        numbered = {number: column for number, column in pairs if number is not None}
+        if not found and len(numbered) == len(names):
+            found = _by_number(numbered, names)
         if not found and len(columns) == len(names) == 1:
             found = {names[0]: columns[0]}
     taken = {id(column) for column in found.values()}

@@ -22,6 +22,7 @@ _QUANTITIES: dict[str, tuple[str, ...]] = {
         *("cmd", "command", "commanded", "commands", "target", "targets", "goal", "ctrl"),
         *("control", "action", "actions", "setpoint", "set", "ref", "reference", "des", "desired"),
         *("want", "wanted", "input", "u", "pwm", "request", "requested", "demand", "sp"),
+        *("soll", "sollwert", "consigne"),
     ),
     OTHER: (
         *("acc", "accel", "acceleration", "accelerations", "qdd", "ddq", "temp", "temperature"),
@@ -30,7 +31,7 @@ _QUANTITIES: dict[str, tuple[str, ...]] = {
     ),
     VELOCITY: (
         *("vel", "velocity", "velocities", "speed", "speeds", "dq", "qd", "qdot", "dqdt", "qvel"),
-        *("omega", "rate", "vels", "dtheta", "thetadot"),
+        *("omega", "rate", "vels", "dtheta", "thetadot", "geschwindigkeit"),
     ),
     EFFORT: (
         *("tau", "torque", "torques", "effort", "efforts", "current", "currents", "force", "amps"),
@@ -39,7 +40,7 @@ _QUANTITIES: dict[str, tuple[str, ...]] = {
     POSITION: (
         *("pos", "position", "positions", "q", "qpos", "angle", "angles", "theta", "enc", "state"),
         *("encoder", "present", "phi", "rotation", "value", "deg", "degree", "degrees", "rad"),
-        *("ticks", "poses", "x"),
+        *("ticks", "poses", "x", "winkel", "istwert"),
     ),
 }
 """Words of each quantity, the strongest quantity first: "q_cmd" is a command."""
@@ -64,14 +65,16 @@ _UNITS: dict[str, tuple[str, ...]] = {
     "s": ("s", "sec", "secs", "second", "seconds"),
 }
 """Words of each unit."""
-_TIMES = ("t", "time", "timestamp", "stamp", "clock", "timestamps", "times", "elapsed")
+_TIMES = ("t", "time", "timestamp", "stamp", "clock", "timestamps", "times", "elapsed", "zeit")
 _RUNS = ("run", "episode", "trial", "runid", "recording", "session")
 _EMPTY = (
     *("joint", "joints", "motor", "motors", "actual", "measured", "meas", "observation", "header"),
     *("sensor", "fb", "feedback", "axis", "actuator", "data", "robot", "ros", "servo", "dof", "id"),
-    *("per", "in", "of", "the", "current_pos", "arm", "act", "read", "readings", "main"),
+    *("per", "in", "of", "the", "current_pos", "arm", "act", "read", "readings", "main", "ist"),
 )
 """Words that say nothing of which joint it is, unless joints are called so."""
+TIME_UNITS = tuple(word for unit in ("ms", "us", "ns") for word in _UNITS[unit])
+"""Words of units that only stamps have."""
 _PER_SECOND = ("s", "sec", "second")
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
 _TOKEN = re.compile(r"[A-Za-z]+|\d+")

@@ -293,3 +293,16 @@ def test_four_numbers_for_three_joints_are_not_guessed(tmp_path: Path) -> None:
     columns = {"t": TIME} | {f"q{1 + i}": HIP + 0.1 * i for i in range(4)}
     found = guess(tmp_path, columns, robot(NUMBERED))
     assert list(columns_of(found, "qpos").values()) == ["q1", "q2", "q3"]
+
+
+def test_dates_are_stamps(tmp_path: Path) -> None:
+    """As ISO 8601 writes them; velocities are found beside them."""
+    dates = np.datetime64("2026-03-01T10:00:00") + (1e9 * TIME).astype("timedelta64[ns]")
+    lines = ["Zeit,hip q,knee q,hip dq,knee dq"]
+    for k in range(len(TIME)):
+        numbers = (HIP[k], KNEE[k], SPEEDS[0][k], SPEEDS[1][k])
+        lines.append(",".join([str(dates[k]), *(f"{x:.6f}" for x in numbers)]))
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    found = guess_mapping(open_log(tmp_path / "log.csv"), robot())
+    assert found.lines[0] == "time: 'Zeit' in s, since its cells are dates"
+    assert {entry["unit"] for entry in found.mapping["qvel"].values()} == {"rad/s"}
