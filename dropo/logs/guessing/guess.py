@@ -483,7 +483,11 @@ class _Guesser:
         by_kind: dict[str, dict[str, ColumnName]] = {}
         for kind in (words.POSITION, words.EFFORT, words.VELOCITY, None):
             of_kind = [one for one in candidates if one.kind == kind]
-            found, _ = self._match("ctrl", of_kind, names)
+            found = self._beside_positions(of_kind, owners)
+            if len(found) < len(of_kind):
+                rest = [one for one in of_kind if one not in found.values()]
+                unnamed = [name for name in names if name not in found]
+                found |= self._match("ctrl", rest, unnamed)[0]
             missing = [name for name in names if name not in found]
             left = [one for one in of_kind if one not in found.values()]
             by_joint, _ = match(left, [owners[name] for name in missing])
@@ -496,6 +500,20 @@ class _Guesser:
         if efforts and words.EFFORT not in by_kind:
             by_kind["measured torque"] = efforts
         self._take_commands(by_kind, names, owners)
+
+    def _beside_positions(
+        self, columns: Sequence[ColumnName], owners: dict[str, str]
+    ) -> dict[str, ColumnName]:
+        """By actuator the command whose words are those of its joint's position."""
+        found: dict[str, ColumnName] = {}
+        for name, joint in owners.items():
+            if joint not in self._positions or self._given_entry("ctrl", name).get("column"):
+                continue
+            wanted = self._positions[joint][0].rest
+            alike = [one for one in columns if one.rest == wanted and wanted]
+            if len(alike) == 1:
+                found[name] = alike[0]
+        return found
 
     def _driven(self) -> tuple[list[str], dict[str, str]]:
         """What may be commanded, and the joint of each: actuators, or joints without any."""

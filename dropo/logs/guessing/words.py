@@ -22,7 +22,7 @@ _QUANTITIES: dict[str, tuple[str, ...]] = {
         *("cmd", "command", "commanded", "commands", "target", "targets", "goal", "ctrl"),
         *("control", "action", "actions", "setpoint", "set", "ref", "reference", "des", "desired"),
         *("want", "wanted", "input", "u", "pwm", "request", "requested", "demand", "sp"),
-        *("soll", "sollwert", "consigne"),
+        *("soll", "sollwert", "consigne", "qref", "qdes", "qcmd", "qtarget", "qgoal"),
     ),
     OTHER: (
         *("acc", "accel", "acceleration", "accelerations", "qdd", "ddq", "temp", "temperature"),

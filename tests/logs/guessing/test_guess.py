@@ -306,3 +306,11 @@ def test_dates_are_stamps(tmp_path: Path) -> None:
     found = guess_mapping(open_log(tmp_path / "log.csv"), robot())
     assert found.lines[0] == "time: 'Zeit' in s, since its cells are dates"
     assert {entry["unit"] for entry in found.mapping["qvel"].values()} == {"rad/s"}
+
+
+def test_commands_go_with_the_positions_of_their_words(tmp_path: Path) -> None:
+    """Whatever numbers the actuators' names have: never one place off."""
+    text = SERVOS.replace('name="hip_servo"', 'name="a1"').replace('name="knee_servo"', 'name="a2"')
+    columns = {"t": TIME, "A0_act": HIP, "A1_act": KNEE, "A1_cmd": GOALS[1], "A0_cmd": GOALS[0]}
+    found = guess(tmp_path, columns, robot(text))
+    assert columns_of(found, "ctrl") == {"a1": "A0_cmd", "a2": "A1_cmd"}
