@@ -41,7 +41,7 @@ def check_place(out: Path) -> None:
     if out.suffix != ".npz":
         raise BadFile(out, "--out", "a file that ends in .npz", repr(out.suffix))
     problem = out.parent / PROBLEM
-    if problem.exists() and _sum_of(problem.read_bytes()) != _written_sum(out.parent / RECORD):
+    if problem.exists() and sum_of(problem.read_bytes()) != written_sum(out.parent / RECORD, SUM):
         expected = (
             "no file, or one that an import wrote, since this one would be lost (move it, or "
             "import into another folder)"
@@ -49,15 +49,28 @@ def check_place(out: Path) -> None:
         raise BadFile(problem, "", expected, "one that was changed")
 
 
-def _sum_of(content: bytes) -> str:
-    """The SHA-256 of a file's content."""
+def sum_of(content: bytes) -> str:
+    """Compute the SHA-256 of a file's `content`."""
     return hashlib.sha256(content).hexdigest()
 
 
-def _written_sum(record: Path) -> str:
-    """The SHA-256 of the problem file that the import before wrote; empty where it is not known."""
+def written_sum(record: Path, key: str) -> str:
+    """Read the SHA-256 of a file that the import before wrote.
+
+    Parameters
+    ----------
+    record : Path
+        Its import.json.
+    key : str
+        Under which it stands there.
+
+    Returns
+    -------
+    str
+        Empty where it is not known.
+    """
     try:
-        return str(json.loads(record.read_text()).get(SUM, ""))
+        return str(json.loads(record.read_text()).get(key, ""))
     except (OSError, ValueError, AttributeError):
         return ""
 
@@ -92,7 +105,7 @@ def write_import(
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     problem = _problem_text(found, out.name, model, robot, command, str(facts.get("robot", "")))
-    record = found.to_json() | dict(facts) | {SUM: _sum_of(problem.encode())}
+    record = found.to_json() | dict(facts) | {SUM: sum_of(problem.encode())}
     with ExitStack() as stack:
         names = (out.name, PROBLEM, RECORD, *files)
         parts = [stack.enter_context(atomic_write(out.parent / name)) for name in names]

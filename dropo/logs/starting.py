@@ -20,7 +20,14 @@ from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.logs.guessing.guess import Ask, Guess, guess_mapping
 from dropo.logs.guessing.servos import estimate_drives
-from dropo.logs.import_files import PROBLEM, check_place, write_import
+from dropo.logs.import_files import (
+    PROBLEM,
+    RECORD,
+    check_place,
+    sum_of,
+    write_import,
+    written_sum,
+)
 from dropo.logs.importing import (
     DEFAULTS,
     Import,
@@ -48,6 +55,8 @@ from dropo.mjmodel.robots import (
 MAP = "map.yaml"
 MODEL = "model.xml"
 DATA = "data.npz"
+MAP_SUM = "map_sum"
+"""In import.json the SHA-256 of the mapping file as it was written."""
 MAP_HEAD = """\
 # Guessed by `dropo init`. To change it, edit it and give it to `dropo init` with --map, or to
 # `dropo data import` with the model.
@@ -146,7 +155,7 @@ def init(
     paths = [logs] if isinstance(logs, str | Path) else list(logs)
     found = find_robot(robot)
     folder = Path(out) if out is not None else Path(re.sub(r"[^\w.-]+", "_", found.name))
-    _check_folder(folder)
+    _check_folder(folder, None if mapping is None else Path(mapping))
     given = read_yaml(Path(mapping), KIND) if mapping is not None else {}
     spec, lost = load_spec(found)
     joints = model_joints(load_model(spec))
@@ -157,7 +166,7 @@ def init(
     lines = [_say_robot(found, joints, lost), *guess.lines]
     text = None
     if guess.drives or found.is_urdf:
-        joints, text, more = _make_model(found, spec, guess, content, paths, folder, joints)
+        joints, text, more = _make_model(found, spec, guess, content, paths, folder)
         lines += more
     if "qvel" in content and "qvel" not in given:
         content, more = _choose_velocities(content, paths, folder, joints)
@@ -165,22 +174,33 @@ def init(
     checked = check_mapping(folder / MAP, content, joints)
     imported = prepare(paths, checked, joints, progress, settings)
     files = {MAP: MAP_HEAD + format_yaml(content)}
+    sums = {MAP_SUM: sum_of(files[MAP].encode())}
     model = os.path.relpath(found.path, folder)
     if text is not None:
         files[MODEL] = text
         model = MODEL
-    facts = {"robot": found.name, "model": str(found.path), "guesses": lines}
+    facts = {"robot": found.name, "model": str(found.path), "guesses": lines, **sums}
     write_import(imported, folder / DATA, model, joints, "init", facts, files)
     command = f"dropo diagnose {folder / PROBLEM}"
     return Start(folder, found.name, tuple(lines), content, imported, command)
 
 
-def _check_folder(folder: Path) -> None:
-    """Refuse a folder in which a mapping or a model would be lost."""
+def _check_folder(folder: Path, mapping: Path | None) -> None:
+    """Refuse a folder in which a file would be lost that `init` did not write, or that was edited.
+
+    A mapping that is given is not lost, since its entries stand.
+    """
     check_place(folder / DATA)
+    place = folder / MAP
+    is_given = mapping is not None and mapping.resolve() == place.resolve()
+    if place.exists() and not is_given:
+        is_ours = sum_of(place.read_bytes()) == written_sum(folder / RECORD, MAP_SUM)
+        if not is_ours:
+            expected = f"no file, or one that `init` wrote (give this one with --map {place})"
+            raise BadFile(place, "", expected, "one that was changed")
     if (folder / PROBLEM).exists():
         return  # which an import wrote, with the others
-    for name in (MAP, MODEL, DATA):
+    for name in (MODEL, DATA):
         if (folder / name).exists():
             expected = "no such file, since this one would be lost (choose another --out)"
             raise BadFile(folder / name, "", expected, "one that is there")
@@ -254,7 +274,6 @@ def _make_model(
     content: dict[str, Any],
     paths: Sequence[str | Path],
     folder: Path,
-    joints: ModelJoints,
 ) -> tuple[ModelJoints, str, list[str]]:
     """The model with drives and a step of the log's, its MJCF, and what to say of it."""
     drives = {joint: DriveGuess(kind) for joint, kind in guess.drives.items()}

@@ -173,6 +173,17 @@ def test_what_is_given_is_not_guessed(example: Path) -> None:
         init(example / "arm.xml", logs(example), example / "out")
 
 
+def test_an_edited_mapping_is_not_lost(example: Path) -> None:
+    """Init refuses to write over it, unless it is given, and then takes it."""
+    place = example / "out" / "map.yaml"
+    init(example / "arm.xml", logs(example), example / "out")
+    place.write_text(place.read_text() + "rate: 50\n")
+    with pytest.raises(BadFile, match=r"map.yaml: expected no file, .* got one that was changed"):
+        init(example / "arm.xml", logs(example), example / "out")
+    found = init(example / "arm.xml", logs(example), example / "out", mapping=place)
+    assert found.imported.frame_skip == 10
+
+
 def changed(path: Path, change: Any) -> None:
     """Changes the table (n, 5) of a log: ms, two angles, two targets."""
     lines = path.read_text().splitlines()

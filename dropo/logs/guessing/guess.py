@@ -5,7 +5,7 @@ quantity, and lets `_Guesser` find time, positions, base, velocities and command
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -376,6 +376,9 @@ class _Guesser:
 
     def _keep_position(self, name: str, column: ColumnName, scale: Scale) -> None:
         """Take a position into the mapping."""
+        sign = self._given_entry("qpos", name).get("sign")
+        if sign in (1, -1):
+            scale = replace(scale, sign=int(sign))
         self._positions[name] = (column, scale)
         self.guess.mapping.setdefault("qpos", {})[name] = self._entry(column, scale)
 
@@ -439,7 +442,7 @@ class _Guesser:
             if len(time) < 20:
                 continue
             hint = self._given_entry("qvel", name).get("unit") or column.unit
-            place = scale.sign * UNITS[scale.unit][1] * (place + scale.offset)
+            place = UNITS[scale.unit][1] * (scale.sign * place + scale.offset)
             unit = velocity_unit(time, place, speed, hint, joint)
             if unit is None:
                 self.guess.lines.append(
@@ -629,8 +632,7 @@ class _Guesser:
         if position is None:
             return Scale(hint or ("m" if is_slide else "rad"), "nothing says otherwise")
         commands, places = self._paired(column, position[0])
-        found = command_unit(commands, places, hint, position[1])
-        return found[0] if found else position[1]
+        return command_unit(commands, places, hint, position[1])
 
     def _paired(self, one: ColumnName, other: ColumnName) -> tuple[Array, Array]:
         """Two columns at the same rows; of topics of other rates, by their time."""

@@ -243,9 +243,7 @@ def velocity_unit(
     return Scale(unit, why, sign=-1 if factor < 0 else 1)
 
 
-def command_unit(
-    commands: Array, logged: Array, hint: str | None, position: Scale
-) -> tuple[Scale, float] | None:
+def command_unit(commands: Array, logged: Array, hint: str | None, position: Scale) -> Scale:
     """Find the unit of commanded positions from the measured ones.
 
     Parameters
@@ -259,28 +257,22 @@ def command_unit(
 
     Returns
     -------
-    (Scale, float) or None
-        The unit, and the correlation of both; None where they fit in no unit.
+    Scale
+        That in which commands and positions are nearest; another than the positions' only where the
+        distance is less than half.
     """
-    correlation = _correlation(commands, logged)
     si = UNITS[position.unit][0]
     if hint in UNITS and UNITS[hint][0] == si:
-        return Scale(hint, "its name says so"), correlation
-    measured = UNITS[position.unit][1] * (logged + position.offset)
-    best = None
-    for unit in dict.fromkeys((position.unit, "rad", "deg") if si == "rad" else (position.unit,)):
-        offset = position.offset if unit == position.unit else 0.0
-        wanted = UNITS[unit][1] * (commands + offset)
-        error = float(np.sqrt(np.mean((wanted - measured) ** 2)))
-        if best is None or error < 0.5 * best[0]:
-            best = (error, Scale(unit, "the joint follows them", offset))
-    if best is None:
-        return None
-    return best[1], correlation
+        return Scale(hint, "its name says so")
+    measured = UNITS[position.unit][1] * (position.sign * logged + position.offset)
 
+    def distance(unit: str, offset: float) -> float:
+        wanted = UNITS[unit][1] * (position.sign * commands + offset)
+        return float(np.sqrt(np.mean((wanted - measured) ** 2)))
 
-def _correlation(one: Array, other: Array) -> float:
-    """The correlation of two signals; 0 where one does not move."""
-    if np.ptp(one) == 0 or np.ptp(other) == 0:
-        return 0.0
-    return float(np.corrcoef(one, other)[0, 1])
+    best = Scale(position.unit, "the joint follows them", position.offset)
+    nearest = distance(best.unit, best.offset)
+    for unit in ("rad", "deg") if si == "rad" else ():
+        if unit != position.unit and distance(unit, 0.0) < 0.5 * nearest:
+            best, nearest = Scale(unit, "the joint follows them"), distance(unit, 0.0)
+    return best

@@ -314,3 +314,11 @@ def test_commands_go_with_the_positions_of_their_words(tmp_path: Path) -> None:
     columns = {"t": TIME, "A0_act": HIP, "A1_act": KNEE, "A1_cmd": GOALS[1], "A0_cmd": GOALS[0]}
     found = guess(tmp_path, columns, robot(text))
     assert columns_of(found, "ctrl") == {"a1": "A0_cmd", "a2": "A1_cmd"}
+
+
+def test_a_given_sign_counts_for_the_velocity(tmp_path: Path) -> None:
+    """A joint that turns the other way: its velocity's column, too, turns with it."""
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE, "hip dq": SPEEDS[0], "knee dq": SPEEDS[1]}
+    found = guess(tmp_path, columns, given={"qpos": {"left_hip": {"sign": -1}}})
+    assert found.mapping["qvel"]["left_hip"]["sign"] == -1
+    assert "sign" not in found.mapping["qvel"]["left_knee"]
