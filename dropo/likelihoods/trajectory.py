@@ -4,6 +4,7 @@ What is measured is no start: noise on it, or a velocity that no sensor gives, w
 motion. Every measurement is used once, for what the model predicts at that instant.
 """
 
+import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,6 +21,7 @@ from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.fit import Status
+from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, known, require
@@ -42,6 +44,7 @@ from dropo.likelihoods.support.runs.rows import RunRows, profiled
 from dropo.likelihoods.support.runs.windows import Windows, following_rows, windows_of
 
 SETTLED = "Parameters and start states stopped moving after {} rounds."
+SETTLED_APART = "Parameters that differ from group to group stopped moving after {} rounds."
 UNSETTLED = "Parameters or start states still moved after {} rounds."
 STALLED = "No shorter step came closer to the measurements after {} rounds."
 NOT_REACHED = (
@@ -81,6 +84,10 @@ class TrajectorySettings:
         The end: no parameter moves by more standard errors than this.
     worse : float
         A step is halved that costs more than this [nats].
+    spread_rounds : int
+        Turns at most in which every group is linearized at its own parameters.
+    settled_mode : float
+        They end where no group's parameter moves by more of its standard errors.
     spread_gain : float
         A spread between groups is kept where it raises the log-likelihood by more than this [nats].
     stuck, stuck_level : float
@@ -105,6 +112,8 @@ class TrajectorySettings:
     close: float = 1.0
     settled: float = 0.02
     worse: float = 1.0
+    spread_rounds: int = 6
+    settled_mode: float = 0.1
     spread_gain: float = 2.0
     stuck: float = 2.0
     stuck_level: float = 1e-3
@@ -160,8 +169,10 @@ class Trajectory(RunLikelihood):
         unmeasured = (*problem.estimated, *self.unmeasured)
         search = _Search(self, problem.simulator, problem.trajectories, length, unmeasured)
         search.take_noise(noise)
-        found = search.run(run, mean)
-        return search.fit(problem, family, found)
+        look, found = search.run(run, mean)
+        if found.status is not Status.INTERRUPTED:
+            look, found = search.with_spread(run, look, found, family)
+        return search.fit(problem, family, look, found)
 
     def bind(
         self,
@@ -201,12 +212,16 @@ class Trajectory(RunLikelihood):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the search is: parameters (d,), window starts (N, s), windows, noise law."""
+    """Where the search is: parameters (d,), window starts (N, s), windows, noise law.
+
+    Where groups differ, own are the parameters of each (G, d).
+    """
 
     value: Array
     starts: Array
     windows: Windows
     law: NoiseLaw
+    own: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +305,11 @@ class _Search:
         steps = Steps(self.start_step, self.value_step, unit, self.settings.growth)
         try:
             columns, windows = linearize_windows(
-                self.observed, state.windows, state.value, state.starts, steps
+                self.observed,
+                state.windows,
+                state.value if state.own is None else state.own,
+                state.starts,
+                steps,
             )
         finally:
             if whole is not self.simulator:
@@ -334,16 +353,23 @@ class _Search:
     def moved(self, look: _Look, step: Array, share: float = 1.0) -> _State:
         """The state behind a share of a step (d,), with the starts that go with it."""
         windows = look.state.windows
-        condensed = look.condensed
-        by_piece = condensed.start_step + condensed.start_by_value @ step
-        columns = look.columns
-        own = by_piece[windows.piece]
-        starts = (columns.of_start @ own[:, :, None])[:, :, 0]
-        starts += columns.of_value @ step + columns.gap
+        starts = self._start_steps(
+            look, np.broadcast_to(step, (len(windows.pieces.spans), len(step)))
+        )
         value = np.clip(
             look.state.value + share * step, self.simulator.space.low, self.simulator.space.high
         )
         return replace(look.state, value=value, starts=look.state.starts + share * starts)
+
+    def _start_steps(self, look: _Look, steps: Array) -> Array:
+        """(N, s) steps of all window starts that go with the pieces' parameters' (P, d)."""
+        condensed = look.condensed
+        columns = look.columns
+        follow = (condensed.start_by_value @ steps[:, :, None])[:, :, 0]
+        piece = look.state.windows.piece
+        own = (condensed.start_step + follow)[piece][:, :, None]
+        moved = columns.of_start @ own + columns.of_value @ steps[piece][:, :, None]
+        return np.asarray(moved[:, :, 0] + columns.gap)
 
     def advanced(self, state: _State, step: Array) -> _State:
         """The state behind one round in which the parameters make a given step."""
@@ -445,9 +471,8 @@ class _Search:
         if self.given:
             whitened = whiten(look.columns, law)[~look.columns.first, :, -1]
         group = _groups(state.windows)
-        own = RunRows(
-            family, look.condensed, look.columns, group, state.value, law.variance, whitened
-        )
+        centre = state.value if state.own is None else state.own
+        own = RunRows(family, look.condensed, look.columns, group, centre, law.variance, whitened)
         if law.memory.any():
             slopes, less = profiled(look.columns, whiten(look.columns, law), look.condensed)
             own.unexplained = (-less * law.sd, slopes * law.sd[:, None])
@@ -455,9 +480,39 @@ class _Search:
         own.predicted = own.predicted + targets[:, self.observed.measured]
         return own
 
-    def fit(self, problem: Problem, family: Family, end: tuple[_Look, SearchResult]) -> RunFit:
+    def with_spread(
+        self, run: Run, look: _Look, found: SearchResult, family: Family
+    ) -> tuple[_Look, SearchResult]:
+        """The same, with every group linearized at its own parameters, where groups differ."""
+        for turn in range(self.settings.spread_rounds):
+            objective = self.objective(look.state, family, look)
+            phi = self._member(objective, family, look)
+            varied = family.sd(phi[: len(family.unknowns)]) > self.errors(look)
+            if turn == 0 and not varied.any():
+                break
+            group = _groups(look.state.windows)
+            modes = objective.modes(phi)
+            step = modes - objective.centre
+            own = np.exp(modes) if family.logarithmic else modes
+            space = self.simulator.space
+            own = np.clip(own, space.low, space.high)
+            before = look.state.value if look.state.own is None else look.state.own
+            starts = look.state.starts + self._start_steps(look, (own - before)[group])
+            mean = np.clip(family.mean(phi[: len(family.unknowns)]), space.low, space.high)
+            state = replace(look.state, value=mean, own=own, starts=starts)
+            try:
+                look = self.with_noise(self._counted(run, state), choose=turn == 0)
+            except SimulationFailed:
+                break
+            known = np.linalg.inv(objective.information + np.diag(self.width**-2.0))
+            error = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
+            if (np.abs(step) < self.settings.settled_mode * error).all():
+                count = found.evaluations + turn + 1
+                return look, self._result(look, Status.CONVERGED, SETTLED_APART, count)
+        return look, found
+
+    def fit(self, problem: Problem, family: Family, look: _Look, found: SearchResult) -> RunFit:
         """The maximum in the family, and the problem as it was compared."""
-        look, found = end
         objective = self.objective(look.state, family, look)
         phi = self._member(objective, family, look)
         value = objective(phi)
@@ -470,7 +525,7 @@ class _Search:
             rows,
             look.state.starts[opening],
             look.condensed.start_by_value,
-            look.state.value,
+            look.state.value if look.state.own is None else look.state.own[_groups(windows)],
         )
         compared = replace(
             problem,
@@ -503,21 +558,36 @@ class _Search:
         return RunFit(compared, objective, found, epsilon, details, doubts, reached)
 
     def _member(self, objective: RunRows, family: Family, look: _Look) -> Array:
-        """Phi of the maximum: without spread, unless one gains enough."""
+        """Phi of the maximum: without spreads, but for those that gain enough."""
         unknowns = objective.unknowns
         scales = [i for i, name in enumerate(unknowns.names) if name.startswith("scale.")]
-        plain = family.phi(look.state.value, np.zeros(len(look.state.value)))
-        plain = np.clip(plain, unknowns.low, unknowns.high)
+        low = family.phi(look.state.value, np.zeros(len(look.state.value)))
+        low = np.clip(low, unknowns.low, unknowns.high)
+        plain = low
+        if look.state.own is not None:
+            plain = maximize_locally(_held(objective, scales), low).phi
         if not scales or len(objective.scores) < 2:
             return plain
         start = plain.copy()
         relative = look.state.value if family.logarithmic else np.ones(len(look.state.value))
-        start[scales] = np.clip(
-            3 * self.errors(look) / relative, unknowns.low[scales], unknowns.high[scales]
-        )
+        first = np.maximum(3 * self.errors(look), self._scatter(objective)) / relative
+        start[scales] = np.clip(first, unknowns.low[scales], unknowns.high[scales])
         found = maximize_locally(objective, start)
-        gain = found.value - objective(plain)
-        return found.phi if gain > self.settings.spread_gain * len(scales) else plain
+        if found.value - objective(plain) <= self.settings.spread_gain * len(scales):
+            return plain
+        # Without those whose absence costs little.
+        empty = []
+        for i in scales:
+            without = maximize_locally(_held(objective, [i]), found.phi)
+            if found.value - without.value <= self.settings.spread_gain:
+                empty.append(i)
+        return maximize_locally(_held(objective, empty), found.phi).phi if empty else found.phi
+
+    def _scatter(self, objective: RunRows) -> Array:
+        """(d,) standard deviations of the groups' own parameters."""
+        if objective.centre.shape[0] < 2:
+            return np.zeros(objective.centre.shape[1])
+        return np.asarray(objective.centre.std(axis=0))
 
     def _stuck(self, look: _Look) -> float:
         """The share of windows whose residuals are larger than any noise of the law leaves."""
@@ -609,6 +679,17 @@ def _with_columns(data: Trajectories, columns: Array) -> Trajectories:
         observations=np.concatenate([data.observations, further], axis=1),
         next_observations=np.concatenate([data.next_observations, further], axis=1),
     )
+
+
+def _held(objective: RunRows, places: list[int]) -> RunRows:
+    """The same log-likelihood with some of its scales held at their least values."""
+    held = copy.copy(objective)
+    unknowns = list(objective.unknowns)
+    for i in places:
+        own = unknowns[i]
+        unknowns[i] = replace(own, high=own.low + 1e-9 * max(abs(own.low), 1e-12))
+    held.unknowns = ParameterSpace(tuple(unknowns))
+    return held
 
 
 def _groups(windows: Windows) -> Ints:

@@ -88,8 +88,7 @@ class Simulator(ABC):
         Raises
         ------
         BadArgument
-            If an array has another shape or is not finite, or if offsets are given together with
-            values for each group.
+            If an array has another shape or is not finite.
         Incompatible
             If a tensor is passed to a simulator without gradients.
         """
@@ -133,8 +132,8 @@ class Simulator(ABC):
 
         Parameters
         ----------
-        values : (K, d) array_like
-            K parameter vectors, in the parameters' units.
+        values : (K, d) or (K, G, d) array_like
+            As of `predict`.
         segments : Segments
             N segments with R compared rows.
         offsets : (K, N, s) array_like, optional
@@ -350,13 +349,17 @@ class Simulator(ABC):
         last = segments.group.max()
         rule = f"given for {last + 1} groups"
         require(last < values.shape[1], "values", rule, values.shape, caller)
-        require(offsets is None, "offsets", "None where values differ by group", "an array", caller)
+        start_offsets: Any = offsets
+        if offsets is not None:
+            shape = (len(values), len(segments), self.start_size)
+            start_offsets = checked("offsets", offsets, shape, caller)
         row_group = segments.group[segments.rows[0]]
         parts = []
         rows = []
         for group in np.unique(segments.group):
-            own = segments.take(segments.group == group)
-            parts.append(self.predict(values[:, group], own))
+            which = segments.group == group
+            moved = None if offsets is None else start_offsets[:, which]
+            parts.append(self.predict(values[:, group], segments.take(which), offsets=moved))
             rows.append(np.flatnonzero(row_group == group))
         # Put the rows of all groups back into the order of the segments.
         order = np.argsort(np.concatenate(rows))

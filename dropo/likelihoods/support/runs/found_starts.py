@@ -21,7 +21,8 @@ class FoundStarts(Simulator):
         Offsets of the starts, at `value`.
     by_value : (P, s, d) array
         How they follow the parameters.
-    value : (d,) array
+    value : (d,) or (P, d) array
+        Parameters, those of all pieces or of each.
     """
 
     def __init__(
@@ -50,7 +51,9 @@ class FoundStarts(Simulator):
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         piece = [self.of_row[row] for row in segments.steps[:, 0].tolist()]
-        moved = np.einsum("psd,kd->kps", self.by_value[piece], values - self.value)
+        centre = np.broadcast_to(self.value, (len(self.starts), values.shape[1]))[piece]
+        away = values[:, None] - centre  # (K, P, d)
+        moved = np.einsum("psd,kpd->kps", self.by_value[piece], away)
         whole = np.zeros((len(values), len(segments), self.start_size))
         whole[:, :, self.observed.state] = self.starts[piece] + moved
         if offsets is not None:

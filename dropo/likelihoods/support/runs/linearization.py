@@ -124,8 +124,8 @@ def linearize_windows(
     observed : Observed
     windows : Windows
         N of them.
-    value : (d,) array
-        Parameters.
+    value : (d,) or (G, d) array
+        Parameters, one vector or one for each group.
     starts : (N, s) array
         Offsets of the starts from the measured states.
     steps : Steps
@@ -141,24 +141,30 @@ def linearize_windows(
     SimulationFailed
         If a simulation diverges.
     """
-    d = len(value)
+    d = value.shape[-1]
     s = len(steps.starts)
     places = np.flatnonzero(observed.state)
     space = observed.simulator.space
-    design = space.feasible(value + axial_design(steps.values, -steps.values))
+    offsets = axial_design(steps.values, -steps.values)
+    design = np.stack([space.feasible(centre + offsets) for centre in np.atleast_2d(value)], axis=1)
     moves = np.zeros((2 * s, len(observed.state)))
     moves[:, places] = axial_design(steps.starts, -steps.starts)[1:]
-    values = np.concatenate([design, np.repeat(value[None], 2 * s, axis=0)])
+    values = np.concatenate([design, np.repeat(np.atleast_2d(value)[None], 2 * s, axis=0)])
     moves = np.concatenate([np.zeros((len(design), len(observed.state))), moves])
+    if value.ndim == 1:
+        values = values[:, 0]
     predicted, ends = _predict(observed, windows, values, starts, moves)
 
-    # Differences of predictions (R, m, .) and of ends (N, s, .).
-    widths = np.diagonal(design[1 : 1 + d] - design[1 + d :])
+    # Differences of predictions (R, m, .) and of ends (N, s, .), with widths (G, d) of the design.
+    widths = np.einsum("dgd->gd", design[1 : 1 + d] - design[1 + d :])
+    group = windows.segments.group if value.ndim > 1 else np.zeros(len(starts), dtype=np.int64)
+    window = windows.segments.rows[0]
     order = np.append(0, np.arange(2 * d + 1, 2 * (s + d) + 1))
     by_start = difference_quotients(predicted[order], 2 * steps.starts)
-    by_value = difference_quotients(predicted[: 2 * d + 1], widths)
     end_by_start = difference_quotients(ends[order], 2 * steps.starts)
-    end_by_value = difference_quotients(ends[: 2 * d + 1], widths)
+    by_value = difference_quotients(predicted[: 2 * d + 1], np.ones(d))
+    by_value /= widths[group[window]][:, None]
+    end_by_value = difference_quotients(ends[: 2 * d + 1], np.ones(d)) / widths[group][:, None]
 
     # Each window's start as a function of its piece's start and the parameters.
     count = len(starts)
@@ -180,7 +186,6 @@ def linearize_windows(
         gap[now] = carried + ends[0][before] - starts[now]
     windows = windows.cut_before(np.concatenate(cuts)) if cuts else windows
 
-    window = windows.segments.rows[0]
     targets = observed.simulator.targets(windows.segments)[:, observed.measured]
     shift = (by_start @ gap[window][:, :, None])[:, :, 0]
     matrix = np.concatenate(
@@ -213,7 +218,8 @@ def _predict(
         )
         if not np.isfinite(found).all():
             space = observed.simulator.space
-            raise SimulationFailed(describe_failures(found, values[part], space))
+            shown = values[part] if values.ndim == 2 else values[part, 0]
+            raise SimulationFailed(describe_failures(found, shown, space))
         predicted.append(found[:, :, observed.measured])
         ends.append(end[:, :, observed.state])
     return np.concatenate(predicted), np.concatenate(ends)

@@ -29,8 +29,8 @@ class RunRows(LocalLogLikelihood):
         T instants, of which a run's first counts to the row behind it.
     group : (P,) array of int
         The group of each piece: 0, 1, ...
-    centre : (d,) array
-        Parameters.
+    centre : (d,) or (G, d) array
+        Parameters, those of all groups or of each.
     epsilon : (m,) array
         Noise variances, for `epsilon`.
     whitened : (R, m) array, optional
@@ -58,24 +58,27 @@ class RunRows(LocalLogLikelihood):
     ):
         self.family = family
         self.unknowns = family.unknowns
-        self.centre = coordinates(family, centre)
+        groups = int(group.max()) + 1
+        centre = np.broadcast_to(centre, (groups, centre.shape[-1]))
+        self.centre = coordinates(family, centre)  # (G, d)
         self._epsilon = epsilon
         self.whitened = whitened
         # In the coordinates of the family: logarithms, or the parameters as they are.
         unit = centre if family.logarithmic else np.ones_like(centre)
         count = int(columns.row.max()) + 1
-        self.row_scores = _by_row(condensed.scores * unit, columns, count)
+        self.row_scores = _by_row(condensed.scores * unit[group[columns.piece]], columns, count)
         self.row_values = _by_row(condensed.values[:, None], columns, count)[:, 0]
         self.group_of_row = np.empty(count, dtype=np.int64)
         self.group_of_row[columns.row] = group[columns.piece]
-        groups = int(group.max()) + 1
-        self.scores = np.zeros((groups, len(centre)))
+        self.scores = np.zeros(centre.shape)
         np.add.at(self.scores, self.group_of_row, self.row_scores)
-        self.information = np.zeros((groups, len(centre), len(centre)))
-        np.add.at(self.information, group, condensed.information * np.outer(unit, unit))
+        self.information = np.zeros((*centre.shape, centre.shape[1]))
+        units = unit[group]
+        own = condensed.information * units[:, :, None] * units[:, None]
+        np.add.at(self.information, group, own)
         self.rows_of_group = np.bincount(self.group_of_row, minlength=groups)
         self.slopes, self.predicted = profiled(columns, columns.matrix, condensed)
-        self.slopes = self.slopes * unit
+        self.slopes = self.slopes * unit[self.group_of_row][:, None]
 
     def _rows(self, phi: Array) -> Array:
         if is_tensor(phi):
@@ -91,24 +94,32 @@ class RunRows(LocalLogLikelihood):
         return self._epsilon
 
     def mean(self, phi: Array) -> Array:
-        """Return the prediction (R, m) at the mean, from the best starts."""
-        own = self.family.mean(phi[: len(self.family.unknowns)])
-        return self.predict(own[None])[0]
+        """Return the prediction (R, m) at each group's mode, from the best starts."""
+        away = (self.modes(phi) - self.centre)[self.group_of_row]
+        return self.predicted + (self.slopes @ away[:, :, None])[:, :, 0]
 
     def predict(self, values: Array) -> Array:
         """Return predictions (K, R, m) at values (K, d), each from the best starts."""
-        away = coordinates(self.family, values) - self.centre
-        return self.predicted + np.moveaxis(self.slopes @ away.T, -1, 0)
+        away = coordinates(self.family, values)[:, None] - self.centre  # (K, G, d)
+        moved = self.slopes @ away[:, self.group_of_row, :, None]
+        return np.asarray(self.predicted + moved[..., 0])
+
+    def modes(self, phi: Array) -> Array:
+        """Return the groups' own parameters (G, d) given all data, in the family's coordinates."""
+        mean, spread = moments_of(self.family, phi[: len(self.family.unknowns)])
+        v = self._of_groups(phi)[1]
+        return np.asarray(mean + v @ spread)
 
     def _of_groups(self, phi: Array) -> tuple[Array, Array, Array]:
         """Values (G,) beside those of the centre, scores of the mean (G, d), (I + H S)^-1."""
         mean, spread = moments_of(self.family, phi[: len(self.family.unknowns)])
-        away = mean - self.centre
+        away = mean - self.centre  # (G, d)
         h = self.information
-        u = self.scores - h @ away
-        inner = np.linalg.inv(np.eye(len(away)) + h @ spread)  # (G, d, d)
+        along = (h @ away[:, :, None])[:, :, 0]
+        u = self.scores - along
+        inner = np.linalg.inv(np.eye(len(mean)) + h @ spread)  # (G, d, d)
         gain = spread @ inner
-        value = self.scores @ away - 0.5 * (h @ away) @ away
+        value = np.sum((self.scores - 0.5 * along) * away, axis=1)
         value += 0.5 * np.einsum("gd,gde,ge->g", u, gain, u)
         value += 0.5 * np.linalg.slogdet(inner)[1]
         return value, (inner @ u[:, :, None])[:, :, 0], inner
@@ -124,7 +135,7 @@ class RunRows(LocalLogLikelihood):
         # Scores: of means row by row, of spreads evenly over a group's rows.
         mean = moments_of(self.family, own)[0]
         share = 1 / self.rows_of_group[self.group_of_row]
-        moved = self.information @ (mean - self.centre)
+        moved = (self.information @ (mean - self.centre)[:, :, None])[:, :, 0]
         plain = self.row_scores - moved[self.group_of_row] * share[:, None]
         rows = (inner[self.group_of_row] @ plain[:, :, None])[:, :, 0]
         scatter = v[:, :, None] * v[:, None] - precision
