@@ -26,8 +26,6 @@ class Condensed:
         Step of each piece's start, the parameters as they are.
     start_by_value : (P, s, d) array
         d start / d parameter along which the likelihood stays at its best start.
-    start_sd : (P, s) array
-        Standard deviations of the starts, the parameters as they are.
     """
 
     scores: Array
@@ -35,7 +33,6 @@ class Condensed:
     values: Array
     start_step: Array
     start_by_value: Array
-    start_sd: Array
 
 
 def condense(columns: Columns, law: NoiseLaw, prior: Array, starts: Array) -> Condensed:
@@ -68,7 +65,6 @@ def condense(columns: Columns, law: NoiseLaw, prior: Array, starts: Array) -> Co
     information = np.empty((count, d, d))
     step = np.empty((count, s))
     by_value = np.empty((count, s, d))
-    sd = np.empty((count, s))
     values = log_densities(columns, law)
     for p in range(count):
         rows = slice(bounds[p], bounds[p + 1])
@@ -84,13 +80,12 @@ def condense(columns: Columns, law: NoiseLaw, prior: Array, starts: Array) -> Co
         pull = np.einsum("tma,tm->a", a, weighted) - prior * starts[p]
         step[p] = inverse @ pull
         by_value[p] = -follow
-        sd[p] = np.sqrt(np.diagonal(inverse))
         scores[rows] = np.einsum("tmd,tm->td", b - a @ follow, weighted)
         scores[rows] += prior * starts[p] @ follow / (rows.stop - rows.start)
         cost = 0.5 * (np.linalg.slogdet(known)[1] - np.log(prior).sum())
         cost += 0.5 * np.sum(prior * starts[p] ** 2)
         values[rows] -= cost / (rows.stop - rows.start)
-    return Condensed(scores, information, values, step, by_value, sd)
+    return Condensed(scores, information, values, step, by_value)
 
 
 def log_densities(columns: Columns, law: NoiseLaw) -> Array:
