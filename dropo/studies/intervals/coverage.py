@@ -33,7 +33,7 @@ MANY = (25, 40)
 
 METHODS: dict[str, Callable[[], Estimator]] = {
     "least squares": LeastSquares,
-    "dropo": lambda: DROPO(family="point", epsilon="learn"),
+    "dropo": lambda: DROPO(likelihood="emulated", family="point", epsilon="learn"),
 }
 Case = tuple[str, str, str, tuple[int, int]]
 """Robot, noise, method, and the data's size."""
