@@ -20,7 +20,12 @@ from dropo.diagnosis.laws.pursuit import (
     propose,
 )
 from dropo.diagnosis.laws.shapes import Ranges, Shape, ShapeSettings, shapes_at
-from dropo.diagnosis.search.linearization import Library, LinearizedWindows
+from dropo.diagnosis.search.linearization import (
+    Library,
+    LinearizedWindows,
+    estimate_noise,
+    whitener,
+)
 from dropo.diagnosis.search.review import Review, review
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import (
@@ -457,7 +462,11 @@ def _of_the_machine(
     for side in (before, polished.test):
         errors = step_errors(simulator, side)
         errors[side.lost] = 0.0
-        sides.append(replace(side, residuals=side.residuals - errors))
+        corrected = replace(side, residuals=side.residuals - errors)
+        # Neither has the noise for that as yet.
+        noise = estimate_noise(corrected, side.whiten.noise, selection.floor)
+        whiten = whitener(library, side.windows, side.theta, noise, side.loadings)
+        sides.append(replace(corrected, whiten=whiten))
     return is_confirmed(*sides, needed, selection.settings)
 
 
