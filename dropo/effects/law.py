@@ -1,7 +1,8 @@
 """A formula that was found in data, or written down."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,6 +28,8 @@ AXES = ("x", "y", "z")
 """The variants of a law of a body: the world's axis that its force is along."""
 WIDTH = 100.0
 """The bounds of a constant, in multiples of its typical size."""
+Variables = Callable[[StepState], dict[tuple[str, str], Array]]
+"""Gives the variables of a law in n states."""
 KEPT = 32
 """How many pasts of hidden states are kept."""
 
@@ -88,12 +91,13 @@ def law_instance(
         low = 0.0 if scale else -WIDTH * size
         quantities.append(Quantity(name, unit, low, WIDTH * size, (0.1 * size,)))
     together = tuple(abs(wanted.get(q.name, 1.0)) or 1.0 for q in quantities)
+    hook: dict[str, Any] = {place.hook: partial(place.act, *place.arguments, formula.program)}
     return EffectInstance(
         "law",
         target,
         tuple(quantities),
         variant,
-        **{place.hook: partial(place.function, *place.arguments, formula.program)},
+        **hook,
         formula=formula.text,
         remembers=bool(formula.program.hidden),
         trials=(((together),),),
@@ -174,11 +178,13 @@ def law_of_text(context: EffectContext, text: str) -> EffectInstance:
 class _Place:
     """Where a law acts: its variables, the unit of its value, and the hook."""
 
-    def __init__(self, units: Units, unit: str, hook: str, function: object, *arguments: object):
+    def __init__(
+        self, units: Units, unit: str, hook: str, act: Callable[..., Array], *arguments: object
+    ):
         self.units = units
         self.unit = unit
         self.hook = hook
-        self.function = function
+        self.act = act
         self.arguments = arguments
 
 
@@ -338,7 +344,7 @@ def _body_force(
 
 
 def _value_of(
-    program: Program, state: StepState, variables: object, key: object, magnitudes: Array
+    program: Program, state: StepState, variables: Variables, key: object, magnitudes: Array
 ) -> Array:
     """The value of a law in n states, its hidden states remembered under a key."""
     memory = state.memory.setdefault(key, {})
@@ -351,10 +357,10 @@ def _recalled(
     program: Program,
     state: StepState,
     past: RecordedPast,
-    variables: object,
+    variables: Variables,
     key: object,
     magnitudes: Array,
-) -> dict[int, object]:
+) -> dict[int, Any]:
     """The hidden states at the starts, from what was recorded before them."""
     known_at = (key, program, np.asarray(magnitudes).tobytes())
     if known_at not in past.cache:
@@ -366,7 +372,7 @@ def _recalled(
 
 
 def hidden_states(
-    program: Program, state: StepState, past: RecordedPast, variables: object, magnitudes: Array
+    program: Program, state: StepState, past: RecordedPast, variables: Variables, magnitudes: Array
 ) -> dict[int, tuple[Array, ...]]:
     """Compute the hidden states of a formula in every row of the data.
 
@@ -395,7 +401,7 @@ def hidden_states(
     values = variables(rows)
     begins = np.flatnonzero(time[:, 0] == 0)
     lengths = np.diff(np.append(begins, len(time)))
-    memory: dict[int, object] = {}
+    memory: dict[int, Any] = {}
     found: dict[int, tuple[Array, ...]] = {}
     for k in range(int(lengths.max())):
         at = begins + np.minimum(k, lengths - 1)

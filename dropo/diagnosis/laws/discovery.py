@@ -428,7 +428,7 @@ def _confirmed(
         sorted((trial for trial, *_ in trials), key=lambda one: -one.penalized_gain),
         selection.settings,
     )
-    by_trial = {id(trial): (trial, *rest) for trial, *rest in trials}
+    by_trial = {id(one[0]): one for one in trials}
     needed = selection.settings.needed_gain(count)
     for trial in ordered[: selection.settings.polished]:
         if trial.trained <= selection.settings.fitted_gain:
@@ -458,16 +458,17 @@ def _of_the_machine(
     if not isinstance(simulator, MujocoSimulator):
         raise AssertionError("laws are looked for around a MuJoCo model")
     before = _padded_side(state.test, library)
-    sides = []
-    for side in (before, polished.test):
+
+    def corrected(side: LinearizedWindows) -> LinearizedWindows:
+        """The windows as short steps would predict them, under the noise that is then left."""
         errors = step_errors(simulator, side)
         errors[side.lost] = 0.0
-        corrected = replace(side, residuals=side.residuals - errors)
-        # Neither has the noise for that as yet.
-        noise = estimate_noise(corrected, side.whiten.noise, selection.floor)
+        moved = replace(side, residuals=side.residuals - errors)
+        noise = estimate_noise(moved, side.whiten.noise, selection.floor)
         whiten = whitener(library, side.windows, side.theta, noise, side.loadings)
-        sides.append(replace(corrected, whiten=whiten))
-    return is_confirmed(*sides, needed, selection.settings)
+        return replace(moved, whiten=whiten)
+
+    return is_confirmed(corrected(before), corrected(polished.test), needed, selection.settings)
 
 
 def _tried(

@@ -69,9 +69,8 @@ class ResidualForces:
         steps = 0.5 * (at[..., 1:] + at[..., :-1])
         pieces = self.responses.shape[2]
         piece = np.arange(self.length) * pieces // self.length
-        sums = np.zeros((*steps.shape[:-1], pieces))
-        np.add.at(sums, (..., piece), steps)
-        return sums / np.bincount(piece, minlength=pieces)
+        inside = (piece[:, None] == np.arange(pieces)).astype(float)
+        return np.asarray(steps @ (inside / inside.sum(axis=0)))
 
     def columns(self, values: Array, dof: int) -> Array:
         """Whiten what forces of the values (K, W (L + 1)) at a degree of freedom change.

@@ -132,10 +132,10 @@ def propose(
         if score <= 0:
             continue
         rows = columns[usable[list(members)]]
-        sizes = np.linalg.lstsq(rows.T, residuals, rcond=None)[0]
+        sizes = np.asarray(np.linalg.lstsq(rows.T, residuals, rcond=None)[0], dtype=float)
         response = sizes @ rows
         gain_here = float(response @ residuals) / (2 * variance)
-        signature = response / max(float(np.linalg.norm(response)), 1e-300)
+        signature = np.asarray(response / max(float(np.linalg.norm(response)), 1e-300))
         terms = tuple(shapes[usable[i]] for i in members)
         found.append(Proposal(joint, terms, sizes, gain_here, score, signature))
     return sorted(found, key=lambda one: -one.score)
@@ -166,7 +166,7 @@ def _sets(
     gain = 0.5 * (along[first] ** 2 - 2 * along[first] * along[second] * cross + along[second] ** 2)
     pair = score_of(gain / apart, 2, 2 + extra[first] + extra[second])
     order = np.argsort(-pair)[: 20 * settings.pairs]
-    tuples = [(int(first[k]), int(second[k])) for k in order]
+    tuples: list[tuple[int, ...]] = [(int(first[k]), int(second[k])) for k in order]
     sets += _best(pair[order], tuples, known, settings.kept)
 
     best_pairs = tuples[: settings.pairs]

@@ -288,8 +288,8 @@ class PlainRollout:
             begin = (steps[0] - first) * simulator.frame_skip
             held = commands[run][begin : begin + len(steps) * simulator.frame_skip]
             qpos, qvel, act = np.split(state[1:], [model.nq, model.nq + model.nv])
-            past = simulator.recorded_past(windows, np.array([window]))
-            robot.reset(qpos, qvel, act[: model.na], past)
+            recorded = simulator.recorded_past(windows, np.array([window]))
+            robot.reset(qpos, qvel, act[: model.na], recorded)
             trace = [self._observed(robot)] if is_late else []
             for command in held:
                 robot.advance(command)

@@ -14,6 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array, known, require
+from dropo.diagnosis.search.library import robot_of
 from dropo.effects.law import law_instance
 from dropo.problems.simulated.robots import masses, problem_of, simulated_robot
 from dropo.studies.engine.study import Study, Table
@@ -175,7 +176,7 @@ def run(item: list[Any]) -> dict[str, Any]:
 
 def _oracle(problem: Problem, hidden: list[Any], length: int) -> float:
     """The log-likelihood of the true model on data held out [nats per transition]."""
-    true = replace(problem, simulator=problem.simulator.with_effects((), hidden))
+    true = replace(problem, simulator=robot_of(problem).with_effects((), hidden))
     return Diagnose(length=length, windows=WINDOWS).baseline(true)
 
 
