@@ -25,6 +25,19 @@ NOISE = 1e-3
 """Standard deviation of every sensor's noise, in its unit."""
 FINER = 4
 """Physics steps of the hidden machine for one of the model."""
+RIVALS = (
+    "joint_damping",
+    "joint_friction",
+    "joint_stribeck",
+    "joint_stiffness",
+    "joint_armature",
+    "joint_load_friction",
+    "joint_cogging",
+    "actuator_gain",
+    "actuator_bias",
+    "actuator_torque_speed",
+)
+"""The effects that a law competes with: those of joints and drives, at all places."""
 WINDOWS = 48
 """About how many windows are fitted, and how many are held out."""
 COUNTED = 100.0
@@ -147,7 +160,7 @@ def run(item: list[Any]) -> dict[str, Any]:
     if kind == "null":
         data = _with_noise(data, name, rng)
     problem = problem_of(MACHINE, robot, data, NOISE)
-    found = Diagnose(windows=WINDOWS).run(problem, rng=seed)
+    found = Diagnose([*RIVALS, "law"], windows=WINDOWS).run(problem, rng=seed)
     causes = [cause.to_json(rank) for rank, cause in enumerate(found.causes, 1)]
     said = [one for one in causes if one["effect"] == "law"]
     answer |= {
