@@ -10,6 +10,7 @@ from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
 from dropo.core.services.registry import find, names
 from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.diagnosis.search.library import declared
+from dropo.effects.law import law_of_text
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
@@ -70,6 +71,8 @@ def test_effects_come_back(effect, arm, tmp_path):
     every = find("effects", effect)(arm.simulator.effect_context)
     plain = predicted(arm)
     instances = [one for one in every if not declared(arm.simulator, one)]
+    if effect == "law":
+        instances = [law_of_text(arm.simulator.effect_context, "elbow:-0.05 * c * abs(v) * v")]
     for i, one in enumerate(
         {instances[0].label: instances[0], instances[-1].label: instances[-1]}.values()
     ):

@@ -16,7 +16,6 @@ from dropo.diagnosis.laws.pursuit import (
     Proposal,
     PursuitSettings,
     different,
-    formulas_tried,
     propose,
 )
 from dropo.diagnosis.laws.shapes import Ranges, Shape, ShapeSettings, shapes_at
@@ -188,7 +187,7 @@ def find_laws(
         forces = residual_forces(selection.library, last, selection.floor)
         pool, proposals = _proposals(selection.library.simulator, forces, taken, settings)
         tried = max(tried, pool)
-        count = len(instances) + formulas_tried(pool)
+        count = len(instances) + pool
         selection.progress(0.9, f"fitting laws, of {pool} terms tried")
         found = _confirmed(selection, last, first, proposals, count, settings)
         if found is None:
@@ -294,22 +293,12 @@ def _columns(
         law = law_instance(context, joint.name, text)
         constants = np.array([own[quantity.name] for quantity in law.quantities])
         values[i] = values_at(simulator, forces, joint, program_of(law), constants, shared)
-    columns = np.concatenate(
-        [
-            forces.columns(values[first : first + settings.chunk], joint.qvel)
-            for first in range(0, len(values), settings.chunk)
-        ]
-    )
-    whole = replace(forces, basis=None)
-    full = np.concatenate(
-        [
-            np.linalg.norm(
-                whole.columns(values[first : first + settings.chunk], joint.qvel), axis=1
-            )
-            for first in range(0, len(values), settings.chunk)
-        ]
-    )
-    return columns, full
+    parts = [
+        forces.columns(values[first : first + settings.chunk], joint.qvel)
+        for first in range(0, len(values), settings.chunk)
+    ]
+    columns, lengths = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return columns, lengths
 
 
 def joint_at(simulator: MujocoSimulator, name: str) -> Joint:
@@ -524,11 +513,17 @@ def _told(
     trials: Mapping[int, _Tried],
     selection: Selection,
 ) -> FoundLaw:
-    """The name of a law, and what cannot be told from it."""
+    """The name of a law, and what cannot be told from it; more terms beside its own are no other."""
+    own = {shape.text for shape in proposal.shapes}
+
+    def is_other(one: Proposal) -> bool:
+        """Whether a formula lacks a term of the law, or is of another joint."""
+        return one.joint != proposal.joint or not own <= {shape.text for shape in one.shapes}
+
     others: dict[str, OtherFormula] = {}
     limit = selection.settings.indistinguishable_z
     for trial, other, likes, _ in trials.values():
-        if trial is accepted:
+        if trial is accepted or not is_other(other):
             continue
         deficit, z = gain_of(trial.state.test, polished.test)
         if not (z < limit or deficit < selection.settings.deficit):
@@ -536,11 +531,11 @@ def _told(
         text = formula_of(other)[0]
         why = f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
         others[f"{other.joint}:{text}"] = OtherFormula(text, other.joint, why)
-        for like in likes[:1]:
+        for like in filter(is_other, likes[:1]):
             text = formula_of(like)[0]
             why = f"similarity {float(like.signature @ other.signature):.3f} to the one before"
             others.setdefault(f"{like.joint}:{text}", OtherFormula(text, like.joint, why))
-    for like in alike[:3]:
+    for like in filter(is_other, alike[:3]):
         text = formula_of(like)[0]
         why = f"similarity {float(like.signature @ proposal.signature):.3f}"
         others.setdefault(f"{like.joint}:{text}", OtherFormula(text, like.joint, why))

@@ -33,8 +33,9 @@ class ResidualForces:
         The windows, with random forces in their covariance.
     responses : (W, n, P, nv) array
         The change of the residuals by a force at each degree of freedom in each of P pieces.
-    basis : (N, f) array or None
-        What the numbers explain that are fitted anyway, whitened and orthonormal.
+    basis : (N, f) array
+        What is explained anyway, by fitted numbers and by the length of the physics step, whitened
+        and orthonormal.
     residuals : (N,) array
         The whitened residuals without that.
     states : StepState
@@ -49,7 +50,7 @@ class ResidualForces:
 
     windows: LinearizedWindows
     responses: Array
-    basis: Array | None
+    basis: Array
     residuals: Array
     states: StepState
     past: RecordedPast
@@ -72,21 +73,19 @@ class ResidualForces:
         inside = (piece[:, None] == np.arange(pieces)).astype(float)
         return np.asarray(steps @ (inside / inside.sum(axis=0)))
 
-    def columns(self, values: Array, dof: int) -> Array:
+    def columns(self, values: Array, dof: int) -> tuple[Array, Array]:
         """Whiten what forces of the values (K, W (L + 1)) at a degree of freedom change.
 
-        Returns (K, N), without what is explained anyway.
+        Returns that without what is explained anyway (K, N), and its lengths with it (K,).
         """
         pieces = self.by_piece(values)
         changes = np.einsum("wnp,kwp->kwn", self.responses[..., dof], pieces)
         rows = self.windows.flat(changes)
-        if self.basis is None:
-            return rows
         left = rows - (rows @ self.basis) @ self.basis.T
         # What is as good as explained is rounding.
         lengths = np.linalg.norm(rows, axis=1)
         left[np.linalg.norm(left, axis=1) < RANK * lengths] = 0.0
-        return left
+        return left, lengths
 
 
 def residual_forces(library: Library, state: State, floor: Array) -> ResidualForces:

@@ -199,15 +199,6 @@ def _best(
     return found
 
 
-def formulas_tried(pool: int) -> int:
-    """The number of formulas of one term among which a law is the best.
-
-    Pairs and triples are charged for in the score; what is confirmed on data held out is one of the
-    proposals that are refitted.
-    """
-    return max(pool, 1)
-
-
 def different(
     proposals: list[Proposal], similarity: float
 ) -> list[tuple[Proposal, list[Proposal]]]:

@@ -18,6 +18,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array, known, require
+from dropo.diagnosis.search.library import LAW
 from dropo.problems.simulated.robots import ROBOTS, SimulatedRobot, masses, simulated_robot
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
@@ -257,7 +258,7 @@ def run(item: list[Any]) -> dict[str, Any]:
     problem = Problem(name, robot.simulator, data, start_noise=True)
     searched = None
     if case == "removed":
-        left_out = (effects[0][0].effect, "parameter_drift")
+        left_out = (effects[0][0].effect, "parameter_drift", LAW)
         searched = [effect for effect in names("effects") if effect not in left_out]
     found = Diagnose(searched).run(problem, rng=seed)
     result = {
@@ -419,7 +420,7 @@ def hide_some(
         elif case == "outside":
             effects = [unmodelled_cause(robot, rng)]
         return effects, robot.record(effects, noise=sigma, rng=rng.spawn(1)[0], values=values), 0.0
-    kinds = names("effects")
+    kinds = [kind for kind in names("effects") if kind != LAW]  # which has no place by itself
     if case == "masses":  # body masses are fitted anyway
         kinds = [kind for kind in kinds if kind != "body_mass"]
     for _ in range(settings.attempts):
