@@ -513,7 +513,10 @@ def _told(
     trials: Mapping[int, _Tried],
     selection: Selection,
 ) -> FoundLaw:
-    """The name of a law, and what cannot be told from it; more terms beside its own are no other."""
+    """The name of a law, and the formulas that cannot be told from it.
+
+    One with more terms beside those of the law is no other one.
+    """
     own = {shape.text for shape in proposal.shapes}
 
     def is_other(one: Proposal) -> bool:
