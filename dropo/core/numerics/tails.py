@@ -6,45 +6,44 @@ Its import takes longer than a small fit, and these are all that a fit asks of i
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import special
 
 
-def normal_tail(z: ArrayLike) -> Any:
+def normal_tail(z: Any) -> Any:
     """Return the probability that a standard normal number is above `z`."""
     return special.ndtr(-np.asarray(z, dtype=float))
 
 
-def normal_of_tail(probability: ArrayLike) -> Any:
+def normal_of_tail(probability: Any) -> Any:
     """Return the number that a standard normal one is above with a probability."""
     return -special.ndtri(probability)
 
 
-def student_tail(t: ArrayLike, degrees: ArrayLike) -> Any:
+def student_tail(t: Any, degrees: Any) -> Any:
     """Return the probability that a Student t number is above `t`."""
     return special.stdtr(degrees, -np.asarray(t, dtype=float))
 
 
-def student_below(t: ArrayLike, degrees: ArrayLike) -> Any:
+def student_below(t: Any, degrees: Any) -> Any:
     """Return the probability that a Student t number is below `t`."""
     return special.stdtr(degrees, t)
 
 
-def student_quantile(share: ArrayLike, degrees: ArrayLike) -> Any:
+def student_quantile(share: Any, degrees: Any) -> Any:
     """Return the number below which a Student t one is with a probability `share`."""
     return special.stdtrit(degrees, share)
 
 
-def chi2_tail(x: ArrayLike, degrees: ArrayLike) -> Any:
+def chi2_tail(x: Any, degrees: Any) -> Any:
     """Return the probability that a chi-square number is above `x`."""
     return special.chdtrc(degrees, x)
 
 
-def chi2_of_tail(probability: ArrayLike, degrees: ArrayLike) -> Any:
+def chi2_of_tail(probability: Any, degrees: Any) -> Any:
     """Return the number that a chi-square one is above with a probability."""
     return special.chdtri(degrees, probability)
 
 
-def chi2_quantile(share: ArrayLike, degrees: ArrayLike) -> Any:
+def chi2_quantile(share: Any, degrees: Any) -> Any:
     """Return the number below which a chi-square one is with a probability `share`."""
     return 2 * special.gammaincinv(np.asarray(degrees, dtype=float) / 2, share)
