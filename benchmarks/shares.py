@@ -1,19 +1,13 @@
-"""What the main job, `dropo fit hopper`, spends its processor time on, and what memory fits hold.
+"""What the main job, `dropo fit hopper`, spends its processor time on.
 
 `python benchmarks/shares.py` prints imports, bare simulation (inside of MuJoCo's `rollout`) and the
-rest, of one thread; `--transitions N ...` then fits so many transitions in turn, each in a process
-of its own, and prints the most memory that it ever held.
+rest, of one thread, and the most memory that the process held.
 """
 
-import argparse
 import json
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
 
 RUN = """
 import contextlib, io, json, resource, sys, time
@@ -68,23 +62,21 @@ def fit(arguments: list[str]) -> dict[str, Any]:
     return found
 
 
-def report(transitions: list[int]) -> str:
-    """The shares of the main job, and the memory of fits of so many transitions."""
-    main_job = fit(["hopper"])
-    lines = [f"`dropo fit hopper`: {main_job['steps']:,} simulator steps, one thread.", ""]
-    lines += ["| part | s of processor time | share |", "|---|---|---|"]
+def report(arguments: list[str]) -> str:
+    """The shares of a fit as a table."""
+    found = fit(arguments)
+    lines = [
+        f"`dropo fit {' '.join(arguments)}`: {found['steps']:,} simulator steps on one thread,"
+        f" at most {found['memory']:.0f} MB.",
+        "",
+        "| part | s of processor time | share |",
+        "|---|---|---|",
+    ]
     for part in ("imports", "simulation", "rest", "total"):
-        share = main_job[part] / main_job["total"]
-        lines.append(f"| {part} | {main_job[part]:.2f} | {100 * share:.0f}% |")
-    if transitions:
-        lines += ["", "| transitions | steps | most memory, MB |", "|---|---|---|"]
-    for count in transitions:
-        one = fit(["hopper-noisy", "--transitions", str(count)])
-        lines.append(f"| {count:,} | {one['steps']:,} | {one['memory']:.0f} |")
+        share = found[part] / found["total"]
+        lines.append(f"| {part} | {found[part]:.2f} | {100 * share:.0f}% |")
     return "\n".join(lines)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--transitions", type=int, nargs="*", default=[])
-    print(report(parser.parse_args().transitions))
+    print(report(["hopper"]))

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks import cost, tables
+from benchmarks import cost, shares, tables
 from benchmarks.objective import (
     EPSILON,
     TINY,
@@ -133,3 +133,13 @@ def test_every_row_at_its_full_size():
     for row in rows:
         assert row.fewer > 1000
         assert row.fitting < 1 / 3
+
+
+def test_shares_of_the_main_job_add_up():
+    """Imports, simulation and the rest are the whole, and none of them is all of it."""
+    found = shares.fit(["hopper", "--transitions", "80"])
+    parts = [found[part] for part in ("imports", "simulation", "rest")]
+    assert sum(parts) == pytest.approx(found["total"])
+    assert min(parts[:2]) > 0
+    assert max(parts) < found["total"]
+    assert shares.report(["hopper", "--transitions", "80"]).count("\n") == 7
