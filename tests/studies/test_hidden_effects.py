@@ -21,11 +21,11 @@ from dropo.studies.hidden_effects.study import (
 
 
 def test_what_is_hidden_is_named(monkeypatch):
-    """One effect of random kind, place and size; with a quarter of the windows of the default.
+    """One effect of random kind, place and size; with half as many windows as by default.
 
     Of seed 0 it is the shoulder's armature, which no data tell from the inertia of the upper body.
     """
-    fewer = lambda effects=None, **more: Diagnose(effects, windows=24, **more)
+    fewer = lambda effects=None, **more: Diagnose(effects, windows=48, **more)
     monkeypatch.setattr("dropo.studies.hidden_effects.study.Diagnose", fewer)
     found = run(["torque-arm", "one", 1])
     assert found["right"], found["said"]
