@@ -209,7 +209,7 @@ REFUSALS = {
     ),
     "a setting of another method": (
         ["--method", "least-squares", "--family", "full"],
-        "method 'least-squares' takes no family. It takes weights, budget, step.",
+        "method 'least-squares' takes no family. It takes weights, budget, step, start.",
     ),
     "too few degrees": (
         ["--student-t", "2"],
