@@ -20,6 +20,7 @@ from dropo.core.records.fit import Fit
 from dropo.core.services.evaluation_log import read_log
 from dropo.core.services.tables import estimate
 from dropo.problems.loading import load
+from dropo.studies.unlogged_states.machines import ARM, simulate_log
 
 SAMPLED = ("--likelihood", "monte-carlo", "--optimizer", "cma-es")
 SMALL = (*SAMPLED, "--draws", "10", "--budget", "60")
@@ -505,3 +506,28 @@ def test_it_begins_at_values_or_at_another_fit(
     with_key.write_text(f"{problem.read_text()}\nstart: {{{name}: 1e9}}\n")
     assert main(["fit", str(with_key)]) == 2
     assert f"start of {name} must be within its bounds" in capsys.readouterr().err
+
+
+def test_positions_alone_are_fitted_along_whole_runs(tmp_path, monkeypatch, capsys):
+    """One line says so, and fit.json which noise was found; with --lambda segments are as ever."""
+    log = simulate_log("arm", "positions, white", 91_000).problem.trajectories.head(480)
+    monkeypatch.chdir(tmp_path)
+    Path("arm.xml").write_text(ARM)
+    np.savez(
+        "log.npz",
+        observations=log.observations[:, :1],
+        next_observations=log.next_observations[:, :1],
+        actions=log.actions,
+        terminals=log.terminals,
+    )
+    Path("arm.yaml").write_text(
+        "{model: arm.xml, frame_skip: 5, data: log.npz, observation: [qpos], parameters:"
+        " {damping: {field: dof_damping, name: hinge, low: 0.02, high: 1.0}}}"
+    )
+    assert main(["fit", "arm.yaml", "--out", "whole"]) == 0
+    assert "start states are found along whole runs" in capsys.readouterr().out
+    fit = json.loads(Path("whole/fit.json").read_text())
+    assert fit["likelihood"] == "trajectory"
+    assert fit["trajectory"]["noise"]["qpos.hinge"]["sd"] == pytest.approx(1e-3, rel=0.2)
+    assert main(["fit", "arm.yaml", "--lambda", "10", "--out", "segments"]) == 0
+    assert json.loads(Path("segments/fit.json").read_text())["likelihood"] == "emulated"
