@@ -20,7 +20,15 @@ from tests.exports.conftest import MASS, PARAMETERS, arm_problem, known_fit
 from tests.models.linear_mass import Mass
 
 
-@pytest.mark.parametrize("target", names("exports"))
+def test_what_has_no_law_is_no_effect(arm, tmp_path):
+    """The target `effect` refuses a fit without a law, and writes nothing."""
+    problem, fit = arm
+    with pytest.raises(Incompatible, match="has no law"):
+        fit.export("effect", tmp_path / "plugin", problem=problem)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("target", [one for one in names("exports") if one != "effect"])
 def test_one_line_from_a_fit(arm, target, tmp_path, monkeypatch):
     """`fit.export(target)` writes into a folder of that name, and again into its own folder."""
     monkeypatch.chdir(tmp_path)
