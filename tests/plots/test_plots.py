@@ -19,6 +19,7 @@ from dropo.core.records.figure_data import (
     Bar,
     FigureData,
     Forces,
+    LawCurve,
     Similarity,
     Sizes,
     Sums,
@@ -58,6 +59,7 @@ FIGURE_DATA = FigureData(
     Forces(("hip", "knee"), ("N", "N m"), (0.1, 1.0), (0.1, 0.05), True, False),
     Similarity(("joint_damping:knee", "joint_friction:knee"), ((1.0, 0.8), (0.8, 1.0))),
     (Sums("joint_damping:knee", (0.5, 1.0), (0.7, 0.0)),),
+    (LawCurve("law:knee", "v", "rad/s", "N m", (-1.0, 1.0), (0.9, -1.1), (0.1, 0.1), (1, -1)),),
 )
 
 
@@ -108,7 +110,15 @@ def figures(fit, predictions):
         ),
         **{
             name: partial(getattr(plots, name), FIGURE_DATA)
-            for name in ("candidates", "residuals", "sizes", "forces", "similarity", "changes")
+            for name in (
+                "candidates",
+                "residuals",
+                "sizes",
+                "forces",
+                "law",
+                "similarity",
+                "changes",
+            )
         },
     }
 
