@@ -252,10 +252,10 @@ def test_many_parameters_are_emulated():
 
 def test_orders_follow_the_width():
     """Shares of the search interval up to 0.2, 1.3 and 3.3 % are orders 1, 2 and 3; all wider ones
-    are 4; a first look stops at 2.
+    are 4; a first look stops at 2, and at 1 below 1 %.
     """
     space = ParameterSpace(tuple(Parameter(name, 0.0, 2.0) for name in "abcd"))
     width = 2 * np.array([1e-3, 5e-3, 0.02, 0.1])
     assert orders_for(width, space, None, rough=False).tolist() == [1, 2, 3, 4]
-    assert orders_for(width, space, None, rough=True).tolist() == [1, 2, 2, 2]
+    assert orders_for(width, space, None, rough=True).tolist() == [1, 1, 2, 2]
     assert orders_for(width, space, 3, rough=False).tolist() == [3, 3, 3, 3]
