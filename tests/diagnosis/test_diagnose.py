@@ -15,10 +15,10 @@ from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.models.hidden_in_arm import SOME, UPPER, problem
 
-FAST = Diagnose((*SOME, "sensor_bias", "body_mass"), windows=16)
+FAST = Diagnose((*SOME, "sensor_bias", "body_mass"), windows=24)
 FEW = Diagnose(
     ("joint_damping", "joint_stiffness", "actuator_gain", "actuator_delay", "body_mass"),
-    windows=14,
+    windows=20,
     disturbances=False,
 )
 CONTRACT = {
@@ -213,7 +213,7 @@ def test_true_cause_left_out_of_the_search():
 
 def test_delay_stands_for_sensors_too():
     """Delays of all commands and of all sensors are the same in recorded data; it says so."""
-    some = Diagnose(("joint_damping", "actuator_delay"), windows=14, disturbances=False)
+    some = Diagnose(("joint_damping", "actuator_delay"), windows=20, disturbances=False)
     found = some.run(problem([("actuator_delay", [0.01])]))
     assert (found.causes[0].effect, found.causes[0].target) == ("actuator_delay", None)
     assert found.causes[0].estimate["delay"].value == pytest.approx(0.01, rel=0.02)

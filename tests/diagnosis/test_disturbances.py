@@ -29,7 +29,7 @@ def smooth():
     )
 
 
-def diagnosed(smooth, data, windows=24, **settings):
+def diagnosed(smooth, data, windows=32, **settings):
     return Diagnose(EFFECTS, length=10, windows=windows, **settings).run(
         Problem("pendulum", smooth[0], data)
     )

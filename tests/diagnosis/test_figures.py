@@ -27,7 +27,7 @@ def damped(hidden):
 @pytest.fixture(scope="module")
 def proxy(hidden):
     """The same data, where only friction may be named."""
-    return Diagnose(("joint_friction",), length=5, windows=64).run(hidden)
+    return Diagnose(("joint_friction",), length=5, windows=96).run(hidden)
 
 
 def test_candidates_are_the_searchs(damped):

@@ -54,7 +54,7 @@ def test_what_is_hidden_is_found():
     """A damping at its place, within a twentieth; the noise that is reported of a velocity is that
     of its estimate, which windows leave out.
     """
-    found = Diagnose(SOME, windows=40, disturbances=False).run(
+    found = Diagnose(SOME, windows=60, disturbances=False).run(
         positions_alone([("joint_damping:elbow", [0.05])])
     )
     ((effect, target, size),) = [
