@@ -135,6 +135,7 @@ def test_every_row_at_its_full_size():
         assert row.fitting < 1 / 3
 
 
+@pytest.mark.slow
 def test_shares_of_the_main_job_add_up():
     """Imports, simulation and the rest are the whole, and none of them is all of it."""
     found = shares.fit(["hopper", "--transitions", "80"])
