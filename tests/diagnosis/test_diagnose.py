@@ -61,6 +61,7 @@ BESIDE = {
     "pictures",
     "nominal",
     "undetermined",
+    "numerics",
     "window_steps",
     "disturbances",
     "odd_runs",

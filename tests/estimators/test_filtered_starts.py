@@ -85,7 +85,8 @@ def exact(problem):
 
 @cache
 def fits(starts, seed=0):
-    return DROPO(starts=starts, start_noise=True, family="point").fit(oscillator(seed))
+    segments = DROPO("emulated", starts=starts, start_noise=True, family="point")
+    return segments.fit(oscillator(seed))
 
 
 def test_it_is_the_exact_maximum_likelihood_where_the_motion_is_linear():
