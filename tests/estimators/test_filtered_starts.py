@@ -85,7 +85,7 @@ def exact(problem):
 
 @cache
 def fits(starts, seed=0):
-    segments = DROPO("emulated", starts=starts, start_noise=True, family="point")
+    segments = DROPO(likelihood="emulated", starts=starts, start_noise=True, family="point")
     return segments.fit(oscillator(seed))
 
 

@@ -42,7 +42,7 @@ def test_longer_segments_win_where_starts_are_noisy():
     one step gets wrong by 5 errors.
     """
     fit = chosen()
-    one = DROPO("emulated").fit(measured_pushes())
+    one = DROPO(likelihood="emulated").fit(measured_pushes())
     table = fit.horizon_choice.trials
     assert [row.horizon for row in table] == [1, 2, 5, 10, 20][: len(table)]
     taken = next(row for row in table if row.chosen)
