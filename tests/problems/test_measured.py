@@ -351,8 +351,6 @@ def test_from_raw_logs_to_a_cause(name, tmp_path):
     source = find_data(f"{name}/runs.npz")
     (tmp_path / "map.yaml").write_text("time: {column: time, unit: s}" + text)
     import_logs([source], tmp_path / "map.yaml", source.parent / model, tmp_path / "data.npz")
-    found = Diagnose((effect,), disturbances=False).run(
-        load(tmp_path / "problem.yaml", threads=1)
-    )
+    found = Diagnose((effect,), disturbances=False).run(load(tmp_path / "problem.yaml", threads=1))
     assert [cause.effect for cause in found.causes][:1] == [effect]
     assert found.extended.horizons[-1].rmse < found.baseline.horizons[-1].rmse
