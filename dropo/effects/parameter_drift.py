@@ -8,11 +8,11 @@ import numpy as np
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.contracts.time_profile import growing, setting_in
 from dropo.core.services.validation import Array
-from dropo.effects.actuator_gain import actuator_gain
-from dropo.effects.body_mass import body_mass
-from dropo.effects.contact_friction import contact_friction
-from dropo.effects.joint_damping import joint_damping
-from dropo.effects.joint_friction import joint_friction
+from dropo.effects.actuators.actuator_gain import actuator_gain
+from dropo.effects.bodies.body_mass import body_mass
+from dropo.effects.bodies.contact_friction import contact_friction
+from dropo.effects.joints.joint_damping import joint_damping
+from dropo.effects.joints.joint_friction import joint_friction
 
 CHANGING = (body_mass, joint_damping, joint_friction, actuator_gain, contact_friction)
 """What changes on real robots: payloads, warm grease, wear, batteries, dirt."""

@@ -39,7 +39,22 @@ register("effects", {name!r}, {name})
 
 
 def effect(subject: Subject) -> Written:
-    """A plug-in file for each law of an extended model."""
+    """Write a plug-in file for each law of an extended model.
+
+    Parameters
+    ----------
+    subject : Subject
+
+    Returns
+    -------
+    Written
+        With the names of the effects that are left out, which the registry has.
+
+    Raises
+    ------
+    Incompatible
+        If the model has no law.
+    """
     laws = [(one, sizes) for one, sizes in subject.around if one.formula]
     if not laws:
         raise Incompatible(

@@ -394,7 +394,13 @@ def subject_of_fit(fit: Fit, problem: Problem) -> Subject:
 
 
 def simulator_of(problem: Problem) -> MujocoSimulator:
-    """Refuse a problem without a MuJoCo model that can be written."""
+    """Give the simulator of a problem, if it has a model that can be written.
+
+    Raises
+    ------
+    Incompatible
+        If it has no MuJoCo model.
+    """
     simulator = problem.simulator
     if not isinstance(simulator, MujocoSimulator):
         raise Incompatible(

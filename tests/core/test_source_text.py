@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.source_text import SourceText
-from dropo.effects import sensor_bias, sensor_gain
+from dropo.effects.sensors import sensor_bias, sensor_gain
 
 FACTOR = 3
 _HIDDEN = (1.5, "two")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.effects.joint_cogging import COGS
+from dropo.effects.joints.joint_cogging import COGS
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,13 @@ class RunsLog(NpzLog):
 
     @cached_property
     def names(self) -> list[str]:
-        """The names of the runs, in order."""
+        """The names of the runs, in order.
+
+        Raises
+        ------
+        BadFile
+            If there is not a name for each run.
+        """
         numbers = sorted({int(found[1]) for name in self.members if (found := _RUN.match(name))})
         given = [str(name) for name in self.arrays.get("names", ())]
         if given and len(given) != len(numbers):
@@ -97,7 +103,13 @@ class RunsLog(NpzLog):
 
     @cached_property
     def runs(self) -> list[Arrays]:
-        """The arrays of each run, first axis time."""
+        """The arrays of each run, first axis time.
+
+        Raises
+        ------
+        BadFile
+            If the arrays of a run differ in length.
+        """
         by_number: dict[int, Arrays] = {}
         for name, array in self.arrays.items():
             if found := _RUN.match(name):

@@ -34,7 +34,13 @@ class SageLog(Log):
     """
 
     def topics(self) -> dict[str, str]:
-        """List the tables that are there."""
+        """List the tables that are there.
+
+        Raises
+        ------
+        BadFile
+            If what was measured is not among them.
+        """
         found = {topic: name for topic, name in FILES.items() if (self.path / name).is_file()}
         if "state" not in found:
             raise BadFile(self.path / FILES["state"], "", "what was measured", "no such file")
@@ -46,7 +52,13 @@ class SageLog(Log):
 
     @cached_property
     def joints(self) -> list[str]:
-        """The names of the joints, in the order of the lists."""
+        """The names of the joints, in the order of the lists.
+
+        Raises
+        ------
+        BadFile
+            If their file cannot be read.
+        """
         path = self.path / JOINTS
         try:
             lines = path.read_text().splitlines()

@@ -104,7 +104,13 @@ def run_study(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Study:
-    """Runs a study without writing it: arguments, result and refusals are those of `recover`."""
+    """Run a study without writing it: arguments and result are those of `recover`.
+
+    Raises
+    ------
+    UnknownName, InvalidInput, Incompatible
+        As `recover`.
+    """
     study = find("studies", name)
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "recover")
     options: dict[str, object] = {}

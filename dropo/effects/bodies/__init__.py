@@ -1,0 +1,1 @@
+"""Effects on bodies: masses, gravity, air, contacts, forces from outside."""

@@ -1,0 +1,1 @@
+"""Effects at joints and tendons: rotors, friction, springs, stops, gears."""
