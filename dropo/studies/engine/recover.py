@@ -108,7 +108,7 @@ def run_study(
 
     Raises
     ------
-    UnknownName, InvalidInput, Incompatible
+    UnknownName, BadArgument, Incompatible
         As `recover`.
     """
     study = find("studies", name)
