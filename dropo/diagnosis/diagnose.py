@@ -421,7 +421,9 @@ class Diagnose:
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=undetermined(library, last),
-            numerics=numerics(problem, data, library, first, last, found) if complete else (),
+            numerics=numerics(problem, data, library, first, last, found, selection.floor, rest)
+            if complete
+            else (),
             disturbances=None if undisturbed is None else left_out(undisturbed, inside),
             outlier_runs=odd,
             replay=replayed,

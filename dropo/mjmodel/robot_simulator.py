@@ -70,6 +70,10 @@ class RobotSimulator(Simulator):
         """Make the same simulator with so many physics steps in the place of one."""
 
     @abstractmethod
+    def with_integrator(self, name: str) -> "RobotSimulator":
+        """Make the same simulator with an integrator by its name in MJCF."""
+
+    @abstractmethod
     def with_holding_friction(self) -> "RobotSimulator":
         """Make the same simulator with dry friction that holds what rests (`hold_friction`)."""
 

@@ -3,13 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
-from dropo.diagnosis.parts import Cause
+from dropo.core.services.validation import Array
+from dropo.diagnosis.parts import Cause, Remaining
 from dropo.diagnosis.search.library import robot_of
-from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.selection import State
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
+from dropo.diagnosis.search.refit import settle
+from dropo.diagnosis.search.selection import State, gain_of, is_confirmed
 from dropo.mjmodel.holding_friction import holds
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -25,13 +28,23 @@ class NumericsSettings:
         causes change, from which it is said.
     windows : int
         Windows, spread over the data, that are simulated with half the step.
+    false_alarm : float
+        Level of the split likelihood-ratio test by which another step or integrator must explain
+        data held out better.
     """
 
     share: float = 0.5
     windows: int = 24
+    false_alarm: float = 0.01
 
 
 SETTINGS = NumericsSettings()
+OTHER_INTEGRATOR = {
+    int(mujoco.mjtIntegrator.mjINT_EULER): "implicitfast",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICIT): "Euler",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST): "Euler",
+}
+"""By MuJoCo's number of a model's integrator, one that damps otherwise; Runge-Kutta has none."""
 
 
 def numerics(
@@ -41,6 +54,8 @@ def numerics(
     first: State,
     last: State,
     causes: Sequence[Cause],
+    floor: Array,
+    remaining: Remaining,
     settings: NumericsSettings = SETTINGS,
 ) -> tuple[str, ...]:
     """Say where the model's arithmetic, not its physics, decides.
@@ -57,6 +72,10 @@ def numerics(
         Where the search began, and where it ended.
     causes : sequence of Cause
         What was named.
+    floor : (p,) array
+        Lower bound of the noise.
+    remaining : Remaining
+        Whether something remains unexplained: then finer steps and another integrator are tried.
     settings : NumericsSettings
         Numbers that decide.
 
@@ -80,7 +99,45 @@ def numerics(
             f"Physics steps of half the length ({500 * step:.3g} ms) change predictions by"
             f" {moved:.2g} of what the causes change: their sizes are those of this step."
         )
+    if not remaining.calibrated:
+        sentences += _better_arithmetic(library, last, floor, settings)
     return tuple(sentences)
+
+
+def _better_arithmetic(
+    library: Library, last: State, floor: Array, settings: NumericsSettings
+) -> list[str]:
+    """Whether shorter steps, or else another integrator, explain what the last model does not."""
+    simulator = library.simulator
+    if not isinstance(simulator, RobotSimulator):
+        return []
+    half = 500 * float(simulator.model.opt.timestep)
+    tried = {f"physics steps of half the length ({half:.3g} ms)": simulator.with_finer_steps(2)}
+    name = OTHER_INTEGRATOR.get(int(simulator.model.opt.integrator))
+    if name is not None:
+        tried[f"the integrator {name}"] = simulator.with_integrator(name)
+    needed = float(np.log(len(tried) / settings.false_alarm))
+    for what, other in tried.items():
+        after = _held_out_with(library, other, last, floor)
+        simulator.steps += other.steps
+        if is_confirmed(last.test, after, needed):
+            gain, z = gain_of(last.test, after)
+            return [
+                f"With {what} data held out are explained better, by {gain:.0f} +- {gain / z:.0f}"
+                " nats: part of what remains is the simulation's own arithmetic. Change the"
+                " model's option and diagnose again."
+            ]
+    return []
+
+
+def _held_out_with(
+    library: Library, other: RobotSimulator, last: State, floor: Array
+) -> LinearizedWindows:
+    """The windows held out by another simulator, its numbers fitted to the others."""
+    there = Library(other, library.instances, library.declared, library.differences)
+    train = shift_linearization(there, last.train, last.theta, last.train.whiten.noise)
+    train = settle(there, train, last.free, floor)
+    return shift_linearization(there, last.test, train.theta, train.whiten.noise)
 
 
 def _is_below_step(cause: Cause, step: float) -> bool:

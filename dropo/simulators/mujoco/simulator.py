@@ -198,6 +198,21 @@ class MujocoSimulator(RobotSimulator):
         finer.frame_skip = finer.steps_per_action = times * self.frame_skip
         return finer
 
+    def with_integrator(self, name: str) -> "MujocoSimulator":
+        """Make the same simulator with another integrator.
+
+        Parameters
+        ----------
+        name : str
+            As in MJCF: "Euler", "RK4", "implicit" or "implicitfast".
+
+        Returns
+        -------
+        MujocoSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
+        return self._with_model(partial(_integrate_by, name))
+
     def with_holding_friction(self) -> "MujocoSimulator":
         """Make the same simulator with dry friction that holds what rests (`hold_friction`).
 
@@ -638,6 +653,11 @@ class MujocoSimulator(RobotSimulator):
 def _shorten_step(times: int, model: mujoco.MjModel) -> None:
     """So many physics steps in the place of one."""
     model.opt.timestep /= times
+
+
+def _integrate_by(name: str, model: mujoco.MjModel) -> None:
+    """An integrator by its name in MJCF."""
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
 
 
 def action_columns(model: mujoco.MjModel, items: Sequence[str]) -> NDArray[np.int64]:
