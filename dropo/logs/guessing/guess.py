@@ -345,7 +345,9 @@ class _Guesser:
         values = [self._finite(column) for column in columns]
         given = next((self._given_entry("qpos", name).get("unit") for name in hinges), None)
         hints = [given or column.unit for column in columns]
-        scale = angle_unit(values, [joints[name] for name in hinges], hints)
+        commands, _ = match(self._numeric(self._of(words.COMMAND)), hinges)
+        followed = [self._paired(commands[name], found[name]) for name in commands]
+        scale = angle_unit(values, [joints[name] for name in hinges], hints, followed)
         if scale is None:
             size = max(float(np.abs(one).max()) for one in values)
             answer = self._decide(

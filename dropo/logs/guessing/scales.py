@@ -28,6 +28,12 @@ class ScaleSettings:
         A logged velocity fits the slope of the position within this factor.
     tick_bits : tuple of int
         Bits of encoders whose ticks are tried.
+    turns : tuple of int
+        Counts of a turn that are tried for whole numbers.
+    follows : float
+        Correlation from which a joint follows its commands.
+    octave : float
+        How near commands must put the counts of a turn to one of `turns`, in powers of two.
     lattice : float
         How near the step of the numbers must be to that of an encoder, as a fraction.
     spacing : tuple of float
@@ -39,6 +45,9 @@ class ScaleSettings:
     smallest_degrees: float = 60.0
     fits: float = 1.4
     tick_bits: tuple[int, ...] = (10, 12, 14, 15, 16, 17, 18, 19, 20)
+    turns: tuple[int, ...] = tuple(2**bits for bits in (10, 11, 12, 13, 14, 15, 16, 17, 18, 20))
+    follows: float = 0.8
+    octave: float = 0.35
     lattice: float = 0.01
     spacing: tuple[float, float] = (2.5e-4, 0.25)
 
@@ -97,6 +106,7 @@ def angle_unit(
     values: Sequence[Array],
     joints: Sequence[Joint],
     hints: Sequence[str | None],
+    followed: Sequence[tuple[Array, Array]] = (),
     settings: ScaleSettings = DEFAULTS,
 ) -> Scale | None:
     """Find the unit that all angles of a log share.
@@ -109,6 +119,8 @@ def angle_unit(
         Hinges.
     hints : sequence of str or None
         The units that the columns' names say.
+    followed : sequence of pairs of (n,) arrays
+        Columns that may be commands of these joints, and the numbers of the joints beside them.
     settings : ScaleSettings, optional
         What counts.
 
@@ -121,7 +133,7 @@ def angle_unit(
     if hint == "tick" and not _are_whole(values):
         hint = None
     if hint == "tick" or (hint is None and _are_ticks(values)):
-        return _ticks(values, hint)
+        return _ticks(values, joints, hint, followed, settings)
     if hint is not None:
         return Scale(hint, "their names say so")
     largest = max(float(np.abs(one).max()) for one in values)
@@ -183,15 +195,56 @@ def _are_ticks(values: Sequence[Array]) -> bool:
     return _are_whole(values) and max(float(np.abs(one).max()) for one in values) > 720
 
 
-def _ticks(values: Sequence[Array], hint: str | None) -> Scale:
-    """Counts of the smallest usual encoder that holds them, from its middle where all are above."""
-    low = min(float(one.min()) for one in values)
+def _ticks(
+    values: Sequence[Array],
+    joints: Sequence[Joint],
+    hint: str | None,
+    followed: Sequence[tuple[Array, Array]],
+    settings: ScaleSettings,
+) -> Scale:
+    """Counts of an encoder, from its middle where all are above 0.
+
+    Of the usual encoder by which joints follow their commands, else of the smallest that holds the
+    numbers and by which all joints stay in their ranges.
+    """
+    above = min(float(one.min()) for one in values) >= 0
     high = max(float(np.abs(one).max()) for one in values)
-    turn = next((2**bits for bits in (10, 12, 14, 16) if high < 2**bits), 2**20)
     why = "their names say ticks" if hint else "all are whole numbers"
-    offset = -turn / 2 if low >= 0 else 0.0
+    turn = _turn_by_commands(followed, settings)
+    if turn is not None:
+        why += f", and joints follow their commands by {turn} a turn"
+    else:
+        holding = [turn for turn in settings.turns if high < turn] or [2**20]
+
+        def fits(turn: int) -> bool:
+            middle = turn / 2 if above else 0.0
+            pairs = zip(values, joints, strict=True)
+            return all(_fits(v - middle, j, 2 * math.pi / turn, settings) for v, j in pairs)
+
+        turn = next((turn for turn in holding if fits(turn)), holding[0])
+        why += f" below {turn}, an encoder's turn"
+    offset = -turn / 2 if above else 0.0
     middle = f", 0 at its middle, {turn // 2}" if offset else ""
-    return Scale(f"tick/{turn}", f"{why} below {turn}, an encoder's turn{middle}", offset)
+    return Scale(f"tick/{turn}", why + middle, offset)
+
+
+def _turn_by_commands(
+    followed: Sequence[tuple[Array, Array]], settings: ScaleSettings
+) -> int | None:
+    """Counts of a turn by which joints follow commands in rad or degrees; None if none tells."""
+    found = []
+    for commands, counts in followed:
+        if _are_whole([commands]) or not np.ptp(commands) > 0 or not np.ptp(counts) > 0:
+            continue
+        if abs(float(np.corrcoef(commands, counts)[0, 1])) < settings.follows:
+            continue
+        full = 2 * math.pi if np.abs(commands).max() <= settings.largest_turn else 360.0
+        found.append(full * float(counts.std() / commands.std()))
+    if not found:
+        return None
+    turn = float(np.median(found))
+    nearest = min(settings.turns, key=lambda one: abs(math.log2(turn / one)))
+    return nearest if abs(math.log2(turn / nearest)) < settings.octave else None
 
 
 def velocity_unit(

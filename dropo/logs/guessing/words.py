@@ -40,7 +40,7 @@ _QUANTITIES: dict[str, tuple[str, ...]] = {
     POSITION: (
         *("pos", "position", "positions", "q", "qpos", "angle", "angles", "theta", "enc", "state"),
         *("encoder", "present", "phi", "rotation", "value", "deg", "degree", "degrees", "rad"),
-        *("ticks", "poses", "x", "winkel", "istwert"),
+        *("tick", "ticks", "counts", "raw", "poses", "x", "winkel", "istwert"),
     ),
 }
 """Words of each quantity, the strongest quantity first: "q_cmd" is a command."""

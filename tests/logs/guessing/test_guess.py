@@ -137,6 +137,37 @@ def test_styles_of_loggers(tmp_path: Path, style: str) -> None:
         assert {entry["offset"] for entry in found.mapping["qpos"].values()} == {-2048.0}
 
 
+@pytest.mark.parametrize("turn", [1024, 4096, 16384])
+@pytest.mark.parametrize(("unit", "full"), [("rad", 2 * np.pi), ("deg", 360)])
+def test_an_encoder_by_its_commands(tmp_path: Path, turn: int, unit: str, full: float) -> None:
+    """Counts from 0 at the joint's zero, and commands in another unit, which tell their size."""
+    counts = {
+        name: np.rint(angle * turn / (2 * np.pi))
+        for name, angle in (("hip counts", HIP), ("knee counts", KNEE))
+    }
+    goals = {
+        name: goal * full / (2 * np.pi)
+        for name, goal in zip(("hip target", "knee target"), GOALS, strict=True)
+    }
+    found = guess(tmp_path, {"t": TIME} | counts | goals)
+    assert {entry["unit"] for entry in found.mapping["qpos"].values()} == {f"tick/{turn}"}
+    assert {entry["unit"] for entry in found.mapping["ctrl"].values()} == {unit}
+    assert any(f"follow their commands by {turn} a turn" in line for line in found.lines)
+
+
+def test_an_encoder_by_the_ranges(tmp_path: Path) -> None:
+    """Counts without commands: the smallest encoder by which joints stay in their ranges."""
+    counts = {
+        name: np.rint(angle * 16384 / (2 * np.pi))
+        for name, angle in (("hip counts", HIP), ("knee counts", KNEE))
+    }
+    found = guess(tmp_path, {"t": TIME} | counts)
+    (unit,) = {entry["unit"] for entry in found.mapping["qpos"].values()}
+    turn = int(unit.removeprefix("tick/"))
+    largest = max(np.abs(count).max() for count in counts.values())
+    assert largest < turn <= 16384
+
+
 @pytest.mark.parametrize(
     ("unit", "factor"), [("rad/s", 1), ("deg/s", 180 / np.pi), ("rpm", 30 / np.pi)]
 )
