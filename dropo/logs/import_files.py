@@ -145,7 +145,7 @@ def _estimated(found: "Import") -> dict[str, float]:
     return {
         name: float(f"{noise.sd:.3g}")
         for name, noise in found.noise.items()
-        if noise.estimated and noise.sd is not None and "[" not in name
+        if noise.estimated and noise.sd is not None
     }
 
 

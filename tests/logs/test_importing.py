@@ -375,6 +375,10 @@ def test_rotations(folder: Path) -> None:
         velocities[:, 3:], np.tile(7.0 * axis, (len(velocities), 1)), atol=0.01
     )
     np.testing.assert_allclose(velocities[:, 2], -9.81 * found.arrays["time"], atol=0.02)
+    problem = load(folder / "out" / "problem.yaml", threads=1)
+    assert set(problem.estimated) == {
+        signal.name for signal in problem.simulator.signals if signal.name.startswith("qvel")
+    }
 
 
 def test_nothing_is_written_where_something_is_refused(folder: Path, arm: Any) -> None:

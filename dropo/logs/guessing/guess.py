@@ -33,8 +33,14 @@ Ask = Callable[[str, Sequence[str]], str]
 """Asks a question that has some answers, on a terminal."""
 LISTED = 8
 """Columns that a line names."""
-FOLLOWS = 0.7
-"""Correlation with the positions from which on commands of unknown kind are commanded positions."""
+FOLLOWS: dict[str | None, float] = {
+    words.POSITION: 0.4,
+    words.EFFORT: 0.9,
+    words.VELOCITY: 0.7,
+    None: 0.7,
+}
+"""Correlation with the positions from which on commands of unknown kind are commanded positions, by
+what the model's actuators take."""
 
 
 @dataclass
@@ -532,8 +538,14 @@ class _Guesser:
         return [one.name for one in joints], {one.name: one.name for one in joints}
 
     def _kind_of(self, found: dict[str, ColumnName], owners: dict[str, str]) -> str:
-        """The kind of commands whose names do not say it, by how the joints follow them."""
+        """The kind of commands whose names do not say it, by how the joints follow them.
+
+        Each for itself, or all together: a leg sags below its commands, and is near them all the
+        same.
+        """
+        wanted = self._kind_wanted()
         alike = []
+        pairs = []
         for name, column in found.items():
             position = self._positions.get(owners[name])
             if position is None or position[0].topic != column.topic:
@@ -541,10 +553,13 @@ class _Guesser:
             commands, places = self._read([column, position[0]])
             there = np.isfinite(commands) & np.isfinite(places)
             if np.ptp(commands[there]) > 0 and np.ptp(places[there]) > 0:
-                alike.append(float(np.corrcoef(commands[there], places[there])[0, 1]))
-        if alike:
-            return words.POSITION if np.median(alike) > FOLLOWS else words.EFFORT
-        return self._kind_wanted() or words.POSITION
+                pairs.append(np.stack([commands[there], places[there]]))
+                alike.append(float(np.corrcoef(*pairs[-1])[0, 1]))
+        if not alike:
+            return wanted or words.POSITION
+        together = float(np.corrcoef(*np.concatenate(pairs, axis=1))[0, 1])
+        follows = max(float(np.median(alike)), together)
+        return words.POSITION if follows > FOLLOWS[wanted] else words.EFFORT
 
     def _kind_wanted(self) -> str | None:
         """The kind of command that the model's actuators take; None where it has none."""

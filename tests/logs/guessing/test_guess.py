@@ -240,6 +240,20 @@ def test_other_machines_are_refused(tmp_path: Path) -> None:
         guess(tmp_path, columns | moving)
 
 
+def test_commands_of_legs_that_sag(tmp_path: Path) -> None:
+    """Loaded joints that hardly follow small commands are near them all the same; torques of that
+    size are not, and those of a motor that holds a load are no positions.
+    """
+    load = 0.1 * np.cos(3 * TIME)
+    columns = {"t": TIME, "hip q": HIP - 0.5 + 3 * load, "knee q": KNEE - 0.6 - 3 * load}
+    goals = {"hip cmd": 0.1 * HIP - 0.4, "knee cmd": 0.1 * KNEE - 1.2}
+    found = guess(tmp_path, columns | goals)
+    assert set(found.mapping["ctrl"]) == {"hip_servo", "knee_servo"}
+    torques = {"hip cmd": 5 * load, "knee cmd": -4 * load[::-1]}
+    with pytest.raises(Incompatible, match="take position commands, and the log has torque alone"):
+        guess(tmp_path, columns | torques)
+
+
 def test_an_imu_may_be_on_another_body(tmp_path: Path) -> None:
     """Its turns are a warning for a check of logs, and refuse nothing."""
     columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
