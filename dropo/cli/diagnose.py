@@ -114,6 +114,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     from dropo.cli.record import diagnosis_record, keep_for_report
     from dropo.core.services.errors import DropoError
     from dropo.core.services.evaluation_log import EvaluationLog
+    from dropo.diagnosis.findings.fittable import fittable
     from dropo.problems.file.plain_model import write_extended
 
     problem = _problem(arguments)
@@ -131,7 +132,8 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     def save() -> None:
         if arguments.out is not None:
             found.save(arguments.out)
-            write_extended(found.problem, found.parameters, arguments.out / "extended")
+            to_fit = fittable(found.problem, found.causes)
+            write_extended(found.problem, found.parameters, arguments.out / "extended", to_fit)
             keep_for_report(arguments, None)
             if not found.interrupted:
                 (arguments.out / SEARCH).unlink(missing_ok=True)

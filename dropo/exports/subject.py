@@ -283,7 +283,7 @@ def changed_by(pairs: ActiveEffects, model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 NO_SPREAD = (
-    "Draws are left out: a diagnosis has no distribution. Fit extended/problem.yaml, and export "
+    "Draws are left out: a diagnosis has no distribution. Fit extended/fit.yaml, and export "
     "that fit."
 )
 """What targets say of an extended model."""

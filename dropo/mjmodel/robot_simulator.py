@@ -78,6 +78,10 @@ class RobotSimulator(Simulator):
         """Make the same simulator with dry friction that holds what rests (`hold_friction`)."""
 
     @abstractmethod
+    def with_fitted(self, effects: Sequence[EffectInstance]) -> "RobotSimulator":
+        """Make the same simulator with some of its fixed effects, by their labels, as free ones."""
+
+    @abstractmethod
     def with_effects(
         self, effects: Sequence[EffectInstance] = (), fixed: ActiveEffects = ()
     ) -> "RobotSimulator":

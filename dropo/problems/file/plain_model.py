@@ -66,7 +66,12 @@ def load():
 '''
 
 
-def write_extended(problem: Problem, parameters: Mapping[str, float], folder: Path) -> Path:
+def write_extended(
+    problem: Problem,
+    parameters: Mapping[str, float],
+    folder: Path,
+    to_fit: Problem | None = None,
+) -> Path:
     """Write an extended problem, and its robot in plain MuJoCo beside it.
 
     Parameters
@@ -77,6 +82,8 @@ def write_extended(problem: Problem, parameters: Mapping[str, float], folder: Pa
         The declared ones as fitted; the others keep the model's own numbers.
     folder : Path
         Made where it is missing.
+    to_fit : Problem, optional
+        The same with what was found as parameters: fit.yaml, of the model before.xml.
 
     Returns
     -------
@@ -93,6 +100,10 @@ def write_extended(problem: Problem, parameters: Mapping[str, float], folder: Pa
     for i, name in enumerate(problem.space.names):
         values[i] = parameters.get(name, values[i])
     path = write_problem(problem, folder, values)
+    if to_fit is not None:
+        before = np.zeros(len(to_fit.space))
+        before[: len(values)] = values
+        write_problem(to_fit, folder, before, name="fit.yaml", model="before.xml")
     if isinstance(simulator, MujocoSimulator):
         write_plain_model(simulator, values, folder)
     return path

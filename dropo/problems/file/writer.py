@@ -20,7 +20,14 @@ from dropo.problems.file.task import locate_from
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
-def write_problem(problem: Problem, folder: str | Path, values: Array | None = None) -> Path:
+def write_problem(
+    problem: Problem,
+    folder: str | Path,
+    values: Array | None = None,
+    *,
+    name: str = "problem.yaml",
+    model: str = "model.xml",
+) -> Path:
     """Write problem.yaml, model.xml and data.npz (held_out.npz) into a folder.
 
     Effects that change the model's numbers stand in model.xml, which keeps about six digits; the
@@ -36,6 +43,8 @@ def write_problem(problem: Problem, folder: str | Path, values: Array | None = N
         What its declared parameters are in model.xml; by default the model's own numbers. Bounds of
         a factor on the model's number are those of a factor on the new one, which is left out
         where the number is 0.
+    name, model : str
+        What the problem file and its model are called.
 
     Returns
     -------
@@ -56,22 +65,22 @@ def write_problem(problem: Problem, folder: str | Path, values: Array | None = N
     folder = Path(folder)
     if values is None:
         values = np.asarray(simulator.nominal, dtype=float)
-    content = _make_content(problem, simulator, folder, values)
-    write_text(folder / "model.xml", with_assets_beside(format_model(simulator, values), folder))
+    content = {"model": model} | _make_content(problem, simulator, folder, values)
+    write_text(folder / model, with_assets_beside(format_model(simulator, values), folder))
     write_data(problem.trajectories, folder / "data.npz")
     if problem.held_out is not None:
         write_data(problem.held_out, folder / "held_out.npz")
-    path = folder / "problem.yaml"
-    write_text(path, format_yaml(content))
+    path = folder / name
+    entries = ProblemFile.model_validate(content)
+    write_text(path, format_yaml(entries.model_dump(by_alias=True, exclude_unset=True)))
     return path
 
 
 def _make_content(
     problem: Problem, simulator: MujocoSimulator, folder: Path, values: Array
 ) -> dict[str, Any]:
-    """The content of a problem file in a folder, of keys that say more than their defaults."""
+    """The content of a problem file but its model, of keys that say more than their defaults."""
     content: dict[str, Any] = {
-        "model": "model.xml",
         "frame_skip": simulator.frame_skip,
         "data": "data.npz",
         "observation": list(simulator.observation),
@@ -96,7 +105,7 @@ def _make_content(
         content["task"] = locate_from(problem.task.source, folder)
     if problem.held_out is not None:
         content["held_out"] = "held_out.npz"
-    return ProblemFile.model_validate(content).model_dump(by_alias=True, exclude_unset=True)
+    return content
 
 
 def _make_parameter(parameter: FieldParameter, value: float) -> ParameterEntry:

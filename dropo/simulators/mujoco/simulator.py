@@ -181,6 +181,26 @@ class MujocoSimulator(RobotSimulator):
         out._set_effects((*self.effects, *effects), (*self.fixed, *fixed))
         return out
 
+    def with_fitted(self, effects: Sequence[EffectInstance]) -> "MujocoSimulator":
+        """Make the same simulator with some of its fixed effects as free ones.
+
+        Parameters
+        ----------
+        effects : sequence of EffectInstance
+            They take the place of the fixed effects of their labels; their magnitudes are
+            parameters.
+
+        Returns
+        -------
+        MujocoSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
+        labels = {instance.label for instance in effects}
+        out = self.with_effects(effects)
+        kept = tuple(pair for pair in self.fixed if pair[0].label not in labels)
+        out._set_effects(out.effects, kept)
+        return out
+
     def with_finer_steps(self, times: int) -> "MujocoSimulator":
         """Make the same simulator with shorter physics steps.
 
