@@ -41,18 +41,14 @@ from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
 from dropo.diagnosis.parts import Cause, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.result import Diagnosis, HeldOut
+from dropo.diagnosis.search.confirmation import SelectionSettings
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.library import LAW, instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
-from dropo.diagnosis.search.selection import (
-    STOPPING,
-    Progress,
-    Selection,
-    SelectionSettings,
-    State,
-)
+from dropo.diagnosis.search.selection import STOPPING, Progress, Selection
+from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.whitening import Noise, NoiseSettings, white
 from dropo.diagnosis.search.window_length import (
     WindowLengthSettings,
@@ -661,11 +657,11 @@ def _solved(setup: _Setup, settings: NoiseSettings) -> tuple[_Setup, _Searched]:
             return setup, found
         progress = setup.selection.progress
 
-        def further(share: float, text: str) -> None:
+        def further(fraction: float, text: str) -> None:
             """Progress does not run backward."""
             progress(0.9, f"{text}, noise that is not white")
 
-        selection = replace(setup.selection, progress=further, rounds=[], origins={})
+        selection = replace(setup.selection, progress=further, batches=[], origins={})
         again = replace(setup, selection=selection, noise=noise)
         return again, _search(again)
     except KeyboardInterrupt:

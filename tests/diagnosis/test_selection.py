@@ -1,17 +1,16 @@
 """Screening, refitting and accepting effects, on a line of masses."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from dropo.core.contracts.time_profile import growing, setting_in
 from dropo.diagnosis.findings.causes import estimate, standard_errors
 from dropo.diagnosis.findings.omnibus import omnibus
+from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.review import ambiguity, review
 from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
-from dropo.diagnosis.search.selection import Round, commonest_first, gain_of, is_confirmed
+from dropo.diagnosis.search.trials import Batch
 from tests.models.linear_mass import instances, measured, selection
 
 SIZES = {
@@ -104,7 +103,7 @@ def added(search, state, effect):
         for c in screened
         if c.instance.effect in (effect, "damping") and c.instance not in state.accepted
     ]
-    search.rounds.append(origin := Round(state, screened, search.try_candidates(state, chosen)))
+    search.batches.append(origin := Batch(state, screened, search.try_candidates(state, chosen)))
     trial = next(t for t in origin.trials if t.candidate.instance.effect == effect)
     search.origins[trial.candidate.instance.label] = origin
     return search.polish(trial.state)
@@ -151,22 +150,6 @@ def test_alike_effects_are_said_to_be():
     assert not others[1]
 
 
-def test_what_acts_seldom_is_confirmed_where_no_window_loses():
-    """Six windows of ninety-six that gain 80 nats each will do, as of a limit that is seldom
-    reached; not four, nor with one that loses.
-    """
-    windows = SimpleNamespace(block=np.arange(96) % 26)
-
-    def after(*gains):
-        return SimpleNamespace(
-            log_likelihood=np.concatenate([gains, np.zeros(96 - len(gains))]), windows=windows
-        )
-
-    assert is_confirmed(after(), after(*[80.0] * 6), 10.0)
-    assert not is_confirmed(after(), after(*[80.0] * 6, -80.0), 10.0)
-    assert not is_confirmed(after(), after(*[80.0] * 4), 10.0)
-
-
 @pytest.mark.parametrize(("hidden", "constant"), [("damping", True), ("friction", False)])
 def test_size_of_a_proxy_differs_between_regimes(hidden, constant):
     """Damping has one size in all regimes where it is the cause; friction taken for damping has
@@ -207,27 +190,9 @@ def test_what_is_always_there_is_tried_before_what_sets_in():
         [*promised, Candidate(grown, np.array([0.2]), 9.0, np.ones(1))], [damping, spring]
     )
     assert [candidate.instance for candidate in tried] == [damping, late, spring, grown]
-    assert tried[0].sizes.tolist() == [0.4]
+    assert tried[0].magnitudes.tolist() == [0.4]
     moved_up = with_constant(
         [*promised, Candidate(damping, np.array([0.3]), 9.0, np.ones(1))], [damping, spring]
     )
     assert [candidate.instance for candidate in moved_up] == [damping, late, spring]
     assert with_constant(promised, [spring]) == promised
-
-
-@pytest.mark.parametrize(("better", "first"), [(3.0, 1), (30.0, 2)])
-def test_fewer_numbers_where_windows_held_out_do_not_tell(better, first):
-    """One that needs two numbers comes first only where it is clearly better on data that it was
-    not fitted to.
-    """
-    linearize = lambda gain: SimpleNamespace(
-        log_likelihood=np.full(10, gain / 10), windows=SimpleNamespace(block=np.arange(10))
-    )
-    trial = lambda numbers, gain: SimpleNamespace(
-        candidate=SimpleNamespace(signature=np.eye(2)[numbers - 1], instance=instances()[numbers]),
-        sizes=np.ones(numbers),
-        penalized_gain=gain,
-        state=SimpleNamespace(test=linearize(gain)),
-    )
-    trials = commonest_first([trial(2, 100 + better), trial(1, 100.0)])
-    assert len(trials[0].sizes) == first

@@ -14,7 +14,7 @@ from dropo.diagnosis.diagnose import _search
 from dropo.diagnosis.findings.causes import leaders
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.parts import Leader, Stability
-from dropo.diagnosis.search.selection import SETTINGS
+from dropo.diagnosis.search.confirmation import SETTINGS
 from dropo.diagnosis.search.windows import split
 from tests.models.hidden_in_arm import problem
 
@@ -67,12 +67,14 @@ def test_where_it_is_not_named_is_said():
     assert Stability.from_json(found.to_json()) == found
 
 
-def trial(label, held_out, z, trained=20.0):
+def trial(label, held_out_gain, z, fitted_gain=20.0):
     """A candidate refitted, with its gain on data held out."""
     effect, target = label.split(":")
     instance = EffectInstance(effect, target, (SIZE,))
     candidate = SimpleNamespace(instance=instance)
-    return SimpleNamespace(candidate=candidate, held_out=held_out, z=z, trained=trained)
+    return SimpleNamespace(
+        candidate=candidate, held_out_gain=held_out_gain, z=z, fitted_gain=fitted_gain
+    )
 
 
 def test_leaders_are_what_gains_enough_and_is_not_sure():
@@ -83,7 +85,7 @@ def test_leaders_are_what_gains_enough_and_is_not_sure():
     before = SimpleNamespace(accepted=())
     found = SimpleNamespace(accepted=(EffectInstance("payload", "hand", (SIZE,)),))
     needed = SETTINGS.needed_gain(40)
-    rounds = [
+    batches = [
         SimpleNamespace(before=before, trials=[trial("joint_friction:a", 900.0, 2.0)]),
         SimpleNamespace(
             before=found,
@@ -91,11 +93,11 @@ def test_leaders_are_what_gains_enough_and_is_not_sure():
                 trial("joint_friction:b", 0.9 * needed, 1.0),
                 trial("joint_friction:c", 700.0, 2.0),
                 trial("joint_friction:d", 50.0, 0.0),
-                trial("joint_friction:e", 60.0, 2.0, trained=1.0),
+                trial("joint_friction:e", 60.0, 2.0, fitted_gain=1.0),
             ],
         ),
     ]
-    selection = SimpleNamespace(rounds=rounds, settings=SETTINGS)
+    selection = SimpleNamespace(batches=batches, settings=SETTINGS)
     first, second = leaders(selection, found, 40)
     assert (first.target, first.gain, first.gain_se) == ("c", 700.0, 350.0)
     assert first.times == pytest.approx((3 * 350 / 700) ** 2)

@@ -16,19 +16,15 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.experiment import experiment
 from dropo.diagnosis.laws.discovery import FoundLaw
 from dropo.diagnosis.parts import Alternative, Cause, Estimate, Leader, Stability, Suspect
+from dropo.diagnosis.search.confirmation import SETTINGS as SELECTION
+from dropo.diagnosis.search.confirmation import SelectionSettings, gain_by_block, gain_of
 from dropo.diagnosis.search.invariance import invariance, standing_out
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
 from dropo.diagnosis.search.review import Review, ambiguity
 from dropo.diagnosis.search.screening import Candidate
-from dropo.diagnosis.search.selection import SETTINGS as SELECTION
-from dropo.diagnosis.search.selection import (
-    Selection,
-    SelectionSettings,
-    State,
-    gain_by_block,
-    gain_of,
-)
+from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.trials import State
 
 
 @dataclass(frozen=True)
@@ -195,7 +191,7 @@ def _alternatives(
     for i, (own, other, why) in enumerate(others):
         proposed = None
         if i < settings.experiments:
-            proposed = experiment(library, last, instance, other.instance, other.sizes)
+            proposed = experiment(library, last, instance, other.instance, other.magnitudes)
         regime = None
         if found.origin is not None:
             regime = _difference(library, found.origin.before, own, other)
@@ -306,17 +302,17 @@ def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ..
     tuple of Suspect
     """
     accepted = {instance.label for instance in last.accepted}
-    trials = selection.rounds[-1].trials if selection.rounds else []
+    trials = selection.batches[-1].trials if selection.batches else []
     found = []
     for trial in trials:
         instance = trial.candidate.instance
-        if not trial.held_out > 0 or instance.label in accepted:
+        if not trial.held_out_gain > 0 or instance.label in accepted:
             continue
         suspect = Suspect(
             effect=instance.effect,
             target=instance.target,
-            p_value=p_of(trial.held_out, count, trial.z),
-            held_out_gain=trial.held_out / last.test.windows.steps,
+            p_value=p_of(trial.held_out_gain, count, trial.z),
+            held_out_gain=trial.held_out_gain / last.test.windows.steps,
         )
         found.append(suspect)
     return tuple(found)
@@ -345,22 +341,23 @@ def leaders(selection: Selection, last: State, effects: int, most: int = 3) -> t
     needed = settings.needed_gain(effects)
     accepted = {instance.label for instance in last.accepted}
     found = []
-    for batch in selection.rounds:
+    for batch in selection.batches:
         if {instance.label for instance in batch.before.accepted} != accepted:
             continue
         for trial in batch.trials:
             instance = trial.candidate.instance
-            if not (trial.held_out > needed and trial.trained > settings.fitted_gain):
+            is_considered = trial.fitted_gain > settings.minimum_fitted_gain
+            if not (is_considered and trial.held_out_gain > needed):
                 continue
-            error = trial.held_out / trial.z if trial.z > 0 else float("inf")
+            error = trial.held_out_gain / trial.z if trial.z > 0 else float("inf")
             found.append(
                 Leader(
                     effect=instance.effect,
                     target=instance.target,
                     variant=instance.variant,
-                    gain=trial.held_out,
+                    gain=trial.held_out_gain,
                     gain_se=error,
-                    times=float((settings.window_z * error / trial.held_out) ** 2),
+                    times=float((settings.window_z * error / trial.held_out_gain) ** 2),
                 )
             )
     by_label = {(leader.effect, leader.target, leader.variant): leader for leader in found}

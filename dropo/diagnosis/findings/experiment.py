@@ -11,7 +11,7 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Segments, Trajectories
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.selection import State
+from dropo.diagnosis.search.trials import State
 from dropo.evaluation.open_loop import open_loop
 from dropo.mjmodel.robot_simulator import RobotSimulator
 

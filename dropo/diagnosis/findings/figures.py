@@ -19,6 +19,7 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.remaining import force_names
 from dropo.diagnosis.findings.unexplained_forces import Unexplained, unexplained_force
 from dropo.diagnosis.laws.curve import law_curve
+from dropo.diagnosis.search.confirmation import SelectionSettings, gain_of
 from dropo.diagnosis.search.invariance import (
     bins_of,
     command_change_variable,
@@ -30,14 +31,8 @@ from dropo.diagnosis.search.invariance import (
 )
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.review import Review, ambiguity
-from dropo.diagnosis.search.selection import (
-    Round,
-    Selection,
-    SelectionSettings,
-    State,
-    Trial,
-    gain_of,
-)
+from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.trials import Batch, State, Trial
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 RESPONSE = "response to the effect"
@@ -133,7 +128,7 @@ def figure_data(
             laws.append(law_curve(library, instance, sizes_here, without, selection.floor))
 
     chosen = {instance.label: (instance, reviews[instance.label]) for instance in last.accepted}
-    rounds = [_bars(batch, last, chosen, selection.settings) for batch in selection.rounds]
+    rounds = [_bars(batch, last, chosen, selection.settings) for batch in selection.batches]
     return FigureData(
         needed=selection.settings.needed_gain(count),
         rounds=tuple(rounds),
@@ -147,7 +142,7 @@ def figure_data(
 
 
 def _bars(
-    batch: Round,
+    batch: Batch,
     last: State,
     chosen: Mapping[str, tuple[EffectInstance, Review]],
     settings: SelectionSettings,
@@ -173,9 +168,9 @@ def _bars(
 def _bar(trial: Trial, accepted: str | None, ambiguous: list[str]) -> Bar:
     """One refitted effect."""
     label = trial.candidate.instance.label
-    error = abs(trial.held_out / trial.z) if trial.z else None
+    error = abs(trial.held_out_gain / trial.z) if trial.z else None
     distinguishable = label not in ambiguous
-    return Bar(label, trial.held_out, error, label == accepted, distinguishable)
+    return Bar(label, trial.held_out_gain, error, label == accepted, distinguishable)
 
 
 def _against_axis(
@@ -293,7 +288,7 @@ def _forces(library: Library, first: Unexplained, rest: Unexplained) -> Forces:
 
 def _similarity(selection: Selection, count: int) -> Similarity:
     """The cosines between the effects that promised most at first."""
-    screened = selection.rounds[0].screened if selection.rounds else []
+    screened = selection.batches[0].screened if selection.batches else []
     # Those that were screened on all windows have signatures of the same length.
     best = []
     for candidate in screened:

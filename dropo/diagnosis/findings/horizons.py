@@ -10,7 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.selection import State
+from dropo.diagnosis.search.trials import State
 from dropo.evaluation.held_out import (
     SETTINGS,
     DataPart,

@@ -17,7 +17,7 @@ from dropo.diagnosis.search.linearization import (
     linearize,
     shift_linearization,
 )
-from dropo.diagnosis.search.selection import State
+from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.whitening import DEGREES
 from dropo.diagnosis.search.windows import SETTINGS as WINDOWS
 from dropo.diagnosis.search.windows import Windows, windows_from

@@ -4,7 +4,7 @@ import numpy as np
 
 from dropo.core.records.parameters import ParameterSpace
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.selection import State
+from dropo.diagnosis.search.trials import State
 from dropo.evaluation.identifiability import null_directions
 from dropo.evaluation.identifiability import undetermined as sentences
 

@@ -10,9 +10,10 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.parts import Cause, Remaining
 from dropo.diagnosis.search.library import robot_of
+from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
 from dropo.diagnosis.search.refit import settle
-from dropo.diagnosis.search.selection import State, gain_of, is_confirmed
+from dropo.diagnosis.search.trials import State
 from dropo.mjmodel.holding_friction import holds
 from dropo.mjmodel.robot_simulator import RobotSimulator
 

@@ -17,9 +17,10 @@ from dropo.diagnosis.findings.unexplained_forces import (
     unexplained_force,
 )
 from dropo.diagnosis.parts import Remaining
+from dropo.diagnosis.search.confirmation import gain_of
 from dropo.diagnosis.search.invariance import drifting, standing_out
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.selection import State, gain_of
+from dropo.diagnosis.search.trials import State
 
 
 @dataclass(frozen=True)

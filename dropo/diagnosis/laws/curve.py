@@ -8,7 +8,7 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.laws.discovery import joint_at, program_of, values_at
 from dropo.diagnosis.laws.forces import residual_forces
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.selection import State
+from dropo.diagnosis.search.trials import State
 from dropo.effects.law import units_at
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 

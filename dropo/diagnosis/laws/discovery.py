@@ -19,6 +19,7 @@ from dropo.diagnosis.laws.pursuit import (
     propose,
 )
 from dropo.diagnosis.laws.shapes import Ranges, Shape, ShapeSettings, shapes_at
+from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
@@ -27,15 +28,8 @@ from dropo.diagnosis.search.linearization import (
 )
 from dropo.diagnosis.search.review import Review, review
 from dropo.diagnosis.search.screening import Candidate
-from dropo.diagnosis.search.selection import (
-    Round,
-    Selection,
-    State,
-    Trial,
-    commonest_first,
-    gain_of,
-    is_confirmed,
-)
+from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.trials import Batch, State, Trial, commonest_first
 from dropo.effects.law import hidden_states, joint_variables, law_instance
 from dropo.effects.support.formula_values import Program, evaluate
 from dropo.mjmodel.forces import motors
@@ -419,8 +413,8 @@ def _confirmed(
     )
     by_trial = {id(one[0]): one for one in trials}
     needed = selection.settings.needed_gain(count)
-    for trial in ordered[: selection.settings.polished]:
-        if trial.trained <= selection.settings.fitted_gain:
+    for trial in ordered[: selection.settings.maximum_polished]:
+        if trial.fitted_gain <= selection.settings.minimum_fitted_gain:
             continue
         _, proposal, alike, library = by_trial[id(trial)]
         own = _extended(selection, library)
@@ -560,11 +554,11 @@ def _larger(library: Library, law: EffectInstance) -> Library:
 
 
 def _extended(selection: Selection, library: Library) -> Selection:
-    """The search in a larger library, its rounds with places for what is new there."""
-    rounds = {id(one): _padded_round(one, library) for one in selection.rounds}
-    own = replace(selection, library=library, rounds=list(rounds.values()), origins={})
+    """The search in a larger library, its batches with places for what is new there."""
+    batches = {id(one): _padded_batch(one, library) for one in selection.batches}
+    own = replace(selection, library=library, batches=list(batches.values()), origins={})
     own.origins.update(
-        {label: rounds.get(id(one), one) for label, one in selection.origins.items()}
+        {label: batches.get(id(one), one) for label, one in selection.origins.items()}
     )
     own.screening.remembered.update(selection.screening.remembered)
     own.screening.first = (
@@ -575,10 +569,10 @@ def _extended(selection: Selection, library: Library) -> Selection:
     return own
 
 
-def _padded_round(one: Round, library: Library) -> Round:
-    """A round with places for what is new in a library."""
+def _padded_batch(one: Batch, library: Library) -> Batch:
+    """A batch with places for what is new in a library."""
     trials = [replace(trial, state=_padded(trial.state, library)) for trial in one.trials]
-    return Round(_padded(one.before, library), one.screened, trials)
+    return Batch(_padded(one.before, library), one.screened, trials)
 
 
 def _padded(state: State, library: Library) -> State:

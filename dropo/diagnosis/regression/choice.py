@@ -15,7 +15,7 @@ from dropo.diagnosis.regression.fit import (
     root_mean_square,
 )
 from dropo.diagnosis.regression.terms import INERTIAL, LAWS, families_of
-from dropo.diagnosis.search.selection import signed_rank_score
+from dropo.diagnosis.search.confirmation import signed_rank_score
 
 Group = tuple[int, ...]
 

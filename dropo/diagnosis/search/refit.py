@@ -24,7 +24,7 @@ from dropo.diagnosis.search.whitening import (
     uneven_steps,
 )
 
-NONE = np.zeros(0, dtype=np.int64)
+NO_INDICES = np.zeros(0, dtype=np.int64)
 """No numbers of theta."""
 
 
@@ -69,7 +69,7 @@ def refit(
     floor: Array,
     *,
     rounds: int = 4,
-    rough: Ints = NONE,
+    nonsmooth: Ints = NO_INDICES,
     renewals: int | None = None,
     settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
@@ -90,7 +90,7 @@ def refit(
         Lower bound of the noise.
     rounds : int
         Rounds of fitting theta and the noise in turn.
-    rough : int array
+    nonsmooth : int array
         Numbers in which predictions are not smooth: a line scan finds them first.
     renewals : int, optional
         In place of the settings'.
@@ -103,7 +103,7 @@ def refit(
         The windows at the most likely theta and noise.
     """
     linearized = settle(
-        library, linearized, free, floor, rounds=rounds, rough=rough, settings=settings
+        library, linearized, free, floor, rounds=rounds, nonsmooth=nonsmooth, settings=settings
     )
     # Linearize anew where theta has gone, until that changes nothing any more.
     for _ in range(settings.renewals if renewals is None else renewals):
@@ -200,7 +200,7 @@ def settle(
     floor: Array,
     *,
     rounds: int = 2,
-    rough: Ints = NONE,
+    nonsmooth: Ints = NO_INDICES,
     known: Array | None = None,
     close: bool = False,
     settings: RefitSettings = DEFAULTS,
@@ -209,7 +209,7 @@ def settle(
 
     Parameters
     ----------
-    library, linearized, free, floor, rounds, rough, settings
+    library, linearized, free, floor, rounds, nonsmooth, settings
         As of `refit`.
     known : (k, W, n) array, optional
         Jacobian by the first k free numbers that may stand for theirs at any theta near by.
@@ -225,10 +225,10 @@ def settle(
     for _ in range(rounds):
         before = float(linearized.log_likelihood.sum())
         # Line scans of numbers that have no useful derivative; in the first round only.
-        for number in rough:
+        for number in nonsmooth:
             linearized = _scan(library, linearized, int(number), settings)
             jacobian = None
-        rough = NONE
+        nonsmooth = NO_INDICES
         # Theta under this noise, then the noise at this theta.
         if len(free):
             linearized, jacobian = maximize(

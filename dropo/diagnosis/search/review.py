@@ -9,19 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.diagnosis.search.confirmation import SETTINGS, SelectionSettings, gain_of, is_confirmed
 from dropo.diagnosis.search.linearization import shift_linearization
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.screening import Candidate
-from dropo.diagnosis.search.selection import (
-    SETTINGS,
-    Round,
-    Selection,
-    SelectionSettings,
-    State,
-    Trial,
-    gain_of,
-    is_confirmed,
-)
+from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.trials import Batch, State, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +25,7 @@ class Review:
     ----------
     without : State
         The model without the effect, fitted to the end.
-    origin : Round or None
+    origin : Batch or None
         The batch of candidates that it was accepted from; None where there is none, as of an effect
         that replaced several and that no batch had tried.
     alternatives : sequence of Trial
@@ -40,7 +33,7 @@ class Review:
     """
 
     without: State
-    origin: Round | None
+    origin: Batch | None
     alternatives: Sequence[Trial]
 
 
@@ -118,7 +111,7 @@ def _review_effect(selection: Selection, state: State, instance: EffectInstance)
 
 
 def _candidates_instead(
-    origin: Round, state: State, instance: EffectInstance, settings: SelectionSettings
+    origin: Batch, state: State, instance: EffectInstance, settings: SelectionSettings
 ) -> list[Candidate]:
     """The best other candidates of an effect's batch, with the magnitudes fitted there.
 
@@ -128,13 +121,13 @@ def _candidates_instead(
     own_trial = next(
         trial for trial in origin.trials if trial.candidate.instance.label == instance.label
     )
-    needed_gain = settings.alternative * own_trial.penalized_gain
+    needed_gain = settings.alternative_fraction * own_trial.penalized_gain
     others = []
     for trial in origin.trials:
         is_absent = trial.candidate.instance.label not in accepted
         if is_absent and trial.penalized_gain > needed_gain:
-            others.append(trial.sized)
-    return others[: settings.alternatives]
+            others.append(trial.fitted_candidate)
+    return others[: settings.maximum_alternatives]
 
 
 def _better(selection: Selection, state: State, reviewed: Review) -> State | None:
@@ -157,7 +150,7 @@ def _better(selection: Selection, state: State, reviewed: Review) -> State | Non
     for trial in reviewed.alternatives:
         # As it is, the alternative must gain nearly as much as the effect.
         alternative_gain = penalized_log_likelihood(trial.state) - without
-        if not alternative_gain > settings.nearly * effect_gain:
+        if not alternative_gain > settings.polished_fraction * effect_gain:
             continue
         # Fitted to the end, it must gain more, and windows held out must confirm that.
         polished = selection.polish(trial.state)
@@ -265,7 +258,7 @@ def _merged(
 
 def _remember_origin(selection: Selection, whole: EffectInstance) -> None:
     """Note the first batch in which an effect was tried as the one that it comes from."""
-    for batch in selection.rounds:
+    for batch in selection.batches:
         if any(trial.candidate.instance.label == whole.label for trial in batch.trials):
             selection.origins[whole.label] = batch
             return
@@ -317,7 +310,7 @@ def ambiguity(
         is_close = z < settings.indistinguishable_z or deficit < settings.deficit
         if is_close and label not in others:
             why = f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
-            others[label] = trial.sized, why
+            others[label] = trial.fitted_candidate, why
 
     listed = []
     for candidate, why in others.values():

@@ -76,7 +76,7 @@ class Candidate:
     ----------
     instance : EffectInstance
         The effect.
-    sizes : (q,) array
+    magnitudes : (q,) array
         The magnitudes that the residuals suggest, in the units of its quantities.
     gain : float
         In the windows' log-likelihood [nats].
@@ -86,7 +86,7 @@ class Candidate:
     """
 
     instance: EffectInstance
-    sizes: Array
+    magnitudes: Array
     gain: float
     signature: Array
 
@@ -490,8 +490,8 @@ def with_constant(
         constant = by_label.get(str(candidate.instance.target))
         if constant is not None and candidate.instance.time_profile is not None:
             # Its magnitudes come first, those of the time profile behind them.
-            sizes = candidate.sizes[: len(constant.quantities)]
-            first = replace(candidate, instance=constant, sizes=sizes)
+            magnitudes = candidate.magnitudes[: len(constant.quantities)]
+            first = replace(candidate, instance=constant, magnitudes=magnitudes)
             chosen.setdefault(constant.label, first)
         chosen.setdefault(candidate.instance.label, candidate)
     return list(chosen.values())

@@ -1,5 +1,11 @@
 """Which effects are accepted, one after another: refitted on the windows to fit, confirmed on the
 windows held out.
+
+Each step of the search screens all effects (`screening`), refits the most promising ones in batches
+(`trials`), and accepts the first that the windows held out confirm (`confirmation`). Below, theta
+(m,) holds the declared parameters, then the magnitudes of all effects, 0 where an effect is absent;
+`free` (f,) has the indices of those that are fitted. The two sides of a model are the windows to
+fit and the windows held out, linearized under its theta and noise.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -12,8 +18,14 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.evaluation_log import EvaluationLog
-from dropo.core.services.registry import BUILT_IN
 from dropo.core.services.validation import Array
+from dropo.diagnosis.search.confirmation import (
+    SETTINGS,
+    SelectionSettings,
+    gain_of,
+    has_less_noise,
+    is_confirmed,
+)
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
@@ -22,16 +34,10 @@ from dropo.diagnosis.search.linearization import (
     shift_linearization,
 )
 from dropo.diagnosis.search.record import Sides, recorded_sides
-from dropo.diagnosis.search.refit import DEFAULTS as REFIT
-from dropo.diagnosis.search.refit import RefitSettings, refit, settle, with_noise
-from dropo.diagnosis.search.screening import (
-    Candidate,
-    Screening,
-    ScreeningSettings,
-    shortlist,
-    with_constant,
-)
+from dropo.diagnosis.search.refit import NO_INDICES, refit, settle, with_noise
+from dropo.diagnosis.search.screening import Candidate, Screening, shortlist, with_constant
 from dropo.diagnosis.search.single_steps import absent_in_single_steps
+from dropo.diagnosis.search.trials import Batch, State, Trial, commonest_first
 from dropo.diagnosis.search.whitening import Noise
 from dropo.diagnosis.search.windows import Windows
 
@@ -39,179 +45,6 @@ Progress = Callable[[float, str], None]
 """Called with the fraction of the work that is done (0 to 1), and with a text."""
 STOPPING = "stopping after the figures of what was found so far"
 """What is shown when a search is interrupted."""
-
-
-@dataclass(frozen=True)
-class SelectionSettings:
-    """When an effect is accepted, and when another one is as good.
-
-    Attributes
-    ----------
-    false_alarm : float
-        Level of the split likelihood-ratio test: the held-out gain must be above
-        log(effects / false_alarm) [1]_.
-    window_z : float
-        Standard errors by window by which the held-out gain, or its signed ranks, must exceed 0.
-    block_z : float
-        Standard errors by block by which the held-out gain must exceed 0.
-    fitted_gain : float
-        Gain on the windows to fit below which a candidate is not considered [nats].
-    response : float
-        Gain or loss from which a window responds to an effect [nats].
-    few_windows : int
-        Windows that must respond, and gain, of an effect that acts seldom.
-    negligible : float
-        A later effect must gain this fraction of what the earlier ones gained together.
-    batch : int
-        Candidates that are refitted at a time.
-    batches : int
-        How many batches a step tries at most.
-    effects : int
-        Effects that are accepted at most.
-    polished : int
-        Candidates of a batch that are fitted to the end, at most, if those before are then not
-        confirmed.
-    similarity : float
-        Cosine of two whitened responses from which two effects do the same to the data.
-    equal : float
-        Penalized gains that differ by less are equal [nats].
-    deficit : float
-        Held-out loss below which an effect with fewer magnitudes is as good [nats].
-    first_noise : int
-        The first estimate of the noise takes one window of so many.
-    diverging : float
-        Fraction of diverging windows beyond which the model is refused.
-    indistinguishable_z : float
-        An alternative within so many standard errors, or within `deficit`, cannot be distinguished.
-    alternative : float
-        Alternatives have at least this fraction of the accepted effect's penalized gain.
-    alternatives : int
-        Alternatives that are tried in the place of an accepted effect.
-    nearly : float
-        Fraction of an effect's gain from which an alternative to it is fitted to the end.
-    screening : ScreeningSettings
-        How effects are screened.
-    refit : RefitSettings
-        How theta and the noise are fitted.
-
-    References
-    ----------
-    .. [1] Wasserman, Ramdas and Balakrishnan, Universal inference, PNAS 117, 2020.
-    """
-
-    false_alarm: float = 0.01
-    window_z: float = 3.0
-    block_z: float = 1.5
-    fitted_gain: float = 5.0
-    response: float = 1.0
-    few_windows: int = 5
-    negligible: float = 0.01
-    batch: int = 6
-    batches: int = 3
-    effects: int = 12
-    polished: int = 3
-    similarity: float = 0.98
-    equal: float = 2.0
-    deficit: float = 4.0
-    first_noise: int = 3
-    diverging: float = 0.3
-    indistinguishable_z: float = 2.0
-    alternative: float = 0.5
-    alternatives: int = 2
-    nearly: float = 0.9
-    screening: ScreeningSettings = field(default_factory=ScreeningSettings)
-    refit: RefitSettings = REFIT
-
-    def needed_gain(self, effects: int) -> float:
-        """Return the held-out gain [nats] that confirms one of so many effects."""
-        return float(np.log(max(effects, 1) / self.false_alarm))
-
-
-SETTINGS = SelectionSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """A model in the search: how it explains the data, and which effects it has.
-
-    Attributes
-    ----------
-    train, test : LinearizedWindows
-        The windows to fit, and those held out.
-    free : (f,) int array
-        The numbers of theta that are fitted.
-    accepted : tuple of EffectInstance
-        The effects, in the order in which they were accepted.
-    """
-
-    train: LinearizedWindows
-    test: LinearizedWindows
-    free: np.ndarray
-    accepted: tuple[EffectInstance, ...] = ()
-
-    @property
-    def theta(self) -> Array:
-        """(m,) the declared parameters, then the magnitudes of all effects."""
-        return self.train.theta
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A candidate refitted.
-
-    Attributes
-    ----------
-    candidate : Candidate
-        As it was screened.
-    sizes : (q,) array
-        Its fitted magnitudes.
-    state : State
-        The model with it.
-    trained : float
-        Gain on the windows to fit [nats].
-    held_out : float
-        Gain on the windows held out [nats].
-    z : float
-        The held-out gain in standard errors by block.
-    """
-
-    candidate: Candidate
-    sizes: Array
-    state: State
-    trained: float
-    held_out: float
-    z: float
-
-    @property
-    def sized(self) -> Candidate:
-        """The candidate with the fitted magnitudes."""
-        return replace(self.candidate, sizes=self.sizes)
-
-    @property
-    def penalized_gain(self) -> float:
-        """Gain in all, less the BIC penalty for each magnitude beyond the first [nats]."""
-        further = len(self.candidate.sizes) - 1
-        penalty = 0.5 * further * np.log(self.state.train.windows.steps)
-        return self.trained + self.held_out - float(penalty)
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One batch of refitted candidates.
-
-    Attributes
-    ----------
-    before : State
-        The model before it.
-    screened : sequence of Candidate
-        All candidates, the one that promises most first.
-    trials : sequence of Trial
-        Those refitted, the one with the largest penalized gain first.
-    """
-
-    before: State
-    screened: Sequence[Candidate]
-    trials: Sequence[Trial]
 
 
 @dataclass(eq=False)
@@ -223,35 +56,37 @@ class Selection:
     library : Library
         The simulator with every effect.
     floor : (p,) array
-        Lower bound of the noise.
+        Lower bound of the noise's standard deviations, in the signals' units.
     progress : callable
         Called with the fraction done and a text.
     settings : SelectionSettings
         When an effect is accepted.
     log : EvaluationLog
         Where fits are recorded, for a search that can be resumed.
-    rounds : list of Round
+    batches : list of Batch
         Every batch that was refitted.
-    origins : dict of str to Round
+    origins : dict of str to Batch
         By an accepted effect's label, the batch that it was accepted from.
     screening : Screening
-        What the rounds begin with.
+        What each step begins with.
     latest : State or None
-        How far the search has come.
+        How far the search has come, for one that is interrupted.
     """
 
     library: Library
     floor: Array
-    progress: Progress = lambda share, text: None
+    progress: Progress = lambda fraction, text: None
     settings: SelectionSettings = SETTINGS
     log: EvaluationLog = field(default_factory=EvaluationLog)
-    rounds: list[Round] = field(default_factory=list)
-    origins: dict[str, Round] = field(default_factory=dict)
+    batches: list[Batch] = field(default_factory=list)
+    origins: dict[str, Batch] = field(default_factory=dict)
     screening: Screening = field(init=False)
     latest: State | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self.screening = Screening(self.library, self.floor, self.settings.screening, self.log)
+
+    # --- the first model
 
     def begin(
         self, train: Windows, test: Windows, theta: Array, noise: Noise, free: np.ndarray
@@ -265,9 +100,9 @@ class Selection:
         theta : (m,) array
             The first parameters, without effects.
         noise : Noise
-            First guess.
+            A first guess.
         free : (f,) int array
-            The declared parameters that are fitted.
+            Indices of the declared parameters that are fitted.
 
         Returns
         -------
@@ -279,25 +114,32 @@ class Selection:
             If the simulation diverges in too many windows.
         """
         library = self.library
-        some = train.take(np.arange(0, len(train), self.settings.first_noise))
-        rough = linearize(library, some, theta, noise)
-        if rough.lost.mean() > self.settings.diverging:
+        settings = self.settings
+
+        # Some of the windows are enough for a first estimate of the noise.
+        some = train.take(np.arange(0, len(train), settings.first_noise_stride))
+        some_linearized = linearize(library, some, theta, noise)
+        diverging = some_linearized.lost.mean()
+        if diverging > settings.maximum_diverging:
             raise SimulationFailed(
-                f"The simulation diverges in {rough.lost.mean():.0%} of the windows, with the"
+                f"The simulation diverges in {diverging:.0%} of the windows, with the"
                 " parameters at their nominal values. Check the model, the time step and the"
                 " units of the data."
             )
-        noise = estimate_noise(rough, noise, self.floor)
-        first = linearize(library, train, theta, noise)
-        first = with_noise(library, first, self.floor, self.settings.refit)
+        estimated = estimate_noise(some_linearized, noise, self.floor)
 
+        # All windows, with the noise that these have.
+        linearized = linearize(library, train, theta, estimated)
+        linearized = with_noise(library, linearized, self.floor, settings.refit)
+
+        # The declared parameters and the noise are fitted in turn, unless that is recorded.
         def fit() -> Sides:
-            fitted = self._refit(first, free, rounds=2, renewals=1)
-            return fitted, self._held_out(fitted, test)
+            fitted = self._refit(linearized, free, rounds=2, renewals=1)
+            return fitted, self._linearize_held_out(fitted, test)
 
-        key = np.concatenate([theta, noise.numbers])
-        sides = recorded_sides(self.log, library, key, (train, test), fit)
-        self.latest = State(*sides, free)
+        key = np.concatenate([theta, estimated.numbers])
+        fitted_train, fitted_test = recorded_sides(self.log, library, key, (train, test), fit)
+        self.latest = State(fitted_train, fitted_test, free)
         return self.latest
 
     def as_it_is(
@@ -316,9 +158,9 @@ class Selection:
         train, test, noise
             As of `begin`.
         theta : (m,) array
-            All numbers.
+            The declared parameters and all magnitudes.
         free : (f,) int array
-            Those of them that were fitted elsewhere.
+            Indices of those of them that were fitted elsewhere.
         accepted : tuple of EffectInstance
             The effects that it has.
 
@@ -327,10 +169,12 @@ class Selection:
         State
             Where the simulation diverges in too many windows, the noise is the first guess.
         """
-        first = linearize(self.library, train, theta, noise)
-        if first.lost.mean() <= self.settings.diverging:
-            first = with_noise(self.library, first, self.floor, self.settings.refit)
-        return State(first, self._held_out(first, test), free, accepted)
+        linearized = linearize(self.library, train, theta, noise)
+        if linearized.lost.mean() <= self.settings.maximum_diverging:
+            linearized = with_noise(self.library, linearized, self.floor, self.settings.refit)
+        return State(linearized, self._linearize_held_out(linearized, test), free, accepted)
+
+    # --- one effect after another
 
     def run(self, first: State, state: State, instances: Sequence[EffectInstance]) -> State:
         """Accept effects until none is confirmed.
@@ -349,11 +193,12 @@ class Selection:
         State
             `state` itself if none was accepted.
         """
-        while len(state.accepted) < self.settings.effects:
+        while len(state.accepted) < self.settings.maximum_effects:
             found = self.step(state, instances, first)
             if found is None:
                 break
-            self.latest = state = found
+            state = found
+            self.latest = state
         return state
 
     def step(self, state: State, instances: Sequence[EffectInstance], first: State) -> State | None:
@@ -374,64 +219,70 @@ class Selection:
             None where no effect is confirmed.
         """
         settings = self.settings
+
+        # Screen: which of the effects that are not in the model do the residuals suggest?
+        count = len(state.accepted)
         accepted = {instance.label for instance in state.accepted}
         others = [instance for instance in instances if instance.label not in accepted]
-
-        # What the residuals suggest.
-        count = len(state.accepted)
         self.progress(_fraction_done(count, 0.0), f"screening {len(others)} effects")
         screened = self.screening(state.train, state.free, others)
-        maximum = settings.batches * settings.batch
-        listed = shortlist(screened, maximum, settings.fitted_gain)
-        listed = with_constant(listed, others)
-        needed = self._needed_gain(state, first, len(instances))
+        maximum = settings.maximum_batches * settings.batch_size
+        promising = shortlist(screened, maximum, settings.minimum_fitted_gain)
+        promising = with_constant(promising, others)
 
-        # Refit batch after batch, until one of a batch is confirmed.
-        too_noisy: list[Trial] = []
-        for begin in range(0, max(len(listed), 1), settings.batch):
-            trials = self.try_candidates(state, listed[begin : begin + settings.batch])
-            self.rounds.append(Round(state, screened, trials))
-            sure: list[Trial] = []
+        # Refit batch after batch, until windows held out confirm one of a batch. Where nothing
+        # promises enough, one empty batch says so.
+        needed_gain = self._needed_gain(state, first, len(instances))
+        with_less_noise: list[Trial] = []
+        for start in range(0, max(len(promising), 1), settings.batch_size):
+            trials = self.try_candidates(state, promising[start : start + settings.batch_size])
+            self.batches.append(Batch(state, screened, trials))
+            confirmed: list[Trial] = []
             for trial in trials:
-                if trial.trained <= settings.fitted_gain:
+                if trial.fitted_gain <= settings.minimum_fitted_gain:
                     continue
-                if is_confirmed(state.test, trial.state.test, needed, settings):
-                    sure.append(trial)
+                if is_confirmed(state.test, trial.state.test, needed_gain, settings):
+                    confirmed.append(trial)
                 elif has_less_noise(state.train, trial.state.train, settings):
-                    too_noisy.append(trial)
-            found = self._accept_first(state, sure, needed)
+                    with_less_noise.append(trial)
+            found = self._accept_first(state, confirmed, needed_gain)
             if found is not None:
                 return found
 
-        # A trial keeps the noise's loadings; where the noise fell, they are renewed first.
-        renewed = (replace(trial, state=self.polish(trial.state)) for trial in too_noisy)
-        return self._accept_first(state, renewed, needed)
+        # None was confirmed as it was tried, linearized under the noise before. Where the noise has
+        # fallen much, linearize anew: one trial at a time, as `_accept_first` asks for them.
+        renewed = (replace(trial, state=self.polish(trial.state)) for trial in with_less_noise)
+        return self._accept_first(state, renewed, needed_gain)
 
     def _needed_gain(self, state: State, first: State, effects: int) -> float:
-        """The held-out gain [nats] that one more effect needs."""
-        needed = self.settings.needed_gain(effects)
+        """The held-out gain [nats] that one more effect needs, of so many that are looked for."""
+        needed_gain = self.settings.needed_gain(effects)
         if not state.accepted:
-            return max(needed, 0.0)
+            return max(needed_gain, 0.0)
         gained = float((state.test.log_likelihood - first.test.log_likelihood).sum())
-        return max(needed, self.settings.negligible * gained)
+        return max(needed_gain, self.settings.minimum_fraction * gained)
 
-    def _accept_first(self, state: State, trials: Iterable[Trial], needed: float) -> State | None:
+    def _accept_first(
+        self, state: State, trials: Iterable[Trial], needed_gain: float
+    ) -> State | None:
         """The first of a few trials that windows held out confirm when it is fitted to the end."""
-        for trial in islice(trials, self.settings.polished):
+        for trial in islice(trials, self.settings.maximum_polished):
             if self.only_by_feedback(trial.state):
                 continue
             polished = self.polish(trial.state)
-            if is_confirmed(state.test, polished.test, needed, self.settings):
+            if is_confirmed(state.test, polished.test, needed_gain, self.settings):
                 self.origins[trial.candidate.instance.label] = self._origin(trial.candidate)
                 return polished
         return None
 
-    def _origin(self, candidate: Candidate) -> Round:
-        """The last round that refitted the candidate."""
-        for batch in reversed(self.rounds):
+    def _origin(self, candidate: Candidate) -> Batch:
+        """The last batch with the candidate."""
+        for batch in reversed(self.batches):
             if any(trial.candidate is candidate for trial in batch.trials):
                 return batch
-        raise AssertionError("no round has refitted this candidate")
+        raise AssertionError("no batch has refitted this candidate")
+
+    # --- fits of one model
 
     def try_candidates(self, state: State, candidates: Sequence[Candidate]) -> list[Trial]:
         """Refit a model with each candidate in turn.
@@ -448,25 +299,26 @@ class Selection:
         list of Trial
             The one with the largest penalized gain first, as `commonest_first` orders them.
         """
-        known: Array | None = None
+        # The Jacobian by what is fitted already serves all candidates.
+        jacobian: Array | None = None
         if len(state.free) and candidates:
-            known = self.library.jacobian(state.theta, state.free, state.train.windows)
+            jacobian = self.library.jacobian(state.theta, state.free, state.train.windows)
         trials = []
         for i, candidate in enumerate(candidates):
-            part = (1 + i) / (1 + len(candidates))
-            done = _fraction_done(len(state.accepted), part)
+            part_of_batch = (1 + i) / (1 + len(candidates))
+            done = _fraction_done(len(state.accepted), part_of_batch)
             self.progress(done, f"fitting {candidate.instance.label}")
-            trials.append(self._try(state, candidate, known))
+            trials.append(self._try_candidate(state, candidate, jacobian))
         trials.sort(key=lambda trial: -trial.penalized_gain)
         return commonest_first(trials, self.settings)
 
     def only_by_feedback(self, state: State) -> bool:
-        """Whether the state's last effect is there only because commands respond to chance."""
+        """Whether its last effect is there only because commands respond to random forces."""
         sides = (state.train, state.test)
         return absent_in_single_steps(self.library, sides, state.accepted[-1], self.floor)
 
     def polish(self, state: State) -> State:
-        """Fit a model to the end.
+        """Fit a model to the end: linearized anew until that changes nothing any more.
 
         Parameters
         ----------
@@ -478,44 +330,44 @@ class Selection:
         State
             With the same effects.
         """
-        rough = rough_numbers(self.library, state.accepted)
-        train, test = self._recorded(state, state.theta, lambda: self._polish(state, rough))
+        train, test = self._recorded(state, state.theta, lambda: self._polish(state))
         return replace(state, train=train, test=test)
 
-    def _polish(self, state: State, rough: Ints) -> Sides:
-        """Both sides of a state fitted to the end, with a line scan of rough numbers."""
+    def _polish(self, state: State) -> Sides:
+        """Both sides of a state fitted to the end."""
         library = self.library
-        fitted = self._refit(state.train, state.free, rough=rough)
+        nonsmooth = nonsmooth_magnitudes(library, state.accepted)
+        fitted = self._refit(state.train, state.free, nonsmooth=nonsmooth)
         theta = fitted.theta
         noise = fitted.whiten.noise
-        # Did the new linearization change anything? If not, the windows held out keep theirs.
+        # Did it matter to linearize anew? If not, the windows held out keep their linearization.
         shifted = shift_linearization(library, state.train, theta, noise)
         change = abs(float(shifted.log_likelihood.sum() - fitted.log_likelihood.sum()))
         if change < self.settings.refit.renewal_gain:
             return fitted, shift_linearization(library, state.test, theta, noise)
-        return fitted, self._held_out(fitted, state.test.windows)
+        return fitted, self._linearize_held_out(fitted, state.test.windows)
 
-    def _try(self, state: State, candidate: Candidate, known: Array | None) -> Trial:
+    def _try_candidate(self, state: State, candidate: Candidate, jacobian: Array | None) -> Trial:
         """The candidate added to the state and fitted with the rest.
 
-        known: (f, W, n) the Jacobian by the state's free numbers.
+        jacobian: (f, W, n) by the state's free numbers.
         """
         instance = candidate.instance
-        place = self.library.places[instance.label]
+        indices = self.library.places[instance.label]
         theta = state.theta.copy()
-        theta[place] = candidate.sizes
-        free = np.concatenate([state.free, place]).astype(np.int64)
-        fitted, held_out = self._recorded(
-            state, theta, lambda: self._fit_with(state, instance, theta, free, known)
+        theta[indices] = candidate.magnitudes
+        free = np.concatenate([state.free, indices]).astype(np.int64)
+        train, test = self._recorded(
+            state, theta, lambda: self._fit_with(state, instance, theta, free, jacobian)
         )
-        gains = fitted.log_likelihood - state.train.log_likelihood
-        held_out_gain, z = gain_of(state.test, held_out)
+        fitted_gains = train.log_likelihood - state.train.log_likelihood
+        held_out_gain, z = gain_of(state.test, test)
         return Trial(
             candidate=candidate,
-            sizes=fitted.theta[place],
-            state=State(fitted, held_out, free, (*state.accepted, instance)),
-            trained=float(gains.sum()),
-            held_out=held_out_gain,
+            magnitudes=train.theta[indices],
+            state=State(train, test, free, (*state.accepted, instance)),
+            fitted_gain=float(fitted_gains.sum()),
+            held_out_gain=held_out_gain,
             z=z,
         )
 
@@ -525,32 +377,36 @@ class Selection:
         instance: EffectInstance,
         theta: Array,
         free: Ints,
-        known: Array | None,
+        jacobian: Array | None,
     ) -> Sides:
-        """Both sides of a state fitted with one more effect, from theta (m,) on."""
+        """Both sides of a state fitted with one more effect, from theta (m,) on.
+
+        jacobian: (f, W, n) by the state's free numbers.
+        """
         library = self.library
-        rough = rough_numbers(library, (instance,))
+        nonsmooth = nonsmooth_magnitudes(library, (instance,))
         start = shift_linearization(library, state.train, theta, state.train.whiten.noise)
         if instance.sensor_delay is not None:
-            # Without the delay noise stands for it: the noise with it is a very different one.
+            # Without the delay, noise stands for it: the noise with it is a very different one.
             noise = estimate_noise(start, start.whiten.noise, self.floor)
             start = linearize(library, start.windows, theta, noise)
-            fitted = self._refit(start, free, rough=rough, renewals=1)
-            return fitted, self._held_out(fitted, state.test.windows)
+            fitted = self._refit(start, free, nonsmooth=nonsmooth, renewals=1)
+            return fitted, self._linearize_held_out(fitted, state.test.windows)
+        # Any other effect is tried with the linearization in the start's noise as it is.
         fitted = settle(
             library,
             start,
             free,
             self.floor,
-            rough=rough,
-            known=known,
+            nonsmooth=nonsmooth,
+            known=jacobian,
             settings=self.settings.refit,
         )
         noise = fitted.whiten.noise
         return fitted, shift_linearization(library, state.test, fitted.theta, noise)
 
     def _recorded(self, state: State, theta: Array, fit: Callable[[], Sides]) -> Sides:
-        """What a fit from a state makes of its sides, or its record."""
+        """Both sides of a state fitted from theta (m,) on, or made again from their record."""
         sides = (state.train, state.test)
         windows = (state.train.windows, state.test.windows)
         key = np.concatenate([theta, state.train.whiten.noise.numbers])
@@ -562,7 +418,7 @@ class Selection:
         free: np.ndarray,
         *,
         rounds: int = 4,
-        rough: Ints | None = None,
+        nonsmooth: Ints = NO_INDICES,
         renewals: int | None = None,
     ) -> LinearizedWindows:
         """Windows fitted as the settings say."""
@@ -572,68 +428,26 @@ class Selection:
             free,
             self.floor,
             rounds=rounds,
-            rough=np.zeros(0, dtype=np.int64) if rough is None else rough,
+            nonsmooth=nonsmooth,
             renewals=renewals,
             settings=self.settings.refit,
         )
 
-    def _held_out(self, fitted: LinearizedWindows, test: Windows) -> LinearizedWindows:
+    def _linearize_held_out(self, fitted: LinearizedWindows, test: Windows) -> LinearizedWindows:
         """The windows held out under what was fitted."""
         return linearize(self.library, test, fitted.theta, fitted.whiten.noise)
 
 
 def _fraction_done(accepted: int, part: float) -> float:
-    """The fraction of the search that is done, in a part of a round (0 to 1).
+    """The fraction of the search that is done, after a part (0 to 1) of the next effect's step.
 
-    Each round counts as half of what is left.
+    Each step counts as half of what is left; the last tenth is left to what follows the search.
     """
     return 0.9 * (1 - 0.5**accepted * (1 - 0.5 * part))
 
 
-def commonest_first(trials: list[Trial], settings: SelectionSettings = SETTINGS) -> list[Trial]:
-    """Put the simplest and commonest of equally good trials first.
-
-    Parameters
-    ----------
-    trials : list of Trial
-        The one with the largest penalized gain first.
-    settings : SelectionSettings
-        When two trials are equally good.
-
-    Returns
-    -------
-    list of Trial
-        First comes the one with the fewest magnitudes among those that windows held out cannot
-        distinguish from the best; if several effects do the same to the data as it, then the one
-        that stands earliest in the registry. The others stay in their order.
-    """
-    if not trials:
-        return []
-    best = trials[0]
-    as_good = [
-        trial
-        for trial in trials
-        if gain_of(trial.state.test, best.state.test)[0] < settings.deficit
-    ]
-    simplest = min(as_good, key=lambda trial: len(trial.sizes))
-    same = []
-    for trial in trials:
-        cosine = abs(float(trial.candidate.signature @ simplest.candidate.signature))
-        difference = simplest.penalized_gain - trial.penalized_gain
-        if difference < settings.equal and cosine > settings.similarity:
-            same.append(trial)
-    first = min(same, key=lambda trial: _rarity(trial.candidate.instance.effect))
-    return [first, *(trial for trial in trials if trial is not first)]
-
-
-def _rarity(effect: str) -> int:
-    """The place of an effect in the registry, where common ones come first."""
-    names = list(BUILT_IN["effects"])
-    return names.index(effect) if effect in names else len(names)
-
-
-def rough_numbers(library: Library, instances: Sequence[EffectInstance]) -> Ints:
-    """Return the numbers of theta in which predictions are not smooth.
+def nonsmooth_magnitudes(library: Library, instances: Sequence[EffectInstance]) -> Ints:
+    """Return the magnitudes of effects in which predictions are not smooth.
 
     Parameters
     ----------
@@ -647,138 +461,10 @@ def rough_numbers(library: Library, instances: Sequence[EffectInstance]) -> Ints
     int array
         Indices into theta.
     """
-    found = []
+    nonsmooth = []
     for instance in instances:
-        place = library.places[instance.label]
-        for index, quantity in zip(place, instance.quantities, strict=True):
+        indices = library.places[instance.label]
+        for index, quantity in zip(indices, instance.quantities, strict=True):
             if not quantity.smooth:
-                found.append(index)
-    return np.array(found, dtype=np.int64)
-
-
-def gain_by_block(before: LinearizedWindows, after: LinearizedWindows) -> Array:
-    """Sum what windows gain over each of their blocks.
-
-    Parameters
-    ----------
-    before, after : LinearizedWindows
-        The same windows under two models.
-
-    Returns
-    -------
-    (B,) array
-        [nats].
-    """
-    gains = after.log_likelihood - before.log_likelihood
-    block = np.unique(before.windows.block, return_inverse=True)[1]
-    return np.asarray(np.bincount(block, gains), dtype=float)
-
-
-def is_confirmed(
-    before: LinearizedWindows,
-    after: LinearizedWindows,
-    needed: float,
-    settings: SelectionSettings = SETTINGS,
-) -> bool:
-    """Decide whether windows held out confirm a model.
-
-    Neither a single block nor a few windows may make the gain alone: the mean gain is certain, or
-    most windows gain. Of an effect that acts seldom, such as a joint's limit, a few windows are
-    enough if none loses.
-
-    Parameters
-    ----------
-    before, after : LinearizedWindows
-        The windows held out without and with the effect.
-    needed : float
-        Gain that is needed [nats].
-    settings : SelectionSettings
-        How sure the gain must be.
-
-    Returns
-    -------
-    bool
-    """
-    gain, z = gain_of(before, after)
-    if not (gain > needed and z > settings.block_z):
-        return False
-    gains = after.log_likelihood - before.log_likelihood
-    error = float(gains.std(ddof=1)) * np.sqrt(len(gains))
-    if float(gains.sum()) > settings.window_z * error:
-        return True
-    if signed_rank_score(gains) > settings.window_z:
-        return True
-    responding = gains[np.abs(gains) > settings.response]
-    return len(responding) >= settings.few_windows and bool(responding.min() > 0)
-
-
-def has_less_noise(
-    before: LinearizedWindows, after: LinearizedWindows, settings: SelectionSettings = SETTINGS
-) -> bool:
-    """Decide whether some signal's noise has fallen much.
-
-    Then the loadings of the start's noise, which a trial keeps, are not right any more. This is so
-    where an error of a sensor was taken for noise: the trial of its cause goes only part of the
-    way.
-
-    Parameters
-    ----------
-    before, after : LinearizedWindows
-        The same windows under two models.
-    settings : SelectionSettings
-        Its `refit.other_noise` is the ratio of noises that counts.
-
-    Returns
-    -------
-    bool
-    """
-    limit = before.whiten.sigma / settings.refit.other_noise
-    return bool(np.any(after.whiten.sigma < limit))
-
-
-def signed_rank_score(gains: Array) -> float:
-    """Return the normal score of the signed-rank test that most windows gain.
-
-    Parameters
-    ----------
-    gains : (W,) array
-        Of the windows [nats].
-
-    Returns
-    -------
-    float
-        Standard errors above chance.
-
-    References
-    ----------
-    Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945.
-    """
-    from scipy.stats import rankdata  # slow to import
-
-    n = len(gains)
-    ranks = rankdata(np.abs(gains))
-    error = np.sqrt(n * (n + 1) * (2 * n + 1) / 6)
-    return float(np.sum(np.sign(gains) * ranks) / error)
-
-
-def gain_of(before: LinearizedWindows, after: LinearizedWindows) -> tuple[float, float]:
-    """Compare two models on the same windows.
-
-    Parameters
-    ----------
-    before, after : LinearizedWindows
-        The windows under both.
-
-    Returns
-    -------
-    gain : float
-        Of the second model [nats].
-    z : float
-        The gain in standard errors by block; 0 where there is no standard error.
-    """
-    blocks = gain_by_block(before, after)
-    gain = float(blocks.sum())
-    if len(blocks) < 2:
-        return gain, 0.0
-    error = blocks.std(ddof=1) * np.sqrt(len(blocks))
-    return gain, float(blocks.sum() / error) if error > 0 else 0.0
+                nonsmooth.append(index)
+    return np.array(nonsmooth, dtype=np.int64)

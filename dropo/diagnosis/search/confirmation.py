@@ -1,0 +1,244 @@
+"""When an effect is accepted: how large its gain on the windows held out must be, and how sure.
+
+A gain is the increase of the log-likelihood of the same windows from one model to another [nats].
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dropo.core.services.validation import Array
+from dropo.diagnosis.search.linearization import LinearizedWindows
+from dropo.diagnosis.search.refit import DEFAULTS as REFIT
+from dropo.diagnosis.search.refit import RefitSettings
+from dropo.diagnosis.search.screening import ScreeningSettings
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """When an effect is accepted, and when another one is as good.
+
+    Attributes
+    ----------
+    false_alarm : float
+        Level of the split likelihood-ratio test: the held-out gain must be above
+        log(effects / false_alarm) [1]_.
+    window_z : float
+        Standard errors by window by which the held-out gain, or its signed ranks, must exceed 0.
+    block_z : float
+        Standard errors by block by which the held-out gain must exceed 0.
+    minimum_fitted_gain : float
+        Gain on the windows to fit that a candidate must exceed to be considered [nats].
+    response : float
+        Gain or loss from which a window responds to an effect [nats].
+    few_windows : int
+        Windows that must respond, and gain, of an effect that acts seldom.
+    minimum_fraction : float
+        A later effect must gain this fraction of what the earlier ones gained together.
+    batch_size : int
+        Candidates that are refitted before any of them may be accepted.
+    maximum_batches : int
+        How many batches are tried at most for one more effect.
+    maximum_effects : int
+        Effects that are accepted at most.
+    maximum_polished : int
+        Trials of a batch that are fitted to the end, at most, if those before are then not
+        confirmed.
+    similarity : float
+        Cosine of two whitened responses from which two effects do the same to the data.
+    equal : float
+        Penalized gains that differ by less are equal [nats].
+    deficit : float
+        Held-out loss below which an effect with fewer magnitudes is as good [nats].
+    first_noise_stride : int
+        The first estimate of the noise takes one window of so many.
+    maximum_diverging : float
+        Fraction of diverging windows beyond which the model is refused.
+    indistinguishable_z : float
+        An alternative within so many standard errors, or within `deficit`, cannot be distinguished.
+    alternative_fraction : float
+        An alternative to an accepted effect must have more than this fraction of the penalized
+        gain that the effect had in the same batch, to be tried in its place.
+    maximum_alternatives : int
+        Alternatives that are tried in the place of an accepted effect, at most.
+    polished_fraction : float
+        An alternative tried there must gain more than this fraction of what the effect gains, to
+        be fitted to the end.
+    screening : ScreeningSettings
+        How effects are screened.
+    refit : RefitSettings
+        How theta and the noise are fitted.
+
+    References
+    ----------
+    .. [1] Wasserman, Ramdas and Balakrishnan, Universal inference, PNAS 117, 2020.
+    """
+
+    false_alarm: float = 0.01
+    window_z: float = 3.0
+    block_z: float = 1.5
+    minimum_fitted_gain: float = 5.0
+    response: float = 1.0
+    few_windows: int = 5
+    minimum_fraction: float = 0.01
+    batch_size: int = 6
+    maximum_batches: int = 3
+    maximum_effects: int = 12
+    maximum_polished: int = 3
+    similarity: float = 0.98
+    equal: float = 2.0
+    deficit: float = 4.0
+    first_noise_stride: int = 3
+    maximum_diverging: float = 0.3
+    indistinguishable_z: float = 2.0
+    alternative_fraction: float = 0.5
+    maximum_alternatives: int = 2
+    polished_fraction: float = 0.9
+    screening: ScreeningSettings = field(default_factory=ScreeningSettings)
+    refit: RefitSettings = REFIT
+
+    def needed_gain(self, effects: int) -> float:
+        """Return the held-out gain [nats] that confirms one of so many effects."""
+        return float(np.log(max(effects, 1) / self.false_alarm))
+
+
+SETTINGS = SelectionSettings()
+
+
+def gain_by_block(before: LinearizedWindows, after: LinearizedWindows) -> Array:
+    """Sum what windows gain over each of their blocks.
+
+    Parameters
+    ----------
+    before, after : LinearizedWindows
+        The same windows under two models.
+
+    Returns
+    -------
+    (B,) array
+        The gain of each block [nats], in ascending order of the blocks' numbers.
+    """
+    gains = after.log_likelihood - before.log_likelihood
+    # Blocks may have any numbers: count them from 0 on, and add up the gains of each.
+    _, block_of_window = np.unique(before.windows.block, return_inverse=True)
+    return np.asarray(np.bincount(block_of_window, weights=gains), dtype=float)
+
+
+def gain_of(before: LinearizedWindows, after: LinearizedWindows) -> tuple[float, float]:
+    """Compare two models on the same windows.
+
+    Parameters
+    ----------
+    before, after : LinearizedWindows
+        The windows under both.
+
+    Returns
+    -------
+    gain : float
+        Of the second model [nats].
+    z : float
+        The gain in standard errors by block; 0 where there is no standard error.
+    """
+    gains = gain_by_block(before, after)
+    gain = float(gains.sum())
+    if len(gains) < 2:
+        return gain, 0.0
+    # Of a sum of B independent gains.
+    standard_error = gains.std(ddof=1) * np.sqrt(len(gains))
+    if not standard_error > 0:
+        return gain, 0.0
+    return gain, float(gains.sum() / standard_error)
+
+
+def is_confirmed(
+    before: LinearizedWindows,
+    after: LinearizedWindows,
+    needed: float,
+    settings: SelectionSettings = SETTINGS,
+) -> bool:
+    """Decide whether windows held out confirm a model.
+
+    Neither a single block nor a few windows may make the gain alone: the total gain is certain, or
+    most windows gain. Of an effect that acts seldom, such as a joint's limit, a few windows are
+    enough if none that responds loses.
+
+    Parameters
+    ----------
+    before, after : LinearizedWindows
+        The windows held out without and with the effect.
+    needed : float
+        Gain that is needed [nats].
+    settings : SelectionSettings
+        How sure the gain must be.
+
+    Returns
+    -------
+    bool
+    """
+    # The gain is large enough, and more than a single block makes it.
+    gain, block_z = gain_of(before, after)
+    if not (gain > needed and block_z > settings.block_z):
+        return False
+    # It is certain in standard errors by window ...
+    gains = after.log_likelihood - before.log_likelihood
+    standard_error = float(gains.std(ddof=1)) * np.sqrt(len(gains))
+    if float(gains.sum()) > settings.window_z * standard_error:
+        return True
+    # ... or most windows gain ...
+    if signed_rank_score(gains) > settings.window_z:
+        return True
+    # ... or only a few respond, and all of these gain.
+    responding = gains[np.abs(gains) > settings.response]
+    if len(responding) < settings.few_windows:
+        return False
+    return bool(responding.min() > 0)
+
+
+def has_less_noise(
+    before: LinearizedWindows, after: LinearizedWindows, settings: SelectionSettings = SETTINGS
+) -> bool:
+    """Decide whether some signal's noise has fallen much.
+
+    Then the linearization in the start's noise, which a trial keeps, is not right any more. This is
+    so where an error of a sensor was taken for noise: the trial of its cause goes only part of the
+    way.
+
+    Parameters
+    ----------
+    before, after : LinearizedWindows
+        The same windows under two models.
+    settings : SelectionSettings
+        Its `refit.other_noise` is the ratio of noises that counts.
+
+    Returns
+    -------
+    bool
+    """
+    limit = before.whiten.sigma / settings.refit.other_noise
+    return bool(np.any(after.whiten.sigma < limit))
+
+
+def signed_rank_score(gains: Array) -> float:
+    """Return the normal score of the signed-rank test that most windows gain.
+
+    Parameters
+    ----------
+    gains : (W,) array
+        Of the windows [nats].
+
+    Returns
+    -------
+    float
+        Standard deviations above chance.
+
+    References
+    ----------
+    Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945.
+    """
+    from scipy.stats import rankdata  # slow to import
+
+    n = len(gains)
+    ranks = rankdata(np.abs(gains))
+    # By chance, each rank has either sign: the variance of their sum is 1^2 + 2^2 + ... + n^2.
+    standard_deviation = np.sqrt(n * (n + 1) * (2 * n + 1) / 6)
+    return float(np.sum(np.sign(gains) * ranks) / standard_deviation)
