@@ -1,6 +1,8 @@
 """Accepted effects evaluated again beside everything that was accepted later.
 
-Each is kept, removed, exchanged for an alternative, or merged with others of its kind into one.
+Each is kept, removed, exchanged for an alternative, or merged with others of its kind into one. As
+in a search, theta (m,) holds the declared parameters, then the magnitudes of all effects, 0 where
+an effect is absent.
 """
 
 from collections.abc import Sequence
@@ -27,9 +29,9 @@ class Review:
         The model without the effect, fitted to the end.
     origin : Batch or None
         The batch of candidates that it was accepted from; None where there is none, as of an effect
-        that replaced several and that no batch had tried.
+        that several were merged into and that no batch had tried.
     alternatives : sequence of Trial
-        Other candidates of that batch, tried in its place.
+        Other candidates of that batch, refitted in its place.
     """
 
     without: State
@@ -60,8 +62,9 @@ def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]
     reviews = {}
     for instance in state.accepted:
         reviewed = _review_effect(selection, state, instance)
-        better = _better(selection, state, reviewed)
+        better = _better_model(selection, state, reviewed)
         if better is not None:
+            # The other effects stand beside a different model now: review all of them anew.
             return review(selection, better)
         reviews[instance.label] = reviewed
     return state, reviews
@@ -86,18 +89,21 @@ def reviews_so_far(selection: Selection, state: State) -> dict[str, Review]:
     reviews = {}
     for instance in state.accepted:
         without = _without_effect(selection, state, instance)
+        # A quick fit, with the linearization in the start's noise as it is.
         train = settle(library, without.train, without.free, selection.floor)
         test = shift_linearization(library, state.test, train.theta, train.whiten.noise)
+        without = replace(without, train=train, test=test)
         origin = selection.origins.get(instance.label)
-        reviews[instance.label] = Review(replace(without, train=train, test=test), origin, ())
+        reviews[instance.label] = Review(without, origin, alternatives=())
     return reviews
 
 
 def _review_effect(selection: Selection, state: State, instance: EffectInstance) -> Review:
     """One effect beside its alternatives."""
     origin = selection.origins.get(instance.label)
-    if origin is not None and len(state.accepted) == 1 and not origin.before.accepted:
-        # The only effect: its batch began without any, and has tried the others in its place.
+    is_only_effect = len(state.accepted) == 1
+    if origin is not None and is_only_effect and not origin.before.accepted:
+        # Its batch began without any effect, and has tried the others in its place already.
         others = [
             trial for trial in origin.trials if trial.candidate.instance.label != instance.label
         ]
@@ -105,12 +111,12 @@ def _review_effect(selection: Selection, state: State, instance: EffectInstance)
     without = _without_effect(selection, state, instance)
     alternatives: list[Trial] = []
     if origin is not None:
-        candidates = _candidates_instead(origin, state, instance, selection.settings)
+        candidates = _alternatives_to_try(origin, state, instance, selection.settings)
         alternatives = selection.try_candidates(without, candidates)
     return Review(selection.polish(without), origin, alternatives)
 
 
-def _candidates_instead(
+def _alternatives_to_try(
     origin: Batch, state: State, instance: EffectInstance, settings: SelectionSettings
 ) -> list[Candidate]:
     """The best other candidates of an effect's batch, with the magnitudes fitted there.
@@ -130,25 +136,29 @@ def _candidates_instead(
     return others[: settings.maximum_alternatives]
 
 
-def _better(selection: Selection, state: State, reviewed: Review) -> State | None:
+def _better_model(selection: Selection, state: State, reviewed: Review) -> State | None:
     """The model without the effect, or with an alternative in its place; None if neither is better.
 
     A single effect stays.
     """
-    settings = selection.settings
-    origin = reviewed.origin
     if len(state.accepted) == 1:
         return None
     held_out_gain, _ = gain_of(reviewed.without.test, state.test)
-    if held_out_gain < settings.deficit:
+    if held_out_gain < selection.settings.deficit:
         return reviewed.without
-    if origin is None:
+    return _better_alternative(selection, state, reviewed)
+
+
+def _better_alternative(selection: Selection, state: State, reviewed: Review) -> State | None:
+    """The model with the first alternative that is better than the effect; None if none is."""
+    settings = selection.settings
+    if reviewed.origin is None:
         return None
     with_effect = penalized_log_likelihood(state)
     without = penalized_log_likelihood(reviewed.without)
     effect_gain = with_effect - without
     for trial in reviewed.alternatives:
-        # As it is, the alternative must gain nearly as much as the effect.
+        # As it was tried, the alternative must gain nearly as much as the effect.
         alternative_gain = penalized_log_likelihood(trial.state) - without
         if not alternative_gain > settings.polished_fraction * effect_gain:
             continue
@@ -157,7 +167,7 @@ def _better(selection: Selection, state: State, reviewed: Review) -> State | Non
         if not penalized_log_likelihood(polished) > with_effect + settings.deficit:
             continue
         if is_confirmed(state.test, polished.test, settings.deficit, settings):
-            selection.origins[trial.candidate.instance.label] = origin
+            selection.origins[trial.candidate.instance.label] = reviewed.origin
             return polished
     return None
 
@@ -192,12 +202,13 @@ def _without_effect(selection: Selection, state: State, instance: EffectInstance
     gain is needed, and `Selection.polish` renews them.
     """
     library = selection.library
-    place = library.places[instance.label]
+    indices = library.places[instance.label]
     theta = state.theta.copy()
-    theta[place] = 0.0
-    others = tuple(other for other in state.accepted if other.label != instance.label)
+    theta[indices] = 0.0
     train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
-    return State(train, state.test, np.setdiff1d(state.free, place), others)
+    free = np.setdiff1d(state.free, indices)
+    others = tuple(other for other in state.accepted if other.label != instance.label)
+    return State(train, state.test, free, others)
 
 
 def merge(selection: Selection, state: State, instances: Sequence[EffectInstance]) -> State:
@@ -210,57 +221,59 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
     state : State
         Where it ended.
     instances : sequence of EffectInstance
-        The effects that may be accepted.
+        The effects that may be accepted, among them those that act everywhere.
 
     Returns
     -------
     State
         With the one effect if its fewer magnitudes outweigh the loss by BIC, else `state` itself.
     """
-    for whole in instances:
-        is_everywhere = whole.target is None
-        if not is_everywhere or len(whole.quantities) != 1:
+    for common in instances:
+        acts_everywhere = common.target is None
+        if not acts_everywhere or len(common.quantities) != 1:
             continue
-        parts = [
+        local = [
             instance
             for instance in state.accepted
-            if instance.effect == whole.effect and instance.target is not None
+            if instance.effect == common.effect and instance.target is not None
         ]
-        if len(parts) < 2 or whole in state.accepted:
+        if len(local) < 2 or common in state.accepted:
             continue
-        merged = _merged(selection, state, parts, whole)
+        merged = _merged(selection, state, local, common)
+        # One magnitude takes the place of several: does that lose less than BIC asks for them?
         gain, _ = gain_of(state.train, merged.train)
-        magnitudes = sum(len(part.quantities) for part in parts)
+        magnitudes = sum(len(instance.quantities) for instance in local)
         saved_penalty = 0.5 * (magnitudes - 1) * np.log(state.train.windows.steps)
         if -gain < saved_penalty:
-            _remember_origin(selection, whole)
+            _note_origin(selection, common)
             return merged
     return state
 
 
 def _merged(
-    selection: Selection, state: State, parts: Sequence[EffectInstance], whole: EffectInstance
+    selection: Selection, state: State, local: Sequence[EffectInstance], common: EffectInstance
 ) -> State:
-    """The model with one effect in the place of several, fitted to the end."""
+    """The model with one common effect in the place of several local ones, fitted to the end."""
     library = selection.library
-    places = library.places
+    of_common = library.places[common.label]
+    of_local = [library.places[instance.label] for instance in local]
+    replaced = np.concatenate(of_local)
+    # The common effect begins with the mean of the first magnitudes of the local ones.
     theta = state.theta.copy()
-    # It begins with the mean of the parts' first magnitudes, and takes their place.
-    theta[places[whole.label]] = np.mean([theta[places[part.label][0]] for part in parts])
-    replaced = np.concatenate([places[part.label] for part in parts])
+    theta[of_common] = np.mean([theta[indices[0]] for indices in of_local])
     theta[replaced] = 0.0
-    free = np.append(np.setdiff1d(state.free, replaced), places[whole.label])
     train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
-    kept = tuple(instance for instance in state.accepted if instance not in parts)
-    start = replace(state, train=train, free=free, accepted=(*kept, whole))
+    free = np.append(np.setdiff1d(state.free, replaced), of_common)
+    kept = tuple(instance for instance in state.accepted if instance not in local)
+    start = replace(state, train=train, free=free, accepted=(*kept, common))
     return selection.polish(start)
 
 
-def _remember_origin(selection: Selection, whole: EffectInstance) -> None:
-    """Note the first batch in which an effect was tried as the one that it comes from."""
+def _note_origin(selection: Selection, instance: EffectInstance) -> None:
+    """Note the first batch in which an effect was tried as the one that it was accepted from."""
     for batch in selection.batches:
-        if any(trial.candidate.instance.label == whole.label for trial in batch.trials):
-            selection.origins[whole.label] = batch
+        if any(trial.candidate.instance.label == instance.label for trial in batch.trials):
+            selection.origins[instance.label] = batch
             return
 
 
@@ -298,24 +311,30 @@ def ambiguity(
     if own is None:
         return []
 
-    # By label, each effect with the reason; the effect itself is among them as yet.
+    # By label, the effects with the same response, and why; the effect itself is among them as yet.
     others: dict[str, tuple[Candidate, str]] = {}
     for candidate in screened:
         cosine = abs(float(candidate.signature @ own.signature))
         if cosine > settings.similarity:
-            others[candidate.instance.label] = candidate, f"similarity {cosine:.3f}"
+            why = f"similarity {cosine:.3f}"
+            others[candidate.instance.label] = (candidate, why)
+
+    # Alternatives that are hardly worse on windows held out.
     for trial in reviewed.alternatives:
         label = trial.candidate.instance.label
         deficit, z = gain_of(trial.state.test, state.test)
         is_close = z < settings.indistinguishable_z or deficit < settings.deficit
         if is_close and label not in others:
             why = f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
-            others[label] = trial.fitted_candidate, why
+            others[label] = (trial.fitted_candidate, why)
 
+    # All but the effect itself, with a time profile or without.
     listed = []
     for candidate, why in others.values():
-        # The target of an effect with a time profile is the label of the one without.
         other = candidate.instance
-        if instance.label not in (other.label, other.target):
+        is_itself = other.label == instance.label
+        # The target of an effect with a time profile is the label of the one without.
+        is_its_profile = other.target == instance.label
+        if not is_itself and not is_its_profile:
             listed.append((own, candidate, why))
     return listed
