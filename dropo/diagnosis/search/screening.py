@@ -7,7 +7,7 @@ windows of n measurements of p signals each, and theta (m,) holds the declared p
 magnitudes of all effects.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from dropo.diagnosis.search.linearization import (
 from dropo.diagnosis.search.record import recorded
 
 Probe = tuple[tuple[float, ...], ...]
-"""t vectors of magnitudes (q,) along which the score test is made together."""
+"""t vectors of changes of an effect's q magnitudes, along which one score test is made together."""
 ProbedEffect = tuple[EffectInstance, Probe]
 """An effect and one of its probes."""
 Responses = dict[tuple[str, Probe], Array]
@@ -93,7 +93,9 @@ class Candidate:
 
 @dataclass(eq=False)
 class Screening:
-    """A screening that keeps the responses of its first choice, which later effects hardly change.
+    """The score tests of a search, which keep the responses that its first choice was made with.
+
+    Effects that are accepted later hardly change them.
 
     Attributes
     ----------
@@ -104,9 +106,9 @@ class Screening:
     settings : ScreeningSettings
         How effects are screened.
     log : EvaluationLog
-        Where first choices are recorded.
+        Where choices on some of the windows are recorded.
     first : LinearizedWindows or None
-        Some of the windows, as the first choice saw them ...
+        Some of the windows, as the first choice on them found them ...
     remembered : dict
         ... and their responses, by effect and probe.
     """
@@ -130,7 +132,7 @@ class Screening:
         linearized : LinearizedWindows
             The windows to fit, as the model without the effects explains them.
         free : (f,) int array
-            The numbers of theta that are fitted with any of the effects.
+            Indices of the numbers of theta that are fitted with any of the effects.
         instances : sequence of EffectInstance
             The effects.
 
@@ -140,13 +142,15 @@ class Screening:
             The one that promises most comes first.
         """
         settings = self.settings
+        # Where effects are many, only those that promise most on some of the windows go on.
         count = len(linearized.windows)
         enough_windows = count >= settings.coarse_stride * settings.coarse_windows
         if len(instances) > settings.finalists and enough_windows:
             some = linearized.take(np.arange(0, count, settings.coarse_stride))
-            instances = self._choose(some, free, instances)
+            instances = self._first_choice(some, free, instances)
+        # These are scored on all windows.
         probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
-        return self._score_all(linearized, free, probed, {})
+        return self._score_all(linearized, free, probed, responses={})
 
     def by_part(
         self,
@@ -171,17 +175,21 @@ class Screening:
         """
         probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
         responses: Responses = {}
-        self._simulate(linearized, probed, responses)
+        self._add_responses(linearized, probed, responses)
         found = []
         for part in parts:
-            own = {key: changes[:, part] for key, changes in responses.items()}
-            found.append(self._score_all(linearized.take(part), free, probed, own))
+            responses_of_part = {key: changes[:, part] for key, changes in responses.items()}
+            windows = linearized.take(part)
+            found.append(self._score_all(windows, free, probed, responses_of_part))
         return found
 
-    def _choose(
+    def _first_choice(
         self, some: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]
     ) -> list[EffectInstance]:
-        """The effects that promise most on some of the windows, or those that are recorded."""
+        """The effects that promise most on some of the windows, or those that are recorded.
+
+        Their responses are those that the very first choice was made with.
+        """
         if self.first is None:
             self.first = some
         first = self.first
@@ -189,21 +197,23 @@ class Screening:
         probed = [(instance, probe) for instance in instances for probe in coarse_probes(instance)]
 
         def choose() -> list[EffectInstance]:
-            before = simulator.steps
-            self._simulate(first, probed, self.remembered)
-            if some is not first:  # the first choice has counted them
-                simulator.steps = before
+            steps_before = simulator.steps
+            self._add_responses(first, probed, self.remembered)
+            if some is not first:
+                # What a later choice simulates for want of memory, the very first has counted.
+                simulator.steps = steps_before
             ranked = self._score_all(some, free, probed, self.remembered)
             return [candidate.instance for candidate in ranked[: self.settings.finalists]]
 
-        return recorded(
-            self.log,
-            simulator,
-            np.concatenate([some.theta, some.whiten.sigma]),
-            choose,
-            lambda chosen: np.array([instances.index(one) for one in chosen], dtype=float),
-            lambda record: [instances[int(index)] for index in record],
-        )
+        # A choice is recorded by the positions of the chosen among all instances.
+        def pack(chosen: list[EffectInstance]) -> Array:
+            return np.array([instances.index(instance) for instance in chosen], dtype=float)
+
+        def unpack(record: Array) -> list[EffectInstance]:
+            return [instances[int(position)] for position in record]
+
+        key = np.concatenate([some.theta, some.whiten.sigma])
+        return recorded(self.log, simulator, key, choose, pack, unpack)
 
     def _score_all(
         self,
@@ -212,42 +222,50 @@ class Screening:
         probed: Sequence[ProbedEffect],
         responses: Responses,
     ) -> list[Candidate]:
-        """The best candidate of each effect to which the windows respond, the best effect first."""
+        """The best candidate of each effect to which the windows respond, the best effect first.
+
+        Responses that are missing are simulated and added.
+        """
         library = self.library
         theta = linearized.theta
-        # Whatever the free numbers of theta explain is no evidence of an effect.
+        # Whatever the free numbers of theta explain is no evidence of an effect: project it out of
+        # the whitened residuals, and below out of the whitened responses.
         basis = self._explained_by(linearized, free)
-        residuals = _without(linearized.flat(linearized.residuals), basis)
+        residuals = _project_out(linearized.flat(linearized.residuals), basis)
         measurements = max(linearized.residuals[~linearized.lost].size, 1)
         mean_square = float(residuals @ residuals) / measurements
         variance = max(mean_square, self.settings.minimum_variance)
 
+        # Of all probes of an effect, the one that promises most stands for it.
+        self._add_responses(linearized, probed, responses)
         best: dict[str, Candidate] = {}
-        for (instance, probe), changes in self._responses(linearized, probed, responses):
-            response = _without(linearized.flat(changes), basis)
-            found = [_score(library, theta, instance, probe, response, residuals, variance)]
+        for instance, probe in probed:
+            changes = responses[instance.label, probe]
+            whitened = _project_out(linearized.flat(changes), basis)
+            scored = [_score(library, theta, instance, probe, whitened, residuals, variance)]
             if instance.sensor_delay is not None:
                 for magnitudes, change in zip(probe, changes, strict=True):
-                    found.append(self._with_new_noise(linearized, instance, magnitudes, change))
-            for candidate in found:
+                    scored.append(self._with_new_noise(linearized, instance, magnitudes, change))
+            for candidate in scored:
                 if candidate is None:
                     continue
-                before = best.get(instance.label)
-                if before is None or candidate.gain > before.gain:
+                best_so_far = best.get(instance.label)
+                if best_so_far is None or candidate.gain > best_so_far.gain:
                     best[instance.label] = candidate
         return sorted(best.values(), key=lambda candidate: -candidate.gain)
 
     def _explained_by(self, linearized: LinearizedWindows, free: np.ndarray) -> Array | None:
         """An orthonormal basis (N, f) of what the free numbers of theta explain; None if nothing.
 
-        The rows are those of `LinearizedWindows.flat`; numbers on a bound are left out.
+        The N rows are those of `LinearizedWindows.flat`; numbers on a bound are left out.
         """
         library = self.library
-        free = _inside_bounds(library, linearized.theta, free)
-        if not len(free):
+        inside = _inside_bounds(library, linearized.theta, free)
+        if not len(inside):
             return None
-        jacobian = library.jacobian(linearized.theta, free, linearized.windows)
-        return np.asarray(np.linalg.qr(linearized.flat(jacobian).T)[0])
+        jacobian = library.jacobian(linearized.theta, inside, linearized.windows)
+        basis, _ = np.linalg.qr(linearized.flat(jacobian).T)
+        return np.asarray(basis)
 
     def _with_new_noise(
         self,
@@ -256,7 +274,8 @@ class Screening:
         magnitudes: Sequence[float],
         change: Array,
     ) -> Candidate:
-        """A delay of a sensor, with the noise learned anew: without the delay, noise stands for it.
+        """The promise of a sensor's delay, with the noise learned anew: without it, noise stands
+        for the delay.
 
         change: (W, n) of the predictions under the magnitudes (q,).
         """
@@ -266,69 +285,59 @@ class Screening:
         loadings = linearized.loadings
         # The windows with the delay, under the noise as it is.
         theta = linearized.theta.copy()
-        place = library.places[instance.label]
-        theta[place] += np.array(magnitudes)
+        indices = library.places[instance.label]
+        theta[indices] += np.array(magnitudes)
         whiten = whitener(library, windows, theta, noise, loadings)
         delayed = replace(linearized, residuals=linearized.residuals - change, whiten=whiten)
         # The same under the noise that is then left.
         noise = estimate_noise(delayed, noise, self.floor, rounds=self.settings.noise_rounds)
         whiten = whitener(library, windows, theta, noise, loadings)
         learned = replace(delayed, whiten=whiten)
+        # What both together gain, in windows that do not diverge.
         gains = learned.log_likelihood - linearized.log_likelihood
         gain = float(gains[~linearized.lost].sum())
-        response = linearized.flat(change)
-        signature = response / max(float(np.linalg.norm(response)), SMALLEST_LENGTH)
-        return Candidate(instance, theta[place], gain, signature)
+        whitened = linearized.flat(change)
+        signature = whitened / max(float(np.linalg.norm(whitened)), SMALLEST_LENGTH)
+        return Candidate(instance, theta[indices], gain, signature)
 
-    def _responses(
-        self,
-        linearized: LinearizedWindows,
-        probed: Sequence[ProbedEffect],
-        responses: Responses,
-    ) -> Iterator[tuple[ProbedEffect, Array]]:
-        """Each probed effect with the change (t, W, n) of the predictions under its probe."""
-        self._simulate(linearized, probed, responses)
-        for instance, probe in probed:
-            yield (instance, probe), responses[instance.label, probe]
-
-    def _simulate(
+    def _add_responses(
         self,
         linearized: LinearizedWindows,
         probed: Sequence[ProbedEffect],
         responses: Responses,
     ) -> None:
-        """Add the responses that are missing."""
+        """Simulate the responses that are missing, and add them."""
         missing = []
         for instance, probe in probed:
             if (instance.label, probe) not in responses:
                 missing.append((instance, probe))
-        for first in range(0, len(missing), self.settings.batch):
-            batch = missing[first : first + self.settings.batch]
+        for start in range(0, len(missing), self.settings.batch):
+            batch = missing[start : start + self.settings.batch]
             predicted = self._predictions(linearized, batch)
             # A window whose simulation diverges counts as one without response.
             changes = np.nan_to_num(predicted - linearized.predicted)
             # The rows of all probes stand behind each other: cut them apart.
             ends = np.cumsum([len(probe) for _, probe in batch])
-            parts = np.split(changes, ends[:-1])
-            for (instance, probe), part in zip(batch, parts, strict=True):
-                responses[instance.label, probe] = part
+            by_probe = np.split(changes, ends[:-1])
+            for (instance, probe), own_changes in zip(batch, by_probe, strict=True):
+                responses[instance.label, probe] = own_changes
 
     def _predictions(self, linearized: LinearizedWindows, probed: Sequence[ProbedEffect]) -> Array:
         """(T, W, n) the predictions under each of the T vectors of magnitudes of the probes."""
         space = self.library.simulator.space
         thetas = []
         for instance, probe in probed:
-            place = self.library.places[instance.label]
+            indices = self.library.places[instance.label]
             for magnitudes in probe:
                 theta = linearized.theta.copy()
-                theta[place] += magnitudes
+                theta[indices] += magnitudes
                 thetas.append(theta)
         within_bounds = np.clip(np.stack(thetas), space.low, space.high)
         return self.library.predict(within_bounds, linearized.windows)
 
 
 def _inside_bounds(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:
-    """The free numbers (f,) of theta that are on none of their bounds: the others cannot move."""
+    """Those of the free numbers (f,) of theta that are on no bound: the others cannot move."""
     space = library.simulator.space
     inside = (theta[free] > space.low[free]) & (theta[free] < space.high[free])
     return free[inside]
@@ -388,8 +397,8 @@ def _size(probe: Probe) -> float:
     return float(np.abs(probe).sum())
 
 
-def _without(rows: Array, basis: Array | None) -> Array:
-    """Rows (..., N) without what an orthonormal basis (N, f) explains."""
+def _project_out(rows: Array, basis: Array | None) -> Array:
+    """Rows (..., N) less their projections on an orthonormal basis (N, f), if there is one."""
     if basis is None:
         return rows
     return rows - (rows @ basis) @ basis.T
@@ -412,24 +421,28 @@ def _score(
     negligible = NEGLIGIBLE_RESPONSE * np.sqrt(variance * len(residuals))
     if not np.all(lengths > negligible):
         return None
-    # The multiples of the probe's vectors that explain the residuals best.
+    # The multiples of the probe's t vectors that explain the residuals best, by least squares, and
+    # the change of the magnitudes (q,) that they make together.
     multiples = np.linalg.lstsq(responses.T, residuals, rcond=RANK_TOLERANCE)[0]
-    wanted = multiples @ np.array(probe)
-    # The magnitudes that come nearest to these within the bounds.
-    place = library.places[instance.label]
+    wanted_change = multiples @ np.array(probe)
+    # The magnitudes that come nearest to that within the bounds; at least one must move that way.
+    indices = library.places[instance.label]
     space = library.simulator.space
-    sizes = np.clip(theta[place] + wanted, space.low[place], space.high[place])
-    possible = sizes - theta[place]
-    if not np.any(possible * wanted > 0):
+    before = theta[indices]
+    magnitudes = np.clip(before + wanted_change, space.low[indices], space.high[indices])
+    possible_change = magnitudes - before
+    if not np.any(possible_change * wanted_change > 0):
         return None
+    # What is fitted takes `fitted @ residuals` from the sum of squares: half of that, in units of
+    # the variance, is the gain in log-likelihood.
     fitted = multiples @ responses
     gain = float(fitted @ residuals) / (2 * variance)
     signature = fitted / np.linalg.norm(fitted)
-    return Candidate(instance, sizes, gain, signature)
+    return Candidate(instance, magnitudes, gain, signature)
 
 
 def shortlist(
-    candidates: Sequence[Candidate], maximum: int, least_gain: float, each: int = 2
+    candidates: Sequence[Candidate], maximum: int, minimum_gain: float, each: int = 2
 ) -> list[Candidate]:
     """Return the first candidates that promise enough.
 
@@ -439,10 +452,10 @@ def shortlist(
         Those that promise most come first.
     maximum : int
         How many are returned at most.
-    least_gain : float
-        What each must promise [nats].
+    minimum_gain : float
+        The gain that each must promise more than [nats].
     each : int
-        How many of one effect, at most.
+        How many instances of one effect are returned at most.
 
     Returns
     -------
@@ -453,12 +466,12 @@ def shortlist(
     chosen: list[Candidate] = []
     for candidate in candidates:
         instance = candidate.instance
-        if len(chosen) >= maximum or not candidate.gain > least_gain:
+        if len(chosen) >= maximum or not candidate.gain > minimum_gain:
             continue
-        of_this_effect = sum(other.instance.effect == instance.effect for other in chosen)
+        chosen_of_effect = [one for one in chosen if one.instance.effect == instance.effect]
         # The target of an effect with a time profile is the label of the one without.
-        constant_is_chosen = any(other.instance.label == instance.target for other in chosen)
-        if of_this_effect < each and not constant_is_chosen:
+        constant_is_chosen = any(one.instance.label == instance.target for one in chosen)
+        if len(chosen_of_effect) < each and not constant_is_chosen:
             chosen.append(candidate)
     return chosen
 
@@ -487,11 +500,12 @@ def with_constant(
     chosen: dict[str, Candidate] = {}
     for candidate in candidates:
         # The target of an effect with a time profile is the label of the one without.
-        constant = by_label.get(str(candidate.instance.target))
-        if constant is not None and candidate.instance.time_profile is not None:
+        instance = candidate.instance
+        constant = by_label.get(str(instance.target))
+        if constant is not None and instance.time_profile is not None:
             # Its magnitudes come first, those of the time profile behind them.
             magnitudes = candidate.magnitudes[: len(constant.quantities)]
-            first = replace(candidate, instance=constant, magnitudes=magnitudes)
-            chosen.setdefault(constant.label, first)
-        chosen.setdefault(candidate.instance.label, candidate)
+            as_constant = replace(candidate, instance=constant, magnitudes=magnitudes)
+            chosen.setdefault(constant.label, as_constant)
+        chosen.setdefault(instance.label, candidate)
     return list(chosen.values())
