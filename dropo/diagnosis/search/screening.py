@@ -200,7 +200,7 @@ class Screening:
             steps_before = simulator.steps
             self._add_responses(first, probed, self.remembered)
             if some is not first:
-                # What a later choice simulates for want of memory, the very first has counted.
+                # A search that was resumed simulates again what the first choice has counted.
                 simulator.steps = steps_before
             ranked = self._score_all(some, free, probed, self.remembered)
             return [candidate.instance for candidate in ranked[: self.settings.finalists]]

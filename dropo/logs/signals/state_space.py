@@ -1,7 +1,9 @@
 """The simulator as a linear state-space model along trajectories, and what is learned with it.
 
-In reading order: `StateSpaceModel` linearizes the simulator, `_filter` and `_smooth` run over every
-trajectory, `estimate_along` repeats both, and `learn_noise` finds the noises that are most likely.
+In reading order: `StateSpaceModel` linearizes the simulator, `estimate_along` repeats `_smooth` and,
+within it, `_filter` over every trajectory, and `learn_noise` finds the noises that are most likely.
+There are two: the noise of the measurements, and the process noise, which is what the model misses
+in each step.
 """
 
 from collections.abc import Sequence
@@ -67,8 +69,10 @@ SMALLEST_SPREAD = 1e-9  # stands for the standard deviation of a signal that doe
 
 
 # Every trajectory has one state more than transitions: below, M is the number of all states, N the
-# number of transitions, and `states` (M, p) holds trajectory after trajectory. So the state before
-# transition k, in trajectory i, is states[k + i], and the state after it is in the next row.
+# number of transitions, and `states` (M, p) holds trajectory after trajectory. Ahead of the
+# state from which transition k starts, in trajectory i, there are the k starts of the transitions
+# before and the i last states of the trajectories before: so it is states[k + i], and the state
+# after the transition is in the next row.
 
 
 def places_before(trajectories: Trajectories) -> NDArray[np.int64]:
@@ -110,6 +114,7 @@ def _measured_states(trajectories: Trajectories) -> Array:
     before = places_before(trajectories)
     count = len(trajectories) + len(trajectories.spans)
     states = np.empty((count, trajectories.observations.shape[1]))
+    # Ends first: where the next transition starts there, its start replaces them.
     states[before + 1] = trajectories.next_observations
     states[before] = trajectories.observations
     return states
@@ -243,7 +248,8 @@ def estimate_along(
     """
     states = _measured_states(model.trajectories)
     for _ in range(model.settings.passes):
-        smoothed = _smooth(model, model.linearize(states, noise), noise, process)
+        linear = model.linearize(states, noise)
+        smoothed = _smooth(model, linear, noise, process)
         states = smoothed.states
     if causal:
         return smoothed.filtered.states, smoothed.filtered.covariance
@@ -297,16 +303,17 @@ def _filter(
     """The Kalman filter over every trajectory."""
     data = model.trajectories
     measured = _measured_states(data)
-    count, p = measured.shape
     # An infinite variance says that a column was not measured.
     sensors = Sensors.of(np.where(model.measured, noise, np.inf))
     first_covariance = model.first_covariance(linear.at, noise)
+    count, p = measured.shape
     states = np.empty((count, p))
     covariance = np.empty((count, p, p))
     predicted = np.empty((len(data), p))
     predicted_covariance = np.empty((len(data), p, p))
     log_likelihood = 0.0
     for trajectory, (start, stop) in enumerate(data.spans):
+        # The first state has no prediction: it is known as well as it was measured.
         first = start + trajectory
         states[first] = model.first_state(measured[first], linear.at[first])
         covariance[first] = first_covariance
@@ -314,6 +321,7 @@ def _filter(
         for k in range(start, stop):
             before = k + trajectory
             after = before + 1
+            # Predict the state after the transition by the linear model, then correct it.
             deviation = states[before] - linear.at[before]
             predicted[k], predicted_covariance[k] = predict(
                 deviation, covariance[before], linear.jacobian[k], process, linear.predicted[k]
@@ -333,7 +341,7 @@ def _smooth(
     """The filter forwards and the smoother backwards over every trajectory."""
     data = model.trajectories
     filtered = _filter(model, linear, noise, process)
-    # The last state of a trajectory is filtered by all measurements already.
+    # The last state of a trajectory was estimated from all its measurements already: it stays.
     states = filtered.states.copy()
     covariance = filtered.covariance.copy()
     lag_one_covariance = np.empty_like(linear.jacobian)
@@ -350,14 +358,14 @@ def _smooth(
     return _Smoothed(filtered, states, covariance, lag_one_covariance)
 
 
-def learn_noise(model: StateSpaceModel, noise: Array | None) -> tuple[Array, Array]:
+def learn_noise(model: StateSpaceModel, known_noise: Array | None) -> tuple[Array, Array]:
     """Find the noises that the measurements are most likely under.
 
     Parameters
     ----------
     model : StateSpaceModel
         The simulator and the transitions to learn from.
-    noise : (p,) array or None
+    known_noise : (p,) array or None
         Variances of the measurements, in squared signal units; None to learn them too.
 
     Returns
@@ -379,49 +387,62 @@ def learn_noise(model: StateSpaceModel, noise: Array | None) -> tuple[Array, Arr
     settings = model.settings
     measured = _measured_states(model.trajectories)
     signal_variance = np.maximum(measured.var(axis=0), SMALLEST_SPREAD**2)
+    minimum_noise = settings.minimum_noise * signal_variance
     minimum_process = np.diag(settings.minimum_process * signal_variance)
     # The process noise acts on some columns alone; their covariances with the others are 0.
     forced = _forced_columns(model.simulator.signals)
     both_forced = np.outer(forced, forced)
+
     # First guesses.
-    variance = settings.initial_variance * signal_variance if noise is None else noise
+    if known_noise is None:
+        noise = settings.initial_variance * signal_variance
+    else:
+        noise = known_noise
     first_process = np.where(forced, settings.initial_variance, 0) * signal_variance
     process = np.diag(first_process) + minimum_process
     states = measured
+
     factors = settings.process_factors
     for _ in range(settings.learning_rounds):
-        linear = model.linearize(states, variance)
+        linear = model.linearize(states, noise)
         # Expectation-maximization: the noises become the expected squares of what they stand for.
         for _ in range(settings.em_steps):
-            smoothed = _smooth(model, linear, variance, process)
+            smoothed = _smooth(model, linear, noise, process)
             missed = _expected_process(model.trajectories, linear, smoothed)
             process = np.where(both_forced, missed, 0.0) + minimum_process
-            if noise is None:
-                squares = _expected_noise(measured, smoothed)
-                squares = np.maximum(squares, settings.minimum_noise * signal_variance)
-                variance = np.where(model.measured, squares, variance)
-        # A line search along the process noise.
-        tried = [_smooth(model, linear, variance, factor * process) for factor in factors]
-        likelihoods = np.array([candidate.filtered.log_likelihood for candidate in tried])
-        best = int(np.argmax(likelihoods))
-        states = tried[best].states
+            if known_noise is None:
+                squared_errors = _expected_noise(measured, smoothed)
+                learned = np.maximum(squared_errors, minimum_noise)
+                noise = np.where(model.measured, learned, noise)
+        # A line search along the process noise; the next round is linearized where that led.
+        smoothed_by_factor = []
+        for factor in factors:
+            smoothed_by_factor.append(_smooth(model, linear, noise, factor * process))
+        log_likelihoods = np.array([one.filtered.log_likelihood for one in smoothed_by_factor])
+        best = int(np.argmax(log_likelihoods))
+        states = smoothed_by_factor[best].states
         process = factors[best] * process
-    # The factors are in descending order: the first of the likely ones is the largest.
-    likely = likelihoods >= likelihoods.max() - settings.likelihood_tolerance
+
+    # Of the last round's factors that are nearly as likely as the best, take the largest: as they
+    # are in descending order, the first.
+    likely = log_likelihoods >= log_likelihoods.max() - settings.likelihood_tolerance
     largest = int(np.flatnonzero(likely)[0])
-    return variance, process * factors[largest] / factors[best]
+    return noise, process * factors[largest] / factors[best]
 
 
 def _forced_columns(signals: Sequence[Signal]) -> NDArray[np.bool_]:
     """(p,) the columns that unmodelled forces act on: velocities, or all where there are none."""
-    velocities = np.array([signal.unit.endswith("/s") for signal in signals])
-    return velocities if velocities.any() else ~velocities
+    is_velocity = np.array([signal.unit.endswith("/s") for signal in signals])
+    if not is_velocity.any():
+        return np.ones(len(signals), dtype=bool)
+    return is_velocity
 
 
 def _expected_noise(measured: Array, smoothed: _Smoothed) -> Array:
-    """(p,) expected squares of the measurements' errors."""
+    """(p,) expected squares of the measurements' errors, as the states are known with errors."""
     state_variance = np.diagonal(smoothed.covariance, axis1=1, axis2=2)
-    return np.asarray(np.mean((measured - smoothed.states) ** 2 + state_variance, axis=0))
+    expected = (measured - smoothed.states) ** 2 + state_variance
+    return np.asarray(np.mean(expected, axis=0))
 
 
 def _expected_process(
@@ -431,11 +452,12 @@ def _expected_process(
     before = places_before(trajectories)
     after = before + 1
     a = linear.jacobian
-    # The mean of x' - predicted - A (x - at), where x and x' are known with errors ...
+    # What is missed is x' - predicted - A (x - at), where x and x' are known with errors. Its mean:
     deviation = smoothed.states[before] - linear.at[before]
     missed = smoothed.states[after] - linear.predicted - np.einsum("nij,nj->ni", a, deviation)
-    # ... and its covariance: that of x' and of A x, less the covariance of both with each other.
+    # Its covariance: that of x' and that of A x, less the covariance of both with each other.
+    of_end = smoothed.covariance[after]
     of_start = a @ smoothed.covariance[before] @ a.swapaxes(1, 2)
     of_both = a @ smoothed.lag_one_covariance.swapaxes(1, 2)
-    covariance = smoothed.covariance[after] + of_start - of_both - of_both.swapaxes(1, 2)
+    covariance = of_end + of_start - of_both - of_both.swapaxes(1, 2)
     return np.asarray(missed.T @ missed / len(missed) + covariance.mean(axis=0))
