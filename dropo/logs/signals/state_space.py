@@ -1,9 +1,9 @@
 """The simulator as a linear state-space model along trajectories, and what is learned with it.
 
-In reading order: `StateSpaceModel` linearizes the simulator, `estimate_along` repeats `_smooth` and,
-within it, `_filter` over every trajectory, and `learn_noise` finds the noises that are most likely.
-There are two: the noise of the measurements, and the process noise, which is what the model misses
-in each step.
+In reading order: `StateSpaceModel` linearizes the simulator, `estimate_along` repeats `_smooth`
+and, within it, `_filter` over every trajectory, and `learn_noise` finds the noises that are most
+likely. There are two: the noise of the measurements, and the process noise, which is what the model
+misses in each step.
 """
 
 from collections.abc import Sequence
@@ -69,10 +69,10 @@ SMALLEST_SPREAD = 1e-9  # stands for the standard deviation of a signal that doe
 
 
 # Every trajectory has one state more than transitions: below, M is the number of all states, N the
-# number of transitions, and `states` (M, p) holds trajectory after trajectory. Ahead of the
-# state from which transition k starts, in trajectory i, there are the k starts of the transitions
-# before and the i last states of the trajectories before: so it is states[k + i], and the state
-# after the transition is in the next row.
+# number of transitions, and `states` (M, p) holds trajectory after trajectory. Ahead of the state
+# from which transition k starts, in trajectory i, there are the k starts of the transitions before
+# and the i last states of the trajectories before: so it is states[k + i], and the state after the
+# transition is in the next row.
 
 
 def places_before(trajectories: Trajectories) -> NDArray[np.int64]:

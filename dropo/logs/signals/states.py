@@ -3,7 +3,7 @@
 The simulator, linearized along the logged motion, is the state-space model of an extended Kalman
 filter and of the smoother behind it (`dropo.logs.signals.state_space`). How noisy the measurements
 are, and how much the model misses in each control step, is learned on the first rows; then all of
-them are smoothed.
+them are filtered or smoothed.
 """
 
 from collections.abc import Sequence
@@ -79,8 +79,9 @@ class StateEstimate(Report):
         missed_sd = np.sqrt(np.diagonal(self.process))
         signals = {}
         for i, signal in enumerate(self.signals):
+            was_measured = bool(np.isfinite(measured_sd[i]))
             signals[signal.name] = {
-                "measured_sd": float(measured_sd[i]) if np.isfinite(measured_sd[i]) else None,
+                "measured_sd": float(measured_sd[i]) if was_measured else None,
                 "state_sd": float(state_sd[i]),
                 "missed_a_step_sd": float(missed_sd[i]),
                 "unit": signal.unit,
@@ -94,17 +95,24 @@ class StateEstimate(Report):
         -------
         list
         """
-        rows = []
-        for name, summary in self.to_json()["signals"].items():
-            sds = [summary[key] for key in ("measured_sd", "state_sd", "missed_a_step_sd")]
-            cells = ["-" if sd is None else format_number(sd) for sd in sds]
-            rows.append((name, summary["unit"], *cells))
-        header = ("signal", "unit", "noise sd", "state sd", "missed in a step")
         if self.causal:
             how = "by the measurements up to each (a filter, causal)"
         else:
             how = "by all measurements (a smoother, not causal)"
         sentence = f"{len(self.trajectories)} states estimated with the model, {how}."
+
+        header = ("signal", "unit", "noise sd", "state sd", "missed in a step")
+        rows = []
+        for name, summary in self.to_json()["signals"].items():
+            measured_sd = summary["measured_sd"]
+            row = (
+                name,
+                summary["unit"],
+                "-" if measured_sd is None else format_number(measured_sd),
+                format_number(summary["state_sd"]),
+                format_number(summary["missed_a_step_sd"]),
+            )
+            rows.append(row)
         return [sentence, Table("", header, tuple(rows))]
 
 
@@ -160,6 +168,7 @@ def estimate_states(
     Shumway and Stoffer, Journal of Time Series Analysis 3 (1982), 253; Bell, SIAM Journal on
     Optimization 4 (1994), 626.
     """
+    # Check what came in.
     caller = "estimate_states"
     p = len(simulator.signals)
     columns = trajectories.observations.shape[1]
@@ -170,14 +179,21 @@ def estimate_states(
             f" {columns} columns were given."
         )
     value = float_array("values", values, (len(simulator.space),), caller)
-    is_measured = np.ones(p, dtype=bool) if measured is None else np.array(measured, dtype=bool)
+    if measured is None:
+        is_measured = np.ones(p, dtype=bool)
+    else:
+        is_measured = np.array(measured, dtype=bool)
     valid = is_measured.shape == (p,) and bool(is_measured.any())
     require(valid, "measured", f"({p},) with at least one True", measured, caller)
-    known_variance = None if noise is None else float_array("noise", noise, (p,), caller) ** 2
+    known_variance = None
+    if noise is not None:
+        known_variance = float_array("noise", noise, (p,), caller) ** 2
 
+    # Learn the noise on the first rows, then estimate the states of all.
     model = StateSpaceModel(simulator, value, trajectories, is_measured, settings)
     first_rows = trajectories.head(min(settings.learning_rows, len(trajectories)))
-    variance, process = learn_noise(replace(model, trajectories=first_rows), known_variance)
+    model_of_first_rows = replace(model, trajectories=first_rows)
+    variance, process = learn_noise(model_of_first_rows, known_variance)
     states, covariance = estimate_along(model, variance, process, causal)
     return StateEstimate(
         trajectories=replace_states(trajectories, states),
@@ -222,8 +238,8 @@ def with_states(
             f" {type(simulator).__name__} has not."
         )
     names = [signal.name for signal in simulator.signals]
-    guessed = {known("signal", name, names) for name in unmeasured}
-    measured = np.array([name not in guessed for name in names])
+    not_measured = {known("signal", name, names) for name in unmeasured}
+    measured = np.array([name not in not_measured for name in names])
     nominal = np.asarray(simulator.nominal)
 
     def estimate(data: Trajectories) -> StateEstimate:
@@ -233,7 +249,7 @@ def with_states(
     held_out = problem.held_out
     if held_out is not None:
         held_out = estimate(held_out).trajectories
-    # `everything`, of which the trajectories are the first part, holds measured states.
+    # `everything`, of which the trajectories are the first part, holds measured states: it goes.
     with_estimates = replace(
         problem, trajectories=estimated.trajectories, held_out=held_out, everything=None
     )
