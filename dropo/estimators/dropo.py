@@ -1,6 +1,6 @@
 """DROPO: the distribution of the parameters that makes the measured segments most likely."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -147,7 +147,8 @@ class DROPO(Estimator):
         kind = find("likelihoods", self._likelihood_name)
         if self.draws is None:
             return kind()
-        if "draws" not in getattr(kind, "__dataclass_fields__", {}):
+        settings = [setting.name for setting in fields(kind)] if is_dataclass(kind) else []
+        if "draws" not in settings:
             raise Incompatible(
                 f"The likelihood {self._likelihood_name!r} draws nothing. Leave draws out, or use"
                 " 'monte-carlo'."
@@ -211,17 +212,18 @@ class DROPO(Estimator):
         family = find("families", self.family)(problem.space)
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)
+
+        # Whole runs, where they are asked for, or where part of the state was not measured.
         if isinstance(likelihood, RunLikelihood):
-            return self._fit_runs(problem, run, family, likelihood, noise, mean, "")
+            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason="")
         if self._may_follow_runs(problem) and lacks_states(problem):
-            along_runs = self._tried_runs(problem, run, family, noise, mean, NOT_MEASURED)
-            if isinstance(along_runs, Fit):
-                return along_runs
-            problem = along_runs
+            fit, problem = self._try_runs(problem, run, family, noise, mean, NOT_MEASURED)
+            if fit is not None:
+                return fit
+
+        # Else segments.
         if isinstance(likelihood, LocalLikelihood):
             return self._fit_locally(problem, run, family, likelihood, noise, mean, likelihood_rng)
-
-        # A sampled likelihood is searched as it is, over the whole box.
         if self.starts == "filtered":
             raise Incompatible(
                 f"{self._likelihood_name!r} takes no filtered starts. Use 'emulated', 'linear' or"
@@ -230,13 +232,27 @@ class DROPO(Estimator):
         objective = likelihood.bind(
             problem.simulator, problem.segments, family, noise, likelihood_rng
         )
+        return self._fit_sampled(problem, run, family, objective, mean, optimizer_rng)
+
+    # --- the fit of segments
+
+    def _fit_sampled(
+        self,
+        problem: Problem,
+        run: Run,
+        family: Family,
+        objective: LogLikelihood,
+        mean: Array,
+        rng: np.random.Generator,
+    ) -> Fit:
+        """The fit by a sampled log-likelihood, which is searched as it is, over the whole box."""
         start = first_member(family, objective.unknowns, mean)
         check_start(problem, run, family, start)
         # Rounding may carry a start on a bound out of the unit box. The first steps of "cma-es" are
         # a quarter of that box: the thesis' 1 in [0, 4].
         unit_start = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
         kind = find("optimizers", self.optimizer or "cma-es")
-        optimizer = kind(len(unit_start), optimizer_rng, start=unit_start, budget=self.budget)
+        optimizer = kind(len(unit_start), rng, start=unit_start, budget=self.budget)
         found = maximize(objective, objective.unknowns, optimizer, run)
         return self._summarise(problem, run, family, objective, found)
 
@@ -251,7 +267,9 @@ class DROPO(Estimator):
         rng: np.random.Generator,
     ) -> Fit:
         """The fit by a local likelihood, which is built again wherever its maximum is found."""
-        make_optimizer = self._local_optimizer(rng) if self.optimizer else None
+        make_optimizer = None
+        if self.optimizer:
+            make_optimizer = self._local_optimizer(self.optimizer, rng)
 
         def search(
             problem: Problem, noise: Noise, mean: Array, width: Array | None = None
@@ -272,10 +290,9 @@ class DROPO(Estimator):
         if self._may_follow_runs(problem) and found.status is not Status.INTERRUPTED:
             found_mean = family.mean(found.point[: len(family.unknowns)])
             if starts_are_noisy(problem, run, found_mean, objective.mean(found.point)):
-                along_runs = self._tried_runs(problem, run, family, noise, found_mean, NOISY)
-                if isinstance(along_runs, Fit):
-                    return along_runs
-                problem = along_runs
+                fit, problem = self._try_runs(problem, run, family, noise, found_mean, NOISY)
+                if fit is not None:
+                    return fit
 
         # Filter the start states at the estimate, and fit from there.
         start_filter: StartFilter | None = None
@@ -286,20 +303,21 @@ class DROPO(Estimator):
 
         # Where nothing varies, the simulator itself has the last word on the means.
         constant = tuple(parameters_without_spread(family, objective, found.point))
-        scales = {f"scale.{name}" for name in problem.space.names if name not in constant}
-        nothing_varies = scales.isdisjoint(objective.unknowns.names)
+        varying = [name for name in problem.space.names if name not in constant]
+        fitted_scales = [name for name in varying if f"scale.{name}" in objective.unknowns.names]
+        nothing_varies = not fitted_scales
         if nothing_varies and found.status is not Status.INTERRUPTED:
             objective, found = corrected_by_simulation(problem, run, family, objective, found)
 
         # Groups far from the population's centre get local models of their own.
-        of_groups: list[str] = []
+        group_warnings: list[str] = []
         checked_by_group = False
         if isinstance(objective, GroupedLogLikelihood) and found.status is not Status.INTERRUPTED:
             checked_by_group = True
-            objective, found, of_groups = with_models_of_their_own(run, objective, found, rng)
+            objective, found, group_warnings = with_models_of_their_own(run, objective, found, rng)
 
         # Compare the local model with the simulator at the fit.
-        check, warnings = check_emulator(
+        check, emulator_warnings = check_emulator(
             problem,
             run,
             family,
@@ -307,7 +325,7 @@ class DROPO(Estimator):
             found.point,
             rng,
             alike=nothing_varies,
-            confirmed=checked_by_group and not of_groups,
+            confirmed=checked_by_group and not group_warnings,
         )
         return self._summarise(
             problem,
@@ -315,21 +333,33 @@ class DROPO(Estimator):
             family,
             objective,
             found,
-            warnings=[*of_groups, *warnings],
+            warnings=[*group_warnings, *emulator_warnings],
             emulator_check=check,
             start_filter=start_filter,
             constant_parameters=constant,
         )
+
+    def _local_optimizer(self, name: str, rng: np.random.Generator) -> MakeOptimizer:
+        """What makes the optimizer of that name inside each outer iteration."""
+        kind = find("optimizers", name)
+
+        def make(dimension: int, start: Array) -> Optimizer:
+            made: Optimizer = kind(
+                dimension, rng.spawn(1)[0], start=start, step=0.1, budget=self.budget
+            )
+            return made
+
+        return make
 
     # --- the fit of whole runs
 
     def _may_follow_runs(self, problem: Problem) -> bool:
         """Whether a likelihood of whole runs may be chosen."""
         automatic = self.likelihood == AUTOMATIC and self.optimizer is None
-        as_they_come = self.starts == "measured" and self.epsilon != "tune"
-        return automatic and as_they_come and may_follow_runs(problem)
+        as_usual = self.starts == "measured" and self.epsilon != "tune"
+        return automatic and as_usual and may_follow_runs(problem)
 
-    def _tried_runs(
+    def _try_runs(
         self,
         problem: Problem,
         run: Run,
@@ -337,15 +367,18 @@ class DROPO(Estimator):
         noise: Noise,
         mean: Array,
         reason: str,
-    ) -> Fit | Problem:
-        """The fit of whole runs, or the problem with a warning where simulations diverge."""
+    ) -> tuple[Fit | None, Problem]:
+        """The fit of whole runs; where simulations diverge, none, and the problem with a warning.
+
+        reason: why whole runs are followed, a sentence for the message of the fit.
+        """
         likelihood = find("likelihoods", "trajectory")()
         run.progress(0.0, reason)
         try:
-            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason)
+            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason), problem
         except SimulationFailed as error:
             warning = f"start states could not be found along whole runs: {error}"
-            return replace(problem, warnings=(*problem.warnings, warning))
+            return None, replace(problem, warnings=(*problem.warnings, warning))
 
     def _fit_runs(
         self,
@@ -357,61 +390,62 @@ class DROPO(Estimator):
         mean: Array,
         reason: str,
     ) -> Fit:
-        """The fit by a likelihood that finds the start states of whole runs, from a first mean."""
+        """The fit by a likelihood that finds the start states of whole runs, from a first mean.
+
+        reason: why it was chosen; empty where it was asked for.
+        """
         if self.optimizer is not None or self.starts == "filtered":
             raise Incompatible(
                 "A likelihood of whole runs finds parameters and starts by a search of its own."
                 " Leave 'optimizer' and 'starts' out, or use 'emulated'."
             )
-        bound = bound_to_segments(problem)
-        if bound:
+        effects = bound_to_segments(problem)
+        if effects:
             raise Incompatible(
-                f"{bound[0]} acts by the time since a segment's start or on the sensors, which"
+                f"{effects[0]} acts by the time since a segment's start or on the sensors, which"
                 " whole runs cannot have. Use 'emulated'."
             )
+
+        # Search from the first mean, or, where simulations around it diverge, from the point of the
+        # box that follows the measurements best.
         try:
-            found = likelihood.fit_runs(problem, run, family, noise, mean)
+            run_fit = likelihood.fit_runs(problem, run, family, noise, mean)
         except SimulationFailed:
             start = best_sobol_point(problem, run)
-            found = likelihood.fit_runs(problem, run, family, noise, start)
-        search = replace(found.found, reason=f"{found.found.reason} {reason}".strip())
-        name = "trajectory" if reason else self._likelihood_name
+            run_fit = likelihood.fit_runs(problem, run, family, noise, start)
+
+        # The fit, of the rows that start from the states that were found.
+        found = replace(run_fit.found, reason=f"{run_fit.found.reason} {reason}".strip())
         fit = self._summarise(
-            found.problem,
+            run_fit.problem,
             run,
             family,
-            found.objective,
-            search,
-            details=found.details,
-            likelihood=name,
+            run_fit.objective,
+            found,
+            details=run_fit.details,
+            likelihood="trajectory" if reason else self._likelihood_name,
             optimizer="gauss-newton",
         )
+
+        # What the search doubts counts against the model; what it did not reach has no errors.
         check = fit.model_check
-        if found.doubts and check is not None:
-            sentences = (*check.sentences, *found.doubts)
+        if run_fit.doubts and check is not None:
+            sentences = (*check.sentences, *run_fit.doubts)
             check = replace(check, passed=False, sentences=sentences)
-        if not found.reached:
+        if not run_fit.reached:
             unknown = np.full(len(fit.mean), np.nan)
             fit = replace(fit, mean_se=unknown, scale_se=unknown)
+
+        # Noise and held-out errors are those of the problem that was given.
         return replace(
             fit,
             model_check=check,
-            warnings=(*fit.warnings, *found.doubts),
-            epsilon=found.epsilon,
+            warnings=(*fit.warnings, *run_fit.doubts),
+            epsilon=run_fit.epsilon,
             held_out=held_out_errors(problem, run, fit.mean),
         )
 
-    def _local_optimizer(self, rng: np.random.Generator) -> MakeOptimizer:
-        """What makes the optimizer inside each outer iteration."""
-        kind = find("optimizers", self.optimizer or "")
-
-        def make(dimension: int, start: Array) -> Optimizer:
-            made: Optimizer = kind(
-                dimension, rng.spawn(1)[0], start=start, step=0.1, budget=self.budget
-            )
-            return made
-
-        return make
+    # --- the end of any fit
 
     def _summarise(
         self,
@@ -425,7 +459,7 @@ class DROPO(Estimator):
         """The fit at a maximum; further: what else `summarize` takes."""
         is_local = isinstance(objective, LocalLogLikelihood)
         default_optimizer = "fisher-scoring" if is_local else "cma-es"
-        parts = {
+        names = {
             "likelihood": self._likelihood_name,
             "optimizer": self.optimizer or default_optimizer,
         }
@@ -444,18 +478,18 @@ class DROPO(Estimator):
             status=found.status,
             message=found.reason,
             objective=objective,
-            **(parts | further),
+            **(names | further),
         )
 
-        # Whether the groups of recordings have the shape of the family.
-        follows_the_spread = fit.likelihood in ("emulated", "random-effects")
-        if not (follows_the_spread and isinstance(objective, LocalLogLikelihood)):
+        # Do the groups of recordings spread as the family says? Only these likelihoods can tell.
+        fits_the_spread = fit.likelihood in ("emulated", "random-effects")
+        if not (fits_the_spread and isinstance(objective, LocalLogLikelihood)):
             return fit
         if fit.status is Status.INTERRUPTED:
             return fit
         rng = run.rng.spawn(1)[0]
-        said = family_warnings(problem, family, objective, found.point, fit, rng)
-        return replace(fit, warnings=(*fit.warnings, *said))
+        warnings = family_warnings(problem, family, objective, found.point, fit, rng)
+        return replace(fit, warnings=(*fit.warnings, *warnings))
 
 
 def first_member(family: Family, unknowns: ParameterSpace, mean: Array) -> Array:
