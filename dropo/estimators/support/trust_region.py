@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dropo.core.contracts.estimator import Run
+from dropo.core.contracts.estimator import Run, silent
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
@@ -19,7 +19,6 @@ from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Status
-from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.evaluation_log import EvaluationLog
@@ -217,7 +216,7 @@ class OuterIterations:
     def _iterate(self, region: TrustRegion, results: list[IterationResult]) -> tuple[Status, str]:
         """Iterate until an end; append a result for each iteration, and return how they ended."""
         while len(results) < self.settings.max_iterations:
-            # Build the likelihood in the region, and find its maximum.
+            # Build the likelihood in the region, and find its maximum from the last one on.
             last_maximum = results[-1].phi if results else None
             result = self._iteration(region, last_maximum)
             results.append(result)
@@ -234,13 +233,13 @@ class OuterIterations:
             if self._is_stalled(results):
                 return Status.CONVERGED, STALLED.format(count)
 
-            # Move there; once the estimate is settled on some segments, see all of them.
-            early = count < self.settings.coarse_iterations
-            stays_coarse = result.region.coarse and early and not settled
+            # Move there; once the estimate is settled on some segments, or late, see all of them.
+            is_early = count < self.settings.coarse_iterations
+            stays_coarse = result.region.coarse and is_early and not settled
             region = replace(following, coarse=stays_coarse)
         return Status.OUT_OF_BUDGET, UNSETTLED.format(self.settings.max_iterations)
 
-    def _iteration(self, region: TrustRegion, last: Array | None) -> IterationResult:
+    def _iteration(self, region: TrustRegion, last_maximum: Array | None) -> IterationResult:
         """One iteration, or its record in the evaluation log, from the last maximum (m,).
 
         A record (2 d + 2 + m,) holds the width that was used (d,), the errors (d,), the value,
@@ -248,19 +247,22 @@ class OuterIterations:
         """
 
         def evaluate(_: Array) -> Array:
-            used, local = self._build(region)
-            phi, converged = self._maximise(local, self._search_start(local, used, last))
+            used_region, local = self._build(region)
+            start = self._search_start(local, used_region, last_maximum)
+            phi, converged = self._maximize(local, start)
             errors = self._standard_errors(local, phi)
-            record = np.concatenate([used.width, errors, [local(phi), converged], phi])
+            record = np.concatenate([used_region.width, errors, [local(phi), converged], phi])
             return record[None]
 
-        d = len(self.box)
         # The evaluation log knows an iteration by its region.
         point = np.concatenate([region.centre, region.width])[None]
         record = self.run.evaluate(point, evaluate)[0]
+        # Cut the record into its parts; only the width may differ from the region's, as `_build`
+        # narrows it where simulations diverge.
+        d = len(self.box)
         width, errors, (value, converged), phi = np.split(record, [d, 2 * d, 2 * d + 2])
-        used = replace(region, width=width)
-        return IterationResult(used, phi, float(value), errors, bool(converged))
+        used_region = replace(region, width=width)
+        return IterationResult(used_region, phi, float(value), errors, bool(converged))
 
     # --- regions
 
@@ -279,15 +281,12 @@ class OuterIterations:
         if self.family.logarithmic:
             # A scale of the logarithms is relative to the mean.
             scale = scale * mean
+        # The largest of all that asks for width ...
+        spread = np.maximum(scale, self.family.sd(phi))
+        followed = settings.followed_move * np.abs(mean - result.region.centre)
         minimum_width = settings.minimum_width * self.box
-        wanted = np.maximum.reduce(
-            [
-                np.maximum(scale, self.family.sd(phi)),
-                settings.followed_move * np.abs(mean - result.region.centre),
-                result.errors,
-                minimum_width,
-            ]
-        )
+        wanted = np.maximum.reduce([spread, followed, result.errors, minimum_width])
+        # ... as far as a width may change in one iteration.
         before = result.region.width
         smallest = before / settings.maximum_shrink
         largest = np.minimum(settings.maximum_growth * before, settings.first_width * self.box)
@@ -297,15 +296,17 @@ class OuterIterations:
     def _is_settled(self, result: IterationResult, following: TrustRegion) -> bool:
         """Whether neither the mean nor the widths moved."""
         settings = self.settings
-        phi = self._of_family(result.phi)
-        move = np.abs(following.centre - result.region.centre)
+        # The mean moves by less than the largest of three lengths ...
+        sd = self.family.sd(self._of_family(result.phi))
         small_move = np.maximum.reduce(
             [
-                settings.settled_sd * self.family.sd(phi),
+                settings.settled_sd * sd,
                 settings.settled_error * result.errors,
                 settings.settled_minimum * settings.minimum_width * self.box,
             ]
         )
+        move = np.abs(following.centre - result.region.centre)
+        # ... and no width changes by a larger fraction than the settings say.
         width_change = np.abs(following.width / result.region.width - 1)
         return bool(np.all(move < small_move) and np.all(width_change < settings.settled_width))
 
@@ -315,15 +316,17 @@ class OuterIterations:
 
     def _is_stalled(self, results: list[IterationResult]) -> bool:
         """Whether the last iterations on all segments brought no better likelihood."""
+        # Log-likelihoods of some segments do not compare with those of all.
         values = [result.value for result in results if not result.region.coarse]
         patience = self.settings.patience
-        return len(values) > patience and max(values[-patience:]) <= max(values[:-patience])
+        if len(values) <= patience:
+            return False
+        return max(values[-patience:]) <= max(values[:-patience])
 
     def _best(self, results: list[IterationResult]) -> IterationResult:
         """The last result; of a search that stalled, that of the highest likelihood."""
         if not self._is_stalled(results):
             return results[-1]
-        # Log-likelihoods of some segments do not compare with those of all.
         on_all_segments = [result for result in results if not result.region.coarse]
         return max(on_all_segments, key=lambda result: result.value)
 
@@ -354,13 +357,15 @@ class OuterIterations:
 
     def _segments(self, coarse: bool) -> Segments:
         """All segments, or some from all over the data."""
-        every = self.problem.segments
+        segments = self.problem.segments
         if not coarse:
-            return every
+            return segments
         settings = self.settings
         per_parameter = settings.coarse_segments_per_parameter * len(self.box)
-        chosen = every.thin(max(settings.coarse_segments, per_parameter))
-        return every.take(chosen) if len(chosen) < len(every) else every
+        chosen = segments.thin(max(settings.coarse_segments, per_parameter))
+        if len(chosen) == len(segments):
+            return segments
+        return segments.take(chosen)
 
     def _likelihood_of(self, result: IterationResult) -> LocalLogLikelihood:
         """The likelihood that a result came from.
@@ -382,43 +387,46 @@ class OuterIterations:
     # --- the search in a region
 
     def _search_start(
-        self, local: LocalLogLikelihood, region: TrustRegion, last: Array | None
+        self, local: LocalLogLikelihood, region: TrustRegion, last_maximum: Array | None
     ) -> Array:
         """Where the search begins: the last maximum (m,) with the region's mean, and no scale 0."""
         unknowns = local.unknowns
-        if last is None:
+        if last_maximum is None:
             start = unknowns.from_unit(np.full(len(unknowns), 0.5))
             # Learned noise begins below the misfit at the middle of the box.
             start[len(self.family.unknowns) :] = self.settings.first_noise
         else:
-            start = last.copy()
+            start = last_maximum.copy()
 
         for i, name in enumerate(self.family.space.names):
-            start[unknowns.names.index(f"mean.{name}")] = region.centre[i]
+            mean_index = unknowns.names.index(f"mean.{name}")
+            start[mean_index] = region.centre[i]
             if f"scale.{name}" not in unknowns.names:
                 continue
-            place = unknowns.names.index(f"scale.{name}")
+            scale_index = unknowns.names.index(f"scale.{name}")
             width = region.width[i]
             if self.family.logarithmic:
                 # A scale of the logarithms is relative to the mean.
                 width = width / region.centre[i]
-            if last is None:
-                start[place] = self.settings.first_scale * width
+            if last_maximum is None:
+                start[scale_index] = self.settings.first_scale * width
             else:
-                start[place] = max(start[place], self.settings.minimum_start_scale * width)
+                minimum = self.settings.minimum_start_scale * width
+                start[scale_index] = max(start[scale_index], minimum)
         return np.clip(start, unknowns.low, unknowns.high)
 
-    def _maximise(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
+    def _maximize(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
         """The local maximum (m,), and whether the search came to its own end."""
         if self.make_optimizer is None:
             maximum = maximize_locally(local, start)
             self.run.inner_evaluations += maximum.evaluations
             return maximum.phi, maximum.converged
-        unit = _unit_point(local.unknowns, start)
-        optimizer = self.make_optimizer(len(start), unit)
+        # Rounding may carry a start on a bound out of the unit box.
+        unit_start = np.clip(local.unknowns.to_unit(start), 0.0, 1.0)
+        optimizer = self.make_optimizer(len(start), unit_start)
         # The evaluations of a local model are cheap: counted apart, neither logged nor shown.
-        inner = replace(self.run, evaluation_log=EvaluationLog(), progress=lambda share, text: None)
-        found = maximize(local, local.unknowns, optimizer, inner)
+        inner_run = replace(self.run, evaluation_log=EvaluationLog(), progress=silent)
+        found = maximize(local, local.unknowns, optimizer, inner_run)
         self.run.inner_evaluations += found.evaluations
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
@@ -434,9 +442,5 @@ class OuterIterations:
         # The first d unknowns are the means; scores have a row for each row or group of data.
         _, scores, information = local.value_score_information(phi)
         inverse = np.linalg.pinv(information[:d, :d], hermitian=True)
+        # With I^-1 the inverse and S the scores: the roots of the diagonal of I^-1 S' S I^-1.
         return np.sqrt(np.sum((scores[:, :d] @ inverse) ** 2, axis=0))
-
-
-def _unit_point(unknowns: ParameterSpace, phi: Array) -> Array:
-    """(m,) a point of the unit box."""
-    return np.clip(unknowns.to_unit(phi), 0.0, 1.0)
