@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.effect import EffectInstance
-from dropo.core.contracts.estimator import silent, with_cost
+from dropo.core.contracts.estimator import Progress, silent, with_cost
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
@@ -47,7 +47,7 @@ from dropo.diagnosis.search.library import LAW, instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
-from dropo.diagnosis.search.selection import STOPPING, Progress, Selection
+from dropo.diagnosis.search.selection import STOPPING, Selection
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.whitening import Noise, NoiseSettings, white
 from dropo.diagnosis.search.window_length import (

@@ -195,6 +195,8 @@ class DROPO(Estimator):
 
             return tune(fit_at, self.sweep, self.mse_threshold, problem, run)
 
+        # A given noise stays; else it is learned: each signal's own variance, or for a sampled
+        # likelihood one factor on the variances that least squares leaves.
         given = problem.epsilon if self.epsilon is None else self.epsilon
         if given is not None and not isinstance(given, str):
             noise = self._make_noise(problem, given)
@@ -206,9 +208,9 @@ class DROPO(Estimator):
 
     def _fit_with_noise(self, problem: Problem, run: Run, noise: Noise, seeds: Ints) -> Fit:
         """One fit; seeds (3,): of the likelihood, of the optimizer, of a random start."""
-        likelihood_rng, optimizer_rng, start_rng = (
-            np.random.default_rng(int(seed)) for seed in seeds
-        )
+        likelihood_rng = np.random.default_rng(int(seeds[0]))
+        optimizer_rng = np.random.default_rng(int(seeds[1]))
+        start_rng = np.random.default_rng(int(seeds[2]))
         family = find("families", self.family)(problem.space)
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from dropo.core.contracts.estimator import Progress
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
@@ -13,7 +14,7 @@ from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.selection import STOPPING, Progress
+from dropo.diagnosis.search.selection import STOPPING
 
 KNOWN = 1e-4
 """Standard deviation of a scale that is known."""

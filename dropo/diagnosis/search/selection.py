@@ -15,6 +15,7 @@ from itertools import islice
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.estimator import Progress, silent
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.evaluation_log import EvaluationLog
@@ -41,8 +42,6 @@ from dropo.diagnosis.search.trials import Batch, State, Trial, commonest_first
 from dropo.diagnosis.search.whitening import Noise
 from dropo.diagnosis.search.windows import Windows
 
-Progress = Callable[[float, str], None]
-"""Called with the fraction of the work that is done (0 to 1), and with a text."""
 STOPPING = "stopping after the figures of what was found so far"
 """What is shown when a search is interrupted."""
 
@@ -75,7 +74,7 @@ class Selection:
 
     library: Library
     floor: Array
-    progress: Progress = lambda fraction, text: None
+    progress: Progress = silent
     settings: SelectionSettings = SETTINGS
     log: EvaluationLog = field(default_factory=EvaluationLog)
     batches: list[Batch] = field(default_factory=list)
