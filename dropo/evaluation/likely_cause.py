@@ -88,6 +88,8 @@ def likely_cause(
     rows = np.isin(problem.segments.rows[0], chosen)
     free = _Free(residual, jacobian[rows], good, settings)
     trials = _trials(simulator, settings)
+    if not trials:  # a free body has neither joints nor drives
+        return None
     best = (settings.share, "")
     for (instance, size), moved in zip(
         trials, _tried(simulator, mean, trials, segments), strict=True

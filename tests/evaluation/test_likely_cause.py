@@ -1,12 +1,16 @@
 """A fit whose residuals have structure says which usual effect they look like."""
 
+import mujoco
 import numpy as np
 import pytest
 
-from dropo import hide, load
+from dropo import Problem, hide, load
+from dropo.core.records.trajectories import Trajectories
 from dropo.estimators.least_squares import LeastSquares
 from dropo.evaluation.likely_cause import likely_cause
+from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.simulated.slide import slide
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 HIDDEN = {
     "joint_friction:elbow=0.05": "joint friction at elbow, frictionloss about 0.0",
@@ -37,6 +41,21 @@ def test_a_right_model_looks_like_nothing():
     fit = fitted(load("torque-arm", threads=1))
     assert fit.trusted
     assert not any("look like" in text for text in fit.warnings)
+
+
+def test_a_free_body_has_no_such_effects():
+    """Neither a joint that rubs nor a drive that is late."""
+    spec = mujoco.MjSpec.from_string(
+        "<mujoco><worldbody><body name='b'><freejoint/><geom size='.1' mass='1'/></body>"
+        "</worldbody></mujoco>"
+    )
+    mass = FieldParameter("m", 0.5, 2.0, field="body_mass", element="b")
+    simulator = MujocoSimulator(spec, [mass], threads=1)
+    rest = np.zeros((20, 13))
+    rest[:, 3] = 1.0
+    problem = Problem("thrown", simulator, Trajectories(rest, np.zeros((20, 0)), rest + 0.01))
+    jacobian = np.ones((len(problem.segments), len(simulator.signals), 1))
+    assert likely_cause(problem, np.array([1.0]), jacobian) is None
 
 
 def test_a_simulator_without_a_robot_has_no_effects():

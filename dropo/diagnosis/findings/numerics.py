@@ -9,8 +9,8 @@ import numpy as np
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.parts import Cause, Remaining
-from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
+from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.trials import State
