@@ -53,7 +53,8 @@ def test_a_free_body_has_no_such_effects():
     simulator = MujocoSimulator(spec, [mass], threads=1)
     rest = np.zeros((20, 13))
     rest[:, 3] = 1.0
-    problem = Problem("thrown", simulator, Trajectories(rest, np.zeros((20, 0)), rest + 0.01))
+    data = Trajectories(rest, np.zeros((20, 0)), rest + 0.01, np.arange(20) == 19)
+    problem = Problem("thrown", simulator, data)
     jacobian = np.ones((len(problem.segments), len(simulator.signals), 1))
     assert likely_cause(problem, np.array([1.0]), jacobian) is None
 
