@@ -367,3 +367,142 @@ def test_a_given_sign_counts_for_the_velocity(tmp_path: Path) -> None:
     found = guess(tmp_path, columns, given={"qpos": {"left_hip": {"sign": -1}}})
     assert found.mapping["qvel"]["left_hip"]["sign"] == -1
     assert "sign" not in found.mapping["qvel"]["left_knee"]
+
+
+CART = """
+<mujoco>
+  <worldbody>
+    <body name="cart"><joint name="rail" type="slide" axis="1 0 0" range="-0.5 0.5"/>
+      <geom size="0.1" mass="1"/>
+      <body name="rod"><joint name="pole" axis="0 1 0" range="-180 180"/>
+        <geom size="0.1" mass="1" pos="0 0 -0.3"/></body></body>
+  </worldbody>
+  <actuator><motor name="push" joint="rail"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("factor", "name", "unit", "why"),
+    [
+        (1, "rail pos", "m", "slides are in m"),
+        (100, "rail pos", "cm", "it reaches 40, the joint 0.5 m"),
+        (1000, "rail pos", "mm", "it reaches 400, the joint 0.5 m"),
+        (1, "rail pos [mm]", "mm", "its name says so"),
+    ],
+)
+def test_the_unit_of_a_slide(
+    tmp_path: Path, factor: float, name: str, unit: str, why: str
+) -> None:
+    """By its name, else by how far it goes beyond the joint's range."""
+    place = 0.4 * factor * np.sin(2.5 * TIME)
+    found = guess(tmp_path, {"t": TIME, name: place, "pole pos": HIP}, robot(CART))
+    assert found.mapping["qpos"]["rail"] == {"column": name, "unit": unit}
+    (line,) = [line for line in found.lines if line.startswith("positions: rail")]
+    assert line.endswith(f"in {unit}, since {why}")
+
+
+def test_what_is_not_in_the_log_is_said(tmp_path: Path) -> None:
+    """A joint without a position, an actuator without a command, a robot without any command."""
+    columns = {"t": TIME, "hip q": HIP, "hip cmd": GOALS[0]}
+    lines = guess(tmp_path, columns).lines
+    assert any(line.startswith("no position in the log: left_knee; such a") for line in lines)
+    assert "no command in the log: knee_servo; taken as 0" in lines
+    lines = guess(tmp_path, {"t": TIME, "hip q": HIP, "knee q": KNEE}).lines
+    assert "no commands in the log: all are taken as 0" in lines
+
+
+def test_runs_are_told_apart_by_a_column(tmp_path: Path) -> None:
+    """One of few numbers; one that counts rows tells nothing apart, and one that is given wins."""
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    found = guess(tmp_path, columns | {"episode": np.arange(400) // 100})
+    assert found.mapping["run"] == {"column": "episode"}
+    assert "runs: told apart by 'episode'" in found.lines
+    found = guess(tmp_path, columns | {"episode": np.arange(400)})
+    assert "run" not in found.mapping
+    given = {"run": {"column": "trial"}}
+    found = guess(tmp_path, columns | {"episode": np.arange(400) // 100}, given=given)
+    assert "run" not in found.mapping
+
+
+def test_which_of_two_columns_is_asked(tmp_path: Path) -> None:
+    """Two columns are as much like the knee: the answer is taken; without one the joint has none."""
+    columns = {"t": TIME, "hip q": HIP, "knee_a q": KNEE, "knee_b q": 0.9 * KNEE}
+    question = "Which column is the position of 'left_knee'?"
+    found = guess(tmp_path, columns)
+    assert found.undecided == [f"{question} (knee_a q or knee_b q)"]
+    assert columns_of(found, "qpos") == {"left_hip": "hip q"}
+
+    def answer(asked: str, options: Any) -> str:
+        assert asked == question
+        return str(options[1])
+
+    found = guess(tmp_path, columns, ask=answer)
+    assert found.undecided == []
+    assert columns_of(found, "qpos") == {"left_hip": "hip q", "left_knee": "knee_b q"}
+
+
+FREE = SERVOS.replace(
+    '<body name="a"><joint name="left_hip" axis="0 1 0" range="-90 90"/>',
+    '<body name="t"><freejoint name="root"/><geom size="0.1" mass="1"/>'
+    '<body name="a"><joint name="left_hip" axis="0 1 0" range="-90 90"/>',
+).replace("</body></body>", "</body></body></body>")
+
+
+def test_a_base_without_a_pose_stays_where_it_is(tmp_path: Path) -> None:
+    found = guess(tmp_path, {"t": TIME, "hip q": HIP, "knee q": KNEE}, robot(FREE))
+    assert "root" not in found.mapping["qpos"]
+    assert any(line.startswith("no pose of root in the log") for line in found.lines)
+    with pytest.raises(BadFile, match="positions of the joints root, left_hip, left_knee"):
+        guess(tmp_path, {"t": TIME, "voltage": HIP}, robot(FREE))
+
+
+def test_a_quaternion_whose_order_is_not_known_is_asked(tmp_path: Path) -> None:
+    """A base that lies on its side tells nothing; without an answer it is w, x, y, z."""
+    side = np.stack([np.full(400, np.sqrt(0.5)), 0 * TIME, 0 * TIME, np.full(400, np.sqrt(0.5))])
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    columns |= {f"base_pos_{part}": 0 * TIME for part in "xyz"}
+    columns |= {f"base_quat[{i}]": side[i] for i in range(4)}
+    found = guess(tmp_path, columns, robot(FREE))
+    (question,) = found.undecided
+    assert question.startswith("In which order is the quaternion 'base_quat[0]'")
+    assert question.endswith("(wxyz or xyzw)")
+    for order, wanted in (("wxyz", (0, 1, 2, 3)), ("xyzw", (3, 0, 1, 2))):
+        found = guess(tmp_path, columns, robot(FREE), ask=lambda asked, options, said=order: said)
+        names = found.mapping["qpos"]["root"]["columns"][3:]
+        assert names == [f"base_quat[{i}]" for i in wanted]
+
+
+def test_currents_and_commanded_velocities_have_their_units(tmp_path: Path) -> None:
+    """Amperes where a torque's name says so; rad/s, and what a name says otherwise."""
+    motors = robot(SERVOS.replace("<position", "<motor").replace(' kp="20"', ""))
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    currents = {"hip current cmd": 3 * HIP, "knee current cmd": KNEE}
+    found = guess(tmp_path, columns | currents, motors)
+    assert {entry["unit"] for entry in found.mapping["ctrl"].values()} == {"A"}
+    wheels = robot(SERVOS.replace("<position", "<velocity").replace('kp="20"', 'kv="2"'))
+    speeds = {"hip vel_cmd": SPEEDS[0], "knee vel_cmd [deg/s]": np.degrees(SPEEDS[1])}
+    found = guess(tmp_path, columns | speeds, wheels)
+    units = {name: entry["unit"] for name, entry in found.mapping["ctrl"].items()}
+    assert units == {"hip_servo": "rad/s", "knee_servo": "deg/s"}
+
+
+def test_velocities_that_cannot_be_checked_are_left_out(tmp_path: Path) -> None:
+    """Ten rows tell no unit; without stamps the given rate makes the time."""
+    columns = {"hip q": HIP, "knee q": KNEE, "hip dq": SPEEDS[0], "knee dq": SPEEDS[1]}
+    few = {"t": TIME} | columns
+    found = guess(tmp_path, {name: values[:10] for name, values in few.items()})
+    assert "qvel" not in found.mapping
+    found = guess(tmp_path, columns, given={"rate": 200})
+    assert {entry["unit"] for entry in found.mapping["qvel"].values()} == {"rad/s"}
+    found = guess(tmp_path, columns, given={"rate": 200 * np.pi / 180})
+    assert {entry["unit"] for entry in found.mapping["qvel"].values()} == {"deg/s"}
+
+
+def test_a_column_of_texts_is_no_number(tmp_path: Path) -> None:
+    """Beside columns of numbers it is left out, and the others are read."""
+    lines = ["t,hip q,knee q,hip q mode"]
+    lines += [f"{TIME[i]:.6f},{HIP[i]:.6f},{KNEE[i]:.6f},on" for i in range(400)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    found = guess_mapping(open_log(tmp_path / "log.csv"), robot())
+    assert columns_of(found, "qpos") == {"left_hip": "hip q", "left_knee": "knee q"}
