@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from dropo.exports.export import export
+from dropo.exports.plain import recipe_of
+from dropo.exports.subject import subject_of_fit
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.plain_model import active_effects, changed_numbers
 from tests.exports.conftest import (
@@ -132,3 +134,39 @@ def test_it_runs_without_this_package(written):
     assert 0.9 < mass < 1.7
     assert mass != MEANS[0]
     assert moved > 0
+
+
+def test_a_recipe_sets_what_the_simulator_would():
+    """Declared numbers with kept and with derived constants, effects with free and with fixed
+    sizes, options: all as in the simulator's own model, and nothing adds up from draw to draw.
+    """
+    kept = FieldParameter(
+        "fore", 0.1, 2.0, field="body_mass", element="lower", derived=False, relative=True
+    )
+    gravity = FieldParameter("gravity", -15.0, -5.0, field="gravity", index=2)
+    air = FieldParameter("air", 0.0, 5.0, field="density")
+    free = ("joint_friction:elbow", "payload:lower", "actuator_gain:push")
+    problem = arm_problem((MASS, kept, gravity, air), free, [("body_mass:upper", [0.2])])
+    means = np.array([1.3, 1.1, -9.7, 1.2, 0.0, 0.3, 0.05, 0.02, -0.1, 0.2])
+    spreads = np.full(len(means), 0.05)
+    subject = subject_of_fit(known_fit(problem, means, spreads, spreads), problem)
+    recipe = recipe_of(subject)
+    assert recipe.count == 4
+    simulator = problem.simulator
+    model = simulator.model_of(means, active_effects(simulator, means))
+    rng = np.random.default_rng(3)
+    for _ in range(3):
+        values = means + np.abs(0.05 * rng.standard_normal(len(means)))
+        recipe.write(model, values)
+        whole = simulator.model_of(values, active_effects(simulator, values))
+        assert differences(model, whole) == {}
+    recipe.write(model, means)
+    off = differences(model, whole)
+    assert {"body_mass", "dof_frictionloss", "opt.gravity", "opt.density"} <= set(off)
+
+
+def test_an_effect_on_sensors_alone_is_said_to_be_left_out(tmp_path):
+    problem = arm_problem((MASS,), fixed=[("sensor_bias:qpos.shoulder", [0.1])])
+    fit = known_fit(problem, MEANS[:1], SCALES[:1], ERRORS[:1])
+    found = export(fit, "mujoco", tmp_path, problem=problem)
+    assert found.left_out[-1].endswith("is left out: it acts on what sensors say alone.")

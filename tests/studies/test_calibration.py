@@ -10,7 +10,14 @@ from dropo.estimators.support.posterior_targets import PointLikelihood
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.studies.engine.work import Work
-from dropo.studies.intervals.calibration import SAMPLERS, calibration, replication
+from dropo.studies.intervals.calibration import (
+    CASES,
+    SAMPLERS,
+    CalibrationSettings,
+    _hopper,
+    calibration,
+    replication,
+)
 from dropo.testing.statistics import ranks, uniformity
 
 
@@ -72,3 +79,43 @@ def test_posteriors_are_calibrated(case, sampler):
     )
     assert len(p) * p.min() > 0.01
     assert len(control) * control.min() < 0.01
+
+
+def test_the_table_tells_uniform_ranks_from_others(monkeypatch):
+    """Replications that are made up: even ranks, and ones in the middle for the control; the least
+    p-value counts as many times as there are parameters.
+    """
+    asked = []
+
+    def given(self, task, items):
+        asked.append(items)
+        even = [[seed % 100, (37 * seed) % 100] for seed in range(len(items))]
+        return [{"ranks": own, "control": [50, 50], "warnings": []} for own in even]
+
+    monkeypatch.setattr(Work, "map", given)
+    study = calibration(Work(threads=1), 100)
+    (table,) = study.tables
+    assert [row[:2] for row in table.rows] == [
+        (case, sampler) for case in CASES for sampler in SAMPLERS
+    ]
+    assert {row[3] for row in table.rows} == {"uniform"}
+    assert {row[5] for row in table.rows} == {"not uniform"}
+    assert table.rows[0][2] == "1, 1"
+    assert [item[2] for item in asked[0]] == list(range(100))
+    assert set(study.data) == {f"{case}, {sampler}" for case, sampler, *_ in table.rows}
+    strict = calibration(Work(threads=1), 100, settings=CalibrationSettings(minimum_p=3.0))
+    assert {row[3] for row in strict.tables[0].rows} == {"not uniform"}
+
+
+def test_the_hoppers_noise_is_that_of_its_likelihood():
+    """Next states are what the model predicts at the truth, with errors of the stated variance."""
+    problem, truth = _hopper(np.random.default_rng(5))
+    assert len(problem.trajectories) == 12
+    assert problem.space.low[0] <= truth[0] <= problem.space.high[0]
+    predicted = problem.simulator.predict(truth[None], problem.segments)[0]
+    errors = problem.simulator.targets(problem.segments) - predicted
+    n = errors.size
+    assert np.mean(errors**2) / problem.epsilon == pytest.approx(1.0, abs=5 * np.sqrt(2 / n))
+    again, same = _hopper(np.random.default_rng(6))
+    assert not np.array_equal(truth, same)
+    assert again.trajectories.observations == pytest.approx(problem.trajectories.observations)

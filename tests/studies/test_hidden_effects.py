@@ -4,19 +4,23 @@ import numpy as np
 import pytest
 
 from dropo import Diagnose
+from dropo.core.contracts.effect import StepState
 from dropo.core.services.registry import find
 from dropo.diagnosis.parts import Alternative, Estimate
-from dropo.problems.simulated.robots import ROBOTS, simulated_robot
+from dropo.problems.simulated.robots import ROBOTS, masses, simulated_robot
 from dropo.studies.engine.work import Work
 from dropo.studies.hidden_effects.study import (
     CASES,
     DEFAULT,
     draw,
     evaluate,
+    every_magnitude_counts,
     hidden_effects,
     hide_some,
     interval,
     run,
+    unmodelled_cause,
+    white_noise,
 )
 
 
@@ -203,3 +207,77 @@ def test_evaluation():
     )
     assert (other["right"], other["among"], other["extra"]) == (False, True, True)
     assert not evaluate("nothing", [], Diagnosis(Found("joint_damping")))["right"]
+
+
+def test_white_noise_is_white_and_the_same_for_the_same_commands():
+    """20,000 rows: a standard deviation of 0.1 to five standard errors, nothing from row to row."""
+    instance, sizes = white_noise()
+    commands = np.random.default_rng(0).uniform(-1, 1, (20_000, 1))
+    added = instance.actuation(commands, 0.005, sizes) - commands
+    assert added.std() == pytest.approx(0.1, rel=5 / np.sqrt(2 * len(added)))
+    lagged = np.corrcoef(added[1:, 0], added[:-1, 0])[0, 1]
+    assert abs(lagged) < 5 / np.sqrt(len(added))
+    again = instance.actuation(commands, 0.005, sizes) - commands
+    np.testing.assert_array_equal(added, again)
+    other = instance.actuation(commands + 0.1, 0.005, sizes) - commands - 0.1
+    assert abs(np.corrcoef(added[:, 0], other[:, 0])[0, 1]) < 5 / np.sqrt(len(added))
+
+
+def test_outside_causes_are_of_three_shapes():
+    """Each is a force at one joint alone, of its own law, and no effect of the registry's name."""
+    arm = simulated_robot("torque-arm")
+    rng = np.random.default_rng(0)
+    seen = set()
+    q = np.array([[0.3, -0.4]])
+    v = np.array([[1.5, -2.0]])
+    u = np.array([[0.5, -0.7]])
+    state = StepState(q, v, u, 0, np.zeros((1, 0)), arm.simulator.model, np.zeros(1))
+    for _ in range(30):
+        instance, sizes = unmodelled_cause(arm, rng)
+        full = instance.quantities[0].high
+        i = {8.0: 0, 4.0: 1}[full]
+        assert sizes[0] == pytest.approx(0.2 * full)
+        force = instance.force(state, sizes)[0]
+        assert force[1 - i] == 0
+        wanted = (
+            -v[0, i] * abs(v[0, i]) / 25,
+            -4 * q[0, i] ** 3,
+            u[0, i] * np.sin(4 * q[0, i]),
+        )[int(instance.target)]
+        assert force[i] == pytest.approx(0.2 * full * wanted)
+        seen.add((i, instance.target))
+    assert seen == {(i, shape) for i in (0, 1) for shape in "012"}
+
+
+@pytest.mark.parametrize("case", ["white", "outside", "masses"])
+def test_each_case_hides_its_own(case):
+    """Noise on the forces; a cause without an effect; an effect beside masses that are wrong."""
+    parameters = masses("torque-arm") if case == "masses" else ()
+    arm = simulated_robot("torque-arm", parameters)
+    effects, data, nats = hide_some(arm, case, 1e-3, np.random.default_rng(1))
+    ((instance, _),) = effects
+    assert len(data) > 400
+    if case == "masses":
+        assert instance.effect not in ("body_mass", "law")
+        assert nats >= DEFAULT.minimum_gain
+    else:
+        assert instance.effect == {"white": "white_noise", "outside": "outside"}[case]
+        assert nats == 0.0
+
+
+def test_a_magnitude_that_changes_nothing_does_not_count():
+    """Wind across the plane in which an arm moves is no wind; control: in the plane it is."""
+    arm = simulated_robot("torque-arm")
+    context = arm.simulator.effect_context
+    stribeck = next(a for a in find("effects", "joint_stribeck")(context) if a.target == "elbow")
+    values = np.asarray(arm.simulator.nominal)
+    sizes = np.sum(stribeck.trials[-1], axis=0)
+    hidden = [(stribeck, sizes)]
+    data = arm.record(hidden, noise=1e-3, rng=np.random.default_rng(0))
+    assert every_magnitude_counts(arm, hidden[0], hidden, values, data, 1e-3)
+    little = sizes.copy()
+    little[1] = 0.0
+    hidden = [(stribeck, little)]
+    assert not every_magnitude_counts(arm, hidden[0], hidden, values, data, 1e-3)
+    (drawn,) = [draw(arm, "tendon_damping", np.random.default_rng(0))]
+    assert drawn is None

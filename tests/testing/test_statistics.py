@@ -18,7 +18,7 @@ from dropo.testing import (
     expected_coverage,
     simulation_based_calibration,
 )
-from dropo.testing.statistics import rank_band, ranks, uniformity
+from dropo.testing.statistics import posterior_draws, rank_band, ranks, uniformity
 
 SURE = 1e-3
 """Below this p-value a control counts as rejected."""
@@ -191,3 +191,33 @@ def test_refusals():
         simulation_based_calibration(Conjugate(), draw, replications=49)
     with pytest.raises(Incompatible, match="has no draws of a posterior"):
         expected_coverage(LeastSquares(), pushes, replications=10)
+
+
+def test_reports_are_read_by_people():
+    """Mean ranks of a half and shares of each credibility where posteriors are right, and p."""
+    right = rank(Conjugate(), replications=100)
+    text = str(right)
+    assert text.startswith("ranks of the truth, 100 replications")
+    shown = [line.split() for line in text.splitlines() if line.split()[:1] in (["0"], ["1"])]
+    assert [float(line[1]) for line in shown] == pytest.approx(
+        right.ranks.mean(axis=0) / right.levels, abs=5e-4
+    )
+    found = expected_coverage(Conjugate(), draw, draws=drawn, replications=50)
+    lines = str(found).splitlines()
+    assert lines[0].startswith("expected coverage, 50 replications")
+    (half,) = [line.split() for line in lines if line.strip().startswith("50%")]
+    assert half[1] == f"{np.mean(found.credibility <= 0.5):.1%}"
+    assert lines[-1].startswith("p of uniform: ")
+
+
+def test_draws_are_those_of_the_chain_or_of_the_particles():
+    """Of a fit that has neither, they must be named."""
+    chain = np.arange(24.0).reshape(2, 4, 3)
+    fit = SimpleNamespace(posterior=SimpleNamespace(chain=chain), method="posterior")
+    np.testing.assert_array_equal(posterior_draws(fit), chain.reshape(8, 3))
+    record = SimpleNamespace(draws=[[1, 2], [3, 4]])
+    fit = SimpleNamespace(posterior=None, search_record=record, method="epopt")
+    np.testing.assert_array_equal(posterior_draws(fit), [[1.0, 2.0], [3.0, 4.0]])
+    fit = SimpleNamespace(posterior=None, search_record=None, method="dropo")
+    with pytest.raises(Incompatible, match="A fit by 'dropo' has no draws of a posterior"):
+        posterior_draws(fit)

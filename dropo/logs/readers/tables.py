@@ -118,14 +118,12 @@ class CsvLog(Log):
         element: int,
     ) -> list[str]:
         """An element of the list in every cell; a shorter list is refused with its line."""
-        lists = [_elements(cell) for cell in cells]
-        if all(element < len(one) or not one for one in lists):
-            return [one[element] if one else "" for one in lists]
         for i, row in enumerate(block):
             if row and 0 < len(_elements(row[place])) <= element:
                 where = f"line {line + i}, column {name!r}"
                 raise BadFile(self.path, where, "a list as long as the first", repr(row[place]))
-        return cells
+        lists = [_elements(cell) for cell in cells]
+        return [one[element] if one else "" for one in lists]
 
     def _lines(self, file: IO[bytes]) -> Iterator[str]:
         """The lines of text."""

@@ -391,9 +391,7 @@ CART = """
         (1, "rail pos [mm]", "mm", "its name says so"),
     ],
 )
-def test_the_unit_of_a_slide(
-    tmp_path: Path, factor: float, name: str, unit: str, why: str
-) -> None:
+def test_the_unit_of_a_slide(tmp_path: Path, factor: float, name: str, unit: str, why: str) -> None:
     """By its name, else by how far it goes beyond the joint's range."""
     place = 0.4 * factor * np.sin(2.5 * TIME)
     found = guess(tmp_path, {"t": TIME, name: place, "pole pos": HIP}, robot(CART))
@@ -426,7 +424,7 @@ def test_runs_are_told_apart_by_a_column(tmp_path: Path) -> None:
 
 
 def test_which_of_two_columns_is_asked(tmp_path: Path) -> None:
-    """Two columns are as much like the knee: the answer is taken; without one the joint has none."""
+    """Two columns are as much like the knee: an answer is taken; without it the joint has none."""
     columns = {"t": TIME, "hip q": HIP, "knee_a q": KNEE, "knee_b q": 0.9 * KNEE}
     question = "Which column is the position of 'left_knee'?"
     found = guess(tmp_path, columns)
