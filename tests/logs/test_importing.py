@@ -13,7 +13,11 @@ import pytest
 from dropo.core.services.errors import BadArgument, BadFile
 from dropo.data.checks.check import check
 from dropo.data.reading import read
-from dropo.logs.importing import Import, import_logs
+from dropo.logs.guessing.check import check_logs
+from dropo.logs.importing import SHOWN, Import, import_logs
+from dropo.logs.mapping import read_mapping
+from dropo.logs.recordings import read_runs
+from dropo.mjmodel.joints import load_model_joints
 from dropo.problems.loading import load
 
 Columns = dict[str, Any]
@@ -558,3 +562,69 @@ def test_a_rate_that_must_be_resampled(folder: Path, arm: Any) -> None:
     again = imported(folder, arm.log(rate=400, seconds=4))
     assert not any("whole number" in str(finding) for finding in again.findings)
     assert again.control_step == pytest.approx(0.0025)
+
+
+def test_runs_of_one_name_are_told_apart(folder: Path, arm: Any) -> None:
+    """Two files of a name in two folders: the second is called by its path."""
+    for name in ("monday", "tuesday"):
+        (folder / name).mkdir()
+        np.savez(folder / name / "log.npz", **arm.log(seconds=1))
+    logs = [folder / name / "log.npz" for name in ("monday", "tuesday")]
+    found = import_logs(logs, folder / "map.yaml", folder / "robot.xml", folder / "out" / "a.npz")
+    assert list(found.rows) == ["log", str(logs[1])]
+    again = import_logs(
+        [*logs, logs[1]], folder / "map.yaml", folder / "robot.xml", folder / "out" / "b.npz"
+    )
+    assert list(again.rows)[2] == f"{logs[1]}: log (2)"
+
+
+def test_commands_of_some_actuators_are_of_these_columns(folder: Path, arm: Any) -> None:
+    """The others have no column of actions."""
+    text = POSITIONS.replace("m1: {column: tau1}, ", "")
+    found = imported(folder, arm.log(seconds=1), text)
+    data = read(folder / "out" / "data.npz")
+    assert data.actions.shape[1] == 1
+    assert "ctrl[1]" in (folder / "out" / "problem.yaml").read_text()
+    assert found.rows["log"]["trajectories"] == 1
+
+
+def test_a_log_without_a_trajectory_is_refused(folder: Path, arm: Any) -> None:
+    """Two signals that are never there together, and nothing is written."""
+    log = arm.log(seconds=2)
+    log["q1"] = np.where(np.arange(1000) < 400, log["q1"], np.nan)
+    log["q2"] = np.where(np.arange(1000) > 600, log["q2"], np.nan)
+    with pytest.raises(BadArgument, match="No run holds a trajectory: not every signal is there"):
+        imported(folder, log)
+    assert not (folder / "out").exists()
+
+
+def test_many_spans_that_are_left_out_are_counted(folder: Path, arm: Any) -> None:
+    """The first are printed, of the others how many there are."""
+    keep = np.ones(2000, dtype=bool)
+    for first in range(100, 1900, 120):
+        keep[first : first + 40] = False
+    found = imported(folder, {name: one[keep] for name, one in arm.log(seconds=4).items()})
+    more = len(found.left_out) - SHOWN
+    assert more >= 5
+    lines = str(found).splitlines()
+    assert f"... and {more} more spans left out" in lines
+    assert sum(line.startswith("left out: log, ") for line in lines) == SHOWN
+
+
+def test_what_is_checked_beside_the_mapping(folder: Path, arm: Any) -> None:
+    """A joint that is commanded and not measured; a base that moves, once for all logs."""
+    text = "time: {column: t}\nqpos: {elbow: {column: q2}}\nctrl: {m1: {column: tau1}}"
+    (folder / "map.yaml").write_text(text)
+    log = arm.log(seconds=1)
+    names = ("base_x", "base_y", "base_z")
+    moving = log | {name: 0.2 * np.sin(log["t"]) for name in names}
+    logs = []
+    for i in range(2):
+        logs.append(folder / f"log{i}.npz")
+        np.savez(logs[-1], **moving)
+    robot = load_model_joints(folder / "robot.xml")
+    mapping = read_mapping(folder / "map.yaml", robot)
+    runs = read_runs(logs, mapping, lambda share, what: None)
+    texts = [finding.sentence for finding in check_logs(logs, runs, mapping, robot)]
+    assert "commanded, and without a position in the log: shoulder." in texts
+    assert sum("fixed in the model and moves in the log" in text for text in texts) == 1

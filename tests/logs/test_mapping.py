@@ -168,3 +168,44 @@ def test_a_model_that_is_none(folder: Path) -> None:
         load_model_joints(folder / "bad.xml")
     with pytest.raises(BadFile, match=r"none.xml: expected an MJCF file, got no such file"):
         load_model_joints(folder / "none.xml")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            "qpos: {neck: {column: head}}",
+            "qpos.neck.columns: expected a list of 4 columns, or a slice such as 'pose[0:4]'",
+        ),
+        ("qpos: {rail: {column: s, unit: [m, m]}}", "qpos.rail.unit: expected "),
+        (
+            "qpos: {cube: {columns: 'p[0:7]', unit: [m, m, m, m, m, m, m]}}",
+            "qpos.cube.unit: expected ",
+        ),
+    ],
+)
+def test_units_and_columns_that_do_not_fit_a_joint(folder: Path, text: str, told: str) -> None:
+    (folder / "bodies.xml").write_text(BODIES)
+    assert refusal(folder, text, "bodies.xml").startswith(told)
+
+
+def test_columns_that_are_no_numbers(folder: Path) -> None:
+    """Texts as numbers or as stamps, and runs to choose where a log is one run."""
+    words = np.array(["a", "b", "c"])
+    np.savez(folder / "log.npz", t=np.arange(3.0), q=np.arange(3.0), word=words)
+
+    def reading(text: str) -> str:
+        with pytest.raises(BadFile) as caught:
+            read_runs([folder / "log.npz"], mapping(folder, text), lambda share, what: None)
+        return str(caught.value).replace(f"{folder}/", "")
+
+    assert reading("time: {column: t}\nqpos: {elbow: {column: word}}") == (
+        "log.npz: column 'word': expected numbers, got texts."
+    )
+    assert reading("time: {column: word}\nqpos: {elbow: {column: q}}") == (
+        "log.npz: column 'word': expected time stamps: numbers or dates, got texts."
+    )
+    assert reading("time: {column: t}\nqpos: {elbow: {column: q}}\nrun: {only: [A]}") == (
+        "map.yaml: run.only: expected a log with several runs, got log.npz, which is one "
+        "(`run: {column: ...}` tells them apart)."
+    )

@@ -1,0 +1,66 @@
+"""Units are found by names, ranges, encoders and what follows what; else they are left open."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from dropo.logs.guessing.scales import Scale, angle_unit, command_unit, time_unit
+from dropo.mjmodel.joints import Joint, model_joints
+
+TIME = np.linspace(0, 4, 400)
+
+
+def joint(limits: str = "") -> Joint:
+    """A hinge, with a range in degrees or without."""
+    limited = f'range="{limits}"' if limits else ""
+    xml = (
+        f'<mujoco><worldbody><body><joint name="j" {limited}/><geom size="0.1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    return model_joints(mujoco.MjModel.from_xml_string(xml)).joints["j"]
+
+
+@pytest.mark.parametrize(
+    ("step", "unit"), [(0.01, "s"), (5.0, "ms"), (2000.0, "us"), (5e6, "ns"), (1e-5, "s")]
+)
+def test_stamps_are_of_the_unit_in_which_logs_are_written(step: float, unit: str) -> None:
+    """Rows from 0.25 ms to 0.25 s apart; where no unit makes them such, they are seconds."""
+    stamps = 7.0 + step * np.arange(50)
+    assert time_unit(stamps, None).unit == unit
+    assert time_unit(stamps, "us") == Scale("us", "its name says so")
+
+
+def test_degrees_of_an_encoder() -> None:
+    """Numbers on a lattice of 360/4096 are degrees, whatever their size; control: of 0.1 not."""
+    small = 8.0 * np.sin(2 * TIME)
+    found = angle_unit([np.rint(small / (360 / 4096)) * 360 / 4096], [joint()], [None])
+    assert found == Scale("deg", "they move in steps of 360/4096")
+    found = angle_unit([np.rint(small / 0.1) * 0.1], [joint()], [None])
+    assert found is not None
+    assert found.unit == "rad"
+
+
+def test_large_numbers() -> None:
+    """Degrees on a joint without limits, rad where wide ranges hold them, else not decided."""
+    wave = np.sin(2 * TIME)
+    assert angle_unit([75 * wave], [joint()], [None]) == Scale("deg", "the largest is 75")
+    wide = joint("-1200 1200")
+    found = angle_unit([15 * wave], [wide], [None])
+    assert found == Scale("rad", "they are within the joints' ranges")
+    assert angle_unit([15 * wave], [joint()], [None]) is None
+
+
+def test_a_name_of_ticks_counts_for_whole_numbers_alone() -> None:
+    """Numbers with a fraction are none of an encoder, whatever the column is called."""
+    found = angle_unit([0.8 * np.sin(2 * TIME)], [joint("-90 90")], ["tick"])
+    assert found == Scale("rad", "the largest is 0.8")
+
+
+def test_commands_are_in_the_unit_that_the_joint_follows() -> None:
+    """Degrees beside positions in rad; the positions' own where nothing is nearer."""
+    wanted = 0.7 * np.sin(2 * TIME)
+    logged = 0.7 * np.sin(2 * TIME - 0.1)
+    position = Scale("rad", "its name says so")
+    assert command_unit(np.degrees(wanted), logged, None, position).unit == "deg"
+    assert command_unit(wanted, logged, None, position).unit == "rad"
+    assert command_unit(wanted, logged, "deg", position).why == "its name says so"
