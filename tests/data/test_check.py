@@ -1,6 +1,7 @@
 """The check is silent on data that the model itself made, and names the signal that was spoilt."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -230,3 +231,24 @@ def test_describe() -> None:
     )
     with pytest.raises(BadArgument, match="must be 1 and 1 columns"):
         describe(data, [Signal("angle"), Signal("speed")])
+
+
+def test_rows_that_are_no_control_step_apart(
+    simulator: MujocoSimulator, clean: Trajectories
+) -> None:
+    """Rows of another rate name the frame_skip that fits; uneven ones are noticed; control: even
+    rows a control step apart are silent.
+    """
+    count = np.arange(20)
+    even = simulator.control_step * count
+    assert said(replace(clean, time=even), simulator) == []
+    every = check(replace(clean, time=3 * even), simulator)
+    (found,) = [finding for finding in every if finding.signal == "time"]
+    assert found.level == "error"
+    assert "rows are 6 ms apart, and one control step of the model takes 2 ms" in found.sentence
+    assert found.advice.startswith("Set frame_skip to 3, or resample the data")
+    uneven = even + 0.3 * simulator.control_step * (count % 4 == 2)
+    every = check(replace(clean, time=uneven), simulator)
+    (found,) = [finding for finding in every if finding.signal == "time"]
+    assert found.level == "warning"
+    assert found.sentence.startswith("steps vary by ")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dropo.core.services.errors import InvalidInput
-from dropo.effects.law import law_instance, law_of_text
+from dropo.core.services.errors import BadArgument, InvalidInput, UnknownName
+from dropo.effects.law import law_instance, law_of_text, places, units_at
 from dropo.effects.support.formula import read_formula
 from dropo.effects.support.formula_values import evaluate
 from dropo.mjmodel.joints import joints
@@ -131,3 +131,43 @@ def test_laws_of_commands_and_bodies(found):
     along = law_instance(context, body, "c * 1", "x")
     np.testing.assert_allclose(predicted(along, 0.4), pushed, atol=1e-3 * np.abs(pushed).max())
     assert [joint.name for joint in joints(simulator.model)] == ["shoulder", "elbow"]
+
+
+def test_places_of_laws(found):
+    """Joints, actuators and bodies, each with its own variables; others are refused by name."""
+    context = found.simulator.effect_context
+    assert places(context) == ["shoulder", "elbow"]
+    assert places(context, "command") == ["shoulder_motor", "elbow_motor"]
+    assert {"upper", "fore"} <= set(places(context, "x"))
+    variables, unit = units_at(context, "elbow")
+    assert unit == "N m"
+    assert variables["v", ""] == "rad/s"
+    variables, unit = units_at(context, "elbow_motor", "command")
+    assert unit == "command"
+    assert variables["u", ""] == "command"
+    variables, unit = units_at(context, "fore", "z")
+    assert unit == "N"
+    assert variables["vz", ""] == "m/s"
+    with pytest.raises(UnknownName, match="variant of law called 'w'"):
+        units_at(context, "fore", "w")
+    with pytest.raises(UnknownName, match="joint for law called 'elbo'"):
+        units_at(context, "elbo")
+    with pytest.raises(BadArgument, match="named as law:PLACE:FORMULA"):
+        law_of_text(context, "elbow")
+
+
+def test_a_law_at_a_joint_knows_its_command(found):
+    """u is the command of the joint's own motor: c u is a gain of it, by the motor's gear."""
+    simulator = found.simulator
+    segments = found.trajectories.from_rows(np.arange(0, 100, 9), 5, every_step=True)
+
+    def predicted(one, size):
+        robot = simulator.with_effects((), [(one, np.array([size]))])
+        return robot.predict(np.asarray(robot.nominal)[None], segments)[0]
+
+    law = law_instance(simulator.effect_context, "elbow", "c * u")
+    gear = simulator.model.actuator("elbow_motor").gear[0]
+    gain = predicted(instance(simulator, "actuator_gain:elbow_motor"), 0.02)
+    nothing = predicted(law, 0.0)
+    same = predicted(law, 0.02 * gear)
+    assert np.abs(same - gain).max() < 0.05 * np.abs(gain - nothing).max()

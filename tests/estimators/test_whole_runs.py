@@ -8,8 +8,10 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.support.segment_length import ChooseHorizon
-from dropo.estimators.support.whole_runs import lacks_states, may_follow_runs
+from dropo.estimators.support.whole_runs import bound_to_segments, lacks_states, may_follow_runs
 from dropo.simulators.toy import SlidingBlock, simulate
+from tests.models.hidden_in_arm import instance
+from tests.models.hidden_in_arm import problem as arm_problem
 
 TRUTH = np.array([1.5, 0.8])
 FORCES = np.repeat(np.random.default_rng(81_000).normal(0, 3, (10, 12, 1)), 5, axis=1)
@@ -56,3 +58,28 @@ def test_problems_that_are_left_as_they_are():
 def test_horizons_are_chosen_by_one_likelihood():
     """That of segments, also for the horizon of one step."""
     assert ChooseHorizon(DROPO()).estimator.likelihood == "emulated"
+
+
+def test_effects_on_sensors_and_on_the_time_since_a_start_need_segments():
+    """They are named, free or fixed; those of the state and the commands are not. Runs that are too
+    short for a span are left as they are.
+    """
+    arm = arm_problem([], episodes=3, steps=24)
+    assert may_follow_runs(arm)
+    assert bound_to_segments(arm) == []
+    assert bound_to_segments(problem_of(*shortest())) == []
+    friction = instance(arm.simulator, "joint_friction:elbow")
+    late = instance(arm.simulator, "sensor_delay:qpos.elbow")
+    bias = instance(arm.simulator, "sensor_bias:qvel.elbow")
+    bound = replace(arm, simulator=arm.simulator.with_effects([friction, late], [(bias, [0.1])]))
+    assert bound_to_segments(bound) == [late.label, bias.label]
+    assert not may_follow_runs(bound)
+    held = replace(arm, simulator=arm.simulator.with_effects([friction]))
+    assert may_follow_runs(held)
+    assert not may_follow_runs(problem_of(*shortest()))
+
+
+def shortest():
+    """Ten runs of three rows."""
+    data = moved(FORCES[:, :3])
+    return data.observations, FORCES[:, :3], data.next_observations, data.terminals

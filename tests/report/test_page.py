@@ -13,6 +13,8 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.services.evaluation_log import read_log
 from dropo.core.services.tables import estimate
 from dropo.report.build import write_report
+from dropo.report.diagnosis_page import _fitted, causes_section
+from dropo.report.fit_page import _parameters
 from dropo.report.page import Cell, percent, shortened, table
 
 LARGEST = 1_500_000  # bytes
@@ -278,3 +280,54 @@ def test_long_headlines_are_cut_between_sentences():
 def test_percent(share, shown):
     """Three digits, none where they would be noise."""
     assert percent(share) == shown
+
+
+def test_what_speaks_against_a_cause_is_on_the_page(diagnosis_folder):
+    """What it may be confused with, what tells them apart, and that it only acts like the cause;
+    control: of a cause without doubts nothing is said.
+    """
+    content = json.loads((diagnosis_folder / "diagnosis.json").read_text())
+    for cause in content["causes"]:
+        cause |= {"acts_like": None, "confused_with": []}
+    plain_body = causes_section(content).body
+    assert "may as well be" not in plain_body
+    assert "only acts like" not in plain_body
+    content["causes"][0] |= {
+        "acts_like": "speed",
+        "confused_with": [
+            {
+                "effect": "joint_friction",
+                "target": "elbow",
+                "variant": "",
+                "why": "similarity 0.99",
+                "to_tell": "slow motions",
+            }
+        ],
+    }
+    body = causes_section(content).body
+    assert re.search(r"may as well be [^.]*elbow: similarity 0.99. To tell: slow motions", body)
+    assert "only acts like the cause: its size differs with speed." in body
+
+
+def test_declared_parameters_stand_beside_their_intervals():
+    """As fitted with the causes; one that the problem does not declare has no row."""
+    record = {"parameters": [{"name": "mass", "unit": "kg", "low": 0.5, "high": 2.0}]}
+    section = _fitted({"parameters": {"mass": 1.25, "other": 3.0}}, record)
+    assert section is not None
+    text = Seen(section.body).text
+    assert [cell for cell in ("mass", "kg", "1.25", "0.5", "2") if cell not in text] == []
+    assert "other" not in text
+    assert _fitted({"parameters": {"other": 3.0}}, record) is None
+
+
+def test_a_fit_with_priors_names_them(fit_folder, monkeypatch):
+    """In a column of their own; what has none is uniform. Without the corner plot."""
+    monkeypatch.setattr("dropo.report.fit_page._joint", lambda fit: [])
+    fit = Fit.load(fit_folder)
+    first = fit.space.names[0]
+    section = _parameters(fit, {first: "normal(3.5, 0.2)"})
+    cells = Seen(section.body).text
+    assert "prior" in cells
+    assert "normal(3.5, 0.2)" in cells
+    assert cells.count("uniform") >= len(fit.space) - 1
+    assert "prior" not in Seen(_parameters(fit, {}).body).text

@@ -14,6 +14,7 @@ from dropo.studies.tiboni_2021 import figure_6_3, light_torso
 from dropo.studies.tiboni_2021.figure_6_3 import Size, difference, holm
 from dropo.studies.tiboni_2021.light_torso import (
     EXTENDED,
+    PUBLISHED,
     TRUTH,
     UNIFORM,
     Training,
@@ -121,3 +122,81 @@ def test_the_diagnosis_finds_the_torso():
     assert [label for _, label, _ in one["effects"]] == ["body_mass:torso"]
     assert one["effects"][0][2][0] == pytest.approx(1, abs=1e-4)
     np.testing.assert_allclose(one["mean"], light_torso.MEAN[1:], atol=1e-4)
+
+
+def around(mean, seed):
+    """Returns of one policy for each of six seeds, near a mean."""
+    return mean + np.random.default_rng(seed).standard_normal((1, 6))
+
+
+def test_claims_are_confirmed_contradicted_or_not_decided():
+    """Of three laws: one far above, one far below what is claimed, one about the same; claims of
+    laws that were not trained are left out.
+    """
+    returns = {
+        TRUTH: around(100, 0),
+        PUBLISHED: around(100, 1),
+        "droid": around(50, 2),
+        EXTENDED: around(20, 3),
+    }
+    rows = figure_6_3._verdicts(returns, figure_6_3.ComparisonSettings()).rows
+    assert {(row[0], row[1]): row[-1] for row in rows} == {
+        ("thesis", f"{TRUTH} > {PUBLISHED}"): "not decided",
+        ("thesis", f"{PUBLISHED} > droid"): "confirmed",
+        ("ours", f"{EXTENDED} > {PUBLISHED}"): "contradicted",
+        ("ours", f"{EXTENDED} > droid"): "contradicted",
+    }
+    (sentence,) = figure_6_3._best(returns)
+    assert "return not as much as those of the best other law" in sentence
+    assert PUBLISHED in sentence
+    (sentence,) = figure_6_3._best(returns | {EXTENDED: around(120, 4)})
+    assert "return more than those of" in sentence
+    assert figure_6_3._best({TRUTH: around(1, 0), EXTENDED: around(2, 1)}) == []
+
+
+def law(name, mean, sd=0.1, effects=(), **more):
+    """What is kept of a distribution of three masses."""
+    sds = [sd] * 3
+    return {"law": name, "mean": list(mean), "sd": sds, "effects": effects, "steps": 0} | more
+
+
+def test_what_is_said_of_the_laws():
+    """The torso has back what an effect adds; fits that are one law are called so; the diagnosis is
+    quoted.
+    """
+    masses = light_torso.MEAN[1:]
+    extended = law(
+        EXTENDED,
+        masses,
+        effects=[["body_mass", "body_mass:torso", [0.75]], ["wind", "wind.x", [3.0]]],
+        verdict="explained",
+        causes=["body mass at torso"],
+    )
+    laws = [
+        extended,
+        law("droid", masses + 0.5),
+        law(PUBLISHED, masses),
+        law("least squares", masses),
+    ]
+    rows = {row[0]: row for row in figure_6_3._distributions(laws).rows}
+    torso = light_torso.MEAN[0] - figure_6_3.MISSING
+    assert float(rows[EXTENDED][1]) == pytest.approx(torso + 0.75, abs=1e-3)
+    assert float(rows["droid"][1]) == pytest.approx(torso, abs=1e-3)
+    settings = figure_6_3.ComparisonSettings()
+    (said,) = figure_6_3._same(laws, settings)
+    assert f": {PUBLISHED}, least squares." in said
+    assert figure_6_3._same(laws[:3], settings) == []
+    (said,) = figure_6_3._diagnosed(laws)
+    assert said.endswith("with the light torso: explained; body mass at torso.")
+
+
+def test_laws_that_are_printed_are_taken_as_they_are():
+    """The true masses, and those of the thesis, for the model with the light torso."""
+    item = {"number": 0, "data": "6.1", "transitions": 20, "droid": 16}
+    true = found(item | {"law": light_torso.AS_IT_IS})
+    assert (true["family"], true["mean"], true["steps"]) == ("point", [*light_torso.MEAN[1:]], 0)
+    printed = found(item | {"law": "thesis, dropo"})
+    mean, scale = light_torso.THESIS["thesis, dropo"]
+    assert printed["family"] == "truncated_gaussian"
+    assert printed["mean"] == pytest.approx(mean, abs=0.05)
+    assert (np.array(printed["sd"]) <= np.array(scale) * 1.001).all()

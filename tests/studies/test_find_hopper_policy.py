@@ -1,5 +1,6 @@
 """The search for the hopper's policy, by training's augmented random search."""
 
+import json
 from dataclasses import replace
 from itertools import islice
 
@@ -28,3 +29,19 @@ def test_search_is_deterministic(capsys, monkeypatch):
     twice = [as_json(*found(hopper_model(), seed=1, updates=2)) for _ in range(2)]
     assert twice[0] == twice[1]
     assert "update 2: return" in capsys.readouterr().err
+
+
+def test_the_command_writes_what_the_search_finds(capsys, monkeypatch, tmp_path):
+    """To a file or to the standard output, the same for the same seed."""
+    fewer = replace(find_hopper_policy.ALGORITHM, directions=2, best=1, trials=2)
+    monkeypatch.setattr(find_hopper_policy, "ALGORITHM", fewer)
+    place = tmp_path / "policy.json"
+    arguments = ["find_hopper_policy", "--seed", "1", "--updates", "1"]
+    monkeypatch.setattr("sys.argv", [*arguments, "--out", str(place)])
+    find_hopper_policy.main()
+    assert capsys.readouterr().out == ""
+    monkeypatch.setattr("sys.argv", arguments)
+    find_hopper_policy.main()
+    assert capsys.readouterr().out == place.read_text()
+    content = json.loads(place.read_text())
+    assert content
