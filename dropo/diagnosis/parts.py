@@ -381,12 +381,6 @@ class Remaining:
             "forces": dict(self.forces),
         }
 
-    @classmethod
-    def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """What `to_json` gave."""
-        where = tuple(saved["where"])
-        return cls(saved["calibrated"], saved["p_value"], where, saved.get("forces", {}))
-
 
 def effect_in_words(effect: str, target: str | None, variant: str, formula: str = "") -> str:
     """Write an effect and where it acts: "joint damping at knee", "contact stiffness (margin)".

@@ -12,7 +12,7 @@ import pytest
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadFile
-from dropo.data.reading import read
+from dropo.data.reading import read, run_names
 
 Arrays = dict[str, Any]
 
@@ -357,3 +357,21 @@ def test_without_minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         refusal("minari:any", tmp_path)
         == f"minari:any: expected {wanted}, got a Minari data set and no such package."
     )
+
+
+def test_runs_are_named_by_their_groups(tmp_path: Path, arrays: Arrays) -> None:
+    """Each trajectory by its group's name, without names by none; fewer names than groups are
+    refused.
+    """
+    group = np.array([1, 1, 1, 0, 0])
+    named = arrays | {"group": group, "run_names": np.array(["slow", "fast"])}
+    assert run_names(saved(tmp_path, named)) == ["fast", "slow"]
+    assert run_names(saved(tmp_path, arrays)) == ["", ""]
+    assert run_names(saved(tmp_path, arrays | {"group": group})) == ["", ""]
+    with pytest.raises(BadFile, match="run_names: expected a name for each of 2 groups, got 1"):
+        run_names(saved(tmp_path, named | {"run_names": np.array(["slow"])}))
+
+
+def test_a_name_too_long_for_a_file_is_none(tmp_path: Path) -> None:
+    with pytest.raises(BadFile, match=r"x{100}"):
+        read(str(tmp_path / ("x" * 5000)))

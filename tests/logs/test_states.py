@@ -6,12 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.logs.signals.states import estimate_states
+from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
+from dropo.logs.signals.states import estimate_states, with_states
 from dropo.logs.signals.velocities import estimate_velocities
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.simulators.toy import SlidingBlock, simulate
 
 XML = """<mujoco><option timestep="0.005"/><worldbody><body>
 <joint name="shoulder" axis="0 1 0" damping="0.05"/>
@@ -160,3 +162,39 @@ def test_rows_without_a_simulator_for_them_are_refused(simulator, log):
         )
     with pytest.raises(BadArgument, match="at least one True"):
         estimate_states(simulator, data, [0.4], measured=[False] * 4)
+
+
+def test_what_is_known_of_states_is_read_by_people(log, estimates):
+    """A line for each signal, "-" where nothing was measured; a filter is called causal."""
+    smooth, causal = estimates
+    for found, how in ((smooth, "a smoother, not causal"), (causal, "a filter, causal")):
+        sentence, table = found.parts()
+        assert sentence.startswith(f"{2 * ROWS} states estimated with the model")
+        assert how in sentence
+        assert [row[0] for row in table.rows] == [signal.name for signal in found.signals]
+        assert [row[2] == "-" for row in table.rows] == [not own for own in MEASURED]
+        shown = [float(row[3]) for row in table.rows]
+        np.testing.assert_allclose(shown, np.sqrt(found.start_variance), rtol=1e-2)
+
+
+def test_a_problems_held_out_data_are_estimated_by_themselves(simulator, log):
+    """Both sides have estimated states, the held-out side as if it were alone; a simulator without
+    nominal parameters is refused.
+    """
+    one, other = (log[1].select(i).head(40) for i in range(2))
+    names = [signal.name for signal in simulator.signals]
+    problem = Problem("log", simulator, one, held_out=other)
+    found, estimate = with_states(problem, names[2:], causal=True)
+    np.testing.assert_array_equal(
+        found.trajectories.observations, estimate.trajectories.observations
+    )
+    alone = estimate_states(simulator, other, simulator.nominal, measured=MEASURED, causal=True)
+    np.testing.assert_array_equal(found.held_out.observations, alone.trajectories.observations)
+    assert not np.array_equal(found.held_out.observations, other.observations)
+    with pytest.raises(UnknownName, match="signal"):
+        with_states(problem, ["speed"])
+    block = SlidingBlock()
+    assert block.nominal is None
+    pushed = simulate(block, np.array([[1.0, 0.5]]), np.ones((1, 5, 1)), np.zeros(2))
+    with pytest.raises(Incompatible, match="nominal parameters, which SlidingBlock has not"):
+        with_states(Problem("block", block, pushed))

@@ -783,3 +783,34 @@ def test_the_error_names_file_and_key(folder: Path) -> None:
         load(written(folder, "frame_skip: 2", "frame_skip: x"))
     assert caught.value.path == folder / "problem.yaml"
     assert caught.value.key == "frame_skip"
+
+
+def test_a_parameter_of_several_elements(folder: Path) -> None:
+    """A list of names gives each its own value, in the model's order, or all of them one."""
+    old = "name: cart, low: 1, high: 4, unit: kg"
+    each = load(written(folder, old, "name: [pole, cart], low: 0.1, high: 4"), threads=1)
+    assert each.space.names == ("cart_cart_mass", "pole_cart_mass", "damping")
+    model = each.simulator.model_of(np.array([3.0, 0.7, 0.5]))
+    assert (model.body("cart").mass[0], model.body("pole").mass[0]) == (3.0, 0.7)
+    new = "name: [pole, cart], shared: true, low: 0.1, high: 4"
+    shared = load(written(folder, old, new), threads=1)
+    assert shared.space.names == ("cart_mass", "damping")
+    model = shared.simulator.model_of(np.array([1.5, 0.5]))
+    assert model.body("cart").mass[0] == model.body("pole").mass[0] == 1.5
+    path = written(folder, old, "name: [pole, card], low: 0.1, high: 4")
+    assert refusal(path).endswith(
+        "parameters.cart_mass.name: expected the name of a body (the nearest is 'cart'), got "
+        "'card'."
+    )
+    path = written(folder, old, "name: cart, shared: true, low: 0.1, high: 4")
+    assert refusal(path).endswith(
+        "parameters.cart_mass.shared: expected false where `name` is no list and no pattern, got "
+        "true."
+    )
+
+
+def test_a_model_whose_name_is_too_long_for_a_file(folder: Path) -> None:
+    """It is refused as any other that is not there."""
+    path = written(folder, "model: robot.xml", f"model: {'x' * 5000}")
+    assert "model: expected " in refusal(path)
+    assert "no such file" in refusal(path)

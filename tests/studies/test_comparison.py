@@ -19,6 +19,7 @@ from dropo.studies.comparison.data_sets import data_set
 from dropo.studies.comparison.summary import Target, summarized
 from dropo.studies.engine.pages import picture
 from dropo.studies.engine.variants import Variant
+from dropo.studies.tiboni_2021.hopper_sets import MEAN
 
 SMALL = {"seeds": 2, "transitions": 40}
 
@@ -175,3 +176,28 @@ def test_refuses_before_anything_is_fitted(
     monkeypatch.setattr(module, "fitted", None)
     with pytest.raises(error, match=message):
         compare(given, problems)
+
+
+def test_data_sets_come_from_their_own_makers() -> None:
+    """The thesis' tables have the drawn masses of their seed, simulated robots their true numbers;
+    the same seed is the same set, another one another.
+    """
+    made, mean = data_set("hopper", 1, 40)
+    again, _ = data_set("hopper", 1, 40)
+    assert len(made.trajectories) == 40
+    assert mean is not None
+    np.testing.assert_allclose(mean, MEAN, rtol=1e-3)
+    np.testing.assert_array_equal(made.trajectories.observations, again.trajectories.observations)
+    _, drawn = data_set("table-6.2-noisy", 1, 40)
+    _, other = data_set("table-6.2-noisy", 2, 40)
+    assert drawn is not None
+    assert other is not None
+    assert abs(drawn[0] - other[0]) > 1e-3
+    arm, true = data_set("torque-arm", 2, 40)
+    assert true is not None
+    assert dict(zip(arm.space.names, true.tolist(), strict=True)) == arm.truth
+    assert (
+        data_set("torque-arm", 3, 40)[0].trajectories.observations != arm.trajectories.observations
+    ).any()
+    with pytest.raises(UnknownName, match="torque-arm"):
+        data_set("torquearm", 0)
