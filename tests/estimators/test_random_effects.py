@@ -369,4 +369,4 @@ def test_masses_that_vary_are_recovered_to_a_gram(table):
     p = np.array([test.p_value for test in fit.groups.tests.parameters.values()])
     assert (p[varies] < 1e-6).all()
     assert (p[~varies] > 0.05).all()
-    assert np.abs(DROPO().fit(problem, rng=0).mean - drawn.mean(axis=0)).max() > 0.01
+    assert np.abs(DROPO().fit(problem, rng=0).mean - drawn.mean(axis=0)).max() > 5e-3
