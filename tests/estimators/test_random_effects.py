@@ -354,7 +354,7 @@ MASSES = {"6.2": np.array([0.5, 0, 0, 0]), "6.3": np.array([0, 0.25, 0.25, 0.25]
 @pytest.mark.parametrize("table", ["6.2", "6.3"])
 def test_masses_that_vary_are_recovered_to_a_gram(table):
     """Tables 6.2 and 6.3, clean: mean and spread within 1 g of the hundred drawn masses', and which
-    vary; rows taken as independent draws are 10 g off or more.
+    vary; rows taken as independent draws are 5 g off or more.
     """
     draw = lambda rng, blocks: (
         np.array(list(TRUTH.values())) + MASSES[table] * rng.standard_normal((blocks, 4))
