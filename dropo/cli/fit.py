@@ -200,7 +200,9 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
         trusted=False,
     )
     if len(problem.space) == 0:
-        raise BadFile(arguments.problem, "parameters", "at least one parameter to fit", "none")
+        beside = Path(arguments.problem).with_name("fit.yaml")
+        advice = f"none; {beside} has what was found as parameters" if beside.exists() else "none"
+        raise BadFile(arguments.problem, "parameters", "at least one parameter to fit", advice)
     if arguments.length is not None and problem.reset == "start":
         raise Incompatible(
             "--lambda has no meaning with `reset: start`, where a segment is a whole "

@@ -27,7 +27,7 @@ def damped(tmp_path_factory):
 
 def test_it_prints_and_writes(damped, tmp_path, capsys):
     """The headline on standard output, nothing on standard error in a pipe; diagnosis.json; an
-    extended problem that is consistent.
+    extended problem that is consistent, and the same with the cause's size to be fitted.
     """
     out = tmp_path / "out"
     assert main(["diagnose", str(damped), *SOME, "--out", str(out)]) == 0
@@ -37,7 +37,12 @@ def test_it_prints_and_writes(damped, tmp_path, capsys):
     kept = json.loads((out / "diagnosis.json").read_text())
     assert (kept["verdict"], kept["causes"][0]["target"]) == ("explained", "elbow")
     extended = out / kept["extended_problem"]
-    assert load(extended).simulator.model.dof_damping[1] == pytest.approx(0.1, rel=0.02)
+    damping = load(extended).simulator.model.dof_damping[1]
+    assert damping == pytest.approx(0.1, rel=0.02)
+    to_fit = load(extended.with_name("fit.yaml")).simulator
+    assert to_fit.space.names[-1] == "joint_damping:elbow/damping"
+    added = damping - to_fit.model.dof_damping[1]
+    assert 0 < to_fit.space.low[-1] < added < to_fit.space.high[-1]
     assert main(["diagnose", str(extended), *SOME, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "consistent"
 

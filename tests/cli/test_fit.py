@@ -323,6 +323,10 @@ def test_a_problem_without_parameters(problem: Path, capsys: pytest.CaptureFixtu
         capsys.readouterr().err
         == f"dropo: {problem}: parameters: expected at least one parameter to fit, got none.\n"
     )
+    beside = problem.with_name("fit.yaml")
+    beside.touch()
+    assert main(["fit", str(problem)]) == 2
+    assert f"got none; {beside} has what was found as parameters.\n" in capsys.readouterr().err
 
 
 def test_lambda_means_nothing_with_reset_start(
