@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.mjmodel.names import element_name
+from dropo.mjmodel.names import element_name, element_names
 
 
 def moving_bodies(model: mujoco.MjModel) -> list[tuple[int, str]]:
@@ -66,6 +66,29 @@ def extent(model: mujoco.MjModel, body: int) -> float:
         centre = float(np.linalg.norm(model.geom_pos[geom]))
         distances.append(centre + float(model.geom_rbound[geom]))
     return max(distances)
+
+
+def body_sites(model: mujoco.MjModel, body: int) -> list[tuple[str, Array]]:
+    """List the named sites of a body.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    body : int
+        The body's id.
+
+    Returns
+    -------
+    list of (str, (3,) array)
+        Name of each, and its place in the body's frame [m].
+    """
+    sites = element_names(model, "site")
+    return [
+        (name, model.site_pos[site].copy())
+        for name, site in sites.items()
+        if model.site_bodyid[site] == body
+    ]
 
 
 def inertia_matrix(model: mujoco.MjModel, body: int) -> Array:

@@ -64,6 +64,11 @@ class Problem:
         Settings of a fit where its caller gives none, for example {"draws": 20}.
     source : str
         What `dropo.load` took: a built-in name or the path of a file; empty where it took none.
+    run_names : tuple of str
+        Names of the runs, which are the groups of `trajectories` (its trajectories, where there
+        are no groups), then those of `held_out`; empty where they have none.
+    reference : tuple of str
+        Names or patterns of the runs that all others are compared with.
 
     Raises
     ------
@@ -94,6 +99,8 @@ class Problem:
     estimated: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
     source: str = ""
+    run_names: tuple[str, ...] = ()
+    reference: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in self.truth or ():

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.gauss_newton import ReweightingSettings
 from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.validation import Array, float_array, require
@@ -29,6 +30,8 @@ class OutlierRunSettings:
         Runs that are compared at least.
     windows : int
         Windows of a run that its own fit uses, at most.
+    fitting : ReweightingSettings
+        How that fit steps.
     """
 
     level: float = 0.001
@@ -36,6 +39,7 @@ class OutlierRunSettings:
     fewest_windows: int = 8
     fewest_runs: int = 4
     windows: int = 200
+    fitting: ReweightingSettings = ReweightingSettings()
 
 
 SETTINGS = OutlierRunSettings()
@@ -170,10 +174,10 @@ def compare_runs(
     require(enough, "trajectories", needed, len(runs), "compare_runs")
 
     # Each run by itself.
-    fits = [_fit_run(simulator, data, common, length, settings) for data in runs]
+    fits = [fit_run(simulator, data, common, length, settings) for data in runs]
     number = np.array(numbers, dtype=np.int64)
-    found = np.array([value for value, _ in fits])
-    errors = np.array([error for _, error in fits])
+    found = np.array([fit.value for fit in fits])
+    errors = np.array([fit.errors for fit in fits])
 
     # Each parameter by itself.
     outliers: list[OutlierRun] = []
@@ -183,26 +187,72 @@ def compare_runs(
     return Runs(number, found, errors, tuple(outliers))
 
 
-def _fit_run(
+@dataclass(frozen=True, eq=False)
+class RunFit:
+    """The parameters of one run by itself.
+
+    Attributes
+    ----------
+    value : (d,) array
+        Its values.
+    covariance : (d, d) array
+        Of their errors, from the scores of blocks of time.
+    silent : (d,) array of bool
+        The parameters of which the run says nothing.
+    """
+
+    value: Array
+    covariance: Array
+    silent: NDArray[np.bool_]
+
+    @property
+    def errors(self) -> Array:
+        """Standard errors (d,); infinite where the run says nothing of a parameter."""
+        return np.where(self.silent, np.inf, np.sqrt(np.diagonal(self.covariance)))
+
+
+def fit_run(
     simulator: Simulator,
     data: Trajectories,
     common: Array,
     length: int,
-    settings: OutlierRunSettings,
-) -> tuple[Array, Array]:
-    """A run's values (d,) by a robust fit, and their errors from the scores of blocks of time."""
+    settings: OutlierRunSettings = SETTINGS,
+) -> RunFit:
+    """Fit the parameters to one run by itself, robustly.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        With d parameters.
+    data : Trajectories
+        The run.
+    common : (d,) array
+        Where the fit begins.
+    length : int
+        Control steps in a window.
+    settings : OutlierRunSettings
+        How many windows and blocks there are.
+
+    Returns
+    -------
+    RunFit
+
+    Raises
+    ------
+    SimulationFailed
+        If there is nothing to start from.
+    """
     windows = cut(data, length)
     width = simulator.space.high - simulator.space.low
     chosen = windows.take(windows.thin(settings.windows))
-    fit = robust_fit(simulator, chosen, common, beyond=True)
+    fit = robust_fit(simulator, chosen, common, beyond=True, settings=settings.fitting)
     pieces = np.array_split(fit.scores, min(settings.blocks, len(fit.scores)))
     blocks = np.array([piece.sum(axis=0) for piece in pieces])
     blocks = blocks - blocks.mean(axis=0)
     covariance = fit.inverse @ (blocks.T @ blocks) @ fit.inverse * len(blocks) / (len(blocks) - 1)
-    errors = width * np.sqrt(np.diagonal(covariance))
     # The prior, not the run, determines parameters without information.
     silent = np.diagonal(fit.information) * np.diagonal(fit.inverse) < 1e-3
-    return fit.value, np.where(silent, np.inf, errors)
+    return RunFit(fit.value, covariance * np.outer(width, width), silent)
 
 
 def _outliers(

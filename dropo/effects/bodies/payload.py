@@ -8,11 +8,17 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
 from dropo.core.services.validation import Array
-from dropo.mjmodel.bodies import extent, inertia_matrix, moving_bodies, write_inertia
+from dropo.mjmodel.bodies import (
+    body_sites,
+    extent,
+    inertia_matrix,
+    moving_bodies,
+    write_inertia,
+)
 
 
 def payload(context: EffectContext) -> Iterator[EffectInstance]:
-    """A point mass that a body carries at a place of its frame.
+    """A point mass that a body carries: at a place of its frame to be found, or at a named site.
 
     The body's mass, centre of mass and rotational inertia change together. It is left out for
     bodies whose centre of mass cannot be moved (see `body_com`).
@@ -40,6 +46,20 @@ def payload(context: EffectContext) -> Iterator[EffectInstance]:
             general=simple,
             trials=(trial,),
         )
+        for site, place in body_sites(context.model, body):
+            yield EffectInstance(
+                "payload",
+                name,
+                quantities[:1],
+                variant=site,
+                model=partial(_add_at, body, place),
+                general=simple,
+            )
+
+
+def _add_at(body: int, place: Array, model: Any, magnitudes: Array) -> None:
+    """Adds a point mass to a body at a known place."""
+    _add(body, model, np.append(magnitudes, place))
 
 
 def _add(body: int, model: Any, magnitudes: Array) -> None:
