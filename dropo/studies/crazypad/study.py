@@ -90,10 +90,9 @@ def faults() -> dict[str, Result]:
     if path is None:
         raise missing(ARCHIVE, "the CrazyPAD flights")
     with np.load(path, allow_pickle=False) as archive:
-        names = [str(name) for name in archive["names"]]
         runs = json.loads(str(archive["meta"]))["runs"]
     found = {}
-    for name, run in zip(names, runs, strict=True):
+    for name, run in runs.items():
         cuts = [sum(cut["off_mm"]) for cut in run.get("cuts", {}).values()]
         off = max(cuts, default=0.0)
         is_weight = "weight" in run["fault"]
