@@ -52,6 +52,15 @@ def add(commands: Any) -> None:
         help="hide an effect in a built-in problem's simulated data",
     )
     parser.add_argument(
+        "--reference",
+        nargs="+",
+        metavar="RUN",
+        help=(
+            "say what differs in each run from these normal ones, by name, pattern or number; by"
+            " default those that the problem marks, if any"
+        ),
+    )
+    parser.add_argument(
         "--steps",
         type=whole(1),
         metavar="N",
@@ -119,6 +128,8 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
 
     problem = _problem(arguments)
     record = diagnosis_record(arguments, problem)
+    if arguments.reference or (problem.reference and not arguments.quick):
+        return _compare(arguments, problem, record, folder)
     folder.begin(record)
     log = EvaluationLog(folder.file(SEARCH), record)
     try:
@@ -140,6 +151,24 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
 
     show_and_save(arguments, found, found.to_json(), save)
     return 1 if found.interrupted else 0
+
+
+def _compare(
+    arguments: argparse.Namespace, problem: "Problem", record: dict[str, Any], folder: RunFolder
+) -> int:
+    """Compare every run with the reference runs, print and save; the exit status."""
+    from dropo.diagnosis.reference.compare import check_comparison, compare_with_reference
+
+    check_comparison(problem, arguments.reference, arguments.effects)
+    folder.begin(record)
+    found = compare_with_reference(problem, arguments.reference, arguments.effects)
+
+    def save() -> None:
+        if arguments.out is not None:
+            found.save(arguments.out)
+
+    show_and_save(arguments, found, found.to_json(), save)
+    return 0
 
 
 def _diagnosis(
@@ -166,7 +195,11 @@ def _refuse_with_quick(arguments: argparse.Namespace) -> None:
     """Refuse options of the search by simulation where none is made."""
     from dropo.core.services.errors import BadArgument
 
-    given = {"--effects": arguments.effects, "--steps": arguments.steps}
+    given = {
+        "--effects": arguments.effects,
+        "--steps": arguments.steps,
+        "--reference": arguments.reference,
+    }
     for option, value in given.items():
         if arguments.quick and value is not None:
             raise BadArgument(

@@ -73,7 +73,7 @@ def diagnosis_record(arguments: argparse.Namespace, problem: Problem) -> dict[st
     -------
     dict
     """
-    options = ("quick", "effects", "hide", "steps", "disturbances")
+    options = ("quick", "effects", "reference", "hide", "steps", "disturbances")
     settings = {name: plain(getattr(arguments, name)) for name in options}
     return {
         "command": "diagnose",

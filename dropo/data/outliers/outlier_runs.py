@@ -1,6 +1,6 @@
 """Runs that disagree with the others: another payload, another machine, a joint that was warm."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ class OutlierRunSettings:
     fewest_windows: int = 8
     fewest_runs: int = 4
     windows: int = 200
-    fitting: ReweightingSettings = ReweightingSettings()
+    fitting: ReweightingSettings = field(default_factory=ReweightingSettings)
 
 
 SETTINGS = OutlierRunSettings()

@@ -6,16 +6,17 @@ explains it best.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.gauss_newton import ReweightingSettings
-from dropo.core.records.trajectories import Ints, Trajectories
+from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.disturbances import cut
@@ -35,6 +36,11 @@ from dropo.mjmodel.robot_simulator import RobotSimulator
 
 EFFECTS = ("actuator_gain", "joint_friction", "joint_damping", "body_mass")
 """What is looked for where neither the caller nor the problem says: usual faults."""
+
+
+def _run_settings() -> OutlierRunSettings:
+    """Fits to the end: differences between runs are small beside the first model's errors."""
+    return OutlierRunSettings(fitting=ReweightingSettings(iterations=40, tolerance=1e-6))
 
 
 @dataclass(frozen=True)
@@ -63,9 +69,7 @@ class ReferenceSettings:
     independent: float = 0.2
     share: float = 0.2
     confused: float = 6.0
-    runs: OutlierRunSettings = OutlierRunSettings(
-        fitting=ReweightingSettings(iterations=40, tolerance=1e-6)
-    )
+    runs: OutlierRunSettings = field(default_factory=_run_settings)
 
 
 SETTINGS = ReferenceSettings()
@@ -111,55 +115,32 @@ def compare_with_reference(
 
     Notes
     -----
-    With b the numbers of a run, m their mean over n reference runs (without the run itself) and V
-    (1 + 1/n) times the variance between them, pooled over the places of an effect, a run differs if
-    (b - m)' V^-1 (b - m) / K is beyond the quantile of F(K, n_f (n - 1)), where n_f is the least
-    number of places that were pooled. A candidate with signature c (what the numbers of a run become
-    per unit of it) has size c' W (b - m) / c' W c with W the inverse of V and the tolerances, kept
-    within its bounds, and the one that explains most is named.
+    With b the K numbers of a run, m their mean over n reference runs (without the run itself) and
+    V (1 + 1/n) times the variance between them, pooled over the places of an effect, a run differs
+    if (b - m)' V^-1 (b - m) / K is beyond the quantile of F(K, n_f (n - 1)), where n_f is the least
+    number of places that were pooled. A candidate that changes the numbers by c per unit has size
+    c' W (b - m) / c' W c with W the inverse of V and the tolerances, kept within its bounds; the
+    one that explains most is named.
     """
     simulator = robot_of(problem)
+    candidates, is_reference = check_comparison(problem, reference, effects, settings)
     names, members = _runs(problem)
     data = both_sides(problem)
-    is_reference = _marked(names, problem.reference if reference is None else reference)
-    rule = f"at least {settings.fewest + 1} runs of the data"
-    enough = int(is_reference.sum()) > settings.fewest
-    require(enough, "reference", rule, int(is_reference.sum()), "compare_with_reference")
-
-    wanted = _chosen_effects(problem, effects)
-    candidates = parameter_candidates(simulator) + effect_candidates(problem, wanted)
     allowed = problem.settings.get("tolerances", {}) if tolerances is None else tolerances
     assert isinstance(allowed, Mapping)
     nuisances = effect_candidates(problem, list(allowed))
-
-    # The numbers that describe runs: candidates that do not stand in for each other.
-    first = data.rows(np.flatnonzero(np.isin(members, np.flatnonzero(is_reference))))
-    windows = cut(first, problem.horizon)
+    normal = data.rows(np.flatnonzero(is_reference[members]))
+    windows = cut(normal, problem.horizon)
     windows = windows.take(windows.thin(settings.runs.windows))
-    instances = [one.instance for one in candidates if one.instance is not None]
-    free = instances + [one.instance for one in nuisances if one.instance is not None]
-    columns = responses(simulator, instances, simulator.nominal, windows)
-    chosen = independent(columns, settings.independent)
-    numbers = [candidates[k] for k in chosen]
-    if not numbers:
-        raise BadArgument("Nothing that may differ in a run changes its motion.")
-    describing = [one.instance for one in numbers if one.instance is not None]
-    extended = simulator.with_effects(describing)
 
-    # Those of the reference runs together, from which each run's own are sought.
-    common = fit_run(extended, first, extended.nominal, problem.horizon, settings.runs).value
+    # The numbers that describe runs, each run's own, and what all candidates do to them.
+    numbers = _describing(simulator, candidates, windows, settings)
+    extended = simulator.with_effects(_instances(numbers))
+    common = fit_run(extended, normal, extended.nominal, problem.horizon, settings.runs).value
     fits = _own_numbers(extended, data, members, common, problem.horizon, settings)
     values = np.array([fit.value for fit in fits])
-
-    # What each candidate does to these numbers, by least squares over the reference runs.
-    kept = [k for k, one in enumerate(candidates) if one.instance is None and k not in chosen]
-    require(not kept, "parameters", "such that runs tell each", kept, "compare_with_reference")
     mean = values[is_reference].mean(axis=0)
-    others = [one for one in free if one not in describing]
-    both = responses(extended, others, mean, windows)
-    signatures = np.linalg.lstsq(both[:, : len(numbers)], both, rcond=None)[0].T
-    labels = [one.label for one in numbers] + [one.label for one in others]
-    signature = dict(zip(labels, signatures, strict=True))
+    signature = _signatures(extended, numbers, [*candidates, *nuisances], mean, windows)
     tolerance = np.zeros((len(numbers), len(numbers)))
     for one in nuisances:
         sd = allowed[one.effect] * signature[one.label]
@@ -167,9 +148,8 @@ def compare_with_reference(
 
     compared = []
     for i, name in enumerate(names):
-        normal = is_reference.copy()
-        normal[i] = False
-        test = _Comparison(numbers, values, fits, np.flatnonzero(normal), i)
+        others = np.flatnonzero(is_reference & (np.arange(len(names)) != i))
+        test = _Comparison(numbers, values, fits, others, i)
         p_value = test.p_value
         differs = p_value <= settings.level
         causes = test.causes(candidates, signature, tolerance, settings) if differs else ()
@@ -185,6 +165,84 @@ def compare_with_reference(
         tolerances=tuple(f"{name} by {sd:g} (sd)" for name, sd in allowed.items()),
         simulator_steps=extended.steps,
     )
+
+
+def check_comparison(
+    problem: Problem,
+    reference: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    settings: ReferenceSettings = SETTINGS,
+) -> tuple[list[Candidate], NDArray[np.bool_]]:
+    """Refuse what `compare_with_reference` would, before anything is simulated.
+
+    Parameters
+    ----------
+    problem, reference, effects, settings
+        As of `compare_with_reference`.
+
+    Returns
+    -------
+    candidates : list of Candidate
+        What may differ.
+    is_reference : (G,) array of bool
+        Which runs are normal.
+
+    Raises
+    ------
+    UnknownName
+        If a run, an effect or a place does not exist.
+    BadArgument
+        If there are too few reference runs.
+    """
+    names, _ = _runs(problem)
+    is_reference = _marked(names, problem.reference if reference is None else reference)
+    rule = f"at least {settings.fewest + 1} runs of the data"
+    enough = int(is_reference.sum()) > settings.fewest
+    require(enough, "reference", rule, int(is_reference.sum()), "compare_with_reference")
+    wanted = _chosen_effects(problem, effects)
+    return parameter_candidates(robot_of(problem)) + effect_candidates(
+        problem, wanted
+    ), is_reference
+
+
+def _instances(candidates: Sequence[Candidate]) -> list[EffectInstance]:
+    """The effects among candidates, in their order."""
+    return [one.instance for one in candidates if one.instance is not None]
+
+
+def _describing(
+    simulator: RobotSimulator,
+    candidates: Sequence[Candidate],
+    windows: Segments,
+    settings: ReferenceSettings,
+) -> list[Candidate]:
+    """The candidates that do not stand in for each other; declared parameters first, and all."""
+    columns = responses(simulator, _instances(candidates), simulator.nominal, windows)
+    chosen = independent(columns, settings.independent)
+    alike = [one.label for k, one in enumerate(candidates) if k not in chosen and not one.instance]
+    if alike:
+        raise BadArgument(
+            "A comparison of runs needs parameters that these data tell from each other. Got"
+            f" {', '.join(alike)}, which others can stand in for, or which change nothing."
+        )
+    if not chosen:
+        raise BadArgument("Nothing that was looked for changes the motion of these runs.")
+    return [candidates[k] for k in chosen]
+
+
+def _signatures(
+    extended: RobotSimulator,
+    numbers: Sequence[Candidate],
+    candidates: Sequence[Candidate],
+    mean: Array,
+    windows: Segments,
+) -> dict[str, Array]:
+    """What a unit of each candidate does to the numbers (K,), by least squares, by label."""
+    own = [one.label for one in numbers]
+    others = {one.label: one for one in candidates if one.label not in own}
+    columns = responses(extended, _instances(list(others.values())), mean, windows)
+    found = np.linalg.lstsq(columns[:, : len(own)], columns, rcond=None)[0].T
+    return dict(zip([*own, *others], found, strict=True))
 
 
 def _chosen_effects(problem: Problem, effects: Sequence[str] | None) -> Sequence[str]:
@@ -299,9 +357,9 @@ class _Comparison:
     ) -> tuple[Difference, ...]:
         """The candidate that explains the run best, and a second one where it is needed."""
         variance = self.variance + tolerance
-        weight: Array = np.linalg.inv(variance)
+        weight = np.asarray(np.linalg.inv(variance))
         found: list[Difference] = []
-        away = self.away
+        away: Array = self.away
         taken: Array = np.zeros((len(away), 0))
         first = 0.0
         while len(found) < len(candidates):

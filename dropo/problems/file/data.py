@@ -51,6 +51,52 @@ def read_data(
     return fitted, held_out
 
 
+def read_run_names(
+    file: FileContent[ProblemFile], fitted: Trajectories, held_out: Trajectories | None
+) -> tuple[str, ...]:
+    """Name the run of every trajectory, those held out last.
+
+    Parameters
+    ----------
+    file : FileContent[ProblemFile]
+        The problem file.
+    fitted, held_out : Trajectories
+        As `read_data` gives them.
+
+    Returns
+    -------
+    tuple of str
+        Empty where the data name no runs.
+
+    Raises
+    ------
+    BadFile
+        If `reference` has a pattern that no run's name fits.
+    """
+    content = file.content
+    names = _names_in(file, content.data)
+    entry = content.held_out
+    apart: list[str] = []
+    if _are_numbers(entry) or isinstance(entry, HeldOutEntry):
+        numbers = _numbers_of_runs(file, entry.runs) if isinstance(entry, HeldOutEntry) else entry
+        apart = [names[i] for i in sorted(set(numbers))]
+        names = [name for i, name in enumerate(names) if i not in set(numbers)]
+    elif held_out is not None:
+        apart = _names_in(file, cast("str | list[str]", entry))
+    names = [*names[: len(fitted.spans)], *apart]
+    if not any(names):
+        return ()
+    for pattern in content.reference:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            file.require_known("reference", pattern, dict.fromkeys(names), "the name of a run")
+    return tuple(names)
+
+
+def _names_in(file: FileContent[ProblemFile], named: str | list[str]) -> list[str]:
+    """The run of every trajectory of data that a problem file names."""
+    return [name for place in locate_data(file, named).values() for name in run_names(place)]
+
+
 def read_states(file: FileContent[ProblemFile], simulator: MujocoSimulator) -> Trajectories:
     """Read all data of the entry `data`, with actions of 0 whether or not it holds any.
 
@@ -124,9 +170,7 @@ def _read(
 
 def _numbers_of_runs(file: FileContent[ProblemFile], patterns: list[str]) -> list[int]:
     """The numbers of the trajectories of runs, by name or pattern."""
-    names: list[str] = []
-    for source in locate_data(file, file.content.data).values():
-        names += run_names(source)
+    names = _names_in(file, file.content.data)
     found = []
     for pattern in patterns:
         fitting = [

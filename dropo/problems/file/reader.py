@@ -19,7 +19,7 @@ from dropo.core.services.validation import Array
 from dropo.data.checks.check import outside_control_range
 from dropo.data.reading import inputs_of
 from dropo.mjmodel.observation import Layout
-from dropo.problems.file.data import locate_data, read_data, read_states
+from dropo.problems.file.data import locate_data, read_data, read_run_names, read_states
 from dropo.problems.file.data_errors import find_data_error
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.problems.file.schema import ProblemFile, ResetEntry
@@ -85,6 +85,8 @@ def read_problem(
             task=task,
             estimated=_read_estimated(file, simulator),
             settings=_read_start(file, simulator.space),
+            run_names=read_run_names(file, fitted, held_out) if content.reference else (),
+            reference=tuple(content.reference),
         )
     return with_velocities(problem)
 

@@ -256,6 +256,8 @@ class ProblemFile(Entry):
         Expected("a mapping from joints to motors, such as {shoulder: ak80-6}"),
     ] = {}
     """Motors by joint: the name of one in the library, or its numbers."""
+    reference: Annotated[list[Word], Expected(RUNS)] = []
+    """The normal runs, by name or pattern: a diagnosis says what differs from them in each run."""
     task: (
         Annotated[
             Annotated[Word, Expected(FUNCTION), SINGLE] | Annotated[TaskEntry, MAPPING],
