@@ -62,16 +62,19 @@ def test_a_load_is_named_at_its_rotor(found):
 
 
 def test_normal_flights_do_not_differ(found):
-    """Neither the reference flights, each beside the others, nor a further one: the control."""
-    normal = [one for one in found.runs if one.is_reference]
-    assert len(normal) == 5
-    assert not any(one.differs or one.causes for one in [*normal, run(found, "as ever")])
+    """The control: of six normal flights, a reference beside the others or not, at most one.
+
+    At a level of 1 % two of six differ in 1.4 of 1000 such sets.
+    """
+    normal = [one for one in found.runs if one.is_reference] + [run(found, "as ever")]
+    assert len(normal) == 6
+    assert sum(one.differs for one in normal) <= 1
 
 
 def test_the_result_says_the_same_as_text_and_json(found):
     """Every run with its label and size; the numbers of the reference runs."""
     text = str(found)
-    assert text.startswith("2 of 3 runs differ from the 5 reference runs.")
+    assert text.startswith("2 of 3 runs differ from the 5 reference runs")
     assert "actuator_gain:M2" in text
     content = found.to_json()
     assert [one["run"] for one in content["runs"]] == [one.name for one in found.runs]
@@ -89,7 +92,7 @@ def test_the_result_says_the_same_as_text_and_json(found):
     ],
 )
 def test_what_cannot_be_compared_is_refused(problem, reference, effects, error, message):
-    """Unknown runs and effects with the nearest name, too few runs; before anything is simulated."""
+    """Unknown runs and effects with the nearest name, too few runs; nothing is simulated."""
     before = problem.simulator.steps
     with pytest.raises(error, match=message):
         check_comparison(problem, reference, effects)

@@ -68,6 +68,7 @@ def read_problem(
     epsilon = _read_epsilon(file, simulator)
     priors = _read_priors(file, simulator)
     task = make_task(file, simulator, fitted, trusted=trusted)
+    names = read_run_names(file, fitted, held_out) if content.reference else ()
     with file.at("lambda"):
         problem = Problem(
             content.robot or path.stem,
@@ -85,7 +86,7 @@ def read_problem(
             task=task,
             estimated=_read_estimated(file, simulator),
             settings=_read_start(file, simulator.space),
-            run_names=read_run_names(file, fitted, held_out) if content.reference else (),
+            run_names=names,
             reference=tuple(content.reference),
         )
     return with_velocities(problem)
