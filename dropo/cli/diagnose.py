@@ -67,6 +67,9 @@ def add(commands: Any) -> None:
         help="control steps in a window; by default what the problem or its noise asks for",
     )
     parser.add_argument(
+        "--transitions", type=whole(1), metavar="N", help="use the first N transitions alone"
+    )
+    parser.add_argument(
         "--unchecked",
         action="store_true",
         help="take the data even where `dropo data check` finds an error",
@@ -213,11 +216,15 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
     from dropo.problems.loading import load
     from dropo.problems.simulated.hidden import hide
 
-    if not arguments.hide:
-        return load(
+    if arguments.hide:
+        problem = hide(
+            arguments.problem, arguments.hide, seed=arguments.seed, threads=arguments.threads
+        )
+    else:
+        problem = load(
             arguments.problem,
             threads=arguments.threads,
             checked=not arguments.unchecked,
             trusted=False,
         )
-    return hide(arguments.problem, arguments.hide, seed=arguments.seed, threads=arguments.threads)
+    return problem.using(transitions=arguments.transitions)

@@ -94,6 +94,14 @@ def test_names_follow_their_runs(file):
     assert load(other).run_names == ()
 
 
+def test_the_first_transitions_alone(file, capsys):
+    """Four runs are left, all of them normal, with their own names."""
+    arguments = ["--transitions", "596", "--effects", "joint_damping", "--json", "--quiet"]
+    assert main(["diagnose", str(file), *arguments, "--threads", "1"]) == 0
+    runs = json.loads(capsys.readouterr().out)["runs"]
+    assert [run["run"] for run in runs] == [name for name in DAMPING if name != "dry"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

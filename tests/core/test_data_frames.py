@@ -23,6 +23,16 @@ def test_a_fits_table():
     assert frame([], "effect").empty
 
 
+def test_a_fits_summary():
+    """The columns that are read, with the truth where it is known."""
+    pytest.importorskip("pandas")
+    fit = LeastSquares().fit(slide(), rng=0)
+    table = fit.summary()
+    assert list(table.columns) == ["unit", "mean", "se", "low", "high", "sd", "truth"]
+    assert table.loc["mass", "mean"] == fit["mass"].mean
+    assert table.loc["mass", "truth"] == fit.truth["mass"]
+
+
 def test_without_pandas(monkeypatch):
     """A sentence with the way out."""
     found = importlib.util.find_spec

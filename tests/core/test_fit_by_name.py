@@ -6,6 +6,7 @@ import sys
 import pytest
 
 import dropo
+from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, UnknownName
 
 
@@ -37,3 +38,39 @@ def test_a_mistyped_name_of_the_package_gets_the_nearest():
     )
     assert "Did you mean: 'diagnose'" in done.stderr
     assert "plots" in dir(dropo)
+
+
+def test_a_parameter_of_a_fit_by_its_name():
+    """`fit["mass"]` has the fit's own numbers and says them in a line; unknown names get the
+    nearest.
+    """
+    fit = dropo.fit(dropo.load("slide"), "least-squares", rng=0)
+    assert fit.names == ("mass", "damping")
+    mass = fit["mass"]
+    assert (mass.mean, mass.mean_se, mass.sd) == (fit.mean[0], fit.mean_se[0], fit.sd[0])
+    assert mass.interval == tuple(fit.interval()[0])
+    assert float(mass) == mass.mean
+    assert str(mass).startswith("mass ")
+    assert " kg, sd " in str(mass)
+    with pytest.raises(UnknownName, match="Did you mean 'damping'"):
+        fit["dampin"]
+
+
+def test_a_fit_in_latex():
+    """Its tables, and no sentences."""
+    text = dropo.fit(dropo.load("slide"), "least-squares", rng=0).to_latex()
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") > 0
+    assert "damping & " in text
+    assert "simulator steps" not in text
+
+
+def test_problems_and_spaces_say_themselves_in_a_line():
+    """Names, intervals and the size of the data; the first parameters of many."""
+    problem = dropo.load("slide")
+    text = repr(problem)
+    assert text.startswith("Problem('slide', ParameterSpace(mass [")
+    assert "2 signals" in text
+    assert f"{len(problem.trajectories):,} transitions of" in text
+    assert len(text) < 200
+    many = ParameterSpace(tuple(Parameter(f"p{i}", 0, 1) for i in range(40)))
+    assert repr(many).endswith("p5 [0, 1], ... 40 in all)")

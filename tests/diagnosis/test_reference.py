@@ -71,6 +71,21 @@ def test_normal_flights_do_not_differ(found):
     assert sum(one.differs for one in normal) <= 1
 
 
+@pytest.mark.study
+def test_levels_hold_on_normal_flights():
+    """Of 72 normal flights, each beside five others, one differs at 1 % and three at 5 %: figures
+    of papers/crazypad, where 0.72 and 3.6 are expected.
+    """
+    chances = []
+    for seed in range(100, 112):
+        normal = flights({}, seed, normal=6)
+        chances += [
+            one.p_value for one in compare_with_reference(normal, ["normal *"], settings=QUICK).runs
+        ]
+    assert len(chances) == 72
+    assert [sum(p <= level for p in chances) for level in (0.01, 0.05)] == [1, 3]
+
+
 def test_the_result_says_the_same_as_text_and_json(found):
     """Every run with its label and size; the numbers of the reference runs."""
     text = str(found)

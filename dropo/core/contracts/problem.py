@@ -65,8 +65,8 @@ class Problem:
     source : str
         What `dropo.load` took: a built-in name or the path of a file; empty where it took none.
     run_names : tuple of str
-        Names of the runs, which are the groups of `trajectories` (its trajectories, where there
-        are no groups), then those of `held_out`; empty where they have none.
+        The run of every trajectory of `trajectories`, then of `held_out`; empty where runs have no
+        names.
     reference : tuple of str
         Names or patterns of the runs that all others are compared with.
 
@@ -114,6 +114,14 @@ class Problem:
         segments = self.segments  # refuses a horizon that is longer than the trajectories
         expected = (len(segments.rows[0]), len(self.simulator.signals))
         check_shape("targets", self.simulator.targets(segments), expected, self.name)
+
+    def __repr__(self) -> str:
+        """Its name, parameters and the size of its data, in a line."""
+        signals = len(self.simulator.signals)
+        data = f"{len(self.trajectories):,} transitions of {len(self.trajectories.spans)} runs"
+        if self.held_out is not None:
+            data += f", {len(self.held_out):,} held out"
+        return f"Problem({self.name!r}, {self.space!r}, {signals} signals, {data})"
 
     @property
     def space(self) -> ParameterSpace:
@@ -186,4 +194,13 @@ class Problem:
         if executor is not None:
             simulator = ParallelSimulator(simulator, executor)
         chosen = self.horizon if horizon is None else horizon
-        return replace(self, simulator=simulator, trajectories=trajectories, horizon=chosen)
+        # Those of the runs that are left, then those held out.
+        names = self.run_names[: len(trajectories.spans)]
+        names += self.run_names[len(self.trajectories.spans) :]
+        return replace(
+            self,
+            simulator=simulator,
+            trajectories=trajectories,
+            horizon=chosen,
+            run_names=names,
+        )

@@ -18,11 +18,12 @@ from dropo.core.records.fit_parts import (
     PosteriorDraws,
     StartFilter,
 )
+from dropo.core.records.fitted_parameter import FittedParameter
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.search_records import SearchRecord
 from dropo.core.services.registry import find, service
 from dropo.core.services.tables import Report, Table
-from dropo.core.services.validation import Array, require
+from dropo.core.services.validation import Array, known, require
 
 
 class Status(str, Enum):
@@ -386,6 +387,60 @@ class Fit(Report):
         return chains.to_inference_data(
             log_likelihood=found.row_log_likelihood, observed=found.observed, attributes=known
         )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the d parameters."""
+        return self.space.names
+
+    def __getitem__(self, name: str) -> FittedParameter:
+        """What was found of one parameter.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such parameter; with the nearest name.
+        """
+        i = self.names.index(known("parameter", name, self.names))
+        low, high = self.interval()[i].tolist()
+        return FittedParameter(
+            name=name,
+            unit=self.space[name].unit,
+            mean=float(self.mean[i]),
+            mean_se=float(self.mean_se[i]),
+            interval=(low, high),
+            scale=float(self.scale[i]),
+            sd=float(self.sd[i]),
+            truth=self.truth.get(name),
+        )
+
+    def summary(self) -> Any:
+        """A pandas.DataFrame to read: mean, its error and 95 % interval, and sd of each parameter.
+
+        Where the truth is known it stands beside. `to_pandas` has all numbers; both need the extra
+        `tables`.
+
+        Raises
+        ------
+        MissingPackage
+            If pandas is not installed.
+        """
+        from dropo.core.services.data_frames import frame
+
+        rows = []
+        for name in self.names:
+            own = self[name]
+            row = {
+                "parameter": name,
+                "unit": own.unit,
+                "mean": own.mean,
+                "se": own.mean_se,
+                "low": own.interval[0],
+                "high": own.interval[1],
+                "sd": own.sd,
+            }
+            rows.append(row | ({"truth": own.truth} if self.truth else {}))
+        return frame(rows, "parameter")
 
     def to_pandas(self) -> Any:
         """A pandas.DataFrame with a row for each parameter.

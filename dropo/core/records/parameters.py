@@ -86,6 +86,10 @@ def _default_lower(low: float) -> float:
     return 0.0 if low == 0 else -math.inf
 
 
+SHOWN = 6
+"""Parameters that the text of a space shows."""
+
+
 @dataclass(frozen=True)
 class ParameterSpace(Sequence[Parameter]):
     """An ordered set of d parameters with different names, and the box of their intervals.
@@ -109,6 +113,16 @@ class ParameterSpace(Sequence[Parameter]):
         object.__setattr__(self, "parameters", tuple(self.parameters))
         twice = {name for name in self.names if self.names.count(name) > 1}
         require(not twice, "names", "different from each other", sorted(twice), "ParameterSpace")
+
+    def __repr__(self) -> str:
+        """Names with intervals and units, the first few of many."""
+        shown = [
+            f"{own.name} [{own.low:g}, {own.high:g}]{' ' * bool(own.unit)}{own.unit}"
+            for own in self.parameters[:SHOWN]
+        ]
+        if len(self) > SHOWN:
+            shown.append(f"... {len(self)} in all")
+        return f"ParameterSpace({', '.join(shown)})"
 
     def __len__(self) -> int:
         return len(self.parameters)

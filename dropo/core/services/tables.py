@@ -119,6 +119,10 @@ class Report(ABC):
     def __repr__(self) -> str:
         return str(self)
 
+    def to_latex(self) -> str:
+        """Write all tables in LaTeX, with booktabs' rules; sentences are left out."""
+        return "\n".join(part.to_latex() for part in self.parts() if isinstance(part, Table))
+
     def _repr_html_(self) -> str:
         pieces = []
         for part in self.parts():

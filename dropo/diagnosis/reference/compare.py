@@ -305,7 +305,8 @@ def _own_numbers(
         rows = data.rows(np.flatnonzero(members == run))
         longest = max(stop - start for start, stop in rows.spans)
         rule = f"runs of at least {length} control steps"
-        require(longest >= length, "trajectories", rule, longest, "compare_with_reference")
+        got = f"{longest} in run {run}, counted from 0"
+        require(longest >= length, "trajectories", rule, got, "compare_with_reference")
         fits.append(fit_run(simulator, rows, common, length, settings.runs))
     return fits
 
