@@ -3,6 +3,8 @@
 Data: Masalimov, Muslimov, Kozlov, Munasypov, "CrazyPAD", Data 9, 2024; MIT.
 """
 
+from functools import partial
+
 import mujoco
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -29,6 +31,8 @@ AIRBORNE = 0.3
 """Height [m] above which a drone flies free of the ground; it cruises at 0.5 m."""
 SMOOTHING = 0.08
 """Standard deviation [s] of the kernel that differentiates positions."""
+REACH = 8.0
+"""Half the length of that kernel, in its widths: cut at 4, a position gave an acceleration."""
 LONGEST_GAP = 0.05
 """Seconds between rows beyond which a flight is cut."""
 MARGIN = 0.2
@@ -76,7 +80,7 @@ MODEL = """
 
 
 def crazypad(threads: int = 0) -> Problem:
-    """Flights of a quadrotor, of which the normal ones are marked: what differs in the others?
+    """Flights of a quadrotor, normal ones and ones with faults, which a diagnosis is to name.
 
     Nothing is to be fitted. `dropo diagnose crazypad` compares every flight with the normal ones
     (a normal one with the other normal ones), and says which rotor gives less, or carries a weight.
@@ -236,10 +240,12 @@ def states_of(position: Array, heading: Array, step: float) -> Array:
     (n, 13) array
         Position, quaternion (w, x, y, z), velocity in the world, rates in the body.
     """
-    width = SMOOTHING / step
+    smooth = partial(
+        gaussian_filter1d, sigma=SMOOTHING / step, axis=0, mode="nearest", truncate=REACH
+    )
 
     def derived(values: Array, order: int) -> Array:
-        return gaussian_filter1d(values, width, axis=0, order=order, mode="nearest") / step**order
+        return np.asarray(smooth(values, order=order) / step**order)
 
     up = derived(position, 2) + np.array([0.0, 0.0, GRAVITY])
     up /= np.linalg.norm(up, axis=1, keepdims=True)
@@ -254,5 +260,4 @@ def states_of(position: Array, heading: Array, step: float) -> Array:
     vector = quaternion[:, 1:]
     rates = quaternion[:, :1] * change[:, 1:] - change[:, :1] * vector
     rates = 2 * (rates - np.cross(vector, change[:, 1:]))
-    smooth = derived(position, 0)
-    return np.concatenate([smooth, quaternion, derived(position, 1), rates], axis=1)
+    return np.concatenate([derived(position, 0), quaternion, derived(position, 1), rates], axis=1)
