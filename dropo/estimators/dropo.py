@@ -17,6 +17,7 @@ from dropo.core.contracts.likelihood import (
     RunLikelihood,
 )
 from dropo.core.contracts.maximize import SearchResult, maximize
+from dropo.core.contracts.mean_prior import MeanPrior, mean_places, with_prior, within_priors
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
@@ -97,6 +98,12 @@ class DROPO(Estimator):
     degrees : float or None
         The degrees of freedom of a Student t in the Gaussian's place; None: as the problem says.
 
+    Notes
+    -----
+    Priors of the problem are those of the means: the fit maximises log-likelihood + log prior, and
+    `priors` of the fit says how much of what is known they give. `log_likelihood` is that of the
+    data alone.
+
     References
     ----------
     G. Tiboni, "Towards safe and efficient transfer of robot policies from simulation to real
@@ -116,6 +123,7 @@ class DROPO(Estimator):
     starts: Literal["measured", "filtered"] = "measured"
     degrees: float | None = None
     name = "dropo"
+    uses_priors = True
 
     def __post_init__(self) -> None:
         start = checked_start(self.start, ("least-squares", "middle", "random"))
@@ -182,6 +190,10 @@ class DROPO(Estimator):
         return (space.low + space.high) / 2
 
     # --- the fit
+
+    def _prepared(self, problem: Problem) -> Problem:
+        """Within the ends of its priors."""
+        return within_priors(problem)
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """With the noise that the settings ask for: swept, given, or learned with the rest."""
@@ -255,7 +267,11 @@ class DROPO(Estimator):
         unit_start = np.clip(objective.unknowns.to_unit(start), 0.0, 1.0)
         kind = find("optimizers", self.optimizer or "cma-es")
         optimizer = kind(len(unit_start), rng, start=unit_start, budget=self.budget)
-        found = maximize(objective, objective.unknowns, optimizer, run)
+        prior = MeanPrior(problem.priors, problem.space)
+        found = maximize(with_prior(objective, prior), objective.unknowns, optimizer, run)
+        if prior:
+            of_prior = prior.value(found.point[mean_places(objective, problem.space)])
+            found = replace(found, value=found.value - of_prior)
         return self._summarise(problem, run, family, objective, found)
 
     def _fit_locally(
@@ -316,7 +332,10 @@ class DROPO(Estimator):
         checked_by_group = False
         if isinstance(objective, GroupedLogLikelihood) and found.status is not Status.INTERRUPTED:
             checked_by_group = True
-            objective, found, group_warnings = with_models_of_their_own(run, objective, found, rng)
+            prior = MeanPrior(problem.priors, problem.space)
+            objective, found, group_warnings = with_models_of_their_own(
+                run, objective, found, rng, prior
+            )
 
         # Compare the local model with the simulator at the fit.
         check, emulator_warnings = check_emulator(

@@ -6,11 +6,12 @@ from typing import Literal
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
+from dropo.core.contracts.mean_prior import MeanPrior, within_priors
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.start_mean import Start, checked_start, given_start
-from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, float_array, known, require
 from dropo.estimators.support.standard_errors import (
@@ -19,6 +20,25 @@ from dropo.estimators.support.standard_errors import (
     rounding,
 )
 from dropo.estimators.support.summary import summarize
+
+
+@dataclass(frozen=True)
+class PriorPassSettings:
+    """How passes with a prior that is not normal follow each other.
+
+    Attributes
+    ----------
+    passes : int
+        At most so many, each with the normal prior of the same slope and curvature.
+    settled : float
+        They end where no centre moves by more of its prior's standard deviations.
+    """
+
+    passes: int = 20
+    settled: float = 1e-4
+
+
+PRIOR_PASSES = PriorPassSettings()
 
 
 @dataclass(frozen=True)
@@ -77,7 +97,14 @@ class LeastSquares(Estimator):
 
     Notes
     -----
-    xi* = argmin sum_t |s_{t+1} - s_{t+1}^xi|_W^2 (Tiboni 2021, eq. 3.1).
+    xi* = argmin sum_t |s_{t+1} - s_{t+1}^xi|_W^2 (Tiboni 2021, eq. 3.1). With priors of the
+    problem, argmin of half of this sum less the log prior: the most probable parameters under the
+    noise that the first pass leaves without priors.
+
+    Raises
+    ------
+    Incompatible
+        Where the problem has priors and weights are not "noise": a prior is weighed against noise.
     """
 
     weights: Literal["noise", "equal"] | tuple[float, ...] = "noise"
@@ -85,6 +112,7 @@ class LeastSquares(Estimator):
     step: float | None = None
     start: Start = "middle"
     name = "least-squares"
+    uses_priors = True
 
     def __post_init__(self) -> None:
         require(self.budget >= 1, "budget", "at least 1", self.budget, "LeastSquares")
@@ -95,10 +123,20 @@ class LeastSquares(Estimator):
             known("weights", self.weights, ("noise", "equal"))
         object.__setattr__(self, "start", checked_start(self.start, ("middle",)))
 
+    def _prepared(self, problem: Problem) -> Problem:
+        """Within the ends of its priors."""
+        return within_priors(problem)
+
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """The estimate as a family without spread."""
+        prior = MeanPrior(problem.priors, problem.space)
+        if prior and self.weights != "noise":
+            raise Incompatible(
+                f"A prior is weighed against the noise, of which weights {self.weights!r} say"
+                " nothing. Use weights 'noise', or leave 'prior' out."
+            )
         start = given_start(self.start, problem.space)
-        found = estimate(problem, run, self.weights, self.budget, self.step, start)
+        found = estimate(problem, run, self.weights, self.budget, self.step, start, prior=prior)
         family = find("families", "point")(problem.space)
         rows = len(problem.segments.rows[0])
         noise = np.maximum(found.noise, rounding(problem))  # a perfect fit would have no density
@@ -127,10 +165,12 @@ def estimate(
     step: float | None = None,
     start: Array | None = None,
     settings: DifferenceSettings = DIFFERENCES,
+    prior: MeanPrior | None = None,
 ) -> PointEstimate:
     """Estimate the parameters by least squares in two passes.
 
-    The second pass begins where the first ended, with the noise and the steps found there.
+    The second pass begins where the first ended, with the noise and the steps found there, and with
+    the prior.
 
     Parameters
     ----------
@@ -143,6 +183,8 @@ def estimate(
         Where the first pass begins; the middle of the box if None.
     settings : DifferenceSettings
         Limits of the steps that are not given.
+    prior : MeanPrior, optional
+        Of the parameters. One that is not normal takes further passes.
 
     Returns
     -------
@@ -169,8 +211,35 @@ def estimate(
         lowest = np.maximum(1e-16 * np.var(targets, axis=0), 1e-300)
         variances = np.maximum(first.noise, lowest)
     half = plain_errors(first, width, settings) if step is None else step * width
-    second = _solve(problem, run, variances, first.value, budget, half)
-    return replace(second, evaluations=first.evaluations + second.evaluations)
+    if prior:
+        last = _with_prior(problem, run, variances, first.value, budget, half, prior)
+    else:
+        last = _solve(problem, run, variances, first.value, budget, half)
+    return replace(last, evaluations=first.evaluations + last.evaluations)
+
+
+def _with_prior(
+    problem: Problem,
+    run: Run,
+    variances: Array,
+    start: Array,
+    budget: int,
+    step: Array,
+    prior: MeanPrior,
+    settings: PriorPassSettings = PRIOR_PASSES,
+) -> PointEstimate:
+    """Passes with normal priors of the prior's own slope where the pass before ended."""
+    evaluations = 0
+    normal = prior.as_normal(start)
+    for _ in range(settings.passes):
+        found = _solve(problem, run, variances, start, budget, step, normal)
+        evaluations += found.evaluations
+        start = found.value
+        last, normal = normal, prior.as_normal(start)
+        moved = np.abs(normal[0] - last[0]) * np.sqrt(normal[1])
+        if np.all((moved < settings.settled) | (normal[1] == 0)):
+            break
+    return replace(found, evaluations=evaluations)
 
 
 def _first_variances(problem: Problem, run: Run, weights: str | tuple[float, ...]) -> Array:
@@ -242,7 +311,16 @@ def misfit(problem: Problem, run: Run) -> Array:
 class _Residuals:
     """Weighted residuals and their Jacobian over the unit box, both from one linearization."""
 
-    def __init__(self, problem: Problem, run: Run, variances: Array, budget: int, step: Array):
+    def __init__(
+        self,
+        problem: Problem,
+        run: Run,
+        variances: Array,
+        budget: int,
+        step: Array,
+        prior: tuple[Array, Array] | None,
+    ):
+        self.prior = prior
         self.problem = problem
         self.run = run
         self.budget = budget
@@ -267,25 +345,41 @@ class _Residuals:
         return self._linearized
 
     def residuals(self, unit: Array) -> Array:
-        """(R p,) weighted."""
-        return ((self.linearize(unit)[0] - self.targets) * self.weight).ravel()
+        """(R p,) weighted; d more of a normal prior."""
+        of_data = ((self.linearize(unit)[0] - self.targets) * self.weight).ravel()
+        if self.prior is None:
+            return of_data
+        centre, precision = self.prior
+        value = self.problem.space.low + unit * self.width
+        return np.concatenate([of_data, np.sqrt(precision) * (value - centre)])
 
     def jacobian(self, unit: Array) -> Array:
-        """(R p, d) of the residuals in the coordinates of the unit box."""
+        """Of the residuals in the coordinates of the unit box, d columns."""
         slopes = self.linearize(unit)[1] * self.weight[:, None] * self.width
-        return slopes.reshape(-1, len(self.width))
+        of_data = slopes.reshape(-1, len(self.width))
+        if self.prior is None:
+            return of_data
+        return np.concatenate([of_data, np.diag(np.sqrt(self.prior[1]) * self.width)])
 
 
 def _solve(
-    problem: Problem, run: Run, variances: Array, start: Array, budget: int, step: Array
+    problem: Problem,
+    run: Run,
+    variances: Array,
+    start: Array,
+    budget: int,
+    step: Array,
+    prior: tuple[Array, Array] | None = None,
 ) -> PointEstimate:
-    """One pass from a start (d,), weighted by the inverse of variances (p,), with steps (d,)."""
+    """One pass from a start (d,), weighted by the inverse of variances (p,), with steps (d,), and
+    a normal prior of centre and precision (d,).
+    """
     from scipy.optimize import least_squares  # slow to import
 
     space = problem.space
     width = space.high - space.low
     before = run.evaluations
-    function = _Residuals(problem, run, variances, budget, step)
+    function = _Residuals(problem, run, variances, budget, step, prior)
     unit = np.clip((start - space.low) / width, 1e-9, 1 - 1e-9)
     try:
         result = least_squares(

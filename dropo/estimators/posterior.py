@@ -1,7 +1,7 @@
 """The posterior by sampling: of the parameters, or of the distribution that they are drawn from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -244,7 +244,7 @@ class Posterior(Estimator):
         d = len(problem.space)
         mean = given_start(self.start, problem.space)
         if mean is None:
-            found = find("methods", "least-squares")()._fit(problem, run)
+            found = find("methods", "least-squares")()._fit(replace(problem, priors={}), run)
             mean = found.mean
             if self._of_parameters:
                 spread[:d] = _unit_width(problem.space, mean, found.mean_se)

@@ -10,6 +10,7 @@ from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import GroupedLogLikelihood, Groups, LogLikelihood
 from dropo.core.contracts.maximize import SearchResult
+from dropo.core.contracts.mean_prior import MeanPrior, within_priors
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.records.fit_parts import GroupEffects, VarianceComponentTests, VarianceTest
@@ -81,6 +82,7 @@ class RandomEffects(Estimator):
     start_noise: bool | None = None
     settings: GroupSettings = field(default_factory=GroupSettings)
     name = "random-effects"
+    uses_priors = True
 
     def __post_init__(self) -> None:
         known("family of random effects", self.family, ("truncated_gaussian", "full"))
@@ -96,6 +98,10 @@ class RandomEffects(Estimator):
         return _Population(
             likelihood="random-effects", family=self.family, settings=self.settings, **further
         )
+
+    def _prepared(self, problem: Problem) -> Problem:
+        """Within the ends of its priors."""
+        return within_priors(problem)
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """The population's fit, where there are groups enough."""
@@ -141,10 +147,12 @@ class _Population(DROPO):
 
         # Each group's own parameters.
         groups = objective.groups(found.point)
-        information = objective.value_score_information(found.point)[2]
+        prior = MeanPrior(problem.priors, problem.space)
         d = len(fit.mean)
+        information = objective.value_score_information(found.point)[2][:d, :d]
+        information += np.diag(prior.information(fit.mean))
         spread = fit.correlation * np.outer(fit.sd, fit.sd)
-        kept, covariance = _posterior(groups, spread, information[:d, :d])
+        kept, covariance = _posterior(groups, spread, information)
         names = problem.space.names
         tests = variance_component_tests(objective, names, found.point, run.rng)
         effects = _effects(problem, fit, groups, kept, covariance, tests)

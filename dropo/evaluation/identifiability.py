@@ -157,6 +157,8 @@ def null_directions(
     jacobian: Array,
     epsilon: Array,
     settings: IdentifiabilitySettings = SETTINGS,
+    *,
+    known: Array | None = None,
 ) -> list[Array]:
     """Return directions of the parameters along which no prediction changes.
 
@@ -170,6 +172,8 @@ def null_directions(
         Noise variances.
     settings : IdentifiabilitySettings
         Which information counts as none.
+    known : (d,) array, optional
+        Information on each parameter beside the data, as of a prior [1 / unit^2].
 
     Returns
     -------
@@ -181,15 +185,17 @@ def null_directions(
     sd = np.sqrt(np.maximum(epsilon, 1e-300))[:, None]
     white = (jacobian * width / sd).reshape(-1, len(space))
     information = white.T @ white
+    if known is not None:
+        information += np.diag(known * width**2)
     of_prior = 1 / settings.unknown_sd**2
 
     # Single parameters without information.
     size = np.diagonal(information)
-    known = size > max(of_prior, settings.rounding * float(size.max(initial=0.0)))
-    directions = list(np.eye(len(space))[~known])
+    told = size > max(of_prior, settings.rounding * float(size.max(initial=0.0)))
+    directions = list(np.eye(len(space))[~told])
 
     # Combinations of the others.
-    rest = np.flatnonzero(known)
+    rest = np.flatnonzero(told)
     if len(rest) < 2:
         return directions
     values, vectors = np.linalg.eigh(information[np.ix_(rest, rest)])

@@ -17,6 +17,7 @@ from dropo.core.contracts.family import Family
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LogLikelihood, RunFit, RunLikelihood
 from dropo.core.contracts.maximize import SearchResult
+from dropo.core.contracts.mean_prior import MeanPrior, local_with_prior
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
@@ -169,6 +170,7 @@ class Trajectory(RunLikelihood):
         unmeasured = (*problem.estimated, *self.unmeasured)
         search = _Search(self, problem.simulator, problem.trajectories, length, unmeasured)
         search.take_noise(noise)
+        search.prior = MeanPrior(problem.priors, problem.space)
         look, found = search.run(run, mean)
         if found.status is not Status.INTERRUPTED:
             look, found = search.with_spread(run, look, found, family)
@@ -267,6 +269,7 @@ class _Search:
         self.start_prior = (self.settings.prior_spread * spread) ** -2.0
         self.width = simulator.space.high - simulator.space.low
         self.value_step = self.settings.value_step * self.width
+        self.prior = MeanPrior({}, simulator.space)
         self.law: NoiseLaw | None = None
         self.given = False
         self.degrees: float | None = None
@@ -338,15 +341,17 @@ class _Search:
 
     def step_of(self, look: _Look) -> Array:
         """(d,) the Gauss-Newton step of the parameters, within their box."""
-        information = look.information
+        value = look.state.value
+        information = look.information + np.diag(self.prior.information(value))
+        score = look.condensed.scores.sum(axis=0) + self.prior.score(value)
         size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
         scaled = information / np.outer(size, size) + 1e-12 * np.eye(len(size))
         root = np.linalg.cholesky(scaled).T
-        right = np.linalg.solve(root.T, look.condensed.scores.sum(axis=0) / size)
+        right = np.linalg.solve(root.T, score / size)
         space = self.simulator.space
         longest = self.settings.longest * self.width
-        low = np.maximum(space.low - look.state.value, -longest) * size
-        high = np.minimum(space.high - look.state.value, longest) * size
+        low = np.maximum(space.low - value, -longest) * size
+        high = np.minimum(space.high - value, longest) * size
         high = np.maximum(high, low + 1e-12 * np.maximum(np.abs(low), 1e-30))
         return np.asarray(lsq_linear(root, right, (low, high)).x / size)
 
@@ -377,7 +382,8 @@ class _Search:
 
     def errors(self, look: _Look) -> Array:
         """(d,) standard errors by the information, at most the width of the box."""
-        information = look.information + np.diag(self.width**-2.0)
+        known = self.width**-2.0 + self.prior.information(look.state.value)
+        information = look.information + np.diag(known)
         return np.sqrt(np.diagonal(np.linalg.inv(information)))
 
     # --- the search
@@ -449,6 +455,7 @@ class _Search:
             counts = best.columns.valid.sum(axis=0)
             ratio = _mean_squares(look.columns) / _mean_squares(best.columns)
             lost = 0.5 * np.sum(counts * np.log(ratio))
+        lost += self.prior.value(best.state.value) - self.prior.value(look.state.value)
         return bool(lost > self.settings.worse)
 
     def _counted(self, run: Run, state: _State) -> _Look:
@@ -565,23 +572,29 @@ class _Search:
         low = np.clip(low, unknowns.low, unknowns.high)
         plain = low
         if look.state.own is not None:
-            plain = maximize_locally(_held(objective, scales), low).phi
+            plain = self._maximum(objective, scales, low)
         if not scales or len(objective.scores) < 2:
             return plain
         start = plain.copy()
         relative = look.state.value if family.logarithmic else np.ones(len(look.state.value))
         first = np.maximum(3 * self.errors(look), self._scatter(objective)) / relative
         start[scales] = np.clip(first, unknowns.low[scales], unknowns.high[scales])
-        found = maximize_locally(objective, start)
-        if found.value - objective(plain) <= self.settings.spread_gain * len(scales):
+        found = self._maximum(objective, [], start)
+        value = local_with_prior(objective, self.prior)
+        best = value(found)
+        if best - value(plain) <= self.settings.spread_gain * len(scales):
             return plain
         # Without those whose absence costs little.
         empty = []
         for i in scales:
-            without = maximize_locally(_held(objective, [i]), found.phi)
-            if found.value - without.value <= self.settings.spread_gain:
+            if best - value(self._maximum(objective, [i], found)) <= self.settings.spread_gain:
                 empty.append(i)
-        return maximize_locally(_held(objective, empty), found.phi).phi if empty else found.phi
+        return self._maximum(objective, empty, found) if empty else found
+
+    def _maximum(self, objective: RunRows, held: list[int], start: Array) -> Array:
+        """Phi of the maximum from a start, with the scales at some places held at their least."""
+        searched = _held(objective, held) if held else objective
+        return maximize_locally(local_with_prior(searched, self.prior), start).phi
 
     def _scatter(self, objective: RunRows) -> Array:
         """(d,) standard deviations of the groups' own parameters."""

@@ -23,6 +23,7 @@ from dropo.core.records.fit_parts import (
     ModelCheck,
     PosteriorDiagnostics,
     PosteriorDraws,
+    PriorUse,
     ResidualSize,
     ResidualStructure,
     StartFilter,
@@ -63,6 +64,7 @@ FULL = {
     "model_check": ModelCheck(
         False, ResidualSize(4.0, 0.1), ResidualStructure("y", "sign(y)", 9.0, "x", 7.0)
     ),
+    "priors": PriorUse({"a": "normal(0.5, 0.1)"}, NAMED, {"a": np.nan}),
     "held_out": HeldOutErrors(40, 5, {"m": 0.1, "rad": np.nan}, {"m": 0.2, "rad": 0.3}),
     "groups": GroupEffects(
         kind="trajectories",

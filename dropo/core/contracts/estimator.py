@@ -187,6 +187,7 @@ class Estimator(ABC):
         owner = f"Problem {problem.name!r}"
         require(len(problem.space) >= 1, "parameters", "at least one", 0, owner)
         self._check_priors(problem)
+        problem = self._prepared(problem)
         begun = time.perf_counter()
         run = Run(
             problem,
@@ -214,9 +215,14 @@ class Estimator(ABC):
         if problem.priors and not self.uses_priors:
             names = ", ".join(problem.priors)
             raise Incompatible(
-                f"Method {self.name!r} uses no prior, and there is one of {names}. Use 'posterior',"
-                " 'epopt' or 'npe', or leave 'prior' out."
+                f"Method {self.name!r} uses no prior, and there is one of {names}. Use 'dropo',"
+                " 'least-squares', 'random-effects', 'posterior', 'epopt' or 'npe', or leave"
+                " 'prior' out."
             )
+
+    def _prepared(self, problem: Problem) -> Problem:
+        """The problem as the method searches it."""
+        return problem
 
     @abstractmethod
     def _fit(self, problem: Problem, run: Run) -> Fit:

@@ -181,14 +181,23 @@ class LogPrior:
         for i, distribution in self.distributions.items():
             values = points[:, i]
             by_box = 1 / values if self.space.is_log[i] else 0.0
-            out[:, i] = _slope(distribution, values) + by_box
+            out[:, i] = slope(distribution, values) + by_box
         return out
 
 
-def _slope(distribution: Any, x: Array) -> Array:
-    """The derivative of a log density by central differences.
+def slope(distribution: Any, x: Array) -> Array:
+    """Differentiate a log density by central differences.
 
-    It is one-sided at the ends of the support, and 0 outside.
+    Parameters
+    ----------
+    distribution : frozen scipy.stats distribution
+    x : (n,) array
+        Where.
+
+    Returns
+    -------
+    (n,) array
+        One-sided at the ends of the support, and 0 outside.
     """
     step = STEP * (distribution.ppf(0.75) - distribution.ppf(0.25))
     below, here, above = (distribution.logpdf(at) for at in (x - step, x, x + step))

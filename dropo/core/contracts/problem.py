@@ -52,7 +52,7 @@ class Problem:
     everything : Trajectories or None
         All data, where `trajectories` are the first of them.
     priors : mapping of str to Prior
-        Priors of parameters by name, for a posterior.
+        Priors of parameters by name, of the parameter itself or of its mean.
     task : Task or None
         What a policy is to do on the simulator, for training.
     warnings : tuple of str

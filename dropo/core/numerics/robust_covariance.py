@@ -7,13 +7,18 @@ from dropo.core.services.validation import Array
 
 SINGULAR = 1e-14
 """Smallest eigenvalue of the scaled information; smaller ones are rounding."""
+EXACT = 1e-6
+"""Share of a variance below which what is uncertain of it does not matter."""
 
 
-def sandwich(scores: Array, information: Array, units: Units) -> tuple[Array, Array]:
+def sandwich(
+    scores: Array, information: Array, units: Units, prior: Array | None = None
+) -> tuple[Array, Array]:
     """Estimate the covariance H^-1 V H^-1 of a maximum-likelihood estimate.
 
     V is the covariance of the scores' sum, by `variance_of_sum`, from each unknown's own influence
-    H^-1 u.
+    H^-1 u. With a prior it is the error against a truth drawn from the prior: its information P is
+    part of H and of V, and scores are taken from their mean, as their sum is the prior's pull.
 
     Parameters
     ----------
@@ -23,6 +28,8 @@ def sandwich(scores: Array, information: Array, units: Units) -> tuple[Array, Ar
         H, the Fisher information.
     units : Units
         Which rows depend on each other.
+    prior : (m,) array, optional
+        The diagonal of P.
 
     Returns
     -------
@@ -32,13 +39,37 @@ def sandwich(scores: Array, information: Array, units: Units) -> tuple[Array, Ar
     degrees : (m,) array
         Degrees of freedom of the standard errors; NaN likewise.
     """
-    size = np.sqrt(np.diagonal(information))
-    good = size > 0
+    if prior is not None:
+        information = information + np.diag(prior)
+        scores = scores - scores.mean(axis=0)
+    good = np.diagonal(information) > 0
     block = np.ix_(good, good)
-    scale = np.outer(size[good], size[good])
-    values, vectors = np.linalg.eigh(information[block] / scale)
-    inverse = (vectors / np.maximum(values, SINGULAR)) @ vectors.T / scale
+    inverse = inverse_information(information[block])
     covariance = np.full(information.shape, np.nan)
     degrees = np.full(len(information), np.nan)
     covariance[block], degrees[good] = variance_of_sum(scores[:, good] @ inverse, units)
+    if prior is not None:
+        of_data = np.diagonal(covariance)[good].copy()
+        covariance[block] += inverse * prior[good] @ inverse
+        # The prior's part of a variance is known exactly (Satterthwaite 1946).
+        whole = np.diagonal(covariance)[good]
+        degrees[good] *= (whole / np.maximum(of_data, EXACT * whole)) ** 2
     return covariance, degrees
+
+
+def inverse_information(information: Array) -> Array:
+    """Invert an information matrix, with a huge variance along directions without information.
+
+    Parameters
+    ----------
+    information : (m, m) array
+        With a positive diagonal.
+
+    Returns
+    -------
+    (m, m) array
+    """
+    size = np.sqrt(np.diagonal(information))
+    scale = np.outer(size, size)
+    values, vectors = np.linalg.eigh(information / scale)
+    return np.asarray((vectors / np.maximum(values, SINGULAR)) @ vectors.T / scale)

@@ -16,6 +16,7 @@ from dropo.core.records.fit_parts import (
     HeldOutErrors,
     ModelCheck,
     PosteriorDraws,
+    PriorUse,
     StartFilter,
 )
 from dropo.core.records.fitted_parameter import FittedParameter
@@ -100,6 +101,8 @@ class Fit(Report):
         What the data do not determine, a sentence each; None where that was not tested.
     model_check : ModelCheck or None
         Whether the model can be right; None where that was not tested.
+    priors : PriorUse or None
+        What the problem's priors are to the means, of a method that searches with them.
     truth : mapping of str to float
         The parameters that the data were simulated with, where they are known.
     held_out : HeldOutErrors or None
@@ -155,6 +158,7 @@ class Fit(Report):
     posterior: PosteriorDraws | None = None
     identifiability: tuple[str, ...] | None = None
     model_check: ModelCheck | None = None
+    priors: PriorUse | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
     held_out: HeldOutErrors | None = None
     groups: GroupEffects | None = None

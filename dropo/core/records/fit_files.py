@@ -16,6 +16,7 @@ from dropo.core.records.fit_parts import (
     HeldOutErrors,
     ModelCheck,
     PosteriorDraws,
+    PriorUse,
     StartFilter,
     number_or_nan,
     number_or_null,
@@ -31,6 +32,7 @@ PARTS: Mapping[str, type[FitPart]] = {
     "start_filter": StartFilter,
     "posterior": PosteriorDraws,
     "model_check": ModelCheck,
+    "priors": PriorUse,
     "held_out": HeldOutErrors,
     "groups": GroupEffects,
     "noise_tuning": NoiseTuning,
@@ -196,7 +198,7 @@ def _further_entries(fit: Fit) -> dict[str, Any]:
     found |= _entries(fit.search_record) | _entries(fit.posterior)
     if fit.identifiability is not None:
         found["identifiability"] = list(fit.identifiability)
-    found |= _entries(fit.model_check)
+    found |= _entries(fit.model_check) | _entries(fit.priors)
     if fit.truth:
         found["truth"] = dict(fit.truth)
     for part in (fit.held_out, fit.groups, fit.noise_tuning, fit.horizon_choice, fit.excluded):

@@ -94,6 +94,41 @@ class EmulatorCheck(FitPart):
 
 
 @dataclass(frozen=True)
+class PriorUse(FitPart):
+    """What priors are to the means of a fit that was searched with them.
+
+    Attributes
+    ----------
+    laws : mapping of str to str
+        The priors as texts, by the parameters that have one.
+    share : mapping of str to float
+        How much of what is known of each parameter's mean the priors give, 0 to 1: the part of the
+        inverse of its variance that is lost without them. NaN for a mean on its bound.
+    apart : mapping of str to float
+        How many standard deviations data and prior are apart, by the parameters that have one; NaN
+        of a prior without curvature, such as a uniform one.
+    """
+
+    laws: Mapping[str, str]
+    share: Mapping[str, float]
+    apart: Mapping[str, float]
+    keys = ("priors",)
+
+    def to_json(self) -> dict[str, Any]:
+        values = {
+            "laws": dict(self.laws),
+            "share": numbers_or_null(self.share),
+            "apart": numbers_or_null(self.apart),
+        }
+        return {"priors": values}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any], arrays: Mapping[str, Any]) -> Self:
+        saved = content["priors"]
+        return cls(saved["laws"], numbers_or_nan(saved["share"]), numbers_or_nan(saved["apart"]))
+
+
+@dataclass(frozen=True)
 class StartFilter(FitPart):
     """How the Kalman filter of the start states and the fit settled, in turn.
 

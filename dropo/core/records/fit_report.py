@@ -3,7 +3,7 @@
 import numpy as np
 
 from dropo.core.records.fit import Fit
-from dropo.core.records.fit_parts import HeldOutErrors
+from dropo.core.records.fit_parts import HeldOutErrors, PriorUse
 from dropo.core.services.tables import MOST_DIGITS, Table, estimate, number
 from dropo.core.services.validation import Array
 
@@ -37,6 +37,7 @@ def fit_report(fit: Fit) -> list[str | Table]:
         f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
         _parameter_table(fit),
         *_correlation_sentence(fit),
+        *([] if fit.priors is None else [_prior_sentence(fit.priors)]),
         *(fit.identifiability or ()),
         f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
         *([] if fit.held_out is None else [_held_out_sentence(fit.held_out)]),
@@ -125,6 +126,16 @@ def _correlation_sentence(fit: Fit) -> list[str]:
         r = fit.correlation[i, j]
         shown.append(f"{names[i]}, {names[j]} {r:+.2f} ({low:+.2f} .. {high:+.2f})")
     return [f"correlations (95 % intervals): {'; '.join(shown)}"] if shown else []
+
+
+def _prior_sentence(found: PriorUse) -> str:
+    """How much of what is known the priors give, by parameter."""
+    shares = []
+    for name, share in found.share.items():
+        shown = "an unknown part" if np.isnan(share) else f"{100 * share:.3g} %"
+        shares.append(f"{shown} of what is known of {name}")
+    laws = ", ".join(f"{name} ~ {law}" for name, law in found.laws.items())
+    return f"priors ({laws}) give {', '.join(shares)}"
 
 
 def _held_out_sentence(found: HeldOutErrors) -> str:

@@ -94,6 +94,14 @@ class SavedModelCheck(Saved):
     structure: SavedResidualStructure | None = None
 
 
+class SavedPriors(Saved):
+    """What priors are to the means of a fit."""
+
+    laws: dict[str, str]
+    share: ByName
+    apart: ByName
+
+
 class SavedHeldOut(Saved):
     """Errors on trajectories that no fit has seen."""
 
@@ -200,6 +208,7 @@ class SavedFit(Saved):
     emulator_check: SavedEmulatorCheck | None = None
     filter: SavedStartFilter | None = None
     model_check: SavedModelCheck | None = None
+    priors: SavedPriors | None = None
     held_out: SavedHeldOut | None = None
     groups: SavedGroups | None = None
     groups_differ: SavedGroupTests | None = None

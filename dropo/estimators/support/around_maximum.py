@@ -1,6 +1,6 @@
 """A local likelihood around its own maximum, wide enough for the posterior."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -153,7 +153,8 @@ class AroundMaximum:
             start_noise=self.noise.start,
             degrees=self.noise.degrees,
         )
-        return estimator._fit(self.problem, self.run)
+        # Draws have the priors; the likelihood is built where the data alone are best.
+        return estimator._fit(replace(self.problem, priors={}), self.run)
 
     def _build(self) -> Local:
         """The likelihood around the centre."""

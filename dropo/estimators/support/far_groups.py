@@ -8,6 +8,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import GroupedLogLikelihood
 from dropo.core.contracts.maximize import SearchResult
+from dropo.core.contracts.mean_prior import MeanPrior, local_with_prior
 from dropo.core.services.validation import Array
 
 
@@ -42,6 +43,7 @@ def with_models_of_their_own(
     objective: GroupedLogLikelihood,
     found: SearchResult,
     rng: np.random.Generator,
+    prior: MeanPrior | None = None,
     settings: FarGroupSettings = SETTINGS,
 ) -> tuple[GroupedLogLikelihood, SearchResult, list[str]]:
     """Give groups local models of their own until a simulation at each group's mode confirms it.
@@ -56,6 +58,8 @@ def with_models_of_their_own(
         Its maximum.
     rng : numpy.random.Generator
         For the designs.
+    prior : MeanPrior, optional
+        Of the means.
     settings : FarGroupSettings
 
     Returns
@@ -75,8 +79,8 @@ def with_models_of_their_own(
             break
         with run.counting(evaluations=1):
             objective = objective.with_own_models(found.point, off, rng)
-        maximum = maximize_locally(objective, found.point)
-        found = replace(found, point=maximum.phi, value=maximum.value)
+        point = maximize_locally(local_with_prior(objective, prior), found.point).phi
+        found = replace(found, point=point, value=objective(point))
     return objective, found, _warnings(objective, found, errors, settings)
 
 

@@ -10,6 +10,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.maximize import SearchResult
+from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import STEP, Simulator, describe_failures
@@ -335,6 +336,7 @@ def fit_from_filtered_starts(
     moves: list[float] = []
     d = len(problem.space)
     width = problem.space.high - problem.space.low
+    prior = MeanPrior(problem.priors, problem.space)
     while len(moves) < settings.iterations and found.status is not Status.INTERRUPTED:
         own = found.point[: len(family.unknowns)]
         mean = family.mean(own)
@@ -347,6 +349,7 @@ def fit_from_filtered_starts(
         objective, found = refit(current, start, mean, settings.initial_width * width)
         # How far the means moved, in their standard errors.
         information = objective.value_score_information(found.point)[2][:d, :d]
+        information += np.diag(prior.information(mean))
         errors = np.sqrt(np.diagonal(np.linalg.pinv(information, hermitian=True)))
         moved = np.abs(family.mean(found.point[: len(family.unknowns)]) - mean)
         moves.append(float(np.max(moved / np.maximum(errors, 1e-12 * width))))

@@ -8,6 +8,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.maximize import SearchResult
+from dropo.core.contracts.mean_prior import MeanPrior, mean_places
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -67,8 +68,8 @@ def corrected_by_simulation(
     SearchResult
         Its maximum in the means.
     """
-    names = objective.unknowns.names
-    places = np.array([names.index(f"mean.{name}") for name in problem.space.names])
+    places = mean_places(objective, problem.space)
+    prior = MeanPrior(problem.priors, problem.space)
     targets = problem.simulator.targets(problem.segments)
     corrected, point = objective, found.point
     for _ in range(settings.simulations):
@@ -79,7 +80,7 @@ def corrected_by_simulation(
             break
         shifted = corrected.anchored(mean, simulated)
         without_residuals = corrected.anchored(mean, targets)
-        step, errors = _fisher_step(shifted, without_residuals, point, places)
+        step, errors = _fisher_step(shifted, without_residuals, point, places, prior)
         moved = point.copy()
         moved[places] += step
         if np.any((moved < objective.unknowns.low) | (moved > objective.unknowns.high)):
@@ -91,9 +92,13 @@ def corrected_by_simulation(
 
 
 def _fisher_step(
-    objective: LocalLogLikelihood, without_residuals: LocalLogLikelihood, phi: Array, places: Ints
+    objective: LocalLogLikelihood,
+    without_residuals: LocalLogLikelihood,
+    phi: Array,
+    places: Ints,
+    prior: MeanPrior,
 ) -> tuple[Array, Array]:
-    """(d,) the step of the means that the residuals' scores ask for, 0 of those on a bound; (d,)
+    """(d,) the step of the means that residuals' and prior's scores ask for, 0 on a bound; (d,)
     the means' standard errors behind it, by the sandwich of what the step leaves of the scores.
     """
     low, high = objective.unknowns.low[places], objective.unknowns.high[places]
@@ -101,10 +106,13 @@ def _fisher_step(
     chosen = places[free]
     _, scores, information = objective.value_score_information(phi)
     _, pull, _ = without_residuals.value_score_information(phi)
-    inverse = np.linalg.pinv(information[np.ix_(chosen, chosen)], hermitian=True)
+    known = prior.information(phi[places])[free]
+    of_prior = prior.score(phi[places])[free]
+    both = information[np.ix_(chosen, chosen)] + np.diag(known)
+    inverse = np.linalg.pinv(both, hermitian=True)
     own = (scores - pull)[:, chosen] @ inverse
     step = np.zeros(len(places))
     errors = np.zeros(len(places))
-    step[free] = own.sum(axis=0)
+    step[free] = own.sum(axis=0) + of_prior @ inverse
     errors[free] = np.sqrt(np.sum((own - own.mean(axis=0)) ** 2, axis=0))
     return step, errors

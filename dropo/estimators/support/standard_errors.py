@@ -6,12 +6,14 @@ import numpy as np
 
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
+from dropo.core.contracts.mean_prior import MeanPrior, mean_places
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import independent
 from dropo.core.numerics.linear_gaussian import scores_and_information
-from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.numerics.robust_covariance import inverse_information, sandwich
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 
 
@@ -40,6 +42,24 @@ DIFFERENCES = DifferenceSettings()
 
 
 @dataclass(frozen=True)
+class OfPrior:
+    """What priors are to an estimate.
+
+    Attributes
+    ----------
+    share : (d,) array
+        How much of the information on each mean (the inverse of its variance, all else unknown) is
+        there by the priors alone: 0 to 1, NaN for a mean on its bound.
+    pull : (d,) array
+        How many standard deviations data and prior are apart, each with its own uncertainty; NaN
+        where there is no prior with a curvature.
+    """
+
+    share: Array
+    pull: Array
+
+
+@dataclass(frozen=True)
 class StandardErrors:
     """Standard errors, and the sensitivities that they rest on.
 
@@ -55,6 +75,8 @@ class StandardErrors:
     correlation : (d, d) array or None
         Of the correlations, NaN where one is on its bound; None of a family without, or where the
         likelihood has no scores of its own.
+    prior : OfPrior or None
+        What the priors are to the means, where there are some.
     """
 
     mean: Array
@@ -62,6 +84,7 @@ class StandardErrors:
     degrees: Array
     jacobian: Array
     correlation: Array | None = None
+    prior: OfPrior | None = None
 
 
 def standard_errors(
@@ -71,6 +94,7 @@ def standard_errors(
     correlation: Array,
     noise: Array,
     settings: DifferenceSettings = DIFFERENCES,
+    prior: MeanPrior | None = None,
 ) -> StandardErrors:
     """Find the standard errors by the linear-Gaussian model around the means.
 
@@ -86,6 +110,8 @@ def standard_errors(
     settings : DifferenceSettings
         The first differences are over the largest step, the second over one standard error as the
         first give it, within both steps.
+    prior : MeanPrior, optional
+        Of the means, where the estimate has one.
 
     Returns
     -------
@@ -93,10 +119,10 @@ def standard_errors(
     """
     width = problem.space.high - problem.space.low
     step = settings.largest * width
-    found = _errors_with_step(problem, mean, sd, correlation, noise, step, settings)
+    found = _errors_with_step(problem, mean, sd, correlation, noise, step, settings, prior)
     known = np.where(np.isfinite(found.mean), found.mean, step)
     step = np.clip(known, settings.least * width, settings.largest * width)
-    return _errors_with_step(problem, mean, sd, correlation, noise, step, settings)
+    return _errors_with_step(problem, mean, sd, correlation, noise, step, settings, prior)
 
 
 def _errors_with_step(
@@ -107,6 +133,7 @@ def _errors_with_step(
     noise: Array,
     step: Array,
     settings: DifferenceSettings,
+    prior: MeanPrior | None,
 ) -> StandardErrors:
     """The standard errors with sensitivities over steps (d,)."""
     segments = problem.segments
@@ -121,7 +148,13 @@ def _errors_with_step(
     scores, information = scores_and_information(residuals, jacobian, spread, known)
     kept = np.tile(_inside(problem.space, mean, settings.edge), 2)
     units = units_of(segments)
-    covariance, counted = sandwich(scores[:, kept], information[np.ix_(kept, kept)], units)
+    curvature = _curvature(prior, mean, np.arange(d), 2 * d)
+    covariance, counted = sandwich(
+        scores[:, kept],
+        information[np.ix_(kept, kept)],
+        units,
+        None if curvature is None else curvature[kept],
+    )
     variance = np.full(2 * d, np.nan)
     degrees = np.full(2 * d, np.nan)
     variance[kept] = np.diagonal(covariance)
@@ -131,7 +164,8 @@ def _errors_with_step(
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(sd > 0, np.sqrt(variance[d:]) / (2 * sd), np.nan)
     scale[~(scale < sd)] = np.nan
-    return StandardErrors(np.sqrt(variance[:d]), scale, degrees[:d], jacobian)
+    of_prior = _of_prior(prior, mean, np.arange(d), information, kept)
+    return StandardErrors(np.sqrt(variance[:d]), scale, degrees[:d], jacobian, prior=of_prior)
 
 
 def local_standard_errors(
@@ -140,6 +174,7 @@ def local_standard_errors(
     objective: LocalLogLikelihood,
     phi: Array,
     settings: DifferenceSettings = DIFFERENCES,
+    prior: MeanPrior | None = None,
 ) -> StandardErrors:
     """Find the standard errors by a local likelihood's own scores.
 
@@ -152,6 +187,8 @@ def local_standard_errors(
     phi : (m,) array
         That maximum; unknowns of the family on a bound are held fixed.
     settings : DifferenceSettings
+    prior : MeanPrior, optional
+        Of the means, where the maximum is that with a prior.
 
     Returns
     -------
@@ -168,13 +205,17 @@ def local_standard_errors(
     free = np.concatenate([inside, np.ones(len(phi) - own, dtype=bool)])
     errors = np.full(len(phi), np.nan)
     degrees = np.full(len(phi), np.nan)
+    means = mean_places(objective, family.space)
+    curvature = _curvature(prior, family.mean(phi[:own]), means, len(phi))
+    of_free = None if curvature is None else curvature[free]
     own_information = information[np.ix_(free, free)]
-    covariance, degrees[free] = sandwich(scores[:, free], own_information, units)
+    covariance, degrees[free] = sandwich(scores[:, free], own_information, units, of_free)
     if objective.errors_from_model:
-        covariance = _at_least(covariance, np.linalg.pinv(own_information, hermitian=True))
+        known = own_information if of_free is None else own_information + np.diag(of_free)
+        covariance = _at_least(covariance, np.linalg.pinv(known, hermitian=True))
     errors[free] = np.sqrt(np.diagonal(covariance))
+    of_prior = _of_prior(prior, family.mean(phi[:own]), means, information, free)
 
-    means = [names.index(f"mean.{name}") for name in family.space.names]
     scale = np.full(len(means), np.nan)
     for i, name in enumerate(family.space.names):
         if f"scale.{name}" in names:
@@ -184,7 +225,46 @@ def local_standard_errors(
     whole = np.full((len(phi), len(phi)), np.nan)
     whole[np.ix_(free, free)] = covariance
     correlation = _correlation_errors(family, phi[:own], whole[:own, :own], settings)
-    return StandardErrors(errors[means], scale, degrees[means], jacobian, correlation)
+    return StandardErrors(
+        errors[means], scale, degrees[means], jacobian, correlation, prior=of_prior
+    )
+
+
+def _curvature(prior: MeanPrior | None, mean: Array, places: Ints, size: int) -> Array | None:
+    """(size,) the prior's information on all unknowns; None without a prior."""
+    if not prior:
+        return None
+    out = np.zeros(size)
+    out[places] = prior.information(mean)
+    return out
+
+
+def _of_prior(
+    prior: MeanPrior | None, mean: Array, places: Ints, information: Array, free: np.ndarray
+) -> OfPrior | None:
+    """What the priors are to means (d,) at these places among the unknowns (m,) of an information.
+
+    With I the information of the data and P that of the prior, data and prior at the maximum pull
+    with the same score g against each other, whose variance is P - P (I + P)^-1 P.
+    """
+    if not prior:
+        return None
+    curvature = _curvature(prior, mean, places, len(information))
+    assert curvature is not None
+    both = information + np.diag(curvature)
+    used = free & (np.diagonal(both) > 0)
+    covariance = np.full(len(both), np.nan)
+    covariance[used] = np.diagonal(inverse_information(both[np.ix_(used, used)]))
+    told = used & (np.diagonal(information) > 0)
+    of_data = np.full(len(both), np.inf)
+    of_data[told] = np.diagonal(inverse_information(information[np.ix_(told, told)]))
+    share = np.clip(1 - covariance / of_data, 0.0, 1.0)[places]
+
+    expected = (curvature - curvature**2 * covariance)[places]
+    score = prior.score(mean)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        pull = np.where(expected > 0, np.abs(score) / np.sqrt(expected), np.nan)
+    return OfPrior(share, pull)
 
 
 def _at_least(covariance: Array, least: Array) -> Array:

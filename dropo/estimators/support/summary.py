@@ -9,13 +9,16 @@ import numpy as np
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood, LogLikelihood
+from dropo.core.contracts.mean_prior import MeanPrior
+from dropo.core.contracts.prior import describe
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit, Status
-from dropo.core.records.fit_parts import ModelCheck
+from dropo.core.records.fit_parts import ModelCheck, PriorUse
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.estimators.support.standard_errors import (
+    OfPrior,
     StandardErrors,
     local_standard_errors,
     standard_errors,
@@ -25,6 +28,9 @@ from dropo.evaluation.identifiability import blind_spots, determined, null_direc
 from dropo.evaluation.likely_cause import likely_cause
 from dropo.evaluation.model_check import check_model
 
+APART = 4.0
+"""A prior is warned of where data and prior are more standard deviations apart: by chance, one fit
+in 16,000."""
 NEAR = 1e-3  # of an unknown's interval: an estimate so near to its bound is warned of
 
 
@@ -88,19 +94,27 @@ def summarize(
     sd = family.sd(own)
     correlation = family.correlation(own)
     notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, own)]
+    prior = MeanPrior(problem.priors, problem.space)
     unknown = np.full(len(mean), np.nan)
     found: dict[str, Any] = {"mean_se": unknown, "scale_se": unknown, "degrees_of_freedom": unknown}
     try:
-        errors = _standard_errors(problem, run, family, objective, phi, epsilon, weighted_by)
+        errors = _standard_errors(problem, run, family, objective, phi, epsilon, weighted_by, prior)
     except SimulationFailed as error:
         notes.append(f"no standard errors: {error}")
     else:
-        # What the data do not determine has no standard error.
+        # What neither the data nor a prior determine has no standard error.
         null = null_directions(problem.space, errors.jacobian, epsilon)
-        mean_se = np.where(determined(problem.space, null), errors.mean, np.nan)
+        left = null
+        if prior:
+            curvature = prior.information(mean)
+            left = null_directions(problem.space, errors.jacobian, epsilon, known=curvature)
+        mean_se = np.where(determined(problem.space, left), errors.mean, np.nan)
         found = {"mean_se": mean_se, "scale_se": errors.scale, "degrees_of_freedom": errors.degrees}
         found["correlation_se"] = errors.correlation
         found["identifiability"] = tuple(blind_spots(problem, mean, errors.jacobian, null))
+        if errors.prior is not None:
+            found["priors"] = _prior_use(problem, errors.prior)
+            notes += _against_priors(found["priors"])
 
         # Whether the model can be right, where a search came to an end.
         if status in (Status.CONVERGED, Status.OUT_OF_BUDGET):
@@ -187,15 +201,38 @@ def _standard_errors(
     phi: Array,
     epsilon: Array,
     weighted_by: Array | None,
+    prior: MeanPrior,
 ) -> StandardErrors:
     """Standard errors, from the objective's own scores where it has such."""
     with run.counting():
         if isinstance(objective, LocalLogLikelihood):
-            return local_standard_errors(problem, family, objective, phi)
+            return local_standard_errors(problem, family, objective, phi, prior=prior)
         own = phi[: len(family.unknowns)]
         noise = epsilon if weighted_by is None else weighted_by
         mean = family.mean(own)
-        return standard_errors(problem, mean, family.sd(own), family.correlation(own), noise)
+        sd = family.sd(own)
+        return standard_errors(problem, mean, sd, family.correlation(own), noise, prior=prior)
+
+
+def _prior_use(problem: Problem, found: OfPrior) -> PriorUse:
+    """What the priors are to the fit, by name."""
+    names = problem.space.names
+    pull = dict(zip(names, found.pull.tolist(), strict=True))
+    return PriorUse(
+        laws={name: describe(law) for name, law in problem.priors.items()},
+        share=dict(zip(names, found.share.tolist(), strict=True)),
+        apart={name: pull[name] for name in problem.priors},
+    )
+
+
+def _against_priors(use: PriorUse) -> list[str]:
+    """A sentence on each prior that the data contradict."""
+    return [
+        f"the data contradict the prior {use.laws[name]} of {name}: they are {apart:.3g} standard"
+        " deviations apart, and the fit lies between them"
+        for name, apart in use.apart.items()
+        if apart > APART
+    ]
 
 
 def _check_model(

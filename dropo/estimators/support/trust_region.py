@@ -15,6 +15,7 @@ from dropo.core.contracts.family import Family
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.maximize import SearchResult, maximize
+from dropo.core.contracts.mean_prior import MeanPrior, local_with_prior, mean_places
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
@@ -122,7 +123,7 @@ class IterationResult:
     phi : (m,) array
         The maximum: the family's unknowns, then the likelihood's own.
     value : float
-        The log-likelihood there [nats].
+        The log-likelihood there, with the log prior where there is one [nats].
     errors : (d,) array
         The standard errors of the means, in the parameters' units.
     converged : bool
@@ -166,6 +167,7 @@ class OuterIterations:
     settings: TrustRegionSettings = field(default_factory=TrustRegionSettings)
 
     def __post_init__(self) -> None:
+        self.prior = MeanPrior(self.problem.priors, self.problem.space)
         self.box = self.problem.space.high - self.problem.space.low
         # One seed for all designs: with a new one each time, iterations would never settle.
         self.design_seed = int(self.rng.spawn(1)[0].integers(2**63))
@@ -210,8 +212,11 @@ class OuterIterations:
             reason = CUT_SHORT
         if best.region.coarse:
             best = self._on_all_segments(best)
-        found = SearchResult(best.phi, best.value, len(results), reason, status)
-        return self._likelihood_of(best), found
+        objective = self._likelihood_of(best)
+        value = best.value
+        if self.prior:
+            value -= self.prior.value(best.phi[mean_places(objective, self.problem.space)])
+        return objective, SearchResult(best.phi, value, len(results), reason, status)
 
     def _iterate(self, region: TrustRegion, results: list[IterationResult]) -> tuple[Status, str]:
         """Iterate until an end; append a result for each iteration, and return how they ended."""
@@ -251,7 +256,8 @@ class OuterIterations:
             start = self._search_start(local, used_region, last_maximum)
             phi, converged = self._maximize(local, start)
             errors = self._standard_errors(local, phi)
-            record = np.concatenate([used_region.width, errors, [local(phi), converged], phi])
+            value = local_with_prior(local, self.prior)(phi)
+            record = np.concatenate([used_region.width, errors, [value, converged], phi])
             return record[None]
 
         # The evaluation log knows an iteration by its region.
@@ -417,6 +423,7 @@ class OuterIterations:
 
     def _maximize(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
         """The local maximum (m,), and whether the search came to its own end."""
+        local = local_with_prior(local, self.prior)
         if self.make_optimizer is None:
             maximum = maximize_locally(local, start)
             self.run.inner_evaluations += maximum.evaluations
@@ -441,6 +448,8 @@ class OuterIterations:
         d = len(self.box)
         # The first d unknowns are the means; scores have a row for each row or group of data.
         _, scores, information = local.value_score_information(phi)
-        inverse = np.linalg.pinv(information[:d, :d], hermitian=True)
+        known = self.prior.information(phi[:d])
+        inverse = np.linalg.pinv(information[:d, :d] + np.diag(known), hermitian=True)
         # With I^-1 the inverse and S the scores: the roots of the diagonal of I^-1 S' S I^-1.
-        return np.sqrt(np.sum((scores[:, :d] @ inverse) ** 2, axis=0))
+        of_data = np.sum((scores[:, :d] @ inverse) ** 2, axis=0)
+        return np.sqrt(of_data + np.sum(known[:, None] * inverse**2, axis=0))
