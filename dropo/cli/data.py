@@ -6,7 +6,15 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import NOTHING, Progress, computing_options, printing_options, show
+from dropo.cli.output import (
+    NOTHING,
+    PARTS,
+    Progress,
+    computing_options,
+    printing_options,
+    show,
+    trusting_option,
+)
 
 if TYPE_CHECKING:
     from dropo.core.contracts.problem import Problem
@@ -133,6 +141,7 @@ def _action(
     )
     parser.set_defaults(run=function)
     computing_options(parser, seed=NOTHING, threads=threads)
+    trusting_option(parser, PARTS)
     printing_options(parser)
     return parser
 
@@ -188,7 +197,7 @@ def run_describe(arguments: argparse.Namespace) -> int:
     """
     from dropo.data.describe import columns, controls, describe
 
-    trajectories, problem = _target(arguments.target)
+    trajectories, problem = _target(arguments.target, arguments.trust)
     p = trajectories.observations.shape[1]
     q = trajectories.actions.shape[1]
     description = describe(trajectories, columns(problem, p), controls(problem, q))
@@ -225,7 +234,9 @@ def run_inputs(arguments: argparse.Namespace) -> int:
             "them under `inputs`."
         )
     problems = {
-        name: load(arguments.problem, threads=arguments.threads, input=name, trusted=False)
+        name: load(
+            arguments.problem, threads=arguments.threads, input=name, trusted=arguments.trust
+        )
         for name in names
     }
     found = choose_problem_input(problems)
@@ -255,7 +266,7 @@ def run_states(arguments: argparse.Namespace) -> int:
     from dropo.problems.file.writer import write_problem
     from dropo.problems.loading import load
 
-    measured = load(arguments.problem, threads=arguments.threads, trusted=False)
+    measured = load(arguments.problem, threads=arguments.threads, trusted=arguments.trust)
     problem, found = with_states(measured, arguments.unmeasured, causal=arguments.causal)
     write_problem(problem, arguments.out)
     show(arguments, found, found.to_json())
@@ -283,7 +294,12 @@ def run_actions(arguments: argparse.Namespace) -> int:
     from dropo.problems.actions import check_place, infer_actions
 
     check_place(arguments.out, arguments.problem)
-    found = infer_actions(arguments.problem, arguments.controllers, threads=arguments.threads)
+    found = infer_actions(
+        arguments.problem,
+        arguments.controllers,
+        threads=arguments.threads,
+        trusted=arguments.trust,
+    )
     found.save(arguments.out)
     show(arguments, found, found.to_json())
     return 0
@@ -333,7 +349,7 @@ def _findings(arguments: argparse.Namespace) -> "list[Finding]":
         raise BadArgument(
             "One problem or data set is checked at a time; several raw logs need --map and --model."
         )
-    trajectories, problem = _target(arguments.target[0])
+    trajectories, problem = _target(arguments.target[0], arguments.trust)
     found = check(trajectories, problem)
     if problem is not None and problem.held_out is not None:
         for finding in check(problem.held_out, problem.simulator):
@@ -358,7 +374,7 @@ def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
         progress.close()
 
 
-def _target(target: str) -> tuple["Trajectories", "Problem | None"]:
+def _target(target: str, trusted: bool) -> tuple["Trajectories", "Problem | None"]:
     """A problem with its data, or data alone."""
     from dropo.core.services.errors import UnknownName
     from dropo.core.services.registry import names
@@ -368,7 +384,7 @@ def _target(target: str) -> tuple["Trajectories", "Problem | None"]:
     if target in names("problems") or target.endswith((".yaml", ".yml")):
         from dropo.problems.loading import load
 
-        problem = load(target, checked=False, trusted=False)
+        problem = load(target, checked=False, trusted=trusted)
         return problem.trajectories, problem
     if not (Path(target).exists() or target.startswith(MINARI) or target.endswith(".npz")):
         raise UnknownName(

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dropo.cli.folder import RunFolder, run_folder
-from dropo.cli.output import Progress, computing_options, printing_options, show_and_save, whole
+from dropo.cli.output import (
+    PARTS,
+    Progress,
+    computing_options,
+    printing_options,
+    show_and_save,
+    trusting_option,
+    whole,
+)
 
 if TYPE_CHECKING:
     from dropo.core.contracts.problem import Problem
@@ -93,6 +101,7 @@ def add(commands: Any) -> None:
         ),
     )
     computing_options(parser)
+    trusting_option(parser, PARTS)
     printing_options(parser)
 
 
@@ -225,6 +234,6 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
             arguments.problem,
             threads=arguments.threads,
             checked=not arguments.unchecked,
-            trusted=False,
+            trusted=arguments.trust,
         )
     return problem.using(transitions=arguments.transitions)

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dropo.cli.folder import RunFolder, run_folder
-from dropo.cli.output import Progress, computing_options, printing_options, show_and_save, whole
+from dropo.cli.output import (
+    PARTS,
+    Progress,
+    computing_options,
+    printing_options,
+    show_and_save,
+    trusting_option,
+    whole,
+)
 
 if TYPE_CHECKING:
     from dropo.core.contracts.problem import Problem
@@ -103,6 +111,7 @@ def add(commands: Any) -> None:
         help="write fit.json here; the same command resumes after any interruption",
     )
     computing_options(parser)
+    trusting_option(parser, PARTS)
     printing_options(parser)
 
 
@@ -197,7 +206,7 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
         arguments.problem,
         threads=arguments.threads,
         checked=not arguments.unchecked,
-        trusted=False,
+        trusted=arguments.trust,
     )
     if len(problem.space) == 0:
         beside = Path(arguments.problem).with_name("fit.yaml")

@@ -250,9 +250,12 @@ def computing_options(
 
 
 TASK = (
-    "run Python code that a problem file names under `task`, and read networks, which may hold code"
+    "run Python code that a problem file names under `task` and `plugins`, and read networks, which"
+    " may hold code"
 )
 """What --trust allows the commands that know tasks and policies."""
+PARTS = "run the Python code that a problem file names under `plugins` and `task`"
+"""What --trust allows the commands that read problem files."""
 
 
 def trusting_option(parser: argparse.ArgumentParser, allowed: str = TASK) -> None:

@@ -153,6 +153,7 @@ def infer_actions(
     *,
     horizons: Sequence[int] = (1, 10),
     threads: int = 0,
+    trusted: bool = True,
 ) -> ActionEstimate:
     """Compute the actions that explain a measured motion, under the model's nominal parameters.
 
@@ -172,6 +173,8 @@ def infer_actions(
         trajectory are left out.
     threads : int
         Of the simulator, 0 for all cores.
+    trusted : bool
+        As of `dropo.load`.
 
     Returns
     -------
@@ -193,7 +196,7 @@ def infer_actions(
     provided, actions are inferred by inverse dynamics, or under ideal onboard controllers.
     """
     infer = METHODS[known("kind of controllers", controllers, METHODS)]
-    recorded = load_states(problem, threads=threads)
+    recorded = load_states(problem, threads=threads, trusted=trusted)
     whole = with_velocities(recorded)
     simulator = whole.simulator
     if not isinstance(simulator, MujocoSimulator):

@@ -37,8 +37,9 @@ def load(
         Which of several logged commands drives the model, one of `inputs_of`; by default as the
         problem says.
     trusted : bool
-        Import the Python functions that a problem file names under `task`. Without it their place
-        is kept, and a task that is used is refused.
+        Import the Python functions that a problem file names under `task`, and the files under
+        `plugins`. Without it the place of functions is kept, and a task that is used is refused;
+        files are refused at once, unless this process has imported them as they are.
 
     Returns
     -------
@@ -70,7 +71,7 @@ def load(
     return replace(found, source=str(problem))
 
 
-def load_states(problem: str | Path, *, threads: int = 0) -> Problem:
+def load_states(problem: str | Path, *, threads: int = 0, trusted: bool = True) -> Problem:
     """Load what a problem says of the motion alone: all its data, without commands.
 
     Parameters
@@ -79,6 +80,8 @@ def load_states(problem: str | Path, *, threads: int = 0) -> Problem:
         A problem file, whose data need not hold actions, or a built-in name.
     threads : int
         Of the simulator, 0 for all cores.
+    trusted : bool
+        As of `load`.
 
     Returns
     -------
@@ -95,7 +98,7 @@ def load_states(problem: str | Path, *, threads: int = 0) -> Problem:
     if is_file(problem):
         from dropo.problems.file.reader import read_motion
 
-        return read_motion(Path(problem), threads=threads)
+        return read_motion(Path(problem), threads=threads, trusted=trusted)
     make = find("problems", known("problem", str(problem), names("problems")))
     found = cast(Problem, make(threads=threads))
     return replace(found, trajectories=found.everything or found.trajectories)

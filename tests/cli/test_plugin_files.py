@@ -1,16 +1,21 @@
 """`--plugin FILE`: parts from a file of one's own, on every command."""
 
+import hashlib
 import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.core.services import registry
+from dropo.core.services import plugin_files, registry
 from dropo.core.services.errors import BadFile
 from dropo.core.services.plugin_files import load_plugins
+from dropo.problems.file.writer import write_problem
+from dropo.problems.loading import load
+from tests.problems.test_reader import TEXT, XML, simulate
 
 PART = '''
 """An optimizer of one's own."""
@@ -88,3 +93,95 @@ def test_what_cannot_be_used_is_refused(
         (tmp_path / name).write_text(content)
     with pytest.raises(BadFile, match=message):
         load_plugins(tmp_path / name)
+
+
+EFFECT = """
+from functools import partial
+
+import numpy as np
+
+from dropo import register
+from dropo.core.contracts.effect import EffectInstance, Quantity
+
+
+def own_drag(robot):
+    size = Quantity("drag", "N s/m", 0.0, 10.0, probes=(0.1,))
+    for joint in map(robot.model.joint, range(robot.model.njnt)):
+        yield EffectInstance("own_drag", joint.name, (size,), force=partial(drag, joint.dofadr[0]))
+
+
+def drag(dof, state, magnitudes):
+    force = np.zeros_like(state.qvel)
+    force[:, dof] = -magnitudes[0] * state.qvel[:, dof]
+    return force
+
+
+register("effects", "own_drag", own_drag)
+"""
+KEYS = """
+plugins: [own_drag_of_the_test.py]
+effects:
+- {effect: own_drag, target: slide, sizes: {drag: 0.5}}
+"""
+
+
+@pytest.fixture
+def cart(tmp_path: Path) -> Iterator[Path]:
+    """A problem file whose effect is in a file beside it, forgotten afterwards."""
+    (tmp_path / "robot.xml").write_text(XML)
+    data = simulate(XML, trajectories=2, steps=10, frame_skip=2)
+    keys = ("observations", "actions", "next_observations", "terminals")
+    np.savez(tmp_path / "data.npz", **{key: getattr(data, key) for key in keys})
+    (tmp_path / "own_drag_of_the_test.py").write_text(EFFECT)
+    path = tmp_path / "problem.yaml"
+    path.write_text(TEXT + KEYS)
+    yield path
+    registry._registered["effects"].pop("own_drag", None)
+    sys.modules.pop("own_drag_of_the_test", None)
+    plugin_files._loaded.clear()
+    plugin_files._sums.clear()
+
+
+def test_a_problem_file_names_its_parts(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Commands refuse to run the file unless it is trusted, or named by the caller; its sum is
+    recorded, and a problem that is written elsewhere names it by its way from there.
+    """
+    out = cart.parent / "out"
+    command = ["fit", str(cart), "--method", "least-squares", "--quiet", "--out", str(out)]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert "problem.yaml: plugins.0: 'own_drag_of_the_test.py' is Python code" in said
+    assert not out.exists()
+    assert main([*command, "--trust"]) == 0
+    record = json.loads((out / "run.json").read_text())
+    expected = hashlib.sha256(EFFECT.encode()).hexdigest()
+    assert record["plugins"]["own_drag_of_the_test.py"] == expected
+    problem = load(cart)
+    written = write_problem(problem, cart.parent / "elsewhere")
+    assert "plugins:\n- ../own_drag_of_the_test.py" in written.read_text()
+    assert [own.effect for own, _ in load(written).simulator.fixed] == ["own_drag"]
+
+
+def test_a_file_that_the_caller_names_needs_no_other_trust(cart: Path) -> None:
+    part = cart.parent / "own_drag_of_the_test.py"
+    command = ["data", "describe", str(cart), "--quiet"]
+    assert main(command) == 2
+    assert main([*command, "--plugin", str(part)]) == 0
+    part.write_text(f"{EFFECT}\n# changed since\n")
+    assert main(command) == 2
+    assert load(cart).plugins == (str(part),)  # in Python, what is loaded is trusted
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("[missing.py]", "plugins.0: expected a Python file, by its path from this file"),
+        ("own_drag_of_the_test.py", "plugins: expected a list of Python files"),
+        ("[3]", "plugins"),
+        ("[robot.xml]", "robot.xml: plugins of problem.yaml: expected a name like my_parts.py"),
+    ],
+)
+def test_what_a_problem_file_cannot_name_is_refused(cart: Path, value: str, message: str) -> None:
+    cart.write_text(f"{TEXT}\nplugins: {value}\n")
+    with pytest.raises(BadFile, match=message):
+        load(cart)

@@ -62,6 +62,8 @@ class Problem:
         the standard deviation of their errors.
     settings : mapping of str to object
         Settings of a fit where its caller gives none, for example {"draws": 20}.
+    plugins : tuple of str
+        Paths of the Python files that its problem file names, with parts that it may need.
     source : str
         What `dropo.load` took: a built-in name or the path of a file; empty where it took none.
     run_names : tuple of str
@@ -98,6 +100,7 @@ class Problem:
     warnings: tuple[str, ...] = ()
     estimated: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
+    plugins: tuple[str, ...] = ()
     source: str = ""
     run_names: tuple[str, ...] = ()
     reference: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Plug-ins from files of one's own: `--plugin FILE`.
+"""Plug-ins from files of one's own: `--plugin FILE`, and `plugins` of a problem file.
 
 Such a file is Python code that calls `register` for each of its parts when it is imported.
 """
@@ -13,15 +13,18 @@ from dropo.core.services.errors import BadFile
 from dropo.core.services.registry import registered
 
 _sums: dict[str, str] = {}
+_loaded: dict[Path, str] = {}
 
 
-def load_plugins(path: str | Path) -> list[str]:
+def load_plugins(path: str | Path, key: str = "--plugin") -> list[str]:
     """Import a file, whose plug-ins are then found by their names in this process.
 
     Parameters
     ----------
     path : str or Path
         A Python file, which is run.
+    key : str
+        What names the file, for refusals.
 
     Returns
     -------
@@ -36,27 +39,47 @@ def load_plugins(path: str | Path) -> list[str]:
     """
     file = Path(path)
     if not file.is_file():
-        raise BadFile(file, "--plugin", "a Python file", "no file")
+        raise BadFile(file, key, "a Python file", "no file")
     if file.suffix != ".py" or not file.stem.isidentifier():
         rule = "a name like my_parts.py, which Python can import"
-        raise BadFile(file, "--plugin", rule, file.name)
+        raise BadFile(file, key, rule, file.name)
     own = getattr(sys.modules.get(file.stem), "__file__", None)
     is_free = file.stem not in sys.modules or own == str(file.resolve())
     if not is_free:
-        raise BadFile(file, "--plugin", "a name that no imported module has", file.stem)
+        raise BadFile(file, key, "a name that no imported module has", file.stem)
     before = registered()
     _run(file)
     new = [key for key, part in registered().items() if before.get(key) is not part]
     if not new:
         rule = "a call of dropo.register(kind, name, plugin)"
-        raise BadFile(file, "--plugin", rule, "none when it was imported")
-    _sums[file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+        raise BadFile(file, key, rule, "none when it was imported")
+    _sums[file.name] = _loaded[file.resolve()] = _sum(file)
     return [f"{kind}: {name}" for kind, name in sorted(new)]
+
+
+def is_loaded(path: str | Path) -> bool:
+    """Tell whether a file was imported as it is now.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    bool
+    """
+    file = Path(path).resolve()
+    return file.is_file() and _loaded.get(file) == _sum(file)
 
 
 def plugin_sums() -> dict[str, str]:
     """SHA-256 sums of the plug-in files of this process by name, for the records of runs."""
     return dict(_sums)
+
+
+def _sum(file: Path) -> str:
+    """The SHA-256 of a file."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _run(file: Path) -> None:

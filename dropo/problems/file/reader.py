@@ -22,6 +22,7 @@ from dropo.mjmodel.observation import Layout
 from dropo.problems.file.data import locate_data, read_data, read_run_names, read_states
 from dropo.problems.file.data_errors import find_data_error
 from dropo.problems.file.estimated_velocities import with_velocities
+from dropo.problems.file.plugins import run_plugins
 from dropo.problems.file.schema import ProblemFile, ResetEntry
 from dropo.problems.file.simulator import make_simulator, parameter_names
 from dropo.problems.file.task import make_task
@@ -60,6 +61,7 @@ def read_problem(
     """
     file = read_file(path, ProblemFile, KIND)
     content = file.content
+    plugins = run_plugins(file, trusted=trusted)
     simulator = make_simulator(file, threads)
     fitted, held_out = read_data(file, simulator, input or content.input)
     if checked:
@@ -88,6 +90,7 @@ def read_problem(
             settings=_read_start(file, simulator.space),
             run_names=names,
             reference=tuple(content.reference),
+            plugins=plugins,
         )
     return with_velocities(problem)
 
@@ -115,7 +118,7 @@ def read_inputs(path: Path) -> tuple[str, ...]:
     return inputs_of(next(iter(places.values())))
 
 
-def read_motion(path: Path, *, threads: int = 0) -> Problem:
+def read_motion(path: Path, *, threads: int = 0, trusted: bool = True) -> Problem:
     """Read what a problem file says of the motion alone.
 
     Parameters
@@ -124,6 +127,8 @@ def read_motion(path: Path, *, threads: int = 0) -> Problem:
         The problem file; its data need not hold actions.
     threads : int
         Of the simulator, 0 for all cores.
+    trusted : bool
+        As in `dropo.load`.
 
     Returns
     -------
@@ -136,10 +141,12 @@ def read_motion(path: Path, *, threads: int = 0) -> Problem:
         If something is wrong in the file or its data.
     """
     file = read_file(path, ProblemFile, KIND)
+    plugins = run_plugins(file, trusted=trusted)
     simulator = make_simulator(file, threads)
     trajectories = read_states(file, simulator)
     _require_sound_data(file, simulator, trajectories, None)
-    return Problem(file.content.robot or path.stem, simulator, trajectories)
+    name = file.content.robot or path.stem
+    return Problem(name, simulator, trajectories, plugins=plugins)
 
 
 def _require_sound_data(

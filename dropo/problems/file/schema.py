@@ -286,6 +286,8 @@ class ProblemFile(Entry):
         dict[Key, NonNegative], Expected("a mapping from signals to standard deviations")
     ] = {}
     """Signals of the data that were estimated rather than measured, with the estimates' errors."""
+    plugins: Annotated[list[Word], Expected("a list of Python files, such as [my_parts.py]")] = []
+    """Python files with parts of your own, by their paths from this file; they are run."""
     robot: Annotated[Word, Expected("the robot's name")] | None = None
     """The robot's name, for titles; left out, the file's."""
 

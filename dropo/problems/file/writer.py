@@ -15,6 +15,7 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.effects import make_effect_entry
 from dropo.problems.file.model_assets import with_assets_beside
 from dropo.problems.file.model_xml import format_model, is_in_model
+from dropo.problems.file.plugins import places_from
 from dropo.problems.file.schema import EffectEntry, ParameterEntry, ProblemFile
 from dropo.problems.file.task import locate_from
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -103,6 +104,8 @@ def _make_content(
         content["effects"] = effects
     if problem.task is not None and problem.task.source is not None:
         content["task"] = locate_from(problem.task.source, folder)
+    if problem.plugins:
+        content["plugins"] = places_from(problem.plugins, folder)
     if problem.held_out is not None:
         content["held_out"] = "held_out.npz"
     return content
