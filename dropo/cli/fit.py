@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from dropo.data.outliers.disturbances import Span
 
 NAMED = {"likelihood": "likelihoods", "optimizer": "optimizers", "family": "families"}
-SETTINGS = (*NAMED, "epsilon", "start_noise", "degrees", "budget", "draws", "start", "starts")
+OTHERS = ("epsilon", "start_noise", "degrees", "budget", "draws", "redraw", "start", "starts")
+SETTINGS = (*NAMED, *OTHERS)
 """Options that are settings of the method; those of them that were given are handed to it."""
 AUTO = "auto"
 
@@ -77,6 +78,12 @@ def add(commands: Any) -> None:
         type=whole(2, 10**6),
         metavar="K",
         help="simulations for each transition in one evaluation",
+    )
+    parser.add_argument(
+        "--redraw",
+        action="store_true",
+        default=None,
+        help="draws of their own for every evaluation, as published; by default all share them",
     )
     parser.add_argument(
         "--start",

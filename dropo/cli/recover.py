@@ -38,8 +38,14 @@ def add(commands: Any) -> None:
     )
     parser.add_argument(
         "--published",
-        action="store_true",
-        help="also the method as published, where a study has it: minutes more",
+        nargs="?",
+        const=True,
+        default=False,
+        choices=("full",),
+        help=(
+            "also the method as published, where a study has it: at a reduced size, minutes more;"
+            " full: at the thesis' size, hours for each data set"
+        ),
     )
     parser.add_argument(
         "--problems",

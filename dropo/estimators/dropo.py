@@ -58,8 +58,9 @@ SWEEP = tuple(10.0**k for k in range(-8, -1))
 class DROPO(Estimator):
     """Maximise the log-likelihood of the segments over a family of distributions.
 
-    As published (Tiboni 2021, chapter 5): likelihood "monte-carlo" with 100 draws, family
-    "truncated_gaussian", optimizer "cma-es", a budget of 5000 evaluations, start "middle".
+    As published (Tiboni 2021, chapter 5): likelihood "monte-carlo" with 100 draws, anew at every
+    evaluation (redraw), family "truncated_gaussian", optimizer "cma-es-once", a budget of 5000
+    evaluations, start "middle".
 
     Attributes
     ----------
@@ -79,6 +80,8 @@ class DROPO(Estimator):
         `mse_threshold` (section 5.3). None: the problem's own where it names one, else "learn".
     draws : int or None
         Of a sampled likelihood, for each transition in one evaluation.
+    redraw : bool
+        Whether a sampled likelihood has draws of their own for every evaluation.
     budget : int
         Evaluations of one search.
     start : {"middle", "least-squares", "random"}, mapping, sequence of float or Fit
@@ -115,6 +118,7 @@ class DROPO(Estimator):
     optimizer: str | None = None
     epsilon: float | tuple[float, ...] | Literal["learn", "tune"] | None = None
     draws: int | None = None
+    redraw: bool = False
     budget: int = 5000
     start: Start = "middle"
     sweep: tuple[float, ...] = SWEEP
@@ -137,6 +141,8 @@ class DROPO(Estimator):
         draws_are_free = self.draws is None or isinstance(self.likelihood, str)
         rule = "left out where the likelihood brings its own"
         require(draws_are_free, "draws", rule, self.draws, "DROPO")
+        own = not self.redraw or isinstance(self.likelihood, str)
+        require(own, "redraw", rule, self.redraw, "DROPO")
         self._make_likelihood()  # so that a wrong name is refused at once
 
     # --- what is fitted: the likelihood, the noise, the first mean
@@ -153,15 +159,19 @@ class DROPO(Estimator):
         if not isinstance(self.likelihood, str):
             return self.likelihood
         kind = find("likelihoods", self._likelihood_name)
-        if self.draws is None:
-            return kind()
+        given: dict[str, Any] = {}
+        if self.draws is not None:
+            given["draws"] = self.draws
+        if self.redraw:
+            given["redraw"] = True
         settings = [setting.name for setting in fields(kind)] if is_dataclass(kind) else []
-        if "draws" not in settings:
-            raise Incompatible(
-                f"The likelihood {self._likelihood_name!r} draws nothing. Leave draws out, or use"
-                " 'monte-carlo'."
-            )
-        return kind(draws=self.draws)
+        for setting in given:
+            if setting not in settings:
+                raise Incompatible(
+                    f"The likelihood {self._likelihood_name!r} draws nothing. Leave {setting} out,"
+                    " or use 'monte-carlo'."
+                )
+        return kind(**given)
 
     def _make_noise(
         self, problem: Problem, variance: Any, learned: Literal["factor", "each"] | None = None

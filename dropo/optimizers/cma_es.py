@@ -240,3 +240,20 @@ class CMAES(Optimizer):
         deviations = self._strategy.sigma * scaling / self.settings.width
         shape = np.reshape(self._strategy.sm.C, (m, m))
         return np.asarray(deviations[:, None] * shape * deviations)
+
+
+class CMAESOnce(CMAES):
+    """The same without restarts, as in the thesis: one run, which ends by itself or by its budget.
+
+    Parameters
+    ----------
+    dimension : int
+        Number m of coordinates.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    **settings
+        Those of `CMAES`, but for `restarts`.
+    """
+
+    def __init__(self, dimension: int, rng: np.random.Generator, **settings: Any):
+        super().__init__(dimension, rng, **settings, restarts=0)

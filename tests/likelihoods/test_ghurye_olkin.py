@@ -66,11 +66,11 @@ def test_noise_is_drawn_for_each_row_and_fixed():
     segments = line_data(np.random.default_rng(0)).segments()
     family = TruncatedGaussian(simulator.space)
     bound = GhuryeOlkin(30).bind(simulator, segments, family, 0.05, np.random.default_rng(1))
-    assert bound.noise.shape == (30, len(segments), 2)
+    assert bound.fixed.noise.shape == (30, len(segments), 2)
     phi = family.phi([2.0, 2.0], [0.3, 0.3])
     assert bound(phi) == bound(phi)
     np.testing.assert_array_equal(
-        bound.base, family.base(30, np.random.default_rng(1).spawn(2)[0], independent=True)
+        bound.fixed.base, family.base(30, np.random.default_rng(1).spawn(2)[0], independent=True)
     )
 
 

@@ -31,6 +31,26 @@ def test_agrees_with_the_slow_twin(p, monkeypatch):
     np.testing.assert_allclose(found, gaussian_one_by_one(predictions, targets, epsilon), rtol=1e-9)
 
 
+def test_fresh_draws_belong_to_the_point():
+    """Every phi has draws of its own, the same whenever it is evaluated, in any order and after
+    others; neighbours differ by the noise of K draws, which the fixed draws do not show.
+    """
+    simulator, segments, family = linear_problem()
+    points = family.phi(np.array([1.0, -2.0]), np.array([0.4, 0.8])) * (
+        1 + 1e-9 * np.arange(12)[:, None]
+    )
+    values = {}
+    for redraw in (False, True):
+        settings = MonteCarlo(20, redraw=redraw)
+        bound = settings.bind(simulator, segments, family, 0.01, np.random.default_rng(3))
+        values[redraw] = np.array([bound(point) for point in points])
+        again = settings.bind(simulator, segments, family, 0.01, np.random.default_rng(3))
+        assert [again(point) for point in points[::-1]] == values[redraw][::-1].tolist()
+    assert values[True].std() > 0.5
+    assert values[False].std() < 1e-3
+    assert len(set(values[True])) == 12
+
+
 def linear_problem():
     """Known moments: y = o + M(a) xi.
 

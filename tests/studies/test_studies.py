@@ -1,5 +1,7 @@
 """Every built-in study in small, and what its numbers must say whatever their size."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from dropo.studies.engine.variants import variants_of
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import distribution_recovery, figure_6_2, figure_6_4, hopper_fits
 from dropo.studies.tiboni_2021.hopper_fits import fitted, item
-from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size
+from dropo.studies.tiboni_2021.hopper_sets import FULL, MEAN, Size
 from dropo.studies.tiboni_2021.table_6_1 import table_6_1
 from dropo.studies.tiboni_2021.table_6_2 import table_6_2
 from dropo.studies.tiboni_2021.table_6_4 import light_torso, table_6_4
@@ -53,6 +55,42 @@ def test_table_6_1(work):
     assert "The authors' data are not at hand, so their tables are left out." in study.remarks
     starts = study.data["our data, clean, epsilon 1e-08"]["random_starts"]
     np.testing.assert_allclose(starts[0]["mean"], MEAN, atol=1e-6)
+
+
+def test_the_published_method_at_full_size_goes_on(monkeypatch, tmp_path):
+    """Interrupted within a fit, a study evaluates the rest alone, and gives the same numbers; its
+    draws are anew at every evaluation, and there are no restarts.
+    """
+    size = replace(SMALL, full=(3, 40))
+    one = item("6.1", "clean", 0, size)
+    whole = hopper_fits.as_published(Work(threads=1), one)
+    made = hopper_fits.estimator(hopper_fits.AS_PUBLISHED, FULL)
+    assert (made.draws, made.budget, made.redraw) == (100, 5000, True)
+    assert (made.likelihood, made.optimizer, made.start) == ("monte-carlo", "cma-es-once", "middle")
+
+    path = tmp_path / "kept.jsonl"
+    progress = Stop(2)
+    with pytest.raises(RuntimeError, match="stopped"):
+        hopper_fits.as_published(Work(threads=1, path=path, progress=progress), one)
+    work = Work(threads=1, path=path)
+    before = len(work._answers)
+    assert before == 2
+    found = hopper_fits.as_published(work, one)
+    assert len(work._answers) == 4
+    for name in ("mean", "scale", "log_likelihood", "steps", "evaluations"):
+        assert found[name] == whole[name], name
+
+
+class Stop:
+    """Progress that ends a run after some reports."""
+
+    def __init__(self, reports):
+        self.left = reports
+
+    def __call__(self, fraction, text):
+        self.left -= 1
+        if self.left == 0:
+            raise RuntimeError("stopped")
 
 
 def test_table_6_2(work, monkeypatch):

@@ -1,8 +1,9 @@
 """Likelihoods that draw parameters of a member of the family and simulate each draw."""
 
+import hashlib
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,12 +24,15 @@ class SampledLikelihood(Likelihood):
     """A likelihood from K draws of the member and their predictions.
 
     A plug-in writes `_log_density` alone. The base points of the draws are fixed when the
-    likelihood is bound, so the log-likelihood is a deterministic function of phi.
+    likelihood is bound, or belong to phi, so the log-likelihood is a deterministic function of phi.
 
     Attributes
     ----------
     draws : int
         K, at least 2.
+    redraw : bool
+        Whether every evaluated phi has independent draws of its own, as in the thesis, whose search
+        sees the noise of K draws. By default all share one Sobol set.
     independent : bool
         Whether the density holds for independent samples alone. The base points are then
         independent instead of a Sobol set, and samples can carry noise: a number of its own for
@@ -42,6 +46,7 @@ class SampledLikelihood(Likelihood):
     """
 
     draws: int = 100
+    redraw: bool = False
     independent: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -159,6 +164,16 @@ class SampledLikelihood(Likelihood):
         return _SampledLogLikelihood(settings, simulator, segments, family, epsilon, rng)
 
 
+class _Numbers(NamedTuple):
+    """Random numbers of an evaluation: base points (1 + redraws, K, d) of the draws; standard
+    normal ones (K, R, p) that samples carry, and (K, N, s) of the start states, where there are.
+    """
+
+    base: Array
+    noise: Array | None
+    start: Array | None
+
+
 class _SampledLogLikelihood(LogLikelihood):
     """Draws, predicts, and evaluates the density; with gradients where the simulator has them.
 
@@ -180,20 +195,33 @@ class _SampledLogLikelihood(LogLikelihood):
         self.segments = segments
         self.family = family
         self.has_gradients = simulator.has_gradients
-        base_rng, noise_rng, start_rng = rng.spawn(3)
-        self.base = family.base(settings.draws, base_rng, independent=settings.independent)
         self.targets = simulator.targets(segments)
-        self.noise = None
-        if settings.independent:
-            self.noise = noise_rng.standard_normal((settings.draws, *self.targets.shape))
         self.noise_model = NoiseModel(epsilon, len(simulator.signals))
         self.unknowns = ParameterSpace((*family.unknowns, *self.noise_model.unknowns))
-        self.start_noise = None
-        if self.noise_model.noise.start:
-            self.start_noise = self._draw_start_noise(start_rng)
+        self.seed = int(rng.spawn(1)[0].integers(2**63)) if settings.redraw else None
+        self.fixed = self._drawn(rng, independent=settings.independent or settings.redraw)
+
+    def _drawn(self, rng: np.random.Generator, *, independent: bool) -> _Numbers:
+        """All random numbers of an evaluation."""
+        base_rng, noise_rng, start_rng = rng.spawn(3)
+        draws = self.settings.draws
+        base = self.family.base(draws, base_rng, independent=independent)
+        noise = None
+        if self.settings.independent:
+            noise = noise_rng.standard_normal((draws, *self.targets.shape))
+        start = self._draw_start_noise(start_rng) if self.noise_model.noise.start else None
+        return _Numbers(base, noise, start)
+
+    def _numbers(self, phi: Array) -> _Numbers:
+        """The random numbers of phi (m,): those of all, or its own, whenever it is evaluated."""
+        if self.seed is None:
+            return self.fixed
+        digest = hashlib.sha256(np.ascontiguousarray(plain(phi), dtype=float).tobytes()).digest()
+        words = np.frombuffer(digest, dtype=np.uint32).tolist()
+        return self._drawn(np.random.default_rng([self.seed, *words]), independent=True)
 
     def _draw_start_noise(self, rng: np.random.Generator) -> Array:
-        """Standard normal numbers (K, N, p) that stay fixed."""
+        """Standard normal numbers (K, N, p)."""
         p = len(self.simulator.signals)
         s = self.simulator.start_size
         if s != p:
@@ -205,16 +233,18 @@ class _SampledLogLikelihood(LogLikelihood):
         return rng.standard_normal((self.settings.draws, len(self.segments), s))
 
     def _rows(self, phi: Array) -> Array:
-        predictions = self._predict(phi)
-        return self.settings.log_density(predictions, self.targets, self.epsilon(phi), self.noise)
+        numbers = self._numbers(phi)
+        predictions = self._predict(phi, numbers)
+        epsilon = self.epsilon(phi)
+        return self.settings.log_density(predictions, self.targets, epsilon, numbers.noise)
 
-    def _predict(self, phi: Array) -> Array:
+    def _predict(self, phi: Array, numbers: _Numbers) -> Array:
         """Predictions (K, R, p) under the draws of the member that phi (m,) names."""
-        values = self.family.draw(phi[: len(self.family.unknowns)], self.base)
-        if self.start_noise is None:
+        values = self.family.draw(phi[: len(self.family.unknowns)], numbers.base)
+        if numbers.start is None:
             return self.simulator.predict(values, self.segments)
         epsilon = self.epsilon(phi)
-        offsets = namespace(epsilon).sqrt(epsilon) * constant(self.start_noise, epsilon)
+        offsets = namespace(epsilon).sqrt(epsilon) * constant(numbers.start, epsilon)
         return self.simulator.predict(values, self.segments, offsets=offsets)
 
     def gradient(self, phi: ArrayLike) -> Array:
@@ -229,7 +259,7 @@ class _SampledLogLikelihood(LogLikelihood):
         return plain(torch.autograd.grad(rows.sum(), leaf)[0])
 
     def mean(self, phi: Array) -> Array:
-        mean: Array = self._predict(phi).mean(axis=0)
+        mean: Array = self._predict(phi, self._numbers(phi)).mean(axis=0)
         return mean
 
     def epsilon(self, phi: Array) -> Array:

@@ -83,6 +83,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
     },
     "optimizers": {
         "cma-es": "dropo.optimizers.cma_es:CMAES",
+        "cma-es-once": "dropo.optimizers.cma_es:CMAESOnce",
         "nlopt-bobyqa": "dropo.optimizers.nlopt:Bobyqa",
         "nlopt-sbplx": "dropo.optimizers.nlopt:Sbplx",
         "nlopt-crs2": "dropo.optimizers.nlopt:Crs2",

@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from pathlib import Path
+from typing import Literal
 
 from dropo.core.contracts.estimator import Progress, silent
 from dropo.core.services.errors import Incompatible
@@ -16,11 +17,15 @@ from dropo.studies.engine.work import Work
 
 LACKS = {
     "published": "has no runs of the published method",
+    "full": "has no runs of the published method at full size",
     "problems": "is not one of several problems",
     "variants": "has parts of its own",
 }
 """Option -> what a study says that does not take it."""
-NAMES = {"variants": "--method, --likelihood, --optimizer, --family and --budget"}
+NAMES = {
+    "full": "--published full",
+    "variants": "--method, --likelihood, --optimizer, --family and --budget",
+}
 """Option -> its name on the command line, where that is another."""
 
 
@@ -28,7 +33,7 @@ def recover(
     name: str,
     *,
     seeds: int | None = None,
-    published: bool = False,
+    published: bool | Literal["full"] = False,
     problems: Sequence[str] = (),
     variants: Sequence[Variant] = (),
     out: str | Path | None = None,
@@ -44,8 +49,9 @@ def recover(
         Name of the study.
     seeds : int or None
         Number of data sets or repetitions; None for the study's own number.
-    published : bool
-        Whether the method is also run as published, in studies that have it.
+    published : bool or "full"
+        Whether the method is also run as published, in studies that have it: at a reduced size, or
+        at full size, which takes many hours and goes on where it was interrupted.
     problems : sequence of str
         In studies of several problems, the names of those to run; all if empty.
     variants : sequence of Variant
@@ -96,7 +102,7 @@ def run_study(
     name: str,
     *,
     seeds: int | None = None,
-    published: bool = False,
+    published: bool | Literal["full"] = False,
     problems: Sequence[str] = (),
     variants: Sequence[Variant] = (),
     out: str | Path | None = None,
@@ -114,8 +120,10 @@ def run_study(
     study = find("studies", name)
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "recover")
     options: dict[str, object] = {}
-    if published:
-        options["published"] = published
+    if published == "full":
+        options["full"] = True
+    elif published:
+        options["published"] = True
     if problems:
         options["problems"] = tuple(problems)
     if variants:

@@ -91,6 +91,26 @@ class Work:
                 pool.shutdown(wait=False, cancel_futures=True)
         return [json.loads(self._answers[key]) for key, _ in keyed]
 
+    def kept(self, key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Gives the answer that is kept under a key, or makes it in this thread and keeps it.
+
+        Parameters
+        ----------
+        key : str
+            What identifies the answer among all of the study.
+        make : callable
+            Makes a dict that JSON can hold, and that depends on the key alone.
+
+        Returns
+        -------
+        dict
+            As JSON gives it back.
+        """
+        if key not in self._answers:
+            self._add(key, json.dumps(make()))
+        answer: dict[str, Any] = json.loads(self._answers[key])
+        return answer
+
     def _run(
         self, executor: Executor, task: Task, missing: list[tuple[str, Any]], total: int
     ) -> None:
@@ -111,7 +131,10 @@ class Work:
 
     def _keep(self, key: str, future: Future[dict[str, Any]]) -> None:
         """Keeps a finished task's answer, in the file too."""
-        answer = json.dumps(future.result())
+        self._add(key, json.dumps(future.result()))
+
+    def _add(self, key: str, answer: str) -> None:
+        """Keeps an answer, in the file too."""
         self._answers[key] = answer
         if self._journal is not None:
             self._journal.append([key, answer])

@@ -9,7 +9,14 @@ from dropo.studies.engine.comparison_table import note_on_tests
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
-from dropo.studies.tiboni_2021.hopper_fits import compared, fitted, item, variant_item
+from dropo.studies.tiboni_2021.hopper_fits import (
+    AS_PUBLISHED,
+    as_published,
+    compared,
+    fitted,
+    item,
+    variant_item,
+)
 from dropo.studies.tiboni_2021.hopper_sets import EPSILON, MEAN, SPREAD, THESIS, Size
 from dropo.studies.tiboni_2021.rows import (
     Rows,
@@ -43,6 +50,8 @@ def recovered(
     published: bool,
     size: Size,
     variants: Sequence[Variant] = (),
+    *,
+    full: bool = False,
 ) -> Study:
     """The study of table 6.2 or 6.3.
 
@@ -62,6 +71,8 @@ def recovered(
         How large the study is.
     variants : sequence of Variant
         Methods with parts exchanged, which fit every data set too.
+    full : bool
+        Whether the method is run as published at full size, on the first data sets.
 
     Returns
     -------
@@ -81,6 +92,10 @@ def recovered(
             keys += [(kind, seed, variant.label) for variant in variants]
             items += [variant_item(table, kind, seed, size, variant) for variant in variants]
     fits = dict(zip(keys, work.map(fitted, items), strict=True))
+    if full:
+        for kind in EPSILON:
+            fits[kind, 0, AS_PUBLISHED] = as_published(work, item(table, kind, 0, size))
+        methods = (*methods, AS_PUBLISHED)
     firsts: dict[str, Rows] = {
         kind: {method: fits[kind, 0, method] for method in (*methods, *labels)} for kind in EPSILON
     }
@@ -107,7 +122,7 @@ def recovered(
         f"Table {table}: {what}, other masses every 10 of {size.transitions} transitions; "
         f"{count} data sets"
     )
-    small = (reduced(size),) if published else ()
+    small = (*((reduced(size),) if published else ()), *((of_full(size),) if full else ()))
     tests = (note_on_tests(count),) if variants else ()
     remarks = (*NOTES, *small, *tests, *_remarks(table, data))
     return Study(name, title, tuple(tables), remarks, data)
@@ -120,6 +135,16 @@ def reduced(size: Size) -> str:
         f"'dropo, published' is Monte Carlo and CMA-ES at a reduced size: K = {draws}, "
         f"{budget} evaluations, every {stride}th transition"
         " (the thesis: K = 100, 5000 evaluations, all of them)."
+    )
+
+
+def of_full(size: Size) -> str:
+    """A sentence that says what "dropo, as published" means in a table of that size."""
+    draws, budget = size.full
+    return (
+        f"{AS_PUBLISHED!r} is Monte Carlo with K = {draws} draws of their own for every evaluation,"
+        f" and CMA-ES without restarts, {budget} evaluations, all transitions. Its seconds are the"
+        " processor's."
     )
 
 

@@ -3,6 +3,7 @@
 These are the tasks of the studies.
 """
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
@@ -22,11 +23,16 @@ from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.published import hopper_published, hopper_published_noisy, published
+from dropo.studies.engine.long_fits import long_fit
 from dropo.studies.engine.variants import Variant
+from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size, data_set, every
 
 AUTHORS = "authors' data"
 """In the place of a table's number: the transitions that the authors published."""
+
+AS_PUBLISHED = "dropo, as published"
+"""The published method at the thesis' full size."""
 
 Item = dict[str, Any]
 """What a task takes: table, kind, seed and size of the data, and more."""
@@ -56,18 +62,20 @@ def variant_item(table: str, kind: str, seed: int, size: Size, variant: Variant)
     return item(table, kind, seed, size, method=variant.label, variant=variant.to_json())
 
 
-def problem_of(item: Item) -> tuple[Problem, Array]:
+def problem_of(item: Item, threads: int = 1) -> tuple[Problem, Array]:
     """The data that an item names.
 
     Parameters
     ----------
     item : dict
         As `item` gives it.
+    threads : int
+        Of the simulator.
 
     Returns
     -------
     problem : Problem
-        The problem, on one thread.
+        The problem.
     masses : (B, 4) array
         Masses [kg] behind its data.
 
@@ -78,10 +86,12 @@ def problem_of(item: Item) -> tuple[Problem, Array]:
     """
     size = Size(**item["size"])
     if item["table"] != AUTHORS:
-        return data_set(item["table"], item["kind"], item["seed"], size.transitions)
+        return data_set(
+            item["table"], item["kind"], item["seed"], size.transitions, threads=threads
+        )
     make = {"clean": hopper_published, "noisy": hopper_published_noisy}[item["kind"]]
     factor = 10 if item.get("method") == "dropo, all data" else 1
-    return make(threads=1).using(transitions=factor * size.transitions), MEAN[None]
+    return make(threads=threads).using(transitions=factor * size.transitions), MEAN[None]
 
 
 def at_hand() -> bool:
@@ -103,19 +113,22 @@ def estimator(method: str, size: Size) -> Estimator:
         Settings of DROID and of the published method.
     """
     draws, budget, _ = size.published
-    as_published: dict[str, Any] = {
-        "likelihood": "monte-carlo",
-        "optimizer": "cma-es",
-        "start": "middle",
-        "draws": draws,
-        "budget": budget,
+    full_draws, full_budget = size.full
+    published: dict[str, Any] = {"likelihood": "monte-carlo", "start": "middle"}
+    reduced = {"optimizer": "cma-es", "draws": draws, "budget": budget}
+    full = {
+        "optimizer": "cma-es-once",
+        "draws": full_draws,
+        "budget": full_budget,
+        "redraw": True,
     }
     methods: dict[str, tuple[Callable[..., Estimator], dict[str, Any]]] = {
         "dropo": (DROPO, {}),
         "dropo, all data": (DROPO, {}),
         "dropo, learned epsilon": (DROPO, {"epsilon": "learn"}),
         "dropo, random start": (DROPO, {"start": "random"}),
-        "dropo, published": (DROPO, as_published),
+        "dropo, published": (DROPO, published | reduced),
+        AS_PUBLISHED: (DROPO, published | full),
         "random effects": (RandomEffects, {}),
         "droid": (DROID, {"budget": size.droid}),
         "least squares": (LeastSquares, {}),
@@ -148,11 +161,30 @@ def fitted(item: Item) -> dict[str, Any]:
     else:
         made = estimator(item["method"], size)
     fit = made.fit(problem, rng=item.get("start", 0))
-    return {
-        **found(fit),
-        "drawn_mean": drawn.mean(axis=0).tolist(),
-        "drawn_sd": drawn.std(axis=0).tolist(),
-    }
+    return {**found(fit), **_of_sample(drawn)}
+
+
+def as_published(work: Work, item: Item) -> dict[str, Any]:
+    """Fits the item's data at the thesis' full size; see `fitted`.
+
+    It takes hours on all cores. What an interrupted run has evaluated is kept.
+
+    Parameters
+    ----------
+    work : Work
+        Keeps the evaluations.
+    item : dict
+        As `item` gives it.
+    """
+    problem, drawn = problem_of(item, work.threads)
+    made = estimator(AS_PUBLISHED, Size(**item["size"]))
+    fit = long_fit(work, json.dumps([AS_PUBLISHED, item]), made, problem)
+    return {**found(fit), **_of_sample(drawn)}
+
+
+def _of_sample(drawn: Array) -> dict[str, Any]:
+    """Mean and standard deviation of the drawn masses (B, 4) [kg]."""
+    return {"drawn_mean": drawn.mean(axis=0).tolist(), "drawn_sd": drawn.std(axis=0).tolist()}
 
 
 def found(fit: Fit) -> dict[str, Any]:

@@ -76,6 +76,8 @@ class Size:
         Simulations of a distribution by which likelihoods are compared.
     published : (int, int, int)
         K, evaluations, and the stride between transitions, at which the published method is run.
+    full : (int, int)
+        K and evaluations of the thesis, on all transitions.
     """
 
     transitions: int = 1000
@@ -84,12 +86,15 @@ class Size:
     droid: int = 1000
     draws: int = 128
     published: tuple[int, int, int] = (10, 2000, 10)
+    full: tuple[int, int] = (100, 5000)
 
 
 FULL = Size()
 
 
-def data_set(table: str, kind: str, seed: int, transitions: int = 1000) -> tuple[Problem, Array]:
+def data_set(
+    table: str, kind: str, seed: int, transitions: int = 1000, *, threads: int = 1
+) -> tuple[Problem, Array]:
     """Draws a data set of a table.
 
     Parameters
@@ -102,11 +107,13 @@ def data_set(table: str, kind: str, seed: int, transitions: int = 1000) -> tuple
         Seed of the data.
     transitions : int
         Number of transitions, in two trajectories.
+    threads : int
+        Of the simulator.
 
     Returns
     -------
     problem : Problem
-        The problem, on one thread.
+        The problem.
     masses : (B, 4) array
         Masses [kg] behind its data: other ones every 10 transitions, the truth in table 6.1.
     """
@@ -125,7 +132,7 @@ def data_set(table: str, kind: str, seed: int, transitions: int = 1000) -> tuple
         noise_variance=noise,
     )
     name = f"table {table}, {kind}, data set {seed}"
-    return hopper_problem(name, data, EPSILON[kind], threads=1), sample
+    return hopper_problem(name, data, EPSILON[kind], threads=threads), sample
 
 
 def every(stride: int, problem: Problem) -> Problem:

@@ -13,9 +13,11 @@ from dropo.studies.engine.comparison_table import note_on_tests
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
-from dropo.studies.tiboni_2021.distribution_recovery import reduced
+from dropo.studies.tiboni_2021.distribution_recovery import of_full, reduced
 from dropo.studies.tiboni_2021.hopper_fits import (
+    AS_PUBLISHED,
     AUTHORS,
+    as_published,
     at_hand,
     evaluated,
     fitted,
@@ -58,6 +60,7 @@ def table_6_1(
     seeds: int | None = None,
     *,
     published: bool = False,
+    full: bool = False,
     variants: Sequence[Variant] = (),
     size: Size = FULL,
 ) -> Study:
@@ -72,7 +75,9 @@ def table_6_1(
     seeds : int or None
         Number of our own data sets; None for that of `size`.
     published : bool
-        Whether the method is also run as published.
+        Whether the method is also run as published, at a reduced size.
+    full : bool
+        Whether it is run as published at full size, on the first data sets: many hours.
     variants : sequence of Variant
         Methods with parts exchanged, beside the others.
     size : Size
@@ -84,13 +89,14 @@ def table_6_1(
         Means, spreads, likelihoods, random starts and costs of each data set.
     """
     count = seeds or size.seeds
-    fits = _fits(work, count, published, variants, size)
+    slowest = _as_published(work, size) if full else {}
+    fits = _fits(work, count, published, variants, size) | slowest
     sets = sorted({key[:2] for key in fits})
     starts = _from_random_starts(work, sets, size)
     log_likelihoods = _log_likelihoods(work, sets, fits, size)
     tables: list[Table] = []
     data: dict[str, Any] = {}
-    remarks = [*NOTES, *([reduced(size)] if published else [])]
+    remarks = [*NOTES, *([reduced(size)] if published else []), *([of_full(size)] if full else [])]
     remarks += [note_on_tests(count)] if variants else []
     for table, kind in sets:
         title = f"{table if table == AUTHORS else 'our data'}, {kind}, epsilon {EPSILON[kind]:.0e}"
@@ -147,6 +153,20 @@ def _fits(work: Work, count: int, published: bool, variants: Sequence[Variant], 
         keys += [(table, kind, seed, variant.label) for variant in variants]
         items += [variant_item(table, kind, seed, size, variant) for variant in variants]
     return dict(zip(keys, work.map(fitted, items), strict=True))
+
+
+def _as_published(work: Work, size: Size) -> Fits:
+    """The published method at full size on the first data sets, one after the other."""
+    sets = [(table, kind) for table in _tables_at_hand() for kind in EPSILON]
+    return {
+        (table, kind, 0, AS_PUBLISHED): as_published(work, item(table, kind, 0, size))
+        for table, kind in sets
+    }
+
+
+def _tables_at_hand() -> tuple[str, ...]:
+    """Our data, and the authors' where they are at hand."""
+    return ("6.1", AUTHORS) if at_hand() else ("6.1",)
 
 
 def _from_random_starts(work: Work, sets: list[Set], size: Size) -> dict[Set, list[dict[str, Any]]]:

@@ -14,6 +14,7 @@ def table_6_2(
     seeds: int | None = None,
     *,
     published: bool = False,
+    full: bool = False,
     variants: Sequence[Variant] = (),
     size: Size = FULL,
 ) -> Study:
@@ -26,10 +27,12 @@ def table_6_2(
     seeds : int or None
         Number of data sets; None for that of `size`.
     published : bool
-        Whether the method is also run as published.
+        Whether the method is also run as published, at a reduced size.
+    full : bool
+        Whether it is run as published at full size, on the first data sets: many hours.
     variants : sequence of Variant
         Methods with parts exchanged, beside the others.
     size : Size
         How large the study is.
     """
-    return recovered("table-6.2", "6.2", work, seeds, published, size, variants)
+    return recovered("table-6.2", "6.2", work, seeds, published, size, variants, full=full)
