@@ -95,6 +95,10 @@ def test_parts_are_exchanged(monkeypatch, capsys):
         (["table-61"], "No study called 'table-61'. Did you mean 'table-6.1'?"),
         (["toy", "--seeds", "0"], "expected a whole number of at least 1, got '0'"),
         (
+            ["figure-6.4", "--published", "full"],
+            "has no runs of the published method at full size. Leave --published full out.",
+        ),
+        (
             ["toy", "--published"],
             "The study 'toy' has no runs of the published method. Leave --published out.",
         ),
