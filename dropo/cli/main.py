@@ -15,6 +15,7 @@ from typing import NoReturn
 import dropo
 from dropo._version import __version__
 from dropo.cli import (
+    benchmark,
     compare,
     data,
     diagnose,
@@ -128,6 +129,7 @@ def _parser() -> argparse.ArgumentParser:
         report,
         recover,
         compare,
+        benchmark,
         data,
         list_,
         schema,

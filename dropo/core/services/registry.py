@@ -167,6 +167,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "crazypad": "dropo.studies.crazypad.study:crazypad_study",
         "coverage": "dropo.studies.intervals.coverage:coverage",
         "first-models": "dropo.studies.first_models.study:first_models",
+        "benchmark": "dropo.studies.benchmark.study:benchmark",
         "hidden-effects": "dropo.studies.hidden_effects.study:hidden_effects",
         "laws": "dropo.studies.laws.study:laws",
         "measured": "dropo.studies.measured.study:measured",

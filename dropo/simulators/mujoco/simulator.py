@@ -233,6 +233,22 @@ class MujocoSimulator(RobotSimulator):
         """
         return self._with_model(partial(_integrate_by, name))
 
+    def without_parameters(self) -> "MujocoSimulator":
+        """Make the same simulator without declared parameters, at the model's own numbers.
+
+        Returns
+        -------
+        MujocoSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
+        out = copy.copy(self)
+        out._source = self._source
+        out.steps = 0
+        out.failures = 0
+        out.bindings = []
+        out._set_effects(self.effects, self.fixed)
+        return out
+
     def with_holding_friction(self) -> "MujocoSimulator":
         """Make the same simulator with dry friction that holds what rests (`hold_friction`).
 

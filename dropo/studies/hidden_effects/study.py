@@ -20,6 +20,7 @@ from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array, known, require
 from dropo.diagnosis.search.library import LAW
 from dropo.problems.simulated.robots import ROBOTS, SimulatedRobot, masses, simulated_robot
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
 
@@ -306,7 +307,7 @@ def evaluate(case: str, effects: Hidden, found: Diagnosis) -> dict[str, Any]:
     ambiguous = {
         (other.effect, other.target) for cause in found.causes for other in cause.confused_with
     }
-    wanted = [_equivalent(instance) for instance, _ in effects]
+    wanted = [equivalent(instance) for instance, _ in effects]
     truth: set[tuple[str, str | None]] = set().union(*wanted)
     texts = []
     for cause in found.causes:
@@ -357,8 +358,18 @@ def _fraction_of_gain(best: float, found: Diagnosis) -> float:
     return found.gain / (best - found.baseline.log_likelihood)
 
 
-def _equivalent(instance: EffectInstance) -> set[tuple[str, str | None]]:
-    """An effect with its target, and the effects that no recorded data can distinguish from it."""
+def equivalent(instance: EffectInstance) -> set[tuple[str, str | None]]:
+    """Name an effect with its target, and the effects that no recorded data tell from it.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+
+    Returns
+    -------
+    set of (str, str or None)
+        Effects and targets.
+    """
     return {(instance.effect, instance.target), *((name, None) for name in instance.alike)}
 
 
@@ -442,7 +453,10 @@ def hide_some(
 
 
 def draw(
-    robot: SimulatedRobot, kind: str, rng: np.random.Generator
+    robot: SimulatedRobot,
+    kind: str,
+    rng: np.random.Generator,
+    sizes: tuple[float, float] = (0.1, 2.0),
 ) -> tuple[EffectInstance, Array] | None:
     """Draws an effect of a kind at a random place.
 
@@ -454,12 +468,14 @@ def draw(
         Name of an effect.
     rng : numpy.random.Generator
         Source of place and magnitudes.
+    sizes : (float, float)
+        Bounds of the first magnitude, in largest probes of the effect.
 
     Returns
     -------
     (EffectInstance, array) or None
-        The effect, whose first magnitude is between a tenth and twice its largest probe; None if
-        the robot has no place for it, or its magnitude is 0.
+        The effect, whose first magnitude is log-uniform within these bounds; None if the robot has
+        no place for it, or its magnitude is 0.
     """
     instances = list(find("effects", kind)(robot.simulator.effect_context))
     if not instances:
@@ -468,7 +484,7 @@ def draw(
     trial = instance.trials[rng.integers(len(instance.trials))]
     magnitudes = np.sum(trial, axis=0)
     first = instance.quantities[0]
-    size = max(np.abs(first.probes)) * np.exp(rng.uniform(np.log(0.1), np.log(2.0)))
+    size = max(np.abs(first.probes)) * np.exp(rng.uniform(*np.log(sizes)))
     magnitudes[0] = np.clip(np.sign(magnitudes[0]) * size, 0.9 * first.low, 0.9 * first.high)
     return (instance, magnitudes) if magnitudes[0] != 0 else None
 
@@ -571,10 +587,34 @@ def difference(
         Nats: half the fall of the squared errors of windows of 5 control steps, in units of the
         noise of starts and ends, bounded for each window by a logarithm.
     """
-    segments = data.segments(5)
-    segments = segments.take(np.flatnonzero(segments.trajectory % 2 == 1))
     true_simulator = robot.simulator.with_effects((), effects)
     other_simulator = robot.simulator.with_effects((), without)
+    return nats_between(true_simulator, other_simulator, values, data, sigma)
+
+
+def nats_between(
+    true_simulator: MujocoSimulator,
+    other_simulator: MujocoSimulator,
+    values: Array,
+    data: Trajectories,
+    sigma: float,
+) -> float:
+    """About the log-likelihood by which a simulator is better than another; see `difference`.
+
+    Parameters
+    ----------
+    true_simulator, other_simulator : MujocoSimulator
+        The one that made the data, and the other.
+    values, data, sigma
+        As of `difference`.
+
+    Returns
+    -------
+    float
+        Nats.
+    """
+    segments = data.segments(5)
+    segments = segments.take(np.flatnonzero(segments.trajectory % 2 == 1))
     true_ends = true_simulator.predict(values[None], segments)[0]
     other_ends = other_simulator.predict(values[None], segments)[0]
     change = np.nan_to_num(true_ends - other_ends) / sigma

@@ -1,0 +1,151 @@
+"""The benchmark of hidden effects, answered by `diagnose` as it comes."""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from dropo.problems.file.writer import write_problem
+from dropo.problems.loading import load
+from dropo.studies.benchmark.answers import Answers, answer_of
+from dropo.studies.benchmark.score import judge, score
+from dropo.studies.benchmark.sets import COUNT, MACHINES, SEED, VERSION, make_set, set_names
+from dropo.studies.engine.study import Study, Table
+from dropo.studies.engine.work import Work
+
+RULES = (
+    "Strength: about the log-likelihood that the hidden effect gains on every other trajectory,"
+    " had the model the recording's own integrator and step.",
+    "Named: the effect, or one that no data tell from it, is a cause, at its place. Alone: and"
+    " nothing else is. Or in the set: named, or among what a cause is said to be confused with.",
+    "Recorded with another integrator (Runge-Kutta's, or implicitfast where the model has that) and"
+    " a step four times finer than the model's: the last column of the sets is what this difference"
+    " alone is worth.",
+)
+
+
+def benchmark(
+    work: Work,
+    seeds: int | None = None,
+    *,
+    problems: Sequence[str] = MACHINES,
+) -> Study:
+    """How often a hidden effect is named in data of another integrator, by its strength.
+
+    Parameters
+    ----------
+    work : Work
+        Runs the diagnoses.
+    seeds : int or None
+        The first so many data sets of each machine; None for all.
+    problems : sequence of str
+        Machines.
+
+    Returns
+    -------
+    Study
+        The score of `diagnose`, and every set with what was said of it.
+    """
+    count = seeds or COUNT
+    chosen = set_names(problems, count)
+    runs = work.map(answered, [list(one) for one in chosen])
+    truths = {run["name"]: run["truth"] for run in runs}
+    answers = {run["name"]: run["answer"]["causes"] for run in runs}
+    tables = (*score(truths, answers), _sets_table(runs))
+    what = f"the first {count} data sets of {', '.join(problems)}"
+    return Study(
+        "benchmark",
+        f"Benchmark {VERSION}: {what}; seed {SEED}",
+        tables,
+        RULES,
+        {"runs": runs},
+    )
+
+
+def describe_sets(protocol: dict[str, Any]) -> Study:
+    """Say which data sets were written.
+
+    Parameters
+    ----------
+    protocol : dict
+        As `write_sets` gives it.
+
+    Returns
+    -------
+    Study
+    """
+    machines = list(protocol["sets"].values())
+    rows = tuple((name, str(machines.count(name))) for name in dict.fromkeys(machines))
+    table = Table("", ("machine", "data sets"), rows)
+    title = f"Benchmark {VERSION}: {len(machines)} data sets, seed {SEED}"
+    return Study("benchmark", title, (table,), data={"sets": protocol["sets"]})
+
+
+def scored(name: str, truths: dict[str, dict[str, Any]], answers: Answers) -> Study:
+    """Hold answers against the truth.
+
+    Parameters
+    ----------
+    name : str
+        Who answers.
+    truths : dict
+        By data set.
+    answers : dict
+        By data set.
+
+    Returns
+    -------
+    Study
+        With every set judged in its data.
+    """
+    data = {own: asdict(judge(truth, answers.get(own))) for own, truth in truths.items()}
+    title = f"Benchmark {VERSION}: {name}, {len(answers)} of {len(truths)} data sets answered"
+    return Study("benchmark", title, score(truths, answers), RULES[:2], {"sets": data})
+
+
+def answered(item: list[Any]) -> dict[str, Any]:
+    """Diagnose a data set by its files.
+
+    Parameters
+    ----------
+    item : list
+        Machine and number.
+
+    Returns
+    -------
+    dict
+        name, truth, answer.
+    """
+    made = make_set(*item)
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_problem(made.problem, Path(folder))
+        answer = answer_of(load(path, threads=1))
+    return {"name": made.name, "truth": made.truth, "answer": answer}
+
+
+def _sets_table(runs: Sequence[dict[str, Any]]) -> Table:
+    """Every set, with what was said of it."""
+    rows = []
+    for run in runs:
+        truth = run["truth"]
+        causes = run["answer"]["causes"]
+        rows.append(
+            (
+                run["name"],
+                _label(truth) if truth["effect"] else "-",
+                f"{truth['nats']:.3g}",
+                "; ".join(map(_label, causes)) or "-",
+                run["answer"]["verdict"],
+                f"{run['answer']['steps']:,}",
+                f"{truth['integrator_nats']:.3g}",
+            )
+        )
+    header = ("set", "hidden", "nats", "said", "verdict", "simulator steps", "integrator [nats]")
+    return Table("Sets", header, tuple(rows))
+
+
+def _label(cause: dict[str, Any]) -> str:
+    """An effect with its place and first size."""
+    sizes = [f"{value:.3g}" for value in cause["sizes"].values()]
+    return f"{cause['effect']}:{cause['target'] or ''}={','.join(sizes)}"
