@@ -17,7 +17,7 @@ from dropo.core.contracts.likelihood import (
     RunLikelihood,
 )
 from dropo.core.contracts.maximize import SearchResult, maximize
-from dropo.core.contracts.mean_prior import MeanPrior, mean_places, with_prior, within_priors
+from dropo.core.contracts.mean_prior import MeanPrior, mean_places, with_prior, within_prior
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
@@ -201,10 +201,6 @@ class DROPO(Estimator):
 
     # --- the fit
 
-    def _prepared(self, problem: Problem) -> Problem:
-        """Within the ends of its priors."""
-        return within_priors(problem)
-
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """With the noise that the settings ask for: swept, given, or learned with the rest."""
         # Every fit of a sweep draws alike, so that fits differ by their noise alone.
@@ -233,9 +229,11 @@ class DROPO(Estimator):
         likelihood_rng = np.random.default_rng(int(seeds[0]))
         optimizer_rng = np.random.default_rng(int(seeds[1]))
         start_rng = np.random.default_rng(int(seeds[2]))
-        family = find("families", self.family)(problem.space)
+        prior = MeanPrior(problem.priors, problem.space)
+        family = within_prior(find("families", self.family)(problem.space), prior)
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)
+        mean = np.clip(mean, prior.within.low, prior.within.high)
 
         # Whole runs, where they are asked for, or where part of the state was not measured.
         if isinstance(likelihood, RunLikelihood):

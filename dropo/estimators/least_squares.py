@@ -6,10 +6,11 @@ from typing import Literal
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
-from dropo.core.contracts.mean_prior import MeanPrior, within_priors
+from dropo.core.contracts.mean_prior import MeanPrior, within_prior
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
 from dropo.core.records.fit import Fit, Status
+from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.start_mean import Start, checked_start, given_start
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.registry import find
@@ -123,10 +124,6 @@ class LeastSquares(Estimator):
             known("weights", self.weights, ("noise", "equal"))
         object.__setattr__(self, "start", checked_start(self.start, ("middle",)))
 
-    def _prepared(self, problem: Problem) -> Problem:
-        """Within the ends of its priors."""
-        return within_priors(problem)
-
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """The estimate as a family without spread."""
         prior = MeanPrior(problem.priors, problem.space)
@@ -137,7 +134,7 @@ class LeastSquares(Estimator):
             )
         start = given_start(self.start, problem.space)
         found = estimate(problem, run, self.weights, self.budget, self.step, start, prior=prior)
-        family = find("families", "point")(problem.space)
+        family = within_prior(find("families", "point")(problem.space), prior)
         rows = len(problem.segments.rows[0])
         noise = np.maximum(found.noise, rounding(problem))  # a perfect fit would have no density
         density = np.log(2 * np.pi * noise) + found.noise / noise
@@ -212,7 +209,8 @@ def estimate(
         variances = np.maximum(first.noise, lowest)
     half = plain_errors(first, width, settings) if step is None else step * width
     if prior:
-        last = _with_prior(problem, run, variances, first.value, budget, half, prior)
+        begin = np.clip(first.value, prior.within.low, prior.within.high)
+        last = _with_prior(problem, run, variances, begin, budget, half, prior)
     else:
         last = _solve(problem, run, variances, first.value, budget, half)
     return replace(last, evaluations=first.evaluations + last.evaluations)
@@ -232,7 +230,7 @@ def _with_prior(
     evaluations = 0
     normal = prior.as_normal(start)
     for _ in range(settings.passes):
-        found = _solve(problem, run, variances, start, budget, step, normal)
+        found = _solve(problem, run, variances, start, budget, step, prior.within, normal)
         evaluations += found.evaluations
         start = found.value
         last, normal = normal, prior.as_normal(start)
@@ -369,10 +367,12 @@ def _solve(
     start: Array,
     budget: int,
     step: Array,
+    within: ParameterSpace | None = None,
     prior: tuple[Array, Array] | None = None,
 ) -> PointEstimate:
-    """One pass from a start (d,), weighted by the inverse of variances (p,), with steps (d,), and
-    a normal prior of centre and precision (d,).
+    """One pass from a start (d,), weighted by the inverse of variances (p,), with steps (d,).
+
+    It stays within the ends of a prior, and has a normal one of centre and precision (d,).
     """
     from scipy.optimize import least_squares  # slow to import
 
@@ -380,13 +380,16 @@ def _solve(
     width = space.high - space.low
     before = run.evaluations
     function = _Residuals(problem, run, variances, budget, step, prior)
-    unit = np.clip((start - space.low) / width, 1e-9, 1 - 1e-9)
+    ends = within or space
+    low, high = (ends.low - space.low) / width, (ends.high - space.low) / width
+    inside = 1e-9 * (high - low)
+    unit = np.clip((start - space.low) / width, low + inside, high - inside)
     try:
         result = least_squares(
             function.residuals,
             unit,
             function.jacobian,
-            bounds=(0.0, 1.0),
+            bounds=(low, high),
             xtol=1e-14,
             ftol=1e-14,
             gtol=1e-14,

@@ -10,7 +10,7 @@ from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import GroupedLogLikelihood, Groups, LogLikelihood
 from dropo.core.contracts.maximize import SearchResult
-from dropo.core.contracts.mean_prior import MeanPrior, within_priors
+from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.records.fit_parts import GroupEffects, VarianceComponentTests, VarianceTest
@@ -98,10 +98,6 @@ class RandomEffects(Estimator):
         return _Population(
             likelihood="random-effects", family=self.family, settings=self.settings, **further
         )
-
-    def _prepared(self, problem: Problem) -> Problem:
-        """Within the ends of its priors."""
-        return within_priors(problem)
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """The population's fit, where there are groups enough."""

@@ -348,7 +348,7 @@ class _Search:
         scaled = information / np.outer(size, size) + 1e-12 * np.eye(len(size))
         root = np.linalg.cholesky(scaled).T
         right = np.linalg.solve(root.T, score / size)
-        space = self.simulator.space
+        space = self.prior.within
         longest = self.settings.longest * self.width
         low = np.maximum(space.low - value, -longest) * size
         high = np.minimum(space.high - value, longest) * size
@@ -362,7 +362,7 @@ class _Search:
             look, np.broadcast_to(step, (len(windows.pieces.spans), len(step)))
         )
         value = np.clip(
-            look.state.value + share * step, self.simulator.space.low, self.simulator.space.high
+            look.state.value + share * step, self.prior.within.low, self.prior.within.high
         )
         return replace(look.state, value=value, starts=look.state.starts + share * starts)
 
@@ -505,7 +505,8 @@ class _Search:
             own = np.clip(own, space.low, space.high)
             before = look.state.value if look.state.own is None else look.state.own
             starts = look.state.starts + self._start_steps(look, (own - before)[group])
-            mean = np.clip(family.mean(phi[: len(family.unknowns)]), space.low, space.high)
+            within = self.prior.within
+            mean = np.clip(family.mean(phi[: len(family.unknowns)]), within.low, within.high)
             state = replace(look.state, value=mean, own=own, starts=starts)
             try:
                 look = self.with_noise(self._counted(run, state), choose=turn == 0)

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.mean_prior import MeanPrior, within_priors
+from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import Parameter, ParameterSpace
@@ -265,12 +265,20 @@ def test_slopes_and_curvatures_are_those_of_the_densities():
     assert far.information(np.array([8.0, 1.0, 1.0]))[0] == 0.0
 
 
-def test_intervals_end_where_a_prior_does():
-    """A uniform prior cuts the search interval; others leave the problem as it is."""
-    cut = within_priors(problem(priors={"x0": "uniform(1, 2)"}))
-    assert (cut.space.low.tolist(), cut.space.high.tolist()) == ([1.0, -10.0], [2.0, 10.0])
-    whole = problem(priors={"x0": TEXT})
-    assert within_priors(whole) is whole
+@pytest.mark.parametrize("method", ["least squares", "linear", "sampled"])
+def test_means_end_where_a_prior_does(method):
+    """A uniform prior bounds the mean, which ends on its bound without an error and is warned of;
+    spreads have the bounds that they have without it.
+    """
+    one = problem(epsilon=NOISE, priors={"x0": "uniform(1.6, 1.7)"})
+    fit = METHODS[method].fit(one, rng=0)
+    assert fit.mean[0] == pytest.approx(1.6, abs=1e-6)
+    assert np.isnan(fit.mean_se[0])
+    assert np.isfinite(fit.mean_se[1])
+    assert any("mean.x0 ends on its lower bound 1.6" in warning for warning in fit.warnings)
+    assert fit.space.low[0] == -10
+    varied = problem(truth=np.array([1.5, -0.7]), epsilon=1e-8, priors={"x0": "uniform(1.4, 1.6)"})
+    assert DROPO(likelihood="linear").fit(varied, rng=0).sd[0] > 0.15
 
 
 def test_what_cannot_be_a_prior_is_refused():

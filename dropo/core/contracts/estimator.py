@@ -187,7 +187,6 @@ class Estimator(ABC):
         owner = f"Problem {problem.name!r}"
         require(len(problem.space) >= 1, "parameters", "at least one", 0, owner)
         self._check_priors(problem)
-        problem = self._prepared(problem)
         begun = time.perf_counter()
         run = Run(
             problem,
@@ -219,10 +218,6 @@ class Estimator(ABC):
                 " 'least-squares', 'random-effects', 'posterior', 'epopt' or 'npe', or leave"
                 " 'prior' out."
             )
-
-    def _prepared(self, problem: Problem) -> Problem:
-        """The problem as the method searches it."""
-        return problem
 
     @abstractmethod
     def _fit(self, problem: Problem, run: Run) -> Fit:

@@ -4,21 +4,17 @@ A fit then maximises log-likelihood + log prior of the means (maximum a posterio
 the density in each parameter's own unit, however the parameter is searched.
 """
 
-import copy
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood, LogLikelihood
 from dropo.core.contracts.prior import Prior, read_prior, slope
-from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-
-if TYPE_CHECKING:
-    from dropo.core.contracts.problem import Problem
 
 # Step of the second differences of a log density, in interquartile ranges.
 STEP = 1e-3
@@ -34,6 +30,11 @@ class MeanPrior:
     space : ParameterSpace
         The d parameters.
 
+    Attributes
+    ----------
+    within : ParameterSpace
+        The same, their search intervals cut to where the priors have a density.
+
     Raises
     ------
     UnknownName, BadArgument
@@ -46,6 +47,17 @@ class MeanPrior:
             space.names.index(name): read_prior(prior, space[name])
             for name, prior in priors.items()
         }
+        self.within = space
+        if self.distributions:
+            self.within = ParameterSpace(tuple(map(self._cut, range(len(space)), space)))
+
+    def _cut(self, place: int, parameter: Parameter) -> Parameter:
+        """A parameter within the ends of its prior."""
+        if place not in self.distributions:
+            return parameter
+        low, high = self.distributions[place].support()
+        low, high = max(parameter.low, float(low)), min(parameter.high, float(high))
+        return replace(parameter, low=low, high=high)
 
     def __bool__(self) -> bool:
         """Whether there is a prior at all."""
@@ -94,32 +106,28 @@ class MeanPrior:
         return mean + step, precision
 
 
-def within_priors(problem: "Problem") -> "Problem":
-    """Cut the search intervals of a problem to where its priors have a density.
+def within_prior(family: Family, prior: MeanPrior) -> Family:
+    """Bound the means of a family's members by the ends of a prior; scales stay as they are.
 
     Parameters
     ----------
-    problem : Problem
+    family : Family
+        Changed in place.
+    prior : MeanPrior
 
     Returns
     -------
-    Problem
-        Itself where no prior ends within its interval, as a uniform one may.
+    Family
+        The same one.
     """
-    space = problem.space
-    ends = {name: read_prior(law, space[name]).support() for name, law in problem.priors.items()}
-    parameters = []
-    for parameter in space:
-        low, high = ends.get(parameter.name, (-np.inf, np.inf))
-        low, high = max(parameter.low, float(low)), min(parameter.high, float(high))
-        parameters.append(replace(parameter, low=low, high=high))
-    cut = ParameterSpace(tuple(parameters))
-    same = np.array_equal(cut.low, space.low) and np.array_equal(cut.high, space.high)
-    if same:
-        return problem
-    simulator = copy.copy(problem.simulator)
-    simulator.space = cut
-    return replace(problem, simulator=simulator)
+    ends = {f"mean.{parameter.name}": parameter for parameter in prior.within}
+    bounded = []
+    for unknown in family.unknowns:
+        own = ends.get(unknown.name, unknown)
+        low, high = max(unknown.low, own.low), min(unknown.high, own.high)
+        bounded.append(replace(unknown, low=low, high=high))
+    family.unknowns = ParameterSpace(tuple(bounded))
+    return family
 
 
 def with_prior(objective: LogLikelihood, prior: MeanPrior | None) -> LogLikelihood:

@@ -109,10 +109,6 @@ class ChooseHorizon(Estimator):
         """Whether that method uses priors."""
         return self.estimator.uses_priors
 
-    def _prepared(self, problem: Problem) -> Problem:
-        """The problem as that method searches it."""
-        return self.estimator._prepared(problem)
-
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """Fit the fitted part with each horizon, choose one, and fit all data with it."""
         if problem.reset == "start":

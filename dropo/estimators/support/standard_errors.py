@@ -146,7 +146,8 @@ def _errors_with_step(
     known = np.maximum(known, rounding(problem))
     spread = correlation * np.outer(sd, sd)
     scores, information = scores_and_information(residuals, jacobian, spread, known)
-    kept = np.tile(_inside(problem.space, mean, settings.edge), 2)
+    bounds = prior.within if prior else problem.space
+    kept = np.tile(_inside(bounds, mean, settings.edge), 2)
     units = units_of(segments)
     curvature = _curvature(prior, mean, np.arange(d), 2 * d)
     covariance, counted = sandwich(
