@@ -148,6 +148,8 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
     ]
     if priors:
         header.append("prior")
+    if fit.priors is not None:
+        header.append("share of the priors")
     if truth:
         header += ["truth", "z"]
     rows = []
@@ -164,6 +166,9 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
         ]
         if priors:
             row.append(Cell(str(priors.get(p.name, "uniform"))))
+        if fit.priors is not None:
+            share = 100 * fit.priors.share[p.name]
+            row.append(Cell(f"{share:.3g} %" if np.isfinite(share) else "-", share))
         if truth:
             true = truth[p.name]
             row += [Cell(estimate(true, fit.mean_se[i]), true), _number(scores[i], 2)]

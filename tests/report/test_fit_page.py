@@ -7,6 +7,7 @@ import pytest
 
 from dropo.core.records.fit import Fit
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.least_squares import LeastSquares
 from dropo.estimators.posterior import Posterior
 from dropo.estimators.support.segment_length import ChooseHorizon
 from dropo.optimizers.samplers.emcee import Emcee
@@ -59,3 +60,13 @@ def test_correlations_and_a_missing_check_are_shown(fit_folder, tmp_path):
     assert "Correlation matrix" in text
     assert "was not tested" in text
     assert "95 % if the model is right" in text
+
+
+def test_the_share_of_priors_is_shown(problem, tmp_path):
+    """In a column of its own, where the fit was searched with priors."""
+    known = replace(problem, priors={"mass": "normal(1.5, 0.02)"})
+    fit = LeastSquares().fit(known)
+    text = page_of(fit, tmp_path)
+    assert "share of the priors" in text
+    assert f"{100 * fit.priors.share['mass']:.3g} %" in text
+    assert "share of the priors" not in page_of(replace(fit, priors=None), tmp_path)

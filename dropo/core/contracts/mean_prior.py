@@ -120,6 +120,8 @@ def within_prior(family: Family, prior: MeanPrior) -> Family:
     Family
         The same one.
     """
+    if not prior:
+        return family
     ends = {f"mean.{parameter.name}": parameter for parameter in prior.within}
     bounded = []
     for unknown in family.unknowns:
@@ -144,7 +146,7 @@ def with_prior(objective: LogLikelihood, prior: MeanPrior | None) -> LogLikeliho
     LogLikelihood
         The objective itself without a prior.
     """
-    return LogPosterior(objective, prior) if prior else objective
+    return WithPrior(objective, prior) if prior else objective
 
 
 def local_with_prior(objective: LocalLogLikelihood, prior: MeanPrior | None) -> LocalLogLikelihood:
@@ -160,7 +162,7 @@ def local_with_prior(objective: LocalLogLikelihood, prior: MeanPrior | None) -> 
     LocalLogLikelihood
         The objective itself without a prior.
     """
-    return LogPosterior(objective, prior) if prior else objective
+    return WithPrior(objective, prior) if prior else objective
 
 
 def mean_places(objective: LogLikelihood, space: ParameterSpace) -> Ints:
@@ -169,7 +171,7 @@ def mean_places(objective: LogLikelihood, space: ParameterSpace) -> Ints:
     return np.array([names.index(f"mean.{name}") for name in space.names])
 
 
-class LogPosterior(LocalLogLikelihood):
+class WithPrior(LocalLogLikelihood):
     """A log-likelihood with the log prior of the means as one more row.
 
     Parameters

@@ -37,7 +37,7 @@ def fit_report(fit: Fit) -> list[str | Table]:
         f"{fit.problem}: {fit.method}, {fit.family.replace('_', ' ')}",
         _parameter_table(fit),
         *_correlation_sentence(fit),
-        *([] if fit.priors is None else [_prior_sentence(fit.priors)]),
+        *([] if fit.priors is None else [prior_sentence(fit.priors)]),
         *(fit.identifiability or ()),
         f"{likelihood}, mean squared error {fit.mse:.3g}, {fit.transitions} transitions",
         *([] if fit.held_out is None else [_held_out_sentence(fit.held_out)]),
@@ -128,8 +128,17 @@ def _correlation_sentence(fit: Fit) -> list[str]:
     return [f"correlations (95 % intervals): {'; '.join(shown)}"] if shown else []
 
 
-def _prior_sentence(found: PriorUse) -> str:
-    """How much of what is known the priors give, by parameter."""
+def prior_sentence(found: PriorUse) -> str:
+    """Say how much of what is known the priors give, by parameter.
+
+    Parameters
+    ----------
+    found : PriorUse
+
+    Returns
+    -------
+    str
+    """
     shares = []
     for name, share in found.share.items():
         shown = "an unknown part" if np.isnan(share) else f"{100 * share:.3g} %"
