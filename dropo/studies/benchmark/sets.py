@@ -222,9 +222,8 @@ def finer(simulator: Any, times: int) -> Any:
     MujocoSimulator
         With Runge-Kutta's, or where the model has that, with MuJoCo's "implicitfast".
     """
-    kinds = mujoco.mjtIntegrator
-    has_rk4 = simulator.model.opt.integrator == kinds.mjINT_RK4
-    other = kinds.mjINT_IMPLICITFAST if has_rk4 else kinds.mjINT_RK4
+    has_rk4 = simulator.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    other = "implicitfast" if has_rk4 else "RK4"
     return simulator.with_integrator(other).with_finer_steps(times)
 
 
