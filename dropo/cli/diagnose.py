@@ -169,6 +169,7 @@ def _compare(
     arguments: argparse.Namespace, problem: "Problem", record: dict[str, Any], folder: RunFolder
 ) -> int:
     """Compare every run with the reference runs, print and save; the exit status."""
+    from dropo.cli.record import keep_for_report
     from dropo.diagnosis.reference.compare import check_comparison, compare_with_reference
 
     check_comparison(problem, arguments.reference, arguments.effects)
@@ -178,6 +179,7 @@ def _compare(
     def save() -> None:
         if arguments.out is not None:
             found.save(arguments.out)
+            keep_for_report(arguments, None)
 
     show_and_save(arguments, found, found.to_json(), save)
     return 0

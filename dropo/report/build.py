@@ -8,12 +8,14 @@ from dropo.report.diagnosis_page import diagnosis_page
 from dropo.report.fit_page import fit_page
 from dropo.report.folder import RESULT, Result, read_result
 from dropo.report.quick_page import quick_page
+from dropo.report.runs_page import runs_page
 from dropo.report.unfinished_page import unfinished_page
 
 PAGES = {
     "fit": fit_page,
     "diagnosis": diagnosis_page,
     "quick diagnosis": quick_page,
+    "comparison": runs_page,
     "unfinished": unfinished_page,
 }
 

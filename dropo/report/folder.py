@@ -12,6 +12,7 @@ from dropo.core.records.saved_schema import (
     REGRESSION,
     SavedMade,
     SavedRun,
+    read_comparison,
     read_diagnosis,
 )
 from dropo.core.services.errors import BadFile
@@ -32,7 +33,7 @@ class Result:
     folder : Path
         Where it is.
     content : dict
-        Of fit.json or diagnosis.json; empty without.
+        Of fit.json, diagnosis.json or runs.json; empty without.
     record : dict
         Of run.json, or the header of the evaluation log.
     made : dict
@@ -58,9 +59,11 @@ class Result:
 
     @property
     def kind(self) -> str:
-        """What it is: "fit", "diagnosis", "quick diagnosis" or "unfinished"."""
+        """What it is: "fit", "diagnosis", "quick diagnosis", "comparison" or "unfinished"."""
         if self.fit is not None:
             return "fit"
+        if "runs" in self.content:
+            return "comparison"
         if "verdict" not in self.content:
             return "unfinished"
         quick = self.content.get("method") == REGRESSION
@@ -101,6 +104,8 @@ def read_result(folder: str | Path) -> Result:
         kept = content.get("pictures")
         figures = FigureData.from_json(kept) if kept else None
         return Result(folder, content, record, made, figures=figures, predictions=predictions)
+    if (folder / "runs.json").is_file():
+        return Result(folder, read_comparison(folder / "runs.json"), record, made)
     evaluation_log = folder / EVALUATION_LOG
     if (folder / "fit.json").is_file():
         fit = Fit.load(folder)

@@ -80,6 +80,14 @@ def test_the_run_that_differs_is_named(file, tmp_path, capsys):
     )
     assert abs(found["value"] - 0.1) < 4.5 * found["se"] < 0.05
     assert not any(run["causes"] for run in runs[:-1])
+    assert main(["report", str(out)]) == 0
+    page = (out / "report.html").read_text()
+    assert page.count("<td>reference</td>") == 4
+    assert "joint damping at hinge" in page
+    broken = json.loads((out / "runs.json").read_text())
+    broken["runs"][0].pop("p_value")
+    (out / "runs.json").write_text(json.dumps(broken))
+    assert main(["report", str(out)]) == 2
 
 
 def test_names_follow_their_runs(file):

@@ -450,6 +450,71 @@ class SavedQuickDiagnosis(SavedFinding):
     forces: list[SavedForces]
 
 
+class SavedDifference(Saved):
+    """One thing that differs in a run."""
+
+    effect: str
+    target: str | None
+    variant: str
+    estimate: dict[str, SavedEstimate]
+    confused_with: Texts
+
+
+class SavedComparedRun(Saved):
+    """One run beside the reference runs."""
+
+    run: str
+    reference: bool
+    differs: bool
+    p_value: float
+    causes: list[SavedDifference]
+    numbers: list[float]
+
+
+class SavedNumber(Saved):
+    """A number that describes runs, over the reference runs."""
+
+    name: str
+    mean: float
+    sd: float
+
+
+class SavedComparison(Saved):
+    """The content of runs.json."""
+
+    problem: str
+    headline: str
+    level: float
+    numbers: list[SavedNumber]
+    tolerances: Texts
+    runs: list[SavedComparedRun]
+    simulator_steps: Count
+    version: str
+
+
+def read_comparison(path: Path) -> dict[str, Any]:
+    """Read runs.json, of runs beside reference runs.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    dict
+        Its content as it stands there.
+
+    Raises
+    ------
+    BadFile
+        If there is no such file, it is of a newer version, or it does not fit its schema.
+    """
+    content = read_json(path, "a comparison of runs written by `dropo diagnose --out`")
+    check_content(path, content, SavedComparison)
+    return content
+
+
 def read_diagnosis(path: Path) -> dict[str, Any]:
     """Read diagnosis.json, of a search by simulation or of a regression alone.
 
