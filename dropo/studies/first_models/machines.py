@@ -42,6 +42,10 @@ class Design:
     loaded : bool
         Whether a payload and a wrong gain are missing too. At a single joint no log can tell them
         from its rotor and from each other.
+    along : tuple of str
+        The axis along which each body extends; "z" of all of them where it is empty.
+    rate : float
+        What a servo gives against each rad/s, as a fraction of what it gives for each rad [s].
     """
 
     axes: tuple[str, ...]
@@ -50,6 +54,8 @@ class Design:
     gains: tuple[float, ...]
     servos: bool = True
     loaded: bool = True
+    along: tuple[str, ...] = ()
+    rate: float = 0.08
 
 
 DESIGNS = {
@@ -88,8 +94,8 @@ class Machine:
         On the last body [kg].
     place : (3,) array
         Of the payload in the body's frame [m].
-    gain : float
-        What is added to the drives' gain, as a fraction of it.
+    gain : float or (n,) array
+        What is added to the drives' gain, or to that of each, as a fraction of it.
     delay : float
         Of the commands [s].
     """
@@ -99,7 +105,7 @@ class Machine:
     friction: Array
     payload: float
     place: Array
-    gain: float
+    gain: float | Array
     delay: float = 0.006
 
     def numbers(self) -> dict[tuple[str, str | None, str], float]:
@@ -111,7 +117,11 @@ class Machine:
             found["joint_damping", joint, "damping"] = float(self.damping[i])
             found["joint_friction", joint, "frictionloss"] = float(self.friction[i])
         drive = "drive0" if len(self.armature) == 1 else None
-        found["actuator_gain", drive, "gain"] = self.gain
+        if isinstance(self.gain, float):
+            found["actuator_gain", drive, "gain"] = self.gain
+        else:
+            for i, gain in enumerate(self.gain.tolist()):
+                found["actuator_gain", f"drive{i}", "gain"] = gain
         found["actuator_delay", drive, "delay"] = self.delay
         found["payload", f"body{len(self.armature) - 1}", "mass"] = self.payload
         return {key: value for key, value in found.items() if value != 0}
@@ -126,7 +136,8 @@ def first_model(design: Design) -> mujoco.MjSpec:
     place = np.array([0.0, 0.0, 0.2])
     for i, axis in enumerate(design.axes):
         kind, letter = axis.split()
-        end = np.array([0.0, 0.02 * (i % 2), design.lengths[i]])
+        end = design.lengths[i] * np.eye(3)["xyz".index(design.along[i] if design.along else "z")]
+        end[1] += 0.02 * (i % 2)
         parent = parent.add_body(name=f"body{i}", pos=place)
         parent.add_joint(
             name=f"joint{i}",
@@ -146,7 +157,7 @@ def first_model(design: Design) -> mujoco.MjSpec:
         drive = spec.add_actuator(name=f"drive{i}", target=f"joint{i}")
         drive.trntype = mujoco.mjtTrn.mjTRN_JOINT
         if design.servos:
-            drive.set_to_position(kp=gain, kv=0.08 * gain)
+            drive.set_to_position(kp=gain, kv=design.rate * gain)
         else:
             drive.set_to_motor()
             drive.gainprm[0] = gain
@@ -189,9 +200,10 @@ def built(spec: mujoco.MjSpec, machine: Machine) -> mujoco.MjSpec:
             contype=0,
             conaffinity=0,
         )
-    for drive in made.actuators:
-        drive.gainprm = drive.gainprm * (1 + machine.gain)
-        drive.biasprm = drive.biasprm * (1 + machine.gain)
+    factors = 1 + np.broadcast_to(machine.gain, len(made.actuators))
+    for drive, factor in zip(made.actuators, factors, strict=True):
+        drive.gainprm = drive.gainprm * factor
+        drive.biasprm = drive.biasprm * factor
     made.option.timestep = STEP / FINER
     return made
 
@@ -227,29 +239,63 @@ def recorded(
     Trajectories
         Positions before and after each control step, and commands.
     """
+    count = round(seconds / CONTROL)
+    commands = np.stack([_sines(len(made.actuators), count, servos, rng) for _ in range(runs)])
+    return measured(made, commands, delay, rng)
+
+
+def measured(
+    made: mujoco.MjSpec,
+    commands: Array,
+    delay: float,
+    rng: Generator,
+    *,
+    control: float = CONTROL,
+    noise: float = NOISE,
+    tick: float = TICK,
+) -> Trajectories:
+    """Positions of a machine by encoders, from rest at 0 under some commands.
+
+    Parameters
+    ----------
+    made : MjSpec
+        The machine.
+    commands : (R, T, nu) array
+        Of R runs of T control steps.
+    delay : float
+        Of the commands [s].
+    rng : numpy.random.Generator
+        Source of noise.
+    control : float
+        Control step [s].
+    noise, tick : float
+        Standard deviation and resolution of the encoders [rad, m].
+
+    Returns
+    -------
+    Trajectories
+        Positions before and after each control step, and commands.
+    """
     simulator: MujocoSimulator = MujocoSimulator(
         made,
         [],
         observation=["qpos"],
-        frame_skip=round(CONTROL / made.option.timestep),
+        frame_skip=round(control / made.option.timestep),
         threads=1,
     )
     if delay:
         late = instances_of(simulator.effect_context, "actuator_delay")[-1]
         simulator = simulator.with_effects((), [(late, np.array([delay]))])
-    count = round(seconds / CONTROL)
-    actions = np.concatenate([_sines(simulator.model.nu, count, servos, rng) for _ in range(runs)])
+    runs, count, _ = commands.shape
+    actions = np.concatenate(commands)
     rest = np.zeros((len(actions), simulator.model.nq))
     ends = np.arange(len(actions)) % count == count - 1
     data = Trajectories(rest, actions, rest, ends)
     segments = data.segments(count, every_step=True)
     after = simulator.predict(np.zeros((1, 0)), segments)[0].reshape(runs, count, -1)
     exact = np.concatenate([np.zeros((runs, 1, after.shape[2])), after], axis=1)
-    measured = exact + NOISE * rng.normal(size=exact.shape)
-    measured = np.round(measured / TICK) * TICK
-    return Trajectories(
-        np.concatenate(measured[:, :-1]), actions, np.concatenate(measured[:, 1:]), ends
-    )
+    read = np.round((exact + noise * rng.normal(size=exact.shape)) / tick) * tick
+    return Trajectories(np.concatenate(read[:, :-1]), actions, np.concatenate(read[:, 1:]), ends)
 
 
 def _sines(drives: int, count: int, servos: bool, rng: Generator) -> Array:
@@ -264,8 +310,10 @@ def _sines(drives: int, count: int, servos: bool, rng: Generator) -> Array:
     return commands - commands[0]
 
 
-def problem_of(name: str, spec: mujoco.MjSpec, data: Trajectories) -> Problem:
+def problem_of(
+    name: str, spec: mujoco.MjSpec, data: Trajectories, control: float = CONTROL
+) -> Problem:
     """Recorded motion with the model that is to be diagnosed."""
-    frame_skip = round(CONTROL / spec.option.timestep)
+    frame_skip = round(control / spec.option.timestep)
     simulator = MujocoSimulator(spec, [], observation=["qpos"], frame_skip=frame_skip, threads=1)
     return Problem(name, simulator, data)

@@ -1,0 +1,134 @@
+"""Small servo machines drawn at random, as somebody would bring them, with their logs.
+
+One to three joints, hinges and slides, upright and level. The model has the kinematics, the masses
+and the servos of the data sheet; rotors, viscous and dry friction are missing at every joint, and
+in every other machine each servo's gain is another. Machines are simulated four times finer than
+models and by another integrator; a few runs of 6 to 10 s, positions alone, by coarse encoders.
+"""
+
+import mujoco
+import numpy as np
+from numpy.random import Generator
+
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.validation import Array
+from dropo.studies.first_models.machines import (
+    Design,
+    Machine,
+    built,
+    first_model,
+    measured,
+    problem_of,
+)
+
+Numbers = dict[tuple[str, str | None, str], float]
+
+
+def random_design(rng: Generator) -> Design:
+    """A chain of one to three joints on position servos."""
+    count = int(rng.integers(1, 4))
+    axes = []
+    along = []
+    gains = []
+    for i in range(count):
+        # Slides carry hinges, not the other way around.
+        slides = i < count - 1 and (not axes or axes[-1].startswith("slide"))
+        kind = "slide" if slides and rng.random() < 0.3 else "hinge"
+        axis, length = rng.permutation(list("xyz"))[:2].tolist()
+        axes.append(f"{kind} {axis}")
+        along.append(axis if kind == "slide" else length)
+        strong = 0.6**i
+        gains.append(float(rng.uniform(300, 1500) if kind == "slide" else rng.uniform(20, 60)) * strong)
+    return Design(
+        tuple(axes),
+        tuple(rng.uniform(0.15, 0.35, count).tolist()),
+        tuple((rng.uniform(0.3, 1.2, count) * 0.7 ** np.arange(count)).tolist()),
+        tuple(gains),
+        loaded=False,
+        along=tuple(along),
+        rate=float(rng.choice([0.0, 0.02, 0.05])),
+    )
+
+
+def random_stranger(design: Design, rng: Generator) -> Machine:
+    """What a machine has that its model lacks."""
+    gains = np.array(design.gains)
+    count = len(gains)
+    differ = rng.random() < 0.5
+    return Machine(
+        armature=gains * rng.uniform(2e-4, 8e-4, count),
+        damping=gains * rng.uniform(0.004, 0.015, count),
+        friction=gains * rng.uniform(0.003, 0.008, count),
+        payload=0.0,
+        place=np.zeros(3),
+        gain=rng.uniform(-0.15, 0.15, count) * differ,
+        delay=0.0,
+    )
+
+
+def stranger(seed: int, *, missing: bool = True) -> tuple[Problem, Numbers]:
+    """A machine's log with a model, and what the model lacks.
+
+    Parameters
+    ----------
+    seed : int
+        Decides everything.
+    missing : bool
+        Whether the model lacks anything; else it has all of the machine's numbers.
+
+    Returns
+    -------
+    problem : Problem
+    truth : dict
+        Numbers by effect, place and quantity.
+    """
+    rng = np.random.default_rng([seed, 1])
+    design = random_design(rng)
+    machine = random_stranger(design, rng)
+    control = float(rng.choice([0.01, 0.02]))
+    spec = first_model(design)
+    made = built(spec, machine)
+    made.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    data = _log(made, design, control, rng)
+    truth = machine.numbers()
+    if not missing:
+        step = spec.option.timestep
+        spec = built(spec, machine)
+        spec.option.timestep = step
+        truth = {}
+    return problem_of(f"stranger-{seed}", spec, data, control), truth
+
+
+def _log(made: mujoco.MjSpec, design: Design, control: float, rng: Generator) -> Trajectories:
+    """Three to six runs."""
+    runs = int(rng.integers(3, 7))
+    count = round(rng.uniform(6.0, 10.0) / control)
+    hinges = np.array([axis.startswith("hinge") for axis in design.axes])
+    reach = np.where(hinges, 0.6, 0.1)
+    commands = np.stack([_commands(len(hinges), count, control, rng) for _ in range(runs)])
+    tick = 2 * np.pi / 2 ** int(rng.integers(12, 15))
+    return measured(
+        made, commands * reach, 0.0, rng, control=control, noise=0.3 * tick, tick=tick
+    )
+
+
+def _commands(drives: int, count: int, control: float, rng: Generator) -> Array:
+    """(count, drives) commands of about 1: sums of sines, steps that are rounded off, or ramps."""
+    kind = rng.integers(3)
+    time = control * np.arange(count)
+    found = np.zeros((count, drives))
+    for i in range(drives):
+        if kind == 0:
+            for _ in range(3):
+                phase = 2 * np.pi * rng.uniform(0.1, 1.5) * time + rng.uniform(0, 2 * np.pi)
+                found[:, i] += rng.uniform(0.2, 0.6) * np.sin(phase)
+            continue
+        every = rng.uniform(0.7, 1.5)
+        knots = np.arange(0.0, time[-1] + 2 * every, every)
+        levels = rng.uniform(-1.0, 1.0, len(knots))
+        if kind == 1:
+            found[:, i] = levels[np.searchsorted(knots, time, side="right") - 1]
+        else:
+            found[:, i] = np.interp(time, knots, levels)
+    return found - found[0]
