@@ -18,7 +18,7 @@ from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
-from dropo.diagnosis.far_off.start import start_of, wiring_warnings
+from dropo.diagnosis.far_off.start import FarOffLimits, start_of, wiring_warnings
 from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
 from dropo.diagnosis.findings.causes import causes, leaders, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
@@ -77,11 +77,8 @@ class DiagnosisSettings:
         When the sensors' noise is not taken to be white.
     laws : LawSettings
         How laws are looked for in what known effects leave unexplained.
-    far_off : int or None
-        Numbers missing by regression from which the search is that for models that are far off
-        (None: never) ...
-    far_off_gain : float
-        ... or the fraction by which the drives' gain is off.
+    far_off : FarOffLimits or None
+        From when on the search is that for models that are far off; never if None.
     regression : QuickSettings
         How they are found.
     motions : FarOffSettings
@@ -93,8 +90,7 @@ class DiagnosisSettings:
     """
 
     windows: int = 96
-    far_off: int | None = 4
-    far_off_gain: float = 0.5
+    far_off: FarOffLimits | None = field(default_factory=FarOffLimits)
     regression: QuickSettings = field(default_factory=QuickSettings)
     motions: FarOffSettings = field(default_factory=FarOffSettings)
     longest: int = 50
@@ -239,19 +235,21 @@ class Diagnose:
         if self.effects is not None or settings.far_off is None or wiring:
             return None
         progress(0.0, "regression over inverse dynamics")
-        start = start_of(
-            problem, free, settings.far_off, settings.far_off_gain, settings.regression
-        )
+        start = start_of(problem, free, settings.far_off, settings.regression)
         if start is None:
             return None
-        return FarOffSearch(settings.motions, progress, log).run(start)
+        explained = FarOffSearch(settings.motions, progress, log).run(start.model)
+        return explained if start.sure or explained.fits or explained.interrupted else None
 
     def _length(self, problem: Problem, explained: Explained | None = None) -> int:
         """Control steps in a window."""
         if self.length is not None:
             return self.length
         if explained is not None:
-            return min(explained.length, self.settings.longest)
+            length = min(explained.length, self.settings.longest)
+            while length > 1 and not self._can_diagnose(problem, length):
+                length //= 2
+            return length
         return choose_length(problem, self.settings.window_length)
 
     def _selection(
@@ -663,10 +661,12 @@ def _solved(setup: _Setup, settings: NoiseSettings) -> tuple[_Setup, _Searched]:
 
         selection = replace(setup.selection, progress=further, batches=[], origins={})
         again = replace(setup, selection=selection, noise=noise)
-        return again, _search(again)
+        anew = _search(again)
     except KeyboardInterrupt:
         setup.selection.progress(0.9, STOPPING)
         return setup, replace(found, interrupted=True)
+    # What was found before is whole; half a search under other noise is not.
+    return (setup, replace(found, interrupted=True)) if anew.interrupted else (again, anew)
 
 
 def _search(setup: _Setup) -> _Searched:

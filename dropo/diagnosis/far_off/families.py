@@ -39,8 +39,7 @@ def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
             and instance.label not in taken
             and not declared(simulator, instance, model.free)
         ]
-        # The one place that there is has what is everywhere.
-        if len(family) < 2:
+        if not family:
             continue
         sizes = np.zeros(len(family[0].quantities))
         replaced = []
@@ -48,6 +47,9 @@ def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
             if instance.effect == name and instance.target in EVERYWHERE:
                 sizes = own
                 replaced.append(instance.label)
+        # The one place that there is has what is everywhere.
+        if replaced and len(family) < 2:
+            continue
         numbers = [(reaching(instance, sizes), sizes.copy()) for instance in family]
         model = model.without(replaced).with_numbers(numbers)
     return model

@@ -111,6 +111,26 @@ class Fitted:
         return np.asarray(flat @ flat.T)
 
 
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of numbers beside the motions.
+
+    Attributes
+    ----------
+    values : (m,) array
+        About what they are.
+    information : (m,) array
+        One over the variance of that; 0 where nothing is known.
+    """
+
+    values: Array
+    information: Array
+
+    def cost(self, thetas: Array) -> Array:
+        """How far numbers (..., m) are from it (...) [nats]."""
+        return np.asarray(0.5 * ((thetas - self.values) ** 2 @ self.information))
+
+
 class OutputError:
     """The output error of motions under a library's numbers.
 
@@ -122,14 +142,22 @@ class OutputError:
         What is compared.
     settings : OutputErrorSettings
         How numbers are fitted.
+    known : Known, optional
+        What is known of the numbers beside the motions.
     """
 
     def __init__(
-        self, library: Library, motions: Motions, settings: OutputErrorSettings = SETTINGS
+        self,
+        library: Library,
+        motions: Motions,
+        settings: OutputErrorSettings = SETTINGS,
+        known: Known | None = None,
     ) -> None:
         self.library = library
         self.motions = motions
         self.settings = settings
+        count = len(library.simulator.space)
+        self.known = known or Known(np.zeros(count), np.zeros(count))
 
     def residuals(self, thetas: Array) -> Array:
         """Simulate under several vectors of numbers (K, m): (K, W, n), NaN where it diverges."""
@@ -154,9 +182,27 @@ class OutputError:
 
     def cost(self, whitened: Array) -> Array:
         """The robust cost of each window (..., W) [nats]."""
+        return np.asarray(self._costs(whitened).sum(axis=-1))
+
+    def cost_by_piece(self, whitened: Array) -> Array:
+        """The robust cost of each piece (W, P) of each window [nats]."""
+        return np.asarray(self._costs(whitened) @ self._of_piece(whitened.shape[-1]))
+
+    def _costs(self, whitened: Array) -> Array:
+        """The robust cost of each residual [nats]."""
         knee = self.settings.knee
-        size = np.sqrt(1 + (whitened / knee) ** 2) - 1
-        return np.asarray(knee**2 * size.sum(axis=-1))
+        return np.asarray(knee**2 * (np.sqrt(1 + (whitened / knee) ** 2) - 1))
+
+    def _of_piece(self, width: int) -> Array:
+        """(N, P) 1 where a whitened residual belongs to a piece of its window, else 0."""
+        settings = self.settings
+        length = self.motions.windows.length
+        step = self.library.simulator.control_step or 1.0
+        pieces = int(np.clip(length * step / settings.piece, 1, settings.pieces))
+        piece = np.repeat(np.arange(length) * pieces // length, len(self.motions.floor))
+        # What is known of the start stands behind the steps.
+        piece = np.concatenate([piece, np.zeros(width - len(piece), dtype=np.int64)])
+        return (piece[:, None] == np.arange(pieces)).astype(float)
 
     def linearize(self, theta: Array, free: Ints, *, central: bool = False) -> Fitted:
         """Differentiate the motions by some numbers, at widths that suit these.
@@ -245,11 +291,11 @@ class OutputError:
         settings = self.settings
         theta = fitted.theta
         target = fitted.target
-        cost = fitted.cost
+        cost = begun = fitted.cost + float(self.known.cost(theta))
         for _ in range(settings.chords):
             steps, promised = self._damped_steps(fitted, theta, target)
             whitened = self.whitened(self.residuals(steps), fitted.scale)
-            costs = self.cost(whitened).sum(axis=1)
+            costs = self.cost(whitened).sum(axis=1) + self.known.cost(steps)
             best = int(np.argmin(costs))
             gain = cost - float(costs[best])
             if not gain > 0:
@@ -259,7 +305,7 @@ class OutputError:
             target = self._weights(whitened[best]) * whitened[best]
             if gain < max(self._small(fitted.cost), settings.sufficient * promised):
                 break
-        return theta, fitted.cost - cost
+        return theta, begun - cost
 
     def _damped_steps(self, fitted: Fitted, theta: Array, target: Array) -> tuple[Array, float]:
         """The numbers (K, m) after steps that are damped more and more, within their bounds, and
@@ -271,8 +317,10 @@ class OutputError:
         free = fitted.free[acts]
         size = size[acts]
         space = self.library.simulator.space
-        gram = fitted.gram[np.ix_(acts, acts)]
-        moment = (fitted.rows.reshape(len(acts), -1) @ target.ravel())[acts] / size
+        information = self.known.information[free]
+        gram = fitted.gram[np.ix_(acts, acts)] + np.diag(information)
+        moment = (fitted.rows.reshape(len(acts), -1) @ target.ravel())[acts]
+        moment = (moment + information * (self.known.values - theta)[free]) / size
         scaled = gram / np.outer(size, size)
         low = np.minimum((space.low[free] - theta[free]) * size, -1e-12)
         high = np.maximum((space.high[free] - theta[free]) * size, 1e-12)
@@ -293,17 +341,9 @@ class OutputError:
 
         prior: (f, f) what is known of the numbers beside the motions, as information.
         """
-        windows = self.motions.windows
-        settings = self.settings
         f, count, width = fitted.rows.shape
-        step = self.library.simulator.control_step or 1.0
-        seconds = windows.length * step
-        pieces = int(np.clip(seconds / settings.piece, 1, settings.pieces))
-        p = len(fitted.scale)
-        piece = np.repeat(np.arange(windows.length) * pieces // windows.length, p)
-        # What is known of the start stands behind the steps.
-        piece = np.concatenate([piece, np.zeros(width - len(piece), dtype=np.int64)])
-        of_piece = (piece[:, None] == np.arange(pieces)).astype(float)
+        of_piece = self._of_piece(width)
+        pieces = of_piece.shape[1]
         scores = (fitted.rows * fitted.target) @ of_piece
         rows = scores.reshape(f, -1).T
         label = np.arange(count * pieces)
@@ -314,20 +354,24 @@ class OutputError:
         inverse /= np.outer(size, size)
         return np.asarray(of_data + inverse @ prior @ inverse)
 
+    def halved(self, theta: Array, residuals: Array) -> Array:
+        """How residuals (W, n) change when physics steps are halved."""
+        simulator = self.library.simulator
+        if not isinstance(simulator, RobotSimulator):
+            return np.zeros_like(residuals)
+        windows = self.motions.windows
+        finer = simulator.with_finer_steps(2)
+        predicted = finer.predict(theta[None], windows.segments)
+        simulator.steps += finer.steps
+        return np.asarray(residuals - self.motions.residuals(predicted.reshape(len(windows), -1)))
+
     def change_by_step(self, fitted: Fitted) -> Array:
         """How far the fitted numbers (f,) are off because physics steps are not short.
 
         Predictions change when steps are halved; these are the changes of the numbers that make up
         for that, taken twice, since errors fall with the step.
         """
-        simulator = self.library.simulator
-        if not isinstance(simulator, RobotSimulator):
-            return np.zeros(len(fitted.free))
-        windows = self.motions.windows
-        finer = simulator.with_finer_steps(2)
-        predicted = finer.predict(fitted.theta[None], windows.segments)
-        simulator.steps += finer.steps
-        change = fitted.residuals - self.motions.residuals(predicted.reshape(len(windows), -1))
+        change = self.halved(fitted.theta, fitted.residuals)
         whitened = self.motions.whitener(fitted.scale)(np.nan_to_num(change))
         rows = fitted.rows.reshape(len(fitted.free), -1)
         size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)

@@ -54,8 +54,14 @@ class MotionSettings:
 
 
 SETTINGS = MotionSettings()
-FEW = WindowSettings(fewest=4)
-"""Windows held out may be few: they are only asked which of two models is better."""
+FEW = WindowSettings(fewest=3)
+"""Long windows may be few: each has many pieces."""
+OUTER = 0.9
+"""The part of errors whose size stands for all of them: where a machine mostly rests, the median
+is that of rest.
+"""
+OUTER_NORMAL = 1.645
+"""That size in standard deviations, of normal errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +77,7 @@ class Motions:
     floor : (p',) array
         Lower bound of their error.
     noise : (p',) array
-        The sensors' noise, by single steps.
+        The sensors' noise: by single steps, or by third differences where these are smaller.
     loadings : (W, L p', p) array
         The change of what is compared by the error of each measured signal at the start; of none,
         (W, L p', 0), where these do not matter.
@@ -127,7 +133,7 @@ def motions_of(
     """
     whole = whole_part(problem.trajectories)
     length = _length(problem, whole, library, theta, settings)
-    train = cut(problem, whole, length, _count(problem, length, settings), "fit")
+    train = cut(problem, whole, length, _count(problem, length, settings), "fit", FEW)
     test = _held_out(problem, length, settings)
     signals = library.simulator.signals
     is_rate = np.array([signal.unit.endswith("/s") for signal in signals])
@@ -159,8 +165,29 @@ def _from_known_starts(
     """Windows whose start's noise is forgotten before long."""
     rows = windows.length * int(compared.sum())
     loadings = np.zeros((len(windows), rows, 0))
-    floor = noise_floor(library.simulator, windows)[compared]
-    return Motions(windows, compared, floor, start_sd[compared], loadings, np.zeros(0))
+    floor = noise_floor(library.simulator, windows)
+    noise = np.minimum(start_sd, np.maximum(_noise_by_differences(windows, len(compared)), floor))
+    return Motions(windows, compared, floor[compared], noise[compared], loadings, np.zeros(0))
+
+
+def _noise_by_differences(windows: Windows, p: int) -> Array:
+    """(p,) the signals' noise by third differences, which motion hardly has; no less than ticks'."""
+    signals = windows.measured.reshape(len(windows), windows.length, p)
+    if windows.length < 4:
+        return np.full(p, np.inf)
+    found = outer_spread(np.diff(signals, 3, axis=1).reshape(-1, p)) / np.sqrt(20.0)
+    steps = np.abs(np.diff(signals, axis=1)).reshape(-1, p)
+    tick = np.min(np.where(steps > 1e-9 * np.ptp(signals), steps, np.inf), axis=0)
+    return np.maximum(found, np.where(np.isfinite(tick), tick, 0.0) / np.sqrt(12.0))
+
+
+def outer_spread(errors: Array) -> Array:
+    """Estimate the standard deviation (p,) of errors (n, p) about 0 by one of the larger ones.
+
+    Errors that are not finite are larger than all others.
+    """
+    sizes = np.abs(np.where(np.isfinite(errors), errors, np.inf))
+    return np.asarray(np.quantile(sizes, OUTER, axis=0, method="higher") / OUTER_NORMAL)
 
 
 def _motions(
@@ -208,7 +235,7 @@ def _length(
         if length <= found:
             continue
         try:
-            windows = cut(problem, part, length, settings.tried, "fit")
+            windows = cut(problem, part, length, settings.tried, "fit", FEW)
         except BadArgument:
             if not found:
                 raise

@@ -1,20 +1,25 @@
 """What a model that is far off lacks: regression, whole motions, what else these ask for."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.estimator import Progress
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.far_off.families import with_families
-from dropo.diagnosis.far_off.fit import Fitted, OutputError, OutputErrorSettings
+from dropo.diagnosis.far_off.fit import Fitted, Known, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel
-from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of
+from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of, outer_spread
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import STOPPING
+
+PAYLOAD = "payload"
+"""The effect that stands in for gains that differ."""
 
 KNOWN = 1e-4
 """Standard deviation of a scale that is known."""
@@ -30,17 +35,17 @@ class FarOffSettings:
     Attributes
     ----------
     laws : tuple of str
-        Effects that every joint has where one has them: those that regression leaves out are not
-        certain, and without them the scale of all forces would seem known.
+        Effects that every joint has: those that regression leaves out are not certain to be none,
+        and without them the scale of all forces would seem known.
     families : tuple of tuple of str
         Effects that are tried at every joint or drive where motions are not explained, one group
-        after another.
+        after another, then all that were refused together.
     misfit : float
         Multiple of the sensors' noise from which motions are not explained.
     share : float
         Fraction of the cost on data held out that a group must take away ...
     z : float
-        ... in standard errors by block of these.
+        ... in standard errors by piece of these.
     first : float
         Length at most of the windows of the very first fit [s]: from far off, numbers that follow
         long motions may end where only the slow ones are followed.
@@ -51,8 +56,8 @@ class FarOffSettings:
     certain : float
         Standard errors, on a scale of all forces that is known, that a number must be away from 0.
     scale : float
-        Standard deviation of what is known of that scale where motions do not tell it, as where a
-        payload and rotors take up whatever the drives' gain gives.
+        Standard deviation of what is known of that scale, and of each drive's gain beside it, where
+        motions do not tell it, as where a payload and rotors take up whatever the gain gives.
     accuracy : float
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.
@@ -102,6 +107,8 @@ class Explained:
         Control steps of the windows.
     simulator_steps : int
         What all of it took.
+    fits : bool
+        Whether errors are no larger than sensors' noise explains.
     interrupted : bool
         Whether the search ended before its end.
     """
@@ -112,6 +119,7 @@ class Explained:
     without: dict[str, Array]
     length: int
     simulator_steps: int
+    fits: bool
     interrupted: bool = False
 
     @property
@@ -152,6 +160,7 @@ class FarOffSearch:
         self.log = log or EvaluationLog()
         self._simulators: list[Simulator] = []
         self._latest: tuple[FarOffModel, Motions] | None = None
+        self._gain = 0.0
 
     @property
     def simulator_steps(self) -> int:
@@ -172,6 +181,8 @@ class FarOffSearch:
             Of the numbers so far, if the search is interrupted by Ctrl-C.
         """
         interrupted = False
+        gains = [sizes[0] for instance, sizes in model.numbers if instance.effect == GAIN]
+        self._gain = float(np.mean(gains)) if gains else 0.0
         try:
             self._search(model)
         except KeyboardInterrupt:
@@ -183,26 +194,26 @@ class FarOffSearch:
         model, fitted = self._latest
         if interrupted:  # what the errors are asks for a Jacobian: that of the fewest windows
             fitted = _some(fitted, len(fitted.windows))
-        error = OutputError(self._library(model), fitted, self.settings.fit)
+        error = self._error(model, fitted)
         end = error.linearize(model.theta, model.fitted, central=True)
         step = error.change_by_step(end)
         errors = self._errors(model, error, end, step, np.inf)
         # What a number is beside the others does not depend on the scale of all forces.
         beside = self._errors(model, error, end, step, KNOWN)
         without = {
-            instance.label: _theta_without(model, end, instance.label)
+            instance.label: _theta_without(model, end, [instance.label])
             for instance, _ in model.numbers
         }
         certain = self._certain(model, errors, beside)
         length = fitted.windows.length
+        fits = not self._is_misfit(model, fitted)
         steps = self.simulator_steps
-        return Explained(model, errors, certain, without, length, steps, interrupted)
+        return Explained(model, errors, certain, without, length, steps, fits, interrupted)
 
     def _search(self, model: FarOffModel) -> None:
         """Fit numbers to longer and longer motions, and add families where these ask for them."""
         settings = self.settings
-        present = {instance.effect for instance, _ in model.numbers}
-        model = with_families(model, [name for name in settings.laws if name in present])
+        model = with_families(model, settings.laws)
         every = settings.motions.seconds
         short = tuple(seconds for seconds in every if seconds <= settings.first)
         for at, seconds in ((0.1, short), (0.2, every)):
@@ -218,19 +229,92 @@ class FarOffSearch:
         if self._is_misfit(model, fitted) and not model.holds:
             self.progress(0.25, "fitting dry friction that holds what rests")
             model = self._better(model, model.with_holding_friction(), fitted, held_out)
-        for number, names in enumerate(settings.families):
-            if not self._is_misfit(model, fitted):
-                break
-            more = with_families(model, names)
-            if more is model:
-                continue
-            count = len(more.fitted)
-            self.progress(0.3 + 0.1 * number, f"fitting {count} numbers: {', '.join(names)}")
-            model = self._better(model, more, fitted, held_out)
+        model = self._with_own_gains(model, fitted, held_out)
+        model = self._with_families(model, fitted, held_out)
+        model = self._without_needless(model, fitted, held_out)
         fitted = _some(fitted, self._thinning(model, fitted))
         windows = len(fitted.windows)
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
         self._latest = self._fit(model, fitted, settings.fit), fitted
+
+    def _with_own_gains(
+        self, model: FarOffModel, fitted: Motions, held_out: Motions
+    ) -> FarOffModel:
+        """A gain for each drive, where that is better than one for all, or as good as a payload.
+
+        One gain for all drives that differ shows as a payload: without it, gains have a say.
+        """
+        payloads = [instance.label for instance, _ in model.numbers if instance.effect == PAYLOAD]
+        apart = with_families(model.without(payloads), (GAIN,))
+        if len(apart.numbers) == len(model.without(payloads).numbers):
+            return model
+        self.progress(0.25, f"fitting {len(apart.fitted)} numbers: {GAIN}")
+        apart = self._fit(apart, _some(fitted, self.settings.rough), self.settings.rough_fit)
+        if payloads:
+            chosen = model if self._is_better(model, apart, held_out) else apart
+        else:
+            chosen = apart if self._is_better(apart, model, held_out) else model
+        self._latest = chosen, fitted
+        return chosen
+
+    def _with_families(
+        self, model: FarOffModel, fitted: Motions, held_out: Motions
+    ) -> FarOffModel:
+        """Effects at every joint or drive, where motions are not explained without them.
+
+        Each kind alone may explain little, so those that were refused are tried together.
+        """
+        refused: list[str] = []
+        for number, names in enumerate(self.settings.families):
+            if not self._is_misfit(model, fitted):
+                return model
+            self.progress(0.3 + 0.1 * number, f"fitting more numbers: {', '.join(names)}")
+            better = self._better(model, with_families(model, names), fitted, held_out)
+            refused += names if better is model else ()
+            model = better
+        if refused and self._is_misfit(model, fitted):
+            self.progress(0.6, f"fitting more numbers: {', '.join(refused)}")
+            model = self._better(model, with_families(model, refused), fitted, held_out)
+        return model
+
+    def _without_needless(
+        self, model: FarOffModel, fitted: Motions, held_out: Motions
+    ) -> FarOffModel:
+        """Drop the kinds of effects that data held out do not ask for, one after another.
+
+        The laws and gains stay: without them, the scale of all forces would seem known.
+        """
+        kept = {*self.settings.laws, GAIN}
+        some = _some(fitted, self.settings.rough)
+        while True:
+            names = {instance.effect for instance, _ in model.numbers} - kept
+            if not names:
+                return model
+            self.progress(0.65, "leaving out what data held out do not ask for")
+            error = self._error(model, some)
+            end = error.linearize(model.theta, model.fitted)
+            needless = []
+            for name in sorted(names):
+                labels = [one.label for one, _ in model.numbers if one.effect == name]
+                theta = _theta_without(model, end, labels)
+                moved = model.at(theta).without(labels)
+                gains = self._gains(model, moved, held_out)
+                if not self._is_enough(*gains):
+                    needless.append((gains[0].sum(), name, moved))
+            if not needless:
+                return model
+            least = min(needless, key=lambda one: one[:2])[2]
+            model = self._fit(least, some, self.settings.rough_fit)
+            self._latest = model, fitted
+
+    def _error(
+        self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings | None = None
+    ) -> OutputError:
+        """The output error of a model, with what is known of its drives' gains."""
+        gains = _gains(model)
+        width = self.settings.scale * (1 + self._gain)
+        known = Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
+        return OutputError(self._library(model), motions, settings or self.settings.fit, known)
 
     def _library(self, model: FarOffModel) -> Library:
         """A model's library, whose simulator's steps are counted."""
@@ -243,7 +327,7 @@ class FarOffSearch:
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings
     ) -> FarOffModel:
         """A model with its numbers fitted to motions."""
-        error = OutputError(self._library(model), motions, settings)
+        error = self._error(model, motions, settings)
         found: list[Array] = []
         try:
             return model.at(error.fit(model.theta, model.fitted, self.log, found.append))
@@ -257,6 +341,8 @@ class FarOffSearch:
     ) -> FarOffModel:
         """Another model, fitted roughly, where it predicts clearly better; else the model."""
         settings = self.settings
+        if other is model:
+            return model
         other = self._fit(other, _some(fitted, settings.rough), settings.rough_fit)
         if not self._is_better(other, model, held_out):
             return model
@@ -278,10 +364,7 @@ class FarOffSearch:
         each.
         """
         totals = _totals(model)
-        gains = np.zeros(len(totals), dtype=bool)
-        for instance, _ in model.numbers:
-            if instance.effect == GAIN:
-                gains[model.library.places[instance.label]] = True
+        gains = _gains(model)
         relative = np.divide(1.0, totals, out=np.zeros(len(totals)), where=gains)[end.free]
         mean = relative / max(1, gains.sum())
         prior = np.diag((relative / self.settings.scale) ** 2)
@@ -305,23 +388,38 @@ class FarOffSearch:
         return frozenset(found)
 
     def _is_misfit(self, model: FarOffModel, motions: Motions) -> bool:
-        """Whether errors are beyond what the sensors' noise explains."""
-        error = OutputError(self._library(model), motions, self.settings.fit)
-        scale = error.scale_of(error.residuals(model.theta[None])[0])
-        return bool(np.median(scale / motions.noise) > self.settings.misfit)
+        """Whether errors are beyond what the sensors' noise and the physics step explain."""
+        error = self._error(model, motions)
+        residuals = error.residuals(model.theta[None])[0]
+        count = len(motions.noise)
+        size = outer_spread(residuals.reshape(-1, count))
+        # Errors fall with the step: what halving it takes away is half of what it makes.
+        by_step = 2 * outer_spread(error.halved(model.theta, residuals).reshape(-1, count))
+        limit = np.hypot(self.settings.misfit * motions.noise, np.minimum(by_step, size / 2))
+        return bool(np.median(size / limit) > 1)
 
     def _is_better(self, more: FarOffModel, model: FarOffModel, held_out: Motions) -> bool:
         """Whether windows held out are predicted clearly better with more numbers."""
-        before = OutputError(self._library(model), held_out, self.settings.fit)
+        return self._is_enough(*self._gains(more, model, held_out))
+
+    def _gains(
+        self, more: FarOffModel, model: FarOffModel, held_out: Motions
+    ) -> tuple[Array, float]:
+        """What more numbers gain in each piece of the windows held out, and the cost without them
+        [nats].
+        """
+        before = self._error(model, held_out)
         residuals = before.residuals(model.theta[None])
         scale = before.scale_of(residuals[0])
-        after = OutputError(self._library(more), held_out, self.settings.fit)
-        old = before.cost(before.whitened(residuals, scale))[0]
-        new = after.cost(after.whitened(after.residuals(more.theta[None]), scale))[0]
-        block = np.unique(held_out.windows.block, return_inverse=True)[1]
-        gains = np.bincount(block, weights=old - new)
+        after = self._error(more, held_out)
+        old = before.cost_by_piece(before.whitened(residuals, scale)[0])
+        new = after.cost_by_piece(after.whitened(after.residuals(more.theta[None]), scale)[0])
+        return (old - new).ravel(), float(old.sum())
+
+    def _is_enough(self, gains: Array, cost: float) -> bool:
+        """Whether gains are a part of the cost that counts, and for certain."""
         error = gains.std(ddof=1) * np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-        least = max(self.settings.share * old.sum(), self.settings.z * error)
+        least = max(self.settings.share * cost, self.settings.z * error)
         return bool(gains.sum() > least)
 
 
@@ -343,10 +441,19 @@ def _totals(model: FarOffModel) -> Array:
     return totals
 
 
-def _theta_without(model: FarOffModel, end: Fitted, label: str) -> Array:
-    """The numbers (m,) without an effect, the others moved to make up for it."""
+def _gains(model: FarOffModel) -> NDArray[np.bool_]:
+    """(m,) which numbers are gains of drives."""
+    found = np.zeros(len(model.theta), dtype=bool)
+    for instance, _ in model.numbers:
+        if instance.effect == GAIN:
+            found[model.library.places[instance.label]] = True
+    return found
+
+
+def _theta_without(model: FarOffModel, end: Fitted, labels: Sequence[str]) -> Array:
+    """The numbers (m,) without some effects, the others moved to make up for them."""
     space = model.library.simulator.space
-    place = model.library.places[label]
+    place = np.concatenate([model.library.places[label] for label in labels])
     own = np.isin(end.free, place)
     others = end.free[~own]
     # Scaled to a diagonal of ones, so that the least squares' cutoff means the same for all.

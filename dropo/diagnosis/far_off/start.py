@@ -1,6 +1,7 @@
 """Whether a model is far off, and what regression then finds that it lacks."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel, reaching
 from dropo.diagnosis.regression.quick import (
+    Missing,
     QuickSettings,
     estimate_missing,
     fixed_numbers,
@@ -20,9 +22,50 @@ from dropo.diagnosis.search.library import changed_parameters, declared, robot_o
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
+@dataclass(frozen=True)
+class FarOffLimits:
+    """When a model is far off.
+
+    Attributes
+    ----------
+    numbers : int
+        It is where by regression so many numbers are missing for certain ...
+    gain : float
+        ... or the drives' gain is off by more than this fraction.
+    forces : float
+        It may be where the model leaves more than this fraction of the drives' forces, ...
+    explained : float
+        ... numbers of several kinds explain at least this part of that, ...
+    kinds : int
+        ... and there are so many kinds: motions are asked then.
+    """
+
+    numbers: int = 4
+    gain: float = 0.5
+    forces: float = 0.1
+    explained: float = 0.5
+    kinds: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What a search by whole motions begins with.
+
+    Attributes
+    ----------
+    model : FarOffModel
+        With the data in those that are fitted and those held out.
+    sure : bool
+        Whether the model is far off for certain. If not, it is if motions are explained then.
+    """
+
+    model: FarOffModel
+    sure: bool
+
+
 def start_of(
-    problem: Problem, free: Ints, fewest: int, gain: float, settings: QuickSettings
-) -> FarOffModel | None:
+    problem: Problem, free: Ints, limits: FarOffLimits, settings: QuickSettings
+) -> Start | None:
     """Find what a model lacks by regression, where that is much.
 
     Parameters
@@ -31,18 +74,15 @@ def start_of(
         Any, whose wiring fits.
     free : int array
         Indices of the declared parameters that are fitted.
-    fewest : int
-        How many numbers must be missing for certain ...
-    gain : float
-        ... unless the drives' gain is off by more than this fraction.
+    limits : FarOffLimits
+        What is much.
     settings : QuickSettings
         Numbers that decide in the regression.
 
     Returns
     -------
-    FarOffModel or None
-        With the data in those that are fitted and those held out. None where fewer numbers are
-        missing, or where the robot or the data do not suit a regression.
+    Start or None
+        None where little is missing, or where the robot or the data do not suit a regression.
     """
     simulator = robot_of(problem)
     fitted, checked = sides(problem, settings.checked)
@@ -51,7 +91,8 @@ def start_of(
     except (Incompatible, BadArgument):
         return None
     named = [one for one in estimate.numbers(simulator, settings.certain) if one.named]
-    if len(named) < fewest and abs(estimate.solution.gain) < gain:
+    sure = len(named) >= limits.numbers or abs(estimate.solution.gain) >= limits.gain
+    if not sure and not _may_be(estimate, [one.effect for one in named], limits):
         return None
     space = simulator.space
     values = np.clip(np.asarray(simulator.nominal, dtype=float), space.low, space.high)
@@ -63,7 +104,16 @@ def start_of(
         for i, value in changed_parameters(simulator, instance, sizes).items():
             values[i] = np.clip(value, space.low[i], space.high[i])
     divided = replace(problem, trajectories=fitted, held_out=checked)
-    return FarOffModel(divided, values, free, (*numbers, *_gain(simulator, free, numbers)))
+    numbers += _gain(simulator, free, numbers)
+    return Start(FarOffModel(divided, values, free, tuple(numbers)), sure)
+
+
+def _may_be(estimate: Missing, kinds: Sequence[str], limits: FarOffLimits) -> bool:
+    """Whether several kinds of numbers explain most of forces that the model as it came leaves."""
+    if len(set(kinds)) < limits.kinds:
+        return False
+    before = estimate.left_as_it_came
+    return before > limits.forces and estimate.left < (1 - limits.explained) * before
 
 
 def _gain(simulator: RobotSimulator, free: Ints, numbers: ActiveEffects) -> ActiveEffects:

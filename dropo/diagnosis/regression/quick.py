@@ -271,6 +271,11 @@ class Missing:
         """RMS of the forces that are left, as a fraction of the drives'."""
         return self._left(self.solution)
 
+    @property
+    def left_as_it_came(self) -> float:
+        """RMS of the forces that the model as it came leaves, as a fraction of the drives'."""
+        return self._left(self.fitter.start(()))
+
     def _left(self, solution: Solution) -> float:
         """RMS over joints of what is left, each as a fraction of its drive's force."""
         equation = self.fitter.equation

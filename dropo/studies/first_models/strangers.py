@@ -38,8 +38,8 @@ def random_design(rng: Generator) -> Design:
         axis, length = rng.permutation(list("xyz"))[:2].tolist()
         axes.append(f"{kind} {axis}")
         along.append(axis if kind == "slide" else length)
-        strong = 0.6**i
-        gains.append(float(rng.uniform(300, 1500) if kind == "slide" else rng.uniform(20, 60)) * strong)
+        weakest, strongest = (300, 1500) if kind == "slide" else (20, 60)
+        gains.append(float(rng.uniform(weakest, strongest)) * 0.6**i)
     return Design(
         tuple(axes),
         tuple(rng.uniform(0.15, 0.35, count).tolist()),
@@ -62,7 +62,7 @@ def random_stranger(design: Design, rng: Generator) -> Machine:
         friction=gains * rng.uniform(0.003, 0.008, count),
         payload=0.0,
         place=np.zeros(3),
-        gain=rng.uniform(-0.15, 0.15, count) * differ,
+        gain=rng.uniform(0.08, 0.15, count) * rng.choice([-1.0, 1.0], count) * differ,
         delay=0.0,
     )
 
