@@ -166,19 +166,21 @@ def _from_known_starts(
     rows = windows.length * int(compared.sum())
     loadings = np.zeros((len(windows), rows, 0))
     floor = noise_floor(library.simulator, windows)
-    noise = np.minimum(start_sd, np.maximum(_noise_by_differences(windows, len(compared)), floor))
+    by_differences, tick = _noise_by_differences(windows, len(compared))
+    noise = np.maximum(np.minimum(start_sd, by_differences), np.maximum(tick, floor))
     return Motions(windows, compared, floor[compared], noise[compared], loadings, np.zeros(0))
 
 
-def _noise_by_differences(windows: Windows, p: int) -> Array:
-    """(p,) the signals' noise by third differences, which motion hardly has; no less than ticks'."""
+def _noise_by_differences(windows: Windows, p: int) -> tuple[Array, Array]:
+    """(p,) the signals' noise by third differences, which motion hardly has, and by their ticks."""
     signals = windows.measured.reshape(len(windows), windows.length, p)
-    if windows.length < 4:
-        return np.full(p, np.inf)
-    found = outer_spread(np.diff(signals, 3, axis=1).reshape(-1, p)) / np.sqrt(20.0)
     steps = np.abs(np.diff(signals, axis=1)).reshape(-1, p)
-    tick = np.min(np.where(steps > 1e-9 * np.ptp(signals), steps, np.inf), axis=0)
-    return np.maximum(found, np.where(np.isfinite(tick), tick, 0.0) / np.sqrt(12.0))
+    tick = np.min(steps, axis=0, initial=np.inf, where=steps > 1e-9 * np.ptp(signals))
+    of_tick = np.where(np.isfinite(tick), tick, 0.0) / np.sqrt(12.0)
+    if windows.length < 4:
+        return np.full(p, np.inf), of_tick
+    thirds = np.diff(signals, 3, axis=1).reshape(-1, p)
+    return outer_spread(thirds) / np.sqrt(20.0), of_tick
 
 
 def outer_spread(errors: Array) -> Array:

@@ -43,9 +43,9 @@ class FarOffSettings:
     misfit : float
         Multiple of the sensors' noise from which motions are not explained.
     share : float
-        Fraction of the cost on data held out that a group must take away ...
+        Fraction of the cost on data held out that a group must take away, ...
     z : float
-        ... in standard errors by piece of these.
+        ... and standard errors, by piece of all data, that its gain must be above 0.
     first : float
         Length at most of the windows of the very first fit [s]: from far off, numbers that follow
         long motions may end where only the slow ones are followed.
@@ -160,7 +160,6 @@ class FarOffSearch:
         self.log = log or EvaluationLog()
         self._simulators: list[Simulator] = []
         self._latest: tuple[FarOffModel, Motions] | None = None
-        self._gain = 0.0
 
     @property
     def simulator_steps(self) -> int:
@@ -181,8 +180,6 @@ class FarOffSearch:
             Of the numbers so far, if the search is interrupted by Ctrl-C.
         """
         interrupted = False
-        gains = [sizes[0] for instance, sizes in model.numbers if instance.effect == GAIN]
-        self._gain = float(np.mean(gains)) if gains else 0.0
         try:
             self._search(model)
         except KeyboardInterrupt:
@@ -251,15 +248,13 @@ class FarOffSearch:
         self.progress(0.25, f"fitting {len(apart.fitted)} numbers: {GAIN}")
         apart = self._fit(apart, _some(fitted, self.settings.rough), self.settings.rough_fit)
         if payloads:
-            chosen = model if self._is_better(model, apart, held_out) else apart
+            chosen = model if self._is_better(model, apart, fitted, held_out) else apart
         else:
-            chosen = apart if self._is_better(apart, model, held_out) else model
+            chosen = apart if self._is_better(apart, model, fitted, held_out) else model
         self._latest = chosen, fitted
         return chosen
 
-    def _with_families(
-        self, model: FarOffModel, fitted: Motions, held_out: Motions
-    ) -> FarOffModel:
+    def _with_families(self, model: FarOffModel, fitted: Motions, held_out: Motions) -> FarOffModel:
         """Effects at every joint or drive, where motions are not explained without them.
 
         Each kind alone may explain little, so those that were refused are tried together.
@@ -298,9 +293,9 @@ class FarOffSearch:
                 labels = [one.label for one, _ in model.numbers if one.effect == name]
                 theta = _theta_without(model, end, labels)
                 moved = model.at(theta).without(labels)
-                gains = self._gains(model, moved, held_out)
-                if not self._is_enough(*gains):
-                    needless.append((gains[0].sum(), name, moved))
+                if not self._is_better(model, moved, some, held_out):
+                    loss = self._gains(model, moved, held_out)[0].sum()
+                    needless.append((loss, name, moved))
             if not needless:
                 return model
             least = min(needless, key=lambda one: one[:2])[2]
@@ -311,9 +306,8 @@ class FarOffSearch:
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings | None = None
     ) -> OutputError:
         """The output error of a model, with what is known of its drives' gains."""
-        gains = _gains(model)
-        width = self.settings.scale * (1 + self._gain)
-        known = Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
+        information = np.where(_gains(model), 1 / self.settings.scale**2, 0.0)
+        known = Known(np.zeros(len(information)), information)
         return OutputError(self._library(model), motions, settings or self.settings.fit, known)
 
     def _library(self, model: FarOffModel) -> Library:
@@ -344,7 +338,7 @@ class FarOffSearch:
         if other is model:
             return model
         other = self._fit(other, _some(fitted, settings.rough), settings.rough_fit)
-        if not self._is_better(other, model, held_out):
+        if not self._is_better(other, model, fitted, held_out):
             return model
         self._latest = other, fitted
         return other
@@ -398,9 +392,22 @@ class FarOffSearch:
         limit = np.hypot(self.settings.misfit * motions.noise, np.minimum(by_step, size / 2))
         return bool(np.median(size / limit) > 1)
 
-    def _is_better(self, more: FarOffModel, model: FarOffModel, held_out: Motions) -> bool:
-        """Whether windows held out are predicted clearly better with more numbers."""
-        return self._is_enough(*self._gains(more, model, held_out))
+    def _is_better(
+        self, more: FarOffModel, model: FarOffModel, fitted: Motions, held_out: Motions
+    ) -> bool:
+        """Whether windows are predicted clearly better with more numbers.
+
+        Those held out by a part that counts; all of them for certain, less what numbers gain by
+        being fitted.
+        """
+        gains, cost = self._gains(more, model, held_out)
+        if gains.sum() <= self.settings.share * cost:
+            return False
+        of_fitted, _ = self._gains(more, model, _some(fitted, self.settings.rough))
+        every = np.concatenate([gains, of_fitted])
+        error = every.std(ddof=1) * np.sqrt(len(every)) if len(every) > 1 else np.inf
+        added = max(0, len(more.fitted) - len(model.fitted))
+        return bool(every.sum() - added > self.settings.z * error)
 
     def _gains(
         self, more: FarOffModel, model: FarOffModel, held_out: Motions
@@ -415,12 +422,6 @@ class FarOffSearch:
         old = before.cost_by_piece(before.whitened(residuals, scale)[0])
         new = after.cost_by_piece(after.whitened(after.residuals(more.theta[None]), scale)[0])
         return (old - new).ravel(), float(old.sum())
-
-    def _is_enough(self, gains: Array, cost: float) -> bool:
-        """Whether gains are a part of the cost that counts, and for certain."""
-        error = gains.std(ddof=1) * np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-        least = max(self.settings.share * cost, self.settings.z * error)
-        return bool(gains.sum() > least)
 
 
 def _some(motions: Motions, every: int) -> Motions:

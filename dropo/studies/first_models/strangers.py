@@ -108,9 +108,7 @@ def _log(made: mujoco.MjSpec, design: Design, control: float, rng: Generator) ->
     reach = np.where(hinges, 0.6, 0.1)
     commands = np.stack([_commands(len(hinges), count, control, rng) for _ in range(runs)])
     tick = 2 * np.pi / 2 ** int(rng.integers(12, 15))
-    return measured(
-        made, commands * reach, 0.0, rng, control=control, noise=0.3 * tick, tick=tick
-    )
+    return measured(made, commands * reach, 0.0, rng, control=control, noise=0.3 * tick, tick=tick)
 
 
 def _commands(drives: int, count: int, control: float, rng: Generator) -> Array:
