@@ -41,7 +41,7 @@ from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
 from dropo.diagnosis.parts import Cause, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.result import Diagnosis, HeldOut
-from dropo.diagnosis.search.confirmation import SelectionSettings, gain_of
+from dropo.diagnosis.search.confirmation import SelectionSettings
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.library import LAW, instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
@@ -427,7 +427,7 @@ class Diagnose:
             window_steps=length,
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
-            undetermined=undetermined(library, last),
+            undetermined=(*undetermined(library, last), *setup.ties),
             numerics=numerics(problem, data, library, first, last, found, selection.floor, rest)
             if complete
             else (),
@@ -617,6 +617,11 @@ class _Setup:
         """What makes the answer doubtful, a sentence each."""
         return self.wiring if self.explained is None else (*self.wiring, *self.explained.warnings)
 
+    @property
+    def ties(self) -> tuple[str, ...]:
+        """What whole motions tell only together, a sentence each."""
+        return () if self.explained is None else self.explained.ties
+
     def errors(self) -> Array | None:
         """Standard errors (m,) of all numbers, where whole motions say how large they are."""
         return None if self.explained is None else self._padded(self.explained.errors)
@@ -661,59 +666,53 @@ def _solved(setup: _Setup, settings: NoiseSettings) -> tuple[_Setup, _Searched]:
     much of what the causes do.
     """
     found = _search(setup)
-    for other in (partial(_other_noise, settings=settings), _finer):
-        if found.interrupted:
-            break
-        try:
-            again = other(setup, found)
-            anew = None if again is None else _search(again)
-        except KeyboardInterrupt:
-            setup.selection.progress(0.9, STOPPING)
-            return setup, replace(found, interrupted=True)
-        if again is None or anew is None:
-            continue
-        if anew.interrupted:
-            # What was found before is whole; half a search under other premises is not.
-            return setup, replace(found, interrupted=True)
-        if other is not _finer:
+    if found.interrupted:
+        return setup, found
+    try:
+        noise = other_noise(setup.library, found.last.train, setup.selection.floor, settings)
+        if noise is not None:
+            selection = _anew(setup, "noise that is not white")
+            again = replace(setup, selection=selection, noise=noise)
+            anew = _search(again)
+            if anew.interrupted:
+                # What was found before is whole; half a search under other premises is not.
+                return setup, replace(found, interrupted=True)
             setup, found = again, anew
-            continue
-        steps = setup.library.simulator.steps + again.library.simulator.steps
-        if penalized_log_likelihood(anew.last) > penalized_log_likelihood(found.last):
-            setup, found = again, anew
-        setup.library.simulator.steps = steps
-    return setup, found
+        return _with_shorter_steps(setup, found)
+    except KeyboardInterrupt:
+        setup.selection.progress(0.9, STOPPING)
+        return setup, replace(found, interrupted=True)
 
 
-def _other_noise(setup: _Setup, found: _Searched, settings: NoiseSettings) -> _Setup | None:
-    """The same with noise that is not white; None where it is."""
-    noise = other_noise(setup.library, found.last.train, setup.selection.floor, settings)
-    if noise is None:
-        return None
-    return replace(setup, selection=_anew(setup, "noise that is not white"), noise=noise)
+def _with_shorter_steps(setup: _Setup, found: _Searched) -> tuple[_Setup, _Searched]:
+    """The search with physics steps so short that they do not matter, where that explains more.
 
-
-def _finer(setup: _Setup, found: _Searched) -> _Setup | None:
-    """The same with physics steps so short that they do not matter; None where that gains little.
-
-    The gain of the causes is what counts: long steps act like delays, inertia and damping.
+    Long steps act like delays, inertia and damping. Where short ones gain as much as all causes,
+    there is no cause; where they gain much of that, all is done anew.
     """
     simulator = setup.library.simulator
     known = setup.explained is not None or not found.last.accepted
     if known or not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
-        return None
+        return setup, found
     finer = simulator.with_finer_steps(FINER)
     library = Library(finer, setup.library.instances, setup.library.declared)
     selection = replace(_anew(setup, "shorter physics steps"), library=library)
-    fine = robot_of(setup.problem).with_finer_steps(FINER)
-    problem = replace(setup.problem, simulator=fine)
+    problem = replace(setup.problem, simulator=robot_of(setup.problem).with_finer_steps(FINER))
     again = replace(setup, problem=problem, library=library, selection=selection)
-    gain, _ = gain_of(found.first.test, again.first().test)
-    whole, _ = gain_of(found.first.test, found.last.test)
-    if gain > OF_STEP * whole:
-        return again
-    simulator.steps += finer.steps
-    return None
+    first = again.first()
+    gain = penalized_log_likelihood(first) - penalized_log_likelihood(found.first)
+    of_causes = penalized_log_likelihood(found.last) - penalized_log_likelihood(found.first)
+    chosen = setup, found
+    if gain >= of_causes:
+        chosen = again, _Searched(first, first, {})
+    elif gain > OF_STEP * of_causes:
+        anew = _search(again)
+        if anew.interrupted:
+            return setup, replace(found, interrupted=True)
+        if penalized_log_likelihood(anew.last) > penalized_log_likelihood(found.last):
+            chosen = again, anew
+    chosen[0].library.simulator.steps = simulator.steps + finer.steps
+    return chosen
 
 
 def _anew(setup: _Setup, under: str) -> Selection:

@@ -14,16 +14,17 @@ def labels(model):
 
 
 def test_every_place_gets_the_effect():
-    """At both joints, 0; what the model has already stays as it is."""
+    """At both joints, 0, also where one of them has it; that one stays as it is."""
     arm = torque_arm("joint_friction:elbow")
     arm = arm.at(np.append(arm.declared, 0.3))
     found = with_families(arm, ["joint_friction", "joint_load_friction"])
     assert labels(found) == [
         "joint_friction:elbow",
+        "joint_friction:shoulder",
         "joint_load_friction:shoulder",
         "joint_load_friction:elbow",
     ]
-    assert found.theta.tolist() == [*arm.declared, 0.3, 0.0, 0.0]
+    assert found.theta.tolist() == [*arm.declared, 0.3, 0.0, 0.0, 0.0]
 
 
 def test_the_effect_everywhere_gives_way():

@@ -76,6 +76,6 @@ def test_a_number_at_its_bound_does_not_hold_the_others():
 def test_halved_steps_are_part_of_the_error(rotor):
     """The arm's data come of the model's own step: what halving it changes is small, but not 0."""
     _, error, end = rotor
-    change = error.change_by_step(end)
+    change = error.change_by_step(end, np.zeros((1, 1)))
     assert (change > 0).all()
     assert change[0] < 0.5 * TRUTH

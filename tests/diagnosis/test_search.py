@@ -99,9 +99,12 @@ def test_what_is_certain_holds_the_mean_of_gains_alone(count):
     """Of motions that tell nothing, one gain is its own mean; of two, each is known to 0.2."""
     gains = ("actuator_gain:shoulder_motor", "actuator_gain:elbow_motor")
     model = torque_arm(*gains[:count])
-    nothing = SimpleNamespace(covariance=lambda end, prior: np.linalg.inv(prior))
+    nothing = SimpleNamespace(
+        covariance=lambda end, prior: np.linalg.inv(prior),
+        change_by_step=lambda end, prior: np.zeros(count),
+    )
     end = SimpleNamespace(free=model.fitted)
     search = FarOffSearch(SETTINGS, silent)
-    beside = search._errors(model, nothing, end, np.zeros(count), KNOWN)[model.fitted]
+    beside = search._errors(model, nothing, end, search._prior(model, end, KNOWN))[model.fitted]
     apart = SETTINGS.scale / np.sqrt(2) if count == 2 else 0.0
     assert beside == pytest.approx(np.hypot(apart, SETTINGS.accuracy), rel=0.01)

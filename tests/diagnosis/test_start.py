@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.effect import instances_of
-from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
+from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.far_off.model import FarOffModel
-from dropo.diagnosis.far_off.start import start_of, wiring_warnings
+from dropo.diagnosis.far_off.start import FarOffLimits, Start, start_of, wiring_warnings
 from dropo.diagnosis.regression.quick import QuickSettings, sides
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
@@ -21,14 +21,13 @@ from tests.models.first_models import recorded_machine, unknown_rotor
 WITHIN = 3.5
 """Standard errors that a number may be off by: of twelve, one in 200 logs is off by more."""
 DESIGN = "arm, 3 joints"
-SETTINGS = DiagnosisSettings()
 SOME = ("joint_armature", "joint_damping", "joint_friction", "actuator_gain", "body_mass")
 NONE = np.zeros(0, dtype=np.int64)
 
 
 def started(problem, free=NONE):
     """What a search of the problem begins with."""
-    return start_of(problem, free, SETTINGS.far_off, SETTINGS.far_off_gain, QuickSettings())
+    return start_of(problem, free, FarOffLimits(), QuickSettings())
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +82,7 @@ def test_declared_parameters_take_what_they_stand_for(recording):
         spec, parameters, observation=["qpos"], frame_skip=frame_skip, threads=1
     )
     problem = replace(problem_of(DESIGN, spec, data), simulator=simulator)
-    start = started(problem, np.arange(3))
+    start = started(problem, np.arange(3)).model
     truth = [machine.numbers()["joint_damping", f"joint{i}", "damping"] for i in range(3)]
     np.testing.assert_allclose(start.declared, truth, rtol=0.2)
     effects = {instance.effect for instance, _ in start.numbers}
@@ -105,7 +104,7 @@ def test_a_regression_that_motions_contradict_is_corrected(monkeypatch):
     divided = replace(problem, trajectories=fitted, held_out=checked)
     nominal = np.array(problem.simulator.nominal)
     absurd = FarOffModel(divided, nominal, NONE, [(effect, size)])
-    monkeypatch.setattr("dropo.diagnosis.diagnose.start_of", lambda *arguments: absurd)
+    monkeypatch.setattr("dropo.diagnosis.diagnose.start_of", lambda *arguments: Start(absurd, True))
     found = Diagnose(length=5, windows=24, disturbances=False).run(problem)
     assert [(one.effect, one.target) for one in found.causes] == [("joint_armature", "elbow")]
 

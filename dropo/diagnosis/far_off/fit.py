@@ -349,9 +349,7 @@ class OutputError:
         label = np.arange(count * pieces)
         information = fitted.gram + prior
         of_data = sandwich(rows, information, Units(label, False, label, "pieces"))[0]
-        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
-        inverse /= np.outer(size, size)
+        inverse = self._inverse(information)
         return np.asarray(of_data + inverse @ prior @ inverse)
 
     def halved(self, theta: Array, residuals: Array) -> Array:
@@ -365,15 +363,23 @@ class OutputError:
         simulator.steps += finer.steps
         return np.asarray(residuals - self.motions.residuals(predicted.reshape(len(windows), -1)))
 
-    def change_by_step(self, fitted: Fitted) -> Array:
+    def change_by_step(self, fitted: Fitted, prior: Array) -> Array:
         """How far the fitted numbers (f,) are off because physics steps are not short.
 
         Predictions change when steps are halved; these are the changes of the numbers that make up
         for that, taken twice, since errors fall with the step.
+
+        prior: (f, f) what is known of the numbers beside the motions, as information.
         """
         change = self.halved(fitted.theta, fitted.residuals)
         whitened = self.motions.whitener(fitted.scale)(np.nan_to_num(change))
-        rows = fitted.rows.reshape(len(fitted.free), -1)
-        size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-        moved = np.linalg.lstsq((rows / size[:, None]).T, whitened.ravel(), rcond=1e-6)[0]
-        return np.asarray(2 * np.abs(moved / size))
+        moment = fitted.rows.reshape(len(fitted.free), -1) @ whitened.ravel()
+        return np.asarray(2 * np.abs(self._inverse(fitted.gram + prior) @ moment))
+
+    @staticmethod
+    def _inverse(information: Array) -> Array:
+        """The inverse of an information matrix (f, f), without directions that it does not tell."""
+        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        scaled = information / np.outer(size, size)
+        inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
+        return np.asarray(inverse / np.outer(size, size))

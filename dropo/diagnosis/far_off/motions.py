@@ -237,7 +237,8 @@ def _length(
         if length <= found:
             continue
         try:
-            windows = cut(problem, part, length, settings.tried, "fit", FEW)
+            few = FEW if found else WindowSettings()
+            windows = cut(problem, part, length, settings.tried, "fit", few)
         except BadArgument:
             if not found:
                 raise

@@ -14,6 +14,7 @@ from dropo.diagnosis.far_off.families import with_families
 from dropo.diagnosis.far_off.fit import Fitted, Known, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of, outer_spread
+from dropo.diagnosis.far_off.ties import ties_of
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import STOPPING
@@ -107,6 +108,8 @@ class Explained:
         Control steps of the windows.
     simulator_steps : int
         What all of it took.
+    ties : tuple of str
+        What motions tell only together, a sentence each.
     fits : bool
         Whether errors are no larger than sensors' noise explains.
     interrupted : bool
@@ -119,6 +122,7 @@ class Explained:
     without: dict[str, Array]
     length: int
     simulator_steps: int
+    ties: tuple[str, ...]
     fits: bool
     interrupted: bool = False
 
@@ -193,10 +197,10 @@ class FarOffSearch:
             fitted = _some(fitted, len(fitted.windows))
         error = self._error(model, fitted)
         end = error.linearize(model.theta, model.fitted, central=True)
-        step = error.change_by_step(end)
-        errors = self._errors(model, error, end, step, np.inf)
+        covariance = error.covariance(end, self._prior(model, end, np.inf))
+        errors = self._bounded_errors(model, error, end, covariance)
         # What a number is beside the others does not depend on the scale of all forces.
-        beside = self._errors(model, error, end, step, KNOWN)
+        beside = self._errors(model, error, end, self._prior(model, end, KNOWN))
         without = {
             instance.label: _theta_without(model, end, [instance.label])
             for instance, _ in model.numbers
@@ -205,7 +209,8 @@ class FarOffSearch:
         length = fitted.windows.length
         fits = not self._is_misfit(model, fitted)
         steps = self.simulator_steps
-        return Explained(model, errors, certain, without, length, steps, fits, interrupted)
+        ties = ties_of(model, covariance, end.free, self.settings.scale)
+        return Explained(model, errors, certain, without, length, steps, ties, fits, interrupted)
 
     def _search(self, model: FarOffModel) -> None:
         """Fit numbers to longer and longer motions, and add families where these ask for them."""
@@ -348,24 +353,47 @@ class FarOffSearch:
         steps = motions.windows.steps * robot_of(model.problem).steps_per_action
         return round(np.ceil(steps * len(model.fitted) / self.settings.simulated))
 
-    def _errors(
-        self, model: FarOffModel, error: OutputError, end: Fitted, step: Array, scale: float
+    def _prior(
+        self, model: FarOffModel, end: Fitted, scale: float, own: float | None = None
     ) -> Array:
-        """Standard errors (m,): of the data, of the physics step, and of the model's own scale.
+        """What is known of the fitted numbers beside the motions, as information (f, f).
 
-        step: (f,) what the physics step makes of what was fitted.
         scale: standard deviation of what is known of the drives' mean gain, beside what is known of
         each.
+        own: of each; the settings' if None.
+        """
+        gains = _gains(model)[end.free]
+        mean = np.where(gains, 1 / max(1, gains.sum()), 0.0)
+        of_each = np.where(gains, 1 / (own or self.settings.scale) ** 2, 0.0)
+        return np.asarray(np.diag(of_each) + np.outer(mean, mean) / scale**2)
+
+    def _bounded_errors(
+        self, model: FarOffModel, error: OutputError, end: Fitted, covariance: Array
+    ) -> Array:
+        """Standard errors (m,), no larger than what is known of the gains makes of them.
+
+        Where motions hardly tell the scale of all forces, small misfits seem to move it far.
+        """
+        errors = self._errors(model, error, end, self._prior(model, end, np.inf))
+        gains = _gains(model)[end.free]
+        if not gains.any():
+            return errors
+        known = self._errors(model, error, end, self._prior(model, end, np.inf, KNOWN))
+        of_gains = np.linalg.pinv(covariance[np.ix_(gains, gains)], hermitian=True)
+        slopes = covariance[:, gains] @ of_gains
+        by_gains = self.settings.scale * np.linalg.norm(slopes, axis=1)
+        errors[end.free] = np.minimum(errors[end.free], np.hypot(known[end.free], by_gains))
+        return errors
+
+    def _errors(self, model: FarOffModel, error: OutputError, end: Fitted, prior: Array) -> Array:
+        """Standard errors (m,): of the data, of the physics step, and of the model's own scale.
+
+        prior: (f, f) what is known of the numbers beside the motions.
         """
         totals = _totals(model)
-        gains = _gains(model)
-        relative = np.divide(1.0, totals, out=np.zeros(len(totals)), where=gains)[end.free]
-        mean = relative / max(1, gains.sum())
-        prior = np.diag((relative / self.settings.scale) ** 2)
-        prior += np.outer(mean, mean) / scale**2
         found = np.zeros(len(totals))
         variance = np.maximum(np.diag(error.covariance(end, prior)), 0.0)
-        found[end.free] = np.hypot(np.sqrt(variance), step)
+        found[end.free] = np.hypot(np.sqrt(variance), error.change_by_step(end, prior))
         found[end.free] = np.hypot(found[end.free], self.settings.accuracy * totals[end.free])
         # What the data do not tell is anywhere within its bounds.
         space = model.library.simulator.space

@@ -1,0 +1,103 @@
+"""What of the numbers motions tell only together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.records.trajectories import Ints
+from dropo.core.services.tables import number
+from dropo.core.services.validation import Array
+from dropo.diagnosis.far_off.model import GAIN, FarOffModel
+
+
+@dataclass(frozen=True)
+class TieSettings:
+    """When numbers are told only together.
+
+    Attributes
+    ----------
+    alone : float
+        Their error is so many times what it would be were the others known ...
+    alike : float
+        ... and their errors are correlated by this.
+    share : float
+        The first of them is known to no better than this fraction of itself, or of 1 if it is a
+        fraction.
+    """
+
+    alone: float = 3.0
+    alike: float = 0.9
+    share: float = 0.1
+
+
+SETTINGS = TieSettings()
+
+
+def ties_of(
+    model: FarOffModel,
+    covariance: Array,
+    free: Ints,
+    scale: float,
+    settings: TieSettings = SETTINGS,
+) -> tuple[str, ...]:
+    """Name the numbers that motions tell only together, and how they move together.
+
+    Parameters
+    ----------
+    model : FarOffModel
+        With all numbers.
+    covariance : (f, f) array
+        Of the fitted numbers.
+    free : (f,) int array
+        Which of all numbers they are.
+    scale : float
+        Standard deviation of what is known of gains else.
+    settings : TieSettings
+        When.
+
+    Returns
+    -------
+    tuple of str
+        A sentence for each set: each member, and its change where the first one is off by its
+        error. A gain comes first.
+    """
+    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(spread, spread)
+    alone = 1 / np.sqrt(np.maximum(np.diag(np.linalg.pinv(correlation, hermitian=True)), 1e-300))
+    labels = _labels(model)
+    left = [i for i in range(len(free)) if alone[i] * settings.alone < 1 and free[i] in labels]
+    left.sort(key=lambda i: (not labels[free[i]][0].startswith(GAIN), -float(spread[i])))
+    sentences = []
+    while left:
+        first = left[0]
+        members = [i for i in left if abs(correlation[first, i]) > settings.alike]
+        left = [i for i in left if i not in members]
+        label, unit = labels[free[first]]
+        size = 1.0 if unit == "1" else abs(model.theta[free[first]])
+        if len(members) < 2 or spread[first] < settings.share * size:
+            continue
+        known = min(1.0, scale / spread[first]) if label.startswith(GAIN) else 1.0
+        changes = known * correlation[first] * spread
+        moved = [_member(*labels[free[i]], model.theta[free[i]], changes[i]) for i in members]
+        sentences.append(
+            f"These motions tell only together: {', '.join(moved)}. Each may be off by the number "
+            f"in brackets, all at once and in proportion; were {label} known, so would be the rest."
+        )
+    return tuple(sentences)
+
+
+def _labels(model: FarOffModel) -> dict[int, tuple[str, str]]:
+    """By the place of a number, what it is called and its unit."""
+    found = {}
+    for instance, _ in model.numbers:
+        places = model.library.places[instance.label].tolist()
+        for place, quantity in zip(places, instance.quantities, strict=True):
+            several = f" {quantity.name}" if len(places) > 1 else ""
+            found[place] = instance.label + several, quantity.unit
+    return found
+
+
+def _member(label: str, unit: str, value: float, change: float) -> str:
+    """A number with its change."""
+    shown = "" if unit == "1" else f" {unit}"
+    return f"{label} {number(value, 3)} ({number(change, 2)}){shown}"
