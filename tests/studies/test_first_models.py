@@ -15,10 +15,11 @@ def test_first_models(monkeypatch):
     few = lambda: Diagnose(windows=10, disturbances=False)
     monkeypatch.setattr(study, "Diagnose", few)
     found = study.first_models(Work(threads=1), 1)
-    regression, simulation = found.tables
+    regression, simulation, strangers = found.tables
     assert [row[:2] for row in regression.rows] == [(DESIGN, kind) for kind in study.KINDS]
     assert [row[0] for row in simulation.rows] == [DESIGN]
     answer = found.data["regression"][0][-1]
     named = len(answer["z"]) + len(answer["missed"])
     assert named == len(study._drawn(DESIGN, study.KINDS[0], study.FIRST_SEED)[1])
+    assert [row[0] for row in strangers.rows] == list(study.KINDS)
     assert found.data["simulation"][0][-1]["left"] < 0.1

@@ -22,6 +22,8 @@ CONTROL = 0.01  # [s]
 TICK = 2 * np.pi / 16384  # [rad, m] of an encoder
 NOISE = 1e-4  # [rad, m] of an encoder
 SINES = 4  # in each command
+Numbers = dict[tuple[str, str | None, str], float]
+"""What a model lacks, by effect, place and quantity."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +110,9 @@ class Machine:
     gain: float | Array
     delay: float = 0.006
 
-    def numbers(self) -> dict[tuple[str, str | None, str], float]:
+    def numbers(self) -> Numbers:
         """What is missing, by effect, place and quantity."""
-        found: dict[tuple[str, str | None, str], float] = {}
+        found: Numbers = {}
         for i in range(len(self.armature)):
             joint = f"joint{i}"
             found["joint_armature", joint, "armature"] = float(self.armature[i])

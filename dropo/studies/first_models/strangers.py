@@ -16,13 +16,12 @@ from dropo.core.services.validation import Array
 from dropo.studies.first_models.machines import (
     Design,
     Machine,
+    Numbers,
     built,
     first_model,
     measured,
     problem_of,
 )
-
-Numbers = dict[tuple[str, str | None, str], float]
 
 
 def random_design(rng: Generator) -> Design:
