@@ -247,11 +247,15 @@ def _compared(
         for quantity, estimate in cause.estimate.items()
         if not (cause.effect == "payload" and quantity != "mass")
     }
-    common = truth.get((GAIN, None, "gain"))
-    drives = [key for key in estimates if key[0] == GAIN and key[1] is not None]
-    if common is not None and drives:  # the gain of all of them is said of each
-        truth = {key: value for key, value in truth.items() if key[:2] != (GAIN, None)}
-        truth |= dict.fromkeys(drives, common)
+    # The gain of all drives is said of each, and the other way around.
+    everyone = (GAIN, None, "gain")
+    of_each = [key for key in {*truth, *estimates} if key[0] == GAIN and key[1] is not None]
+    if everyone in truth and of_each:
+        common = truth[everyone]
+        truth = {key: value for key, value in truth.items() if key != everyone}
+        truth |= dict.fromkeys(of_each, common)
+    elif everyone in estimates and of_each:
+        estimates |= dict.fromkeys(of_each, estimates.pop(everyone))
     false = sorted(str(key) for key in set(estimates) - set(truth))
     absent = sorted(set(truth) - set(estimates), key=str)
     together = [key for key in absent if any(_label(key) in text for text in told)]
