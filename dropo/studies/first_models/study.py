@@ -249,12 +249,14 @@ def _compared(
     }
     # The gain of all drives is said of each, and the other way around.
     everyone = (GAIN, None, "gain")
-    of_each = [key for key in {*truth, *estimates} if key[0] == GAIN and key[1] is not None]
-    if everyone in truth and of_each:
+    joints = sum(key[0] == "joint_armature" for key in truth)
+    of_each = [(GAIN, f"drive{i}", "gain") for i in range(joints)]
+    apart = any(key in of_each for key in {*truth, *estimates})
+    if everyone in truth and apart:
         common = truth[everyone]
         truth = {key: value for key, value in truth.items() if key != everyone}
         truth |= dict.fromkeys(of_each, common)
-    elif everyone in estimates and of_each:
+    elif everyone in estimates and apart:
         estimates |= dict.fromkeys(of_each, estimates.pop(everyone))
     false = sorted(str(key) for key in set(estimates) - set(truth))
     absent = sorted(set(truth) - set(estimates), key=str)
