@@ -164,6 +164,8 @@ class FarOffSearch:
         self.log = log or EvaluationLog()
         self._simulators: list[Simulator] = []
         self._latest: tuple[FarOffModel, Motions] | None = None
+        # About what the drives' gains are: as the model has them, until all are fitted by one.
+        self._gain = 0.0
 
     @property
     def simulator_steps(self) -> int:
@@ -251,6 +253,7 @@ class FarOffSearch:
         if len(apart.numbers) == len(model.without(payloads).numbers):
             return model
         self.progress(0.25, f"fitting {len(apart.fitted)} numbers: {GAIN}")
+        self._gain = float(np.mean(model.theta[_gains(model)])) if _gains(model).any() else 0.0
         apart = self._fit(apart, _some(fitted, self.settings.rough), self.settings.rough_fit)
         if payloads:
             chosen = model if self._is_better(model, apart, fitted, held_out) else apart
@@ -311,8 +314,9 @@ class FarOffSearch:
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings | None = None
     ) -> OutputError:
         """The output error of a model, with what is known of its drives' gains."""
-        information = np.where(_gains(model), 1 / self.settings.scale**2, 0.0)
-        known = Known(np.zeros(len(information)), information)
+        gains = _gains(model)
+        width = self.settings.scale * (1 + self._gain)
+        known = Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
         return OutputError(self._library(model), motions, settings or self.settings.fit, known)
 
     def _library(self, model: FarOffModel) -> Library:
@@ -362,10 +366,11 @@ class FarOffSearch:
         each.
         own: of each; the settings' if None.
         """
-        gains = _gains(model)[end.free]
-        mean = np.where(gains, 1 / max(1, gains.sum()), 0.0)
-        of_each = np.where(gains, 1 / (own or self.settings.scale) ** 2, 0.0)
-        return np.asarray(np.diag(of_each) + np.outer(mean, mean) / scale**2)
+        gains = _gains(model)
+        relative = np.divide(1.0, _totals(model), out=np.zeros(len(gains)), where=gains)[end.free]
+        mean = relative / max(1, gains.sum())
+        of_each = np.diag((relative / (own or self.settings.scale)) ** 2)
+        return np.asarray(of_each + np.outer(mean, mean) / scale**2)
 
     def _bounded_errors(
         self, model: FarOffModel, error: OutputError, end: Fitted, covariance: Array
@@ -381,7 +386,8 @@ class FarOffSearch:
         known = self._errors(model, error, end, self._prior(model, end, np.inf, KNOWN))
         of_gains = np.linalg.pinv(covariance[np.ix_(gains, gains)], hermitian=True)
         slopes = covariance[:, gains] @ of_gains
-        by_gains = self.settings.scale * np.linalg.norm(slopes, axis=1)
+        known_to = self.settings.scale * _totals(model)[end.free][gains]
+        by_gains = np.linalg.norm(slopes * known_to, axis=1)
         errors[end.free] = np.minimum(errors[end.free], np.hypot(known[end.free], by_gains))
         return errors
 

@@ -51,7 +51,7 @@ def ties_of(
     free : (f,) int array
         Which of all numbers they are.
     scale : float
-        Standard deviation of what is known of gains else.
+        Standard deviation of what is known of gains else, as a fraction of them.
     settings : TieSettings
         When.
 
@@ -76,7 +76,8 @@ def ties_of(
         size = 1.0 if unit == "1" else abs(model.theta[free[first]])
         if len(members) < 2 or spread[first] < settings.share * size:
             continue
-        known = min(1.0, scale / spread[first]) if label.startswith(GAIN) else 1.0
+        total = 1 + model.theta[free[first]]
+        known = min(1.0, scale * total / spread[first]) if label.startswith(GAIN) else 1.0
         changes = known * correlation[first] * spread
         moved = [_member(*labels[free[i]], model.theta[free[i]], changes[i]) for i in members]
         sentences.append(
