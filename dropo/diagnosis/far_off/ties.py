@@ -21,8 +21,7 @@ class TieSettings:
     alike : float
         ... and their errors are correlated by this.
     share : float
-        The first of them is known to no better than this fraction of itself, or of 1 if it is a
-        fraction.
+        One of them is known to no better than this fraction of itself, or of 1 if it is a fraction.
     """
 
     alone: float = 3.0
@@ -72,9 +71,9 @@ def ties_of(
         first = left[0]
         members = [i for i in left if abs(correlation[first, i]) > settings.alike]
         left = [i for i in left if i not in members]
-        label, unit = labels[free[first]]
-        size = 1.0 if unit == "1" else abs(model.theta[free[first]])
-        if len(members) < 2 or spread[first] < settings.share * size:
+        label = labels[free[first]][0]
+        sizes = [1.0 if labels[free[i]][1] == "1" else abs(model.theta[free[i]]) for i in members]
+        if len(members) < 2 or np.all(spread[members] < settings.share * np.array(sizes)):
             continue
         total = 1 + model.theta[free[first]]
         known = min(1.0, scale * total / spread[first]) if label.startswith(GAIN) else 1.0
