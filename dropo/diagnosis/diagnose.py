@@ -66,14 +66,10 @@ from dropo.diagnosis.search.windows import Windows, split, spread_of
 from dropo.evaluation.held_out import SETTINGS as HELD_OUT
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
-FINER = 8
-"""Physics steps in the place of one that are so short that they do not matter."""
 INSTEAD = 0.9
-"""Part of what all causes gain from which shorter steps that gain as much stand in their place: of
-a delay that a step makes, eight steps leave one in 64, and integrators differ.
-"""
+"""Part of what all causes gain from which exact steps that gain as much stand in their place."""
 OF_STEP = 0.5
-"""Part of it from which causes are looked for anew with shorter steps."""
+"""Part of it from which causes are looked for anew with exact steps."""
 
 
 @dataclass(frozen=True)
@@ -665,7 +661,7 @@ def _solved(setup: _Setup, settings: NoiseSettings) -> tuple[_Setup, _Searched]:
     """What a search ends with, and the setup that led to it.
 
     Where errors of a sensor still follow each other, they may have been taken for causes: all is
-    done anew with noise that is coloured. Then with shorter physics steps, where these alone gain
+    done anew with noise that is coloured. Then with exact physics steps, where these alone gain
     much of what the causes do.
     """
     found = _search(setup)
@@ -681,26 +677,26 @@ def _solved(setup: _Setup, settings: NoiseSettings) -> tuple[_Setup, _Searched]:
                 # What was found before is whole; half a search under other premises is not.
                 return setup, replace(found, interrupted=True)
             setup, found = again, anew
-        return _with_shorter_steps(setup, found)
+        return _with_exact_steps(setup, found)
     except KeyboardInterrupt:
         setup.selection.progress(0.9, STOPPING)
         return setup, replace(found, interrupted=True)
 
 
-def _with_shorter_steps(setup: _Setup, found: _Searched) -> tuple[_Setup, _Searched]:
-    """The search with physics steps so short that they do not matter, where that explains more.
+def _with_exact_steps(setup: _Setup, found: _Searched) -> tuple[_Setup, _Searched]:
+    """The search with physics steps that hardly matter, where that explains more.
 
-    Long steps act like delays, inertia and damping. Where short ones gain as much as all causes,
-    there is no cause; where they gain much of that, all is done anew.
+    Steps act like delays, inertia and damping. Where exact ones gain as much as all causes, there
+    is no cause; where they gain much of that, all is done anew.
     """
     simulator = setup.library.simulator
     known = setup.explained is not None or not found.last.accepted
     if known or not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
         return setup, found
-    finer = simulator.with_finer_steps(FINER)
-    library = Library(finer, setup.library.instances, setup.library.declared)
-    selection = replace(_anew(setup, "shorter physics steps"), library=library)
-    problem = replace(setup.problem, simulator=robot_of(setup.problem).with_finer_steps(FINER))
+    exact = simulator.with_finer_steps(2).with_integrator("RK4")
+    library = Library(exact, setup.library.instances, setup.library.declared)
+    selection = replace(_anew(setup, "exact physics steps"), library=library)
+    problem = replace(setup.problem, simulator=robot_of(setup.problem).with_finer_steps(2).with_integrator("RK4"))
     again = replace(setup, problem=problem, library=library, selection=selection)
     first = again.first()
     gain = penalized_log_likelihood(first) - penalized_log_likelihood(found.first)
@@ -714,7 +710,7 @@ def _with_shorter_steps(setup: _Setup, found: _Searched) -> tuple[_Setup, _Searc
             return setup, replace(found, interrupted=True)
         if penalized_log_likelihood(anew.last) > penalized_log_likelihood(found.last):
             chosen = again, anew
-    chosen[0].library.simulator.steps = simulator.steps + finer.steps
+    chosen[0].library.simulator.steps = simulator.steps + exact.steps
     return chosen
 
 

@@ -10,6 +10,7 @@ from dropo.core.contracts.estimator import silent
 from dropo.diagnosis.far_off.motions import MotionSettings
 from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch, FarOffSettings
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.problems.simulated.hidden import hide
 from tests.models.far_off import torque_arm
 
 TRUTH = 0.01  # [kg m^2] at the elbow
@@ -108,3 +109,32 @@ def test_what_is_certain_holds_the_mean_of_gains_alone(count):
     beside = search._errors(model, nothing, end, search._prior(model, end, KNOWN))[model.fitted]
     apart = SETTINGS.scale / np.sqrt(2) if count == 2 else 0.0
     assert beside == pytest.approx(np.hypot(apart, SETTINGS.accuracy), rel=0.01)
+
+
+def test_drives_that_differ_are_no_payload():
+    """One gain for both and a payload give way to a gain of each, of which the elbow's is right."""
+    problem = hide("torque-arm", ["actuator_gain:elbow_motor=0.3"], seed=0, threads=1)
+    arm = torque_arm("actuator_gain", "payload:fore", problem=problem)
+    explained = searched(arm, replace(SETTINGS, families=()))
+    labels = [instance.label for instance, _ in explained.model.numbers]
+    assert labels == ["actuator_gain:shoulder_motor", "actuator_gain:elbow_motor"]
+    assert explained.certain == {"actuator_gain:elbow_motor"}
+    assert explained.model.theta[-1] == pytest.approx(0.3, abs=4 * explained.errors[-1])
+
+
+def test_kinds_that_are_needed_together_are_added_together(monkeypatch):
+    """Each is refused alone; both are not."""
+    search = FarOffSearch(SETTINGS, silent)
+    arm = torque_arm()
+    tried = []
+
+    def better(model, other, fitted, held_out):
+        added = {instance.effect for instance, _ in other.numbers}
+        tried.append(added)
+        return other if len(added) == 2 else model
+
+    monkeypatch.setattr(search, "_is_misfit", lambda model, motions: True)
+    monkeypatch.setattr(search, "_better", better)
+    found = search._with_families(arm, None, None)
+    assert tried == [{"joint_armature"}, {"actuator_bias"}, {"joint_armature", "actuator_bias"}]
+    assert len(found.numbers) == 4

@@ -12,9 +12,9 @@ from tests.models.first_models import unknown_rotor
 NONE = np.zeros(0, dtype=np.int64)
 
 
-def torque_arm(*labels):
+def torque_arm(*labels, problem=None):
     """Its model with effects, at 0, among its numbers; none of its parameters is fitted."""
-    problem = unknown_rotor()
+    problem = problem or unknown_rotor()
     context = problem.simulator.effect_context
     numbers = []
     for label in labels:

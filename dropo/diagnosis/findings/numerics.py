@@ -97,8 +97,8 @@ def numerics(
     if step < came:
         sentences.append(
             f"The model's physics steps of {1e3 * came:.3g} ms act like delays, inertia and damping"
-            f" here: steps of {1e3 * step:.3g} ms predict the data better, and all was judged with"
-            f" these. Type timestep={step:.3g}."
+            f" here: steps of {1e3 * step:.3g} ms by Runge and Kutta predict the data better, and"
+            f' all was judged with these. Type timestep="{step:.3g}" integrator="RK4".'
         )
     sentences += [_below_step(cause, step) for cause in causes if _is_below_step(cause, step)]
     moved = _moved_by_step(library, first, last, settings) if causes else 0.0

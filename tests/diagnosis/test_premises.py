@@ -1,0 +1,76 @@
+"""A search anew under other premises: noise that is not white, exact physics steps."""
+
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from dropo.diagnosis import diagnose
+from dropo.diagnosis.diagnose import Diagnose
+from dropo.diagnosis.search.whitening import NoiseSettings
+from dropo.problems.file.estimated_velocities import with_velocities
+from dropo.studies.first_models.machines import (
+    STEP,
+    Design,
+    Machine,
+    built,
+    first_model,
+    measured,
+    problem_of,
+)
+
+DESIGN = Design(("hinge y",), (0.3,), (0.6,), (30.0,), loaded=False, rate=0.02)
+NUMBERS = np.array([[0.01], [0.2], [0.1]])
+COARSE = 0.005  # [s]
+EFFECTS = ("actuator_delay", "joint_armature")
+
+
+def setup_of_nothing():
+    """What a search works on, without anything."""
+    return diagnose._Setup(None, None, None, SimpleNamespace(floor=None), None, None, None, 0, ())
+
+
+def test_half_a_search_under_other_noise_does_not_count(monkeypatch):
+    """What was found before is the answer, and said to be interrupted."""
+    last = SimpleNamespace(train=None)
+    before = diagnose._Searched(None, last, {})
+    half = diagnose._Searched(None, SimpleNamespace(train=None), {}, interrupted=True)
+    answers = [before, half]
+    monkeypatch.setattr(diagnose, "_search", lambda setup: answers.pop(0))
+    monkeypatch.setattr(diagnose, "other_noise", lambda *given: "coloured")
+    monkeypatch.setattr(diagnose, "_anew", lambda setup, under: setup.selection)
+    setup = setup_of_nothing()
+    found = diagnose._solved(setup, NoiseSettings())
+    assert found[0] is setup
+    assert found[1].last is last
+    assert found[1].interrupted
+    assert answers == []
+
+
+@pytest.fixture(scope="module")
+def servo():
+    """A pendulum on a servo, simulated ten times finer than a model that has all its numbers."""
+    rng = np.random.default_rng(3)
+    machine = Machine(*NUMBERS, 0.0, np.zeros(3), 0.0, delay=0.0)
+    spec = built(first_model(DESIGN), machine)
+    made = spec.copy()
+    made.option.timestep = STEP / 4
+    made.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    time = 0.01 * np.arange(300)
+    commands = 0.5 * np.sin(2 * np.pi * rng.uniform(0.2, 2.0, (4, 1, 3)) * time[:, None])
+    data = measured(made, commands.sum(axis=2, keepdims=True), 0.0, rng)
+    spec.option.timestep = COARSE
+    return with_velocities(problem_of("servo", spec, data))
+
+
+def test_long_physics_steps_are_no_cause(servo, monkeypatch):
+    """Nothing is missing but short steps, and that is said; left out, half a step is a delay."""
+    search = Diagnose(EFFECTS, length=10, windows=16, disturbances=False)
+    found = search.run(servo)
+    assert found.causes == ()
+    assert 'timestep="0.0025" integrator="RK4"' in found.numerics[0]
+    monkeypatch.setattr(diagnose, "_with_exact_steps", lambda setup, found: (setup, found))
+    (cause, *_) = search.run(servo).causes
+    assert cause.effect == "actuator_delay"
+    assert cause.estimate["delay"].value == pytest.approx(COARSE / 2, rel=0.3)
