@@ -150,7 +150,9 @@ def _write_tendons(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _write_option(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Gravity and the medium."""
+    """The physics step, gravity and the medium."""
+    spec.option.timestep = model.opt.timestep
+    spec.option.integrator = model.opt.integrator
     spec.option.gravity = model.opt.gravity
     spec.option.wind = model.opt.wind
     spec.option.density = model.opt.density
