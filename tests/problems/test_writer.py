@@ -101,6 +101,15 @@ def test_a_relative_parameter_and_one_of_an_option_come_back(arm, tmp_path):
     np.testing.assert_allclose(predicted(back), predicted(found), rtol=DIGITS, atol=DIGITS)
 
 
+def test_exact_physics_steps_come_back(arm, tmp_path):
+    """The step and the integrator stand in the model: predictions are the same."""
+    exact = replace(arm, simulator=arm.simulator.with_exact_steps())
+    back = written(exact, tmp_path)
+    assert back.simulator.control_step == pytest.approx(arm.simulator.control_step)
+    np.testing.assert_allclose(predicted(back), predicted(exact), rtol=DIGITS, atol=DIGITS)
+    assert not np.allclose(predicted(back), predicted(arm), rtol=DIGITS, atol=DIGITS)
+
+
 def test_effects_stand_in_mjcf_where_it_has_them(arm, tmp_path):
     """Damping is a number of the model; a delay stands in the problem file."""
     has = replace(
