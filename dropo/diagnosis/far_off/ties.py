@@ -64,21 +64,26 @@ def ties_of(
     correlation = covariance / np.outer(spread, spread)
     alone = 1 / np.sqrt(np.maximum(np.diag(np.linalg.pinv(correlation, hermitian=True)), 1e-300))
     labels = _labels(model)
-    left = [i for i in range(len(free)) if alone[i] * settings.alone < 1 and free[i] in labels]
-    left.sort(key=lambda i: (not labels[free[i]][0].startswith(GAIN), -float(spread[i])))
+    places = free.tolist()
+    left = [
+        i for i, place in enumerate(places) if alone[i] * settings.alone < 1 and place in labels
+    ]
+    left.sort(key=lambda i: (not labels[places[i]][0].startswith(GAIN), -float(spread[i])))
     sentences = []
     while left:
         first = left[0]
         members = [i for i in left if abs(correlation[first, i]) > settings.alike]
         left = [i for i in left if i not in members]
-        label = labels[free[first]][0]
-        sizes = [1.0 if labels[free[i]][1] == "1" else abs(model.theta[free[i]]) for i in members]
+        label = labels[places[first]][0]
+        sizes = [
+            1.0 if labels[places[i]][1] == "1" else abs(model.theta[places[i]]) for i in members
+        ]
         if len(members) < 2 or np.all(spread[members] < settings.share * np.array(sizes)):
             continue
-        total = 1 + model.theta[free[first]]
+        total = 1 + model.theta[places[first]]
         known = min(1.0, scale * total / spread[first]) if label.startswith(GAIN) else 1.0
         changes = known * correlation[first] * spread
-        moved = [_member(*labels[free[i]], model.theta[free[i]], changes[i]) for i in members]
+        moved = [_member(*labels[places[i]], model.theta[places[i]], changes[i]) for i in members]
         sentences.append(
             f"These motions tell only together: {', '.join(moved)}. Each may be off by the number "
             f"in brackets, all at once and in proportion; were {label} known, so would be the rest."

@@ -27,9 +27,9 @@ from dropo.studies.first_models.machines import (
 def random_design(rng: Generator) -> Design:
     """A chain of one to three joints on position servos."""
     count = int(rng.integers(1, 4))
-    axes = []
-    along = []
-    gains = []
+    axes: list[str] = []
+    along: list[str] = []
+    gains: list[float] = []
     for i in range(count):
         # Slides carry hinges, not the other way around.
         slides = i < count - 1 and (not axes or axes[-1].startswith("slide"))

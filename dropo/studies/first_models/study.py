@@ -12,6 +12,7 @@ from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.far_off.model import GAIN
 from dropo.diagnosis.parts import Cause
 from dropo.diagnosis.regression.quick import QuickDiagnose
+from dropo.diagnosis.search.library import robot_of
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
@@ -197,7 +198,7 @@ def diagnosed_stranger(item: list[Any]) -> dict[str, Any]:
     """
     seed, kind = item
     problem, truth = stranger(seed, missing=kind == KINDS[0])
-    return _whole(problem, truth, round(AFTER / problem.simulator.control_step))
+    return _whole(problem, truth, round(AFTER / robot_of(problem).control_step))
 
 
 def _whole(problem: Problem, truth: Numbers, steps: int) -> dict[str, Any]:
