@@ -65,9 +65,8 @@ def ties_of(
     alone = 1 / np.sqrt(np.maximum(np.diag(np.linalg.pinv(correlation, hermitian=True)), 1e-300))
     labels = _labels(model)
     places = free.tolist()
-    left = [
-        i for i, place in enumerate(places) if alone[i] * settings.alone < 1 and place in labels
-    ]
+    tied = alone * settings.alone < 1
+    left = [i for i, place in enumerate(places) if tied[i] and place in labels]
     left.sort(key=lambda i: (not labels[places[i]][0].startswith(GAIN), -float(spread[i])))
     sentences = []
     while left:
@@ -75,9 +74,7 @@ def ties_of(
         members = [i for i in left if abs(correlation[first, i]) > settings.alike]
         left = [i for i in left if i not in members]
         label = labels[places[first]][0]
-        sizes = [
-            1.0 if labels[places[i]][1] == "1" else abs(model.theta[places[i]]) for i in members
-        ]
+        sizes = [_size(labels[places[i]][1], model.theta[places[i]]) for i in members]
         if len(members) < 2 or np.all(spread[members] < settings.share * np.array(sizes)):
             continue
         total = 1 + model.theta[places[first]]
@@ -100,6 +97,11 @@ def _labels(model: FarOffModel) -> dict[int, tuple[str, str]]:
             several = f" {quantity.name}" if len(places) > 1 else ""
             found[place] = instance.label + several, quantity.unit
     return found
+
+
+def _size(unit: str, value: float) -> float:
+    """What a number's error is compared with."""
+    return 1.0 if unit == "1" else abs(value)
 
 
 def _member(label: str, unit: str, value: float, change: float) -> str:

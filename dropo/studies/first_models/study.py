@@ -40,6 +40,8 @@ WITHIN = 3.0
 """Standard errors within which a number is right."""
 AFTER = 0.2
 """Seconds after which errors of machines with other control steps are compared."""
+COUNTED = ("right", "false names", "missed", f"within {WITHIN:g} errors", "RMS z")
+"""What is counted of the numbers of each row's machines."""
 STRANGERS = "Small servo machines drawn at random, by the whole diagnosis"
 KINDS = ("missing", "nothing missing")
 
@@ -75,17 +77,7 @@ def first_models(work: Work, seeds: int | None = None) -> Study:
         for j, kind in enumerate(KINDS):
             first = (i * len(KINDS) + j) * count
             rows.append((design, kind, *_cells(answers[first : first + count])))
-    header = (
-        "machine",
-        "the model lacks",
-        "right",
-        "false names",
-        "missed",
-        f"within {WITHIN:g} errors",
-        "RMS z",
-        "force left",
-        "CPU s",
-    )
+    header = ("machine", "the model lacks", *COUNTED, "force left", "CPU s")
     fewer = max(1, count // SIMULATED)
     simulated = [[design, FIRST_SEED + seed] for design in DESIGNS for seed in range(fewer)]
     fits = work.map(diagnosed_by_simulation, simulated)
@@ -96,23 +88,16 @@ def first_models(work: Work, seeds: int | None = None) -> Study:
     alone = [[seed + FIRST_SEED, KINDS[0]] for seed in range(count)]
     alone += [[seed + FIRST_SEED, KINDS[1]] for seed in range(fewer)]
     brought = work.map(diagnosed_stranger, alone)
-    stranger_rows = []
-    for kind in KINDS:
-        own = [answer for item, answer in zip(alone, brought, strict=True) if item[1] == kind]
-        told = str(sum(len(answer["together"]) for answer in own))
-        stranger_rows.append((kind, str(len(own)), *_cells(own)[:3], told, *_cells(own)[3:]))
     by_regression = f"By regression alone (--quick), {count} machines of each design"
     by_simulation = f"By simulation, begun with the regression, {fewer} of each"
-    stranger_header = ("the model lacks", "machines", *header[2:5], "only together", *header[5:])
-    stranger_header = (*stranger_header[:-2], "error after 0.2 s", header[-1])
-    fit_header = (header[0], *header[2:-2], "error after 0.2 s", header[-1])
+    fit_header = ("machine", *COUNTED, "error after 0.2 s", "CPU s")
     return Study(
         "first-models",
         "First models",
         (
             Table(by_regression, header, tuple(rows)),
             Table(by_simulation, fit_header, tuple(fit_rows)),
-            Table(STRANGERS, stranger_header, tuple(stranger_rows)),
+            table_of_strangers(alone, brought),
         ),
         (
             "Right: every number that is missing is named, or by the whole diagnosis told only "
@@ -128,6 +113,32 @@ def first_models(work: Work, seeds: int | None = None) -> Study:
             "strangers": [[*item, answer] for item, answer in zip(alone, brought, strict=True)],
         },
     )
+
+
+def table_of_strangers(items: Sequence[list[Any]], answers: Sequence[dict[str, Any]]) -> Table:
+    """Count what is found of small servo machines.
+
+    Parameters
+    ----------
+    items : sequence of list
+        The seed and the kind of each run.
+    answers : sequence of dict
+        Of `diagnosed_stranger`.
+
+    Returns
+    -------
+    Table
+        A row for each kind.
+    """
+    rows = []
+    for kind in KINDS:
+        own = [answer for item, answer in zip(items, answers, strict=True) if item[1] == kind]
+        told = str(sum(len(answer["together"]) for answer in own))
+        cells = _cells(own)
+        rows.append((kind, str(len(own)), *cells[:3], told, *cells[3:]))
+    told_of = (*COUNTED[:3], "only together", *COUNTED[3:])
+    header = ("the model lacks", "machines", *told_of, "error after 0.2 s", "CPU s")
+    return Table(STRANGERS, header, tuple(rows))
 
 
 def _cells(own: list[dict[str, Any]]) -> list[str]:
