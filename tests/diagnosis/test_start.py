@@ -16,6 +16,7 @@ from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.problems.panda.sliding import sliding
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.first_models.machines import problem_of
+from dropo.studies.first_models.strangers import stranger
 from tests.models.first_models import recorded_machine, unknown_rotor
 
 WITHIN = 3.5
@@ -93,6 +94,21 @@ def test_declared_parameters_take_what_they_stand_for(recording):
 def test_few_missing_numbers_are_left_to_the_search():
     """One hidden effect is no reason to begin with regression."""
     assert started(unknown_rotor()) is None
+
+
+def test_a_single_joint_is_left_to_its_motions():
+    """Rotor, damping and friction are fewer than four: whether that is all is asked of motions.
+
+    Where the model has them, there is nothing to begin with.
+    """
+    lacking, truth = stranger(101)
+    start = started(lacking)
+    assert not start.sure
+    assert len(truth) < FarOffLimits().numbers
+    assert {(one.effect, one.target) for one, _ in start.model.numbers} >= {
+        key[:2] for key in truth
+    }
+    assert started(stranger(101, missing=False)[0]) is None
 
 
 def test_a_regression_that_motions_contradict_is_corrected(monkeypatch):
