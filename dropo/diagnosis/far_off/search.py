@@ -111,7 +111,7 @@ class Explained:
     ties : tuple of str
         What motions tell only together, a sentence each.
     fits : bool
-        Whether errors are no larger than sensors' noise explains.
+        Whether errors are no larger than sensors' noise and the physics step explain.
     interrupted : bool
         Whether the search ended before its end.
     """
