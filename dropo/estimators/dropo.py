@@ -22,6 +22,7 @@ from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
+from dropo.core.numerics.kept_rows import MEMORY, MemorySettings
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import StartFilter
 from dropo.core.records.parameters import ParameterSpace
@@ -100,6 +101,9 @@ class DROPO(Estimator):
         from states that a Kalman filter makes of the measurements up to them.
     degrees : float or None
         The degrees of freedom of a Student t in the Gaussian's place; None: as the problem says.
+    memory : MemorySettings
+        How much memory a fit by a local likelihood may take, however many transitions there are;
+        what is more is kept in temporary files. A likelihood that is given keeps to its own.
 
     Notes
     -----
@@ -126,6 +130,7 @@ class DROPO(Estimator):
     start_noise: bool | None = None
     starts: Literal["measured", "filtered"] = "measured"
     degrees: float | None = None
+    memory: MemorySettings = MEMORY
     name = "dropo"
     uses_priors = True
 
@@ -159,18 +164,20 @@ class DROPO(Estimator):
         if not isinstance(self.likelihood, str):
             return self.likelihood
         kind = find("likelihoods", self._likelihood_name)
+        settings = [setting.name for setting in fields(kind)] if is_dataclass(kind) else []
         given: dict[str, Any] = {}
         if self.draws is not None:
             given["draws"] = self.draws
         if self.redraw:
             given["redraw"] = True
-        settings = [setting.name for setting in fields(kind)] if is_dataclass(kind) else []
         for setting in given:
             if setting not in settings:
                 raise Incompatible(
                     f"The likelihood {self._likelihood_name!r} draws nothing. Leave {setting} out,"
                     " or use 'monte-carlo'."
                 )
+        if "memory" in settings:
+            given["memory"] = self.memory
         return kind(**given)
 
     def _make_noise(
@@ -507,6 +514,7 @@ class DROPO(Estimator):
             status=found.status,
             message=found.reason,
             objective=objective,
+            memory=self.memory,
             **(names | further),
         )
 

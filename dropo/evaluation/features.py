@@ -39,6 +39,7 @@ def features_of(
     predicted: Array,
     rng: np.random.Generator,
     settings: ResidualTestSettings = SETTINGS,
+    among: Ints | None = None,
 ) -> Features:
     """Return features of the compared rows.
 
@@ -56,6 +57,8 @@ def features_of(
         Draws the random features.
     settings : ResidualTestSettings
         How many random features there are, and at what a feature is cut.
+    among : (n,) array of int, optional
+        The rows that may have features, in rising order; by default all.
 
     Returns
     -------
@@ -63,11 +66,13 @@ def features_of(
         Of state and command, their signs and sizes, and smooth functions of them.
     """
     segments = problem.segments
-    state, state_names, rows = _states(problem, predicted)
-    action, before = _commands(segments)
+    if among is None:
+        among = np.arange(len(predicted))
+    state, state_names, rows = _states(problem, predicted, among)
+    action, before = _commands(segments, rows)
     count = action.shape[1]
     names = [f"action[{i}]" for i in range(count)] if count > 1 else ["action"] * count
-    base = np.concatenate([state, action, before], axis=1)[rows]
+    base = np.concatenate([state, action, before], axis=1)
     base_names = [*state_names, *names, *(f"the previous {name}" for name in names)]
     base, base_names = _moving(base, base_names)
     columns = [np.ones((len(rows), 1))]
@@ -80,37 +85,39 @@ def features_of(
     return Features(tuple(labels), np.concatenate(columns, axis=1), smooth, rows)
 
 
-def _states(problem: Problem, predicted: Array) -> tuple[Array, list[str], Ints]:
-    """The state before each row (R, S) with its names, and the rows where it is known."""
+def _states(problem: Problem, predicted: Array, among: Ints) -> tuple[Array, list[str], Ints]:
+    """The state (n, S) before each row of those where it is known, its names, and these rows."""
     segments = problem.segments
     segment, step = segments.rows
-    starts = segments.starts[segment]
     time = segments.steps[segment, step]
     trajectory = segments.trajectory[segment]
     order = np.lexsort((time, trajectory))
     follows = trajectory[order][1:] == trajectory[order][:-1]
-    now = order[1:][follows]
-    before = order[:-1][follows]
-    as_observed = predicted.shape[1] == starts.shape[1]
-    names = [f"observation[{i}]" for i in range(starts.shape[1])]
+    before = np.full(len(order), -1)
+    before[order[1:][follows]] = order[:-1][follows]
+    rows = among[before[among] >= 0]
+    signals = problem.simulator.signals
+    observed = segments.starts.shape[1]
+    as_observed = predicted.shape[1] == observed
+    names = [f"observation[{i}]" for i in range(observed)]
     if as_observed:
-        names = [signal.name for signal in problem.simulator.signals]
-    if len(now) < len(order) / 2:
-        return starts, names, np.arange(len(order))
-    state = np.zeros_like(starts)
-    state[now] = predicted[before] if as_observed else starts[before]
-    return state, names, np.sort(now)
+        names = [signal.name for signal in signals]
+    if len(rows) < len(among) / 2:
+        return segments.starts[segment[among]], names, among
+    state = predicted[before[rows]] if as_observed else segments.starts[segment[before[rows]]]
+    return state, names, rows
 
 
-def _commands(segments: Segments) -> tuple[Array, Array]:
-    """(R, q) the mean action from a segment's start to each row, and the action before it."""
-    segment, step = segments.rows
+def _commands(segments: Segments, rows: Ints) -> tuple[Array, Array]:
+    """(n, q) the mean action from a segment's start to each row, and the action before it."""
+    segment = segments.rows[0][rows]
+    step = segments.rows[1][rows]
     total = np.cumsum(segments.actions, axis=1)[segment, step]
     first = segments.steps[:, 0]
     trajectory = segments.trajectories.trajectory
     same = (first > 0) & (trajectory[first - 1] == trajectory[first])
     earlier = np.where(same, first - 1, first)
-    return total / (step + 1)[:, None], segments.trajectories.actions[earlier][segment]
+    return total / (step + 1)[:, None], segments.trajectories.actions[earlier[segment]]
 
 
 def _moving(values: Array, names: list[str]) -> tuple[Array, list[str]]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.kept_rows import KeptRows, row_blocks
 from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
@@ -67,7 +68,7 @@ def identify(problem: Problem, fit: Fit, settings: IdentifiabilitySettings = SET
 def blind_spots(
     problem: Problem,
     mean: Array,
-    jacobian: Array,
+    jacobian: KeptRows,
     directions: Sequence[Array],
     settings: IdentifiabilitySettings = SETTINGS,
 ) -> list[str]:
@@ -79,7 +80,7 @@ def blind_spots(
         With d parameters and R compared rows of p signals.
     mean : (d,) array
         Where.
-    jacobian : (R, p, d) array
+    jacobian : (R, p, d) array, in memory or in a file
         Of the predictions there.
     directions : sequence of (d,) array
         Its null directions.
@@ -154,7 +155,7 @@ def determined(
 
 def null_directions(
     space: ParameterSpace,
-    jacobian: Array,
+    jacobian: KeptRows,
     epsilon: Array,
     settings: IdentifiabilitySettings = SETTINGS,
     *,
@@ -166,7 +167,7 @@ def null_directions(
     ----------
     space : ParameterSpace
         The d parameters.
-    jacobian : (R, p, d) array
+    jacobian : (R, p, d) array, in memory or in a file
         Of the predictions.
     epsilon : (p,) array
         Noise variances.
@@ -183,8 +184,11 @@ def null_directions(
     # The information on the means, in units of their search intervals.
     width = space.high - space.low
     sd = np.sqrt(np.maximum(epsilon, 1e-300))[:, None]
-    white = (jacobian * width / sd).reshape(-1, len(space))
-    information = white.T @ white
+    rows, p, d = jacobian.shape
+    information = np.zeros((d, d))
+    for block in row_blocks(rows, 16 * p * d):
+        white = (jacobian[block] * width / sd).reshape(-1, d)
+        information += white.T @ white
     if known is not None:
         information += np.diag(known * width**2)
     of_prior = 1 / settings.unknown_sd**2
@@ -263,7 +267,7 @@ def _operator(steps: Array, equal: str, opposite: str, component: float) -> str 
     return equal if first * second > 0 else opposite
 
 
-def _signals(problem: Problem, jacobian: Array) -> list[str]:
+def _signals(problem: Problem, jacobian: KeptRows) -> list[str]:
     """Sentences on signals that do not move, and on those without information."""
     targets = problem.segments.targets
     still = np.zeros(jacobian.shape[1], dtype=bool)
@@ -271,7 +275,9 @@ def _signals(problem: Problem, jacobian: Array) -> list[str]:
     if targets.shape[1] == len(still):
         size = np.maximum(np.abs(targets).max(axis=0), 1e-300)
         still = np.ptp(targets, axis=0) <= 1e-12 * size
-    silent = ~still & (np.abs(jacobian).max(axis=(0, 2)) == 0)
+    silent = ~still
+    for block in row_blocks(jacobian.shape[0], 16 * len(still) * jacobian.shape[2]):
+        silent &= np.abs(jacobian[block]).max(axis=(0, 2)) == 0
     names = np.array([signal.name for signal in problem.simulator.signals], dtype=object)
     return [
         *(f"{name} does not move" for name in names[still]),

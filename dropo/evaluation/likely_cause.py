@@ -6,6 +6,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.kept_rows import KeptRows
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.registry import find
 from dropo.core.services.tables import number
@@ -56,7 +57,7 @@ SETTINGS = LikelyCauseSettings()
 
 
 def likely_cause(
-    problem: Problem, mean: Array, jacobian: Array, settings: LikelyCauseSettings = SETTINGS
+    problem: Problem, mean: Array, jacobian: KeptRows, settings: LikelyCauseSettings = SETTINGS
 ) -> str | None:
     """Say which usual effect explains most of a fit's residuals.
 
@@ -68,7 +69,7 @@ def likely_cause(
         With R compared rows of p signals.
     mean : (d,) array
         The fitted means.
-    jacobian : (R, p, d) array
+    jacobian : (R, p, d) array, in memory or in a file
         Of the predictions there.
     settings : LikelyCauseSettings
 

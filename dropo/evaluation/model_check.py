@@ -2,12 +2,14 @@
 model cannot leave.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import Units, unit_sums, variance_of_sum
+from dropo.core.numerics.kept_rows import KeptRows, row_blocks
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.numerics.tails import normal_tail, student_tail
 from dropo.core.records.fit_parts import ModelCheck, ResidualSize, ResidualStructure
@@ -52,6 +54,10 @@ class ModelCheckSettings:
         Residuals of this share of a signal's variance, which are smooth, have lost the motion.
     smooth : float
         Correlation of successive residuals from which they are smooth.
+    rows : int
+        Of more rows, about so many are tested for structure: stretches in time, all over the data.
+    stretches : int
+        How many stretches.
     regression : ResidualTestSettings
         Of the regression on state and command.
     """
@@ -67,6 +73,8 @@ class ModelCheckSettings:
     faint: float = 1e-2
     lost: float = 0.25
     smooth: float = 0.5
+    rows: int = 100_000
+    stretches: int = 1000
     regression: ResidualTestSettings = field(default_factory=ResidualTestSettings)
 
 
@@ -75,23 +83,45 @@ SETTINGS = ModelCheckSettings()
 
 @dataclass(frozen=True, eq=False)
 class _Residuals:
-    """Residuals of the R rows and p signals that are evidence, in units of their size.
+    """Residuals of the n rows and p signals that are evidence, in units of their size.
 
-    rest: (R, p) without what parameters of each group would explain; jacobian: (R, p, d) of the
-    predictions; group: (R,); units: the independent units of rows; names: of the signals.
+    rest: (n, p) without what parameters of each group would explain; jacobian: (n, p, d) of the
+    predictions; gram: (G, d, d) its square summed over each group; group: (n,); units: the
+    independent units of rows; names: of the signals.
     """
 
     rest: Array
     jacobian: Array
+    gram: Array
     group: Ints
     units: Units
     names: list[str]
 
 
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Slopes (R, p, d) of the signals that are evidence, in units of the residuals' size; names."""
+
+    jacobian: KeptRows
+    unit: Array
+    evident: NDArray[np.bool_]
+    names: list[str]
+
+    def of_rows(self, rows: slice | Ints) -> Array:
+        """Those of some rows, (r, p, d)."""
+        return (self.jacobian[rows] / self.unit[:, None])[:, self.evident]
+
+    @property
+    def blocks(self) -> list[slice]:
+        """The rows in blocks."""
+        rows, p, d = self.jacobian.shape
+        return row_blocks(rows, 8 * p * d * 4)
+
+
 def check_model(
     problem: Problem,
     predicted: Array,
-    jacobian: Array,
+    jacobian: KeptRows,
     epsilon: Array,
     *,
     whitened: Array | None = None,
@@ -107,7 +137,7 @@ def check_model(
         With R compared rows of p signals.
     predicted : (R, p) array
         Mean predictions.
-    jacobian : (R, p, d) array
+    jacobian : (R, p, d) array, in memory or in a file
         Of the predictions by the parameters.
     epsilon : (p,) array
         The fit's noise variances.
@@ -147,22 +177,19 @@ def check_model(
     evident = scale > least
     if evident.any():
         unit = np.where(evident, scale, 1.0)
-        white = (residual / unit)[:, evident]
-        scaled_jacobian = (jacobian / unit[:, None])[:, evident]
-        group = _groups(problem, residual.shape[1], jacobian.shape[2])
-        rest = _without_draws(white, scaled_jacobian, group)
         signals = zip(problem.simulator.signals, evident, strict=True)
         names = [signal.name for signal, kept in signals if kept]
+        slopes = _Slopes(jacobian, unit, evident, names)
+        group = _groups(problem, residual.shape[1], jacobian.shape[2])
+        rest = _without_draws((residual / unit)[:, evident], slopes, group)
         # The noise that was stated, where another one was fitted; that of starts is carried along.
         if problem.epsilon is not None and learned and not problem.start_noise:
             stated = np.asarray(problem.epsilon, dtype=float)
             stated = np.broadcast_to(stated, evident.shape)[evident]
-            factor = len(scaled_jacobian) / max(len(scaled_jacobian) - 1, 1)
+            factor = len(rest) / max(len(rest) - 1, 1)
             sentences += _noise(rest * scale[evident], stated, names, factor, settings)
         # Structure: residuals must not follow state and command.
-        features = features_of(problem, predicted, np.random.default_rng(0), settings.regression)
-        left = _Residuals(_cut(rest, settings.outlier), scaled_jacobian, group, units, names)
-        structure, sentence = _structure(left, features, settings)
+        structure, sentence = _follows(problem, predicted, rest, slopes, group, units, settings)
         sentences += sentence
     return ModelCheck(not sentences, size, structure, tuple(sentences))
 
@@ -234,26 +261,81 @@ def _groups(problem: Problem, p: int, d: int) -> Ints:
     return group if np.median(np.bincount(group)) * p >= 4 * d else np.zeros_like(group)
 
 
-def _coefficients(jacobian: Array, moments: Array, group: Ints) -> Array:
-    """(G, d, k) least squares on the Jacobian (R, p, d) within each group.
+def _follows(
+    problem: Problem,
+    predicted: Array,
+    rest: Array,
+    slopes: _Slopes,
+    group: Ints,
+    units: Units,
+    settings: ModelCheckSettings,
+) -> tuple[ResidualStructure, list[str]]:
+    """The structure of evident residuals (R, p), and a sentence where there is one."""
+    tested, units = _tested(units, settings)
+    rng = np.random.default_rng(0)
+    features = features_of(problem, predicted, rng, settings.regression, tested)
+    features = replace(features, rows=np.searchsorted(tested, features.rows))
+    cut = _cut(rest[tested], settings.outlier)
+    own = slopes.of_rows(tested)
+    group = np.unique(group[tested], return_inverse=True)[1]
+    left = _Residuals(cut, own, _grams(own, group), group, units, slopes.names)
+    return _structure(left, features, settings)
 
-    moments: (R, d, k) of each row, the product of its Jacobian and its values.
+
+def _tested(units: Units, settings: ModelCheckSettings) -> tuple[Ints, Units]:
+    """The rows (n,) that are tested for structure, in rising order, and their units.
+
+    They are the beginnings of stretches of the rows in the order of units and time; of a series in
+    time, rows of different stretches count as independent.
     """
-    count = int(group.max()) + 1
-    gram = np.zeros((count, jacobian.shape[2], jacobian.shape[2]))
-    right = np.zeros((count, *moments.shape[1:]))
-    np.add.at(gram, group, jacobian.swapaxes(1, 2) @ jacobian)
-    np.add.at(right, group, moments)
+    count = len(units.label)
+    if count <= settings.rows:
+        return np.arange(count), units
+    length = -(-count // settings.stretches)
+    place = np.arange(count)
+    kept = place % length < max(1, length * settings.rows // count)
+    rows = units.order[kept]
+    label = units.label[rows]
+    if units.serial:
+        label = label * settings.stretches + place[kept] // length
+    label = np.unique(label, return_inverse=True)[1]
+    rising = np.argsort(rows)
+    order = np.argsort(rising)  # from place in units and time to place among rising rows
+    return rows[rising], replace(units, label=label[rising], order=order)
+
+
+def _grams(jacobian: Array, group: Ints) -> Array:
+    """(G, d, d) the sum of J' J over the rows (r, p, d) of each group."""
+    d = jacobian.shape[2]
+    gram = np.zeros((int(group.max()) + 1, d, d))
+    for rows in row_blocks(len(group), 8 * d * (d + 2 * jacobian.shape[1])):
+        own = jacobian[rows]
+        np.add.at(gram, group[rows], own.swapaxes(1, 2) @ own)
+    return gram
+
+
+def _coefficients(gram: Array, right: Array) -> Array:
+    """(G, d, k) least squares within each group, from sums (G, d, d) and (G, d, k)."""
     return np.asarray(np.linalg.pinv(gram, rcond=1e-12, hermitian=True) @ right, dtype=float)
 
 
-def _without_draws(white: Array, jacobian: Array, group: Ints) -> Array:
+def _without_draws(white: Array, slopes: _Slopes, group: Ints) -> Array:
     """The residuals (R, p) without what other parameters in each group would explain: those may
     vary from draw to draw.
     """
-    moments = np.einsum("rpd,rp->rd", jacobian, white)[:, :, None]
-    fitted = _coefficients(jacobian, moments, group)
-    return white - np.einsum("rpd,rd->rp", jacobian, fitted[group, :, 0])
+    d = slopes.jacobian.shape[2]
+    gram = np.zeros((int(group.max()) + 1, d, d))
+    right = np.zeros((len(gram), d, 1))
+    for rows in slopes.blocks:
+        own = slopes.of_rows(rows)
+        np.add.at(gram, group[rows], own.swapaxes(1, 2) @ own)
+        np.add.at(right, group[rows], np.einsum("rpd,rp->rd", own, white[rows])[:, :, None])
+    fitted = _coefficients(gram, right)
+    rest = np.empty_like(white)
+    for rows in slopes.blocks:
+        explained = np.einsum("rpd,rd->rp", slopes.of_rows(rows), fitted[group[rows], :, 0])
+        rest[rows] = white[rows] - explained
+    return rest
 
 
 def _cut(rest: Array, outlier: float) -> Array:
@@ -299,12 +381,20 @@ def _scores(left: _Residuals, features: Features, own_share: float) -> Array:
     named = np.zeros((len(rest), features.named.shape[1]))
     named[features.rows] = features.named
     along = np.einsum("rpd,rp->rd", left.jacobian, rest)
-    out = np.empty((rest.shape[1], named.shape[1]))
+    size = np.sum(named**2, axis=0)
+    count = named.shape[1]
+    blocks = row_blocks(len(rest), 16 * left.jacobian.shape[2] * count)
+    out = np.empty((rest.shape[1], count))
     for j in range(rest.shape[1]):
-        moments = left.jacobian[:, j, :, None] * named[:, None, :]
-        fitted = _coefficients(left.jacobian, moments, left.group)[left.group]
-        own = 1 - np.sum(moments * fitted, axis=(0, 1)) / np.sum(named**2, axis=0)
-        product = rest[:, j, None] * named - np.einsum("rd,rdf->rf", along, fitted)
+        right = np.zeros((*left.gram.shape[:2], count))
+        for rows in blocks:
+            moments = left.jacobian[rows, j, :, None] * named[rows, None, :]
+            np.add.at(right, left.group[rows], moments)
+        fitted = _coefficients(left.gram, right)
+        own = 1 - np.sum(right * fitted, axis=(0, 1)) / size
+        product = rest[:, j, None] * named
+        for rows in blocks:
+            product[rows] -= np.einsum("rd,rdf->rf", along[rows], fitted[left.group[rows]])
         out[j] = np.where(own > own_share, _score_of_sum(product, left.units), 0.0)
     return out
 

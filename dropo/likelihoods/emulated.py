@@ -11,8 +11,9 @@ from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, namespace
+from dropo.core.numerics.kept_rows import MEMORY, MemorySettings
 from dropo.core.numerics.sobol import sobol_points
-from dropo.core.records.trajectories import Segments
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.gaussian_rows import Columns, GaussianRows, Parts, parts_of_matrices
@@ -30,6 +31,8 @@ class Emulated(LocalLikelihood):
     ----------
     order : int, optional
         One order for all polynomials; None: by the width.
+    memory : MemorySettings
+        How much the polynomials of all rows may take, beyond which they are kept in a file.
 
     Notes
     -----
@@ -38,6 +41,7 @@ class Emulated(LocalLikelihood):
     """
 
     order: int | None = None
+    memory: MemorySettings = MEMORY
 
     def linearize_at(
         self,
@@ -70,9 +74,18 @@ class Emulated(LocalLikelihood):
         own_centre = np.log(centre) if logarithmic else centre
         own_width = width / centre if logarithmic else width
         emulator = build(
-            simulator, segments, own_centre, own_width, orders, rng, logarithmic=logarithmic
+            simulator,
+            segments,
+            own_centre,
+            own_width,
+            orders,
+            rng,
+            logarithmic=logarithmic,
+            memory=self.memory,
         )
-        return EmulatedRows(emulator, simulator, segments, family, epsilon, centre, width)
+        return EmulatedRows(
+            emulator, simulator, segments, family, epsilon, centre, width, self.memory
+        )
 
 
 class EmulatedRows(GaussianRows):
@@ -82,7 +95,7 @@ class EmulatedRows(GaussianRows):
     ----------
     emulator : Emulator
         The polynomials.
-    simulator, segments, family, epsilon, centre, width
+    simulator, segments, family, epsilon, centre, width, memory
         As those of `GaussianRows`.
     """
 
@@ -95,13 +108,14 @@ class EmulatedRows(GaussianRows):
         epsilon: Epsilon,
         centre: Array,
         width: Array,
+        memory: MemorySettings = MEMORY,
     ):
         assert family.standard is not None
         terms = len(emulator.indices)
         p = len(simulator.signals)
         m = len(family.unknowns) + p
         row_floats = 3 * m * p * p + 4 * terms * p
-        super().__init__(simulator, segments, family, epsilon, centre, width, row_floats)
+        super().__init__(simulator, segments, family, epsilon, centre, width, row_floats, memory)
         self.emulator = emulator
 
         # Points of the unit box that determine the polynomials of any member.
@@ -115,12 +129,17 @@ class EmulatedRows(GaussianRows):
         """Return the polynomials' predictions (K, R, p) at values (K, d)."""
         return self.emulator.predict(values)
 
+    def predict_rows(self, values: Array, rows: slice | Ints) -> Array:
+        """Return the polynomials' predictions (K, r, p) of some rows."""
+        return self.emulator.predict(values, rows)
+
     def anchored(self, value: Array, predictions: Array) -> "EmulatedRows":
         """Return the likelihood with the polynomials' constants shifted to be right at a value."""
-        coefficients = self.emulator.coefficients.copy()
-        coefficients[0] += predictions - self.predict(value[None])[0]
+        moved = predictions - self.predict(value[None])[0]
+        for rows in self.blocks:
+            moved[rows] += self.emulator.of_rows(rows)[0]
         out = copy.copy(self)
-        out.emulator = replace(self.emulator, coefficients=coefficients)
+        out.emulator = replace(self.emulator, constant=moved)
         return out
 
     def _member(self, own: Any) -> Any:
@@ -140,7 +159,7 @@ class EmulatedRows(GaussianRows):
 
     def _expanded(self, member: Any, rows: slice) -> tuple[Any, Any]:
         """Mean (r, p) and factor F (r, p, M - 1) of the predictions: their covariance is F F'."""
-        c = constant(self.emulator.coefficients[:, rows], member)
+        c = constant(self.emulator.of_rows(rows), member)
         expanded = (member @ c.reshape(len(c), -1)).reshape(c.shape)
         return expanded[0], namespace(expanded).permute_dims(expanded[1:], (1, 2, 0))
 

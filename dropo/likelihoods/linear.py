@@ -14,6 +14,7 @@ from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, namespace
+from dropo.core.numerics.kept_rows import MEMORY, MemorySettings, row_blocks
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import Axial, along_parameters
@@ -28,6 +29,8 @@ class Linear(LocalLikelihood):
     ----------
     step : float
         Half width of the differences, as a fraction of the width around the centre.
+    memory : MemorySettings
+        How much the slopes of all rows may take, beyond which they are kept in a file.
 
     Notes
     -----
@@ -38,6 +41,7 @@ class Linear(LocalLikelihood):
     """
 
     step: float = 0.5
+    memory: MemorySettings = MEMORY
 
     def linearize_at(
         self,
@@ -52,8 +56,9 @@ class Linear(LocalLikelihood):
         rough: bool = False,
     ) -> LocalLogLikelihood:
         """Return the log-likelihood of members with means near the centre (d,)."""
-        axial = along(simulator, segments, family, centre, self.step * width)
-        return LinearRows(axial, simulator, segments, family, epsilon, centre, width)
+        step = self.step * width
+        axial = along(simulator, segments, family, centre, step, self.memory, curved=False)
+        return LinearRows(axial, simulator, segments, family, epsilon, centre, width, self.memory)
 
 
 class LinearRows(GaussianRows):
@@ -63,7 +68,7 @@ class LinearRows(GaussianRows):
     ----------
     axial : Axial
         Values and slopes.
-    simulator, segments, family, epsilon, centre, width
+    simulator, segments, family, epsilon, centre, width, memory
         As those of `GaussianRows`.
     """
 
@@ -76,19 +81,28 @@ class LinearRows(GaussianRows):
         epsilon: Epsilon,
         centre: Array,
         width: Array,
+        memory: MemorySettings = MEMORY,
     ):
         d = len(centre)
         p = len(simulator.signals)
         columns = 2 * max(d, len(family.unknowns) - d) + 3 * p
         row_floats = 3 * columns**2 + 3 * columns * p
-        super().__init__(simulator, segments, family, epsilon, centre, width, row_floats)
+        super().__init__(simulator, segments, family, epsilon, centre, width, row_floats, memory)
         self.axial = axial
         self.centre = coordinates(family, centre)
 
     def predict(self, values: Array) -> Array:
         """Return the linear model's predictions (K, R, p) at values (K, d)."""
+        count, p = self.targets.shape
+        out = np.empty((len(values), count, p))
+        for rows in row_blocks(count, 8 * p * sum(values.shape)):
+            out[:, rows] = self.predict_rows(values, rows)
+        return out
+
+    def predict_rows(self, values: Array, rows: slice | Ints) -> Array:
+        """Return the linear model's predictions (K, r, p) of some rows."""
         away = coordinates(self.family, values) - self.centre
-        return self.axial.value + np.moveaxis(self.axial.slope @ away.T, -1, 0)
+        return self.axial.value[rows] + np.moveaxis(self.axial.slope[rows] @ away.T, -1, 0)
 
     def anchored(self, value: Array, predictions: Array) -> "LinearRows":
         """Return the likelihood with all predictions shifted to be right at a value."""
@@ -169,7 +183,14 @@ class Entries:
 
 
 def along(
-    simulator: Simulator, segments: Segments, family: Family, centre: Array, step: Array
+    simulator: Simulator,
+    segments: Segments,
+    family: Family,
+    centre: Array,
+    step: Array,
+    memory: MemorySettings | None = None,
+    *,
+    curved: bool = True,
 ) -> Axial:
     """Differentiate a simulator along the coordinates in which a family is taken.
 
@@ -182,6 +203,10 @@ def along(
         Parameters.
     step : (d,) array
         In the parameters' units.
+    memory : MemorySettings, optional
+        As of `along_parameters`.
+    curved : bool
+        Whether curvatures are kept.
 
     Returns
     -------
@@ -194,7 +219,13 @@ def along(
     """
     own_step = step / centre if family.logarithmic else step
     return along_parameters(
-        simulator, segments, coordinates(family, centre), own_step, logarithmic=family.logarithmic
+        simulator,
+        segments,
+        coordinates(family, centre),
+        own_step,
+        logarithmic=family.logarithmic,
+        curved=curved,
+        memory=memory,
     )
 
 

@@ -13,12 +13,12 @@ from dropo.core.contracts.likelihood import GroupedLogLikelihood, Groups, LocalL
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, is_tensor, namespace, plain
+from dropo.core.numerics.kept_rows import row_blocks
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import along_starts
-from dropo.likelihoods.support.blocks import row_blocks
 from dropo.likelihoods.support.gaussian_rows import trusted
 from dropo.likelihoods.support.polynomials import Emulator, build, orders_for
 

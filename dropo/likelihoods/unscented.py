@@ -10,7 +10,8 @@ from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, namespace
-from dropo.core.records.trajectories import Segments
+from dropo.core.numerics.kept_rows import MEMORY, MemorySettings
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.likelihoods.linear import LinearRows, along, coordinates
@@ -27,11 +28,18 @@ class Unscented(LocalLikelihood):
     are left out: 'emulated' has them, for more simulations. A good first choice for many
     parameters.
 
+    Attributes
+    ----------
+    memory : MemorySettings
+        How much slopes and curvatures of all rows may take, beyond which they are kept in files.
+
     Notes
     -----
     f(x) = f(c) + J u + sum_i H_i u_i^2 / 2 with u = x - c, from simulations one width to either
     side on each axis.
     """
+
+    memory: MemorySettings = MEMORY
 
     def linearize_at(
         self,
@@ -57,8 +65,10 @@ class Unscented(LocalLikelihood):
                 f"The family {type(family).__name__} names no standard distribution, so its fourth"
                 " moments are not known. Use likelihood 'linear'."
             )
-        axial = along(simulator, segments, family, centre, width)
-        return UnscentedRows(axial, simulator, segments, family, epsilon, centre, width)
+        axial = along(simulator, segments, family, centre, width, self.memory)
+        return UnscentedRows(
+            axial, simulator, segments, family, epsilon, centre, width, self.memory
+        )
 
 
 class UnscentedRows(LinearRows):
@@ -68,7 +78,7 @@ class UnscentedRows(LinearRows):
     ----------
     axial : Axial
         Values, slopes and curvatures.
-    simulator, segments, family, epsilon, centre, width
+    simulator, segments, family, epsilon, centre, width, memory
         As those of `GaussianRows`.
 
     Attributes
@@ -91,19 +101,20 @@ class UnscentedRows(LinearRows):
         epsilon: Epsilon,
         centre: Array,
         width: Array,
+        memory: MemorySettings = MEMORY,
     ):
-        super().__init__(axial, simulator, segments, family, epsilon, centre, width)
+        super().__init__(axial, simulator, segments, family, epsilon, centre, width, memory)
         assert family.standard is not None
         square = family.standard.weights @ family.standard.nodes**2
         excess = float(family.standard.weights @ family.standard.nodes**4 / square**2 - 1)
         self.fourth = np.full((len(centre), len(centre)), 2.0)
         np.fill_diagonal(self.fourth, excess)
 
-    def predict(self, values: Array) -> Array:
-        """Return the quadratic model's predictions (K, R, p) at values (K, d)."""
+    def predict_rows(self, values: Array, rows: slice | Ints) -> Array:
+        """Return the quadratic model's predictions (K, r, p) of some rows."""
         away = coordinates(self.family, values) - self.centre
-        bend = np.moveaxis(self.axial.curvature @ (away**2).T, -1, 0)
-        return super().predict(values) + 0.5 * bend
+        bend = np.moveaxis(self.axial.curvature[rows] @ (away**2).T, -1, 0)
+        return super().predict_rows(values, rows) + 0.5 * bend
 
     def _spread(self, member: Any, rows: slice) -> tuple[Any, Any]:
         away, covariance = member

@@ -12,6 +12,8 @@ from scipy import stats
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.noise import Noise, NoiseModel
+from dropo.core.numerics import kept_rows
+from dropo.core.records import segment_blocks
 from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
 from dropo.core.services.registry import find
@@ -21,7 +23,7 @@ from dropo.families.point import Point
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.linear import Linear
-from dropo.likelihoods.support import axial, blocks
+from dropo.likelihoods.support import axial
 from dropo.likelihoods.support.axial import along_parameters, along_starts
 from dropo.likelihoods.unscented import Unscented
 from dropo.problems.hopper.data import TRUTH
@@ -154,8 +156,8 @@ def test_blocks_change_nothing(kind, monkeypatch):
     1e-11.
     """
     whole, phi = built(kind, "full", NOISES["start, Student"])
-    monkeypatch.setattr(blocks, "ROW_BYTES", 1)
-    monkeypatch.setattr(blocks, "DESIGN_BYTES", 1)
+    monkeypatch.setattr(kept_rows, "ROW_BYTES", 1)
+    monkeypatch.setattr(segment_blocks, "DESIGN_BYTES", 1)
     pieces, _ = built(kind, "full", NOISES["start, Student"])
     assert len(pieces.blocks) == len(whole.targets) > len(whole.blocks)
     np.testing.assert_allclose(pieces.rows(phi), whole.rows(phi), rtol=1e-11)
@@ -172,7 +174,7 @@ def test_segments_are_cut_between_chains_alone():
     data = block_data(rows=4)[1].trajectories
     chained = data.segments(1, reset="partial", set_columns=[True, False])
     parts = list(
-        blocks.segment_blocks(chained, blocks.DESIGN_BYTES // 7)
+        segment_blocks.segment_blocks(chained, segment_blocks.DESIGN_BYTES // 7)
     )  # 7 rows a block, 5 segments a chain
     assert [len(part) for part, _, _ in parts] == [5, 5, 5, 5]
     assert [(rows.start, rows.stop) for _, rows, _ in parts] == [
@@ -182,11 +184,14 @@ def test_segments_are_cut_between_chains_alone():
         (15, 20),
     ]
     free = data.segments(1)
-    parts = list(blocks.segment_blocks(free, blocks.DESIGN_BYTES // 7))
+    parts = list(segment_blocks.segment_blocks(free, segment_blocks.DESIGN_BYTES // 7))
     assert [len(part) for part, _, _ in parts] == [7, 7, 6]
     assert np.concatenate([places for *_, places in parts]).tolist() == list(range(20))
     every = data.segments(5, every_step=True)  # 5 rows a segment: two do not fit
-    assert [rows.stop for _, rows, _ in blocks.segment_blocks(every, blocks.DESIGN_BYTES // 7)] == [
+    assert [
+        rows.stop
+        for _, rows, _ in segment_blocks.segment_blocks(every, segment_blocks.DESIGN_BYTES // 7)
+    ] == [
         5,
         10,
         15,
@@ -230,9 +235,9 @@ def test_memory_does_not_grow_with_rows_times_unknowns(kind, monkeypatch):
         tracemalloc.stop()
         return most
 
-    monkeypatch.setattr(blocks, "ROW_BYTES", 1 << 19)
+    monkeypatch.setattr(kept_rows, "ROW_BYTES", 1 << 19)
     assert (peak(3000) - peak(1000)) / 2000 / 8 < 50
-    monkeypatch.setattr(blocks, "ROW_BYTES", 1 << 40)
+    monkeypatch.setattr(kept_rows, "ROW_BYTES", 1 << 40)
     assert (peak(3000) - peak(1000)) / 2000 / 8 > 200
 
 
@@ -261,9 +266,9 @@ def test_memory_of_a_design_is_bounded(monkeypatch):
         tracemalloc.stop()
         return most - built.emulator.coefficients.nbytes - built.emulator.residual.nbytes
 
-    monkeypatch.setattr(blocks, "DESIGN_BYTES", 1 << 20)
+    monkeypatch.setattr(segment_blocks, "DESIGN_BYTES", 1 << 20)
     assert peak(8000) < 2 * peak(1000)
-    monkeypatch.setattr(blocks, "DESIGN_BYTES", 1 << 40)
+    monkeypatch.setattr(segment_blocks, "DESIGN_BYTES", 1 << 40)
     assert peak(8000) > 5 * peak(1000)
 
 
@@ -599,7 +604,7 @@ def test_a_simulation_that_diverges_around_the_estimate_is_named(kind, monkeypat
         out = starts[:, None] + actions * value[0]
         return np.where((starts[:, None] > 6.5) & (value[0] > 1.0), np.nan, out)
 
-    monkeypatch.setattr(blocks, "DESIGN_BYTES", 1)
+    monkeypatch.setattr(segment_blocks, "DESIGN_BYTES", 1)
     simulator = FunctionSimulator(function, [Parameter("x", 0.1, 2.0)], ["a"])
     data = simulate(simulator, np.full((10, 1), 0.9), np.ones((10, 1, 1)), np.zeros(1))
     segments = replace(data, observations=np.arange(10.0)[:, None]).segments()

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dropo.core.records import segment_blocks
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, SimulationFailed
-from dropo.likelihoods.support import blocks
 from dropo.likelihoods.support.polynomials import (
     DESIGN,
     build,
@@ -83,7 +83,7 @@ def late_failures(monkeypatch, size):
         out = starts[:, None] + np.exp(0.3 * value) * actions
         return np.where((starts[:, None, :1] > 3.5) & (value[0] > 1.0), np.nan, out)
 
-    monkeypatch.setattr(blocks, "DESIGN_BYTES", size)
+    monkeypatch.setattr(segment_blocks, "DESIGN_BYTES", size)
     simulator = FunctionSimulator(
         function, [Parameter("x0", -9, 9), Parameter("x1", -9, 9)], ["a", "b"]
     )

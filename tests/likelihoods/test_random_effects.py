@@ -6,13 +6,13 @@ from scipy import stats
 
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics import kept_rows
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.families.full_gaussian import FullGaussian
 from dropo.likelihoods.random_effects import RandomEffects
-from dropo.likelihoods.support import blocks
 from dropo.simulators.toy import LinearSimulator, SlidingBlock
 from dropo.simulators.toy import simulate as toy_trajectories
 from dropo.testing.likelihoods import check_likelihood
@@ -337,7 +337,7 @@ def test_blocks_of_rows_change_nothing(monkeypatch):
     family = FullGaussian(problem.space)
     phi = member(local(problem, family), "full")
     whole = local(problem, family)
-    monkeypatch.setattr(blocks, "ROW_BYTES", 1000)
+    monkeypatch.setattr(kept_rows, "ROW_BYTES", 1000)
     cut = local(problem, family)
     assert len(cut.blocks) > len(whole.blocks) == 1
     np.testing.assert_allclose(cut.rows(phi), whole.rows(phi), rtol=1e-12)

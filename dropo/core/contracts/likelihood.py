@@ -207,6 +207,23 @@ class LocalLogLikelihood(LogLikelihood):
     def predict(self, values: Array) -> Array:
         """Predictions (K, R, p) of the local model at parameter vectors (K, d)."""
 
+    def predict_rows(self, values: Array, rows: slice | Ints) -> Array:
+        """Predict some of the rows.
+
+        Parameters
+        ----------
+        values : (K, d) array
+            Parameter vectors.
+        rows : slice or (r,) array of int
+            Which of the R rows.
+
+        Returns
+        -------
+        (K, r, p) array
+            Of `predict`, unless overridden by what computes these rows alone.
+        """
+        return self.predict(values)[:, rows]
+
     def anchored(self, value: Array, predictions: Array) -> "LocalLogLikelihood":
         """Make the same likelihood with a local model that is right at one parameter vector.
 

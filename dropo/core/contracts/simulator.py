@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from dropo.core.numerics.array_api import checked, is_tensor, namespace, plain
 from dropo.core.numerics.finite_differences import axial_design, difference_quotients
 from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.segment_blocks import segment_blocks
 from dropo.core.records.trajectories import Segments, Signal
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, check_shape, float_array, require
@@ -260,7 +261,7 @@ class Simulator(ABC):
         *,
         step: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
-        """Predict, and differentiate the prediction by the parameters, in one batch of 2 d + 1.
+        """Predict, and differentiate the prediction by the parameters, in batches of 2 d + 1.
 
         Parameters
         ----------
@@ -286,11 +287,18 @@ class Simulator(ABC):
         else:
             half = float_array("step", step, (d,), "linearize")
         design = self.space.feasible(centre + axial_design(half, -half))  # (2 d + 1, d)
-        predictions = self.predict(design, segments)
-        if not np.isfinite(predictions).all():
-            raise SimulationFailed(describe_failures(predictions, design, self.space))
         widths = np.diagonal(design[1 : d + 1] - design[d + 1 :])
-        return predictions[0], difference_quotients(predictions, widths)
+        shape = (len(segments.rows[0]), len(self.signals))
+        prediction = np.empty(shape)
+        jacobian = np.empty((*shape, d))
+        for part, rows, _ in segment_blocks(segments, 8 * len(design) * shape[1]):
+            predictions = self.predict(design, part)
+            if not np.isfinite(predictions).all():
+                failures = describe_failures(predictions, design, self.space, first=rows.start)
+                raise SimulationFailed(failures)
+            prediction[rows] = predictions[0]
+            jacobian[rows] = difference_quotients(predictions, widths)
+        return prediction, jacobian
 
     def linearize_starts(
         self, values: ArrayLike, segments: Segments, *, step: ArrayLike | None = None

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.numerics.kept_rows import row_blocks
 from dropo.core.services.validation import Array
 
 NEAR_ONE = 0.97
@@ -122,14 +123,17 @@ def long_run(values: Array, series: NDArray[np.int64]) -> tuple[Array, Array]:
     rho = np.clip(_autoregression(values, follows), -NEAR_ONE, NEAR_ONE)
     # The first row of a series has no row before it: it is scaled to the same variance.
     white = values.copy()
-    white[follows] -= rho * values[follows - 1]
+    for own in _blocks_of(follows, m):
+        white[own] -= rho * values[own - 1]
     first = np.setdiff1d(np.arange(rows), follows)
     white[first] *= np.sqrt(1 - rho**2)
     width = _bandwidth(white, follows, rows)
     smooth = white.T @ white
     for lag in range(1, min(int(np.ceil(6 * width)), rows - 1) + 1):
-        same = series[lag:] == series[:-lag]
-        product = white[lag:][same].T @ white[:-lag][same]
+        later = np.flatnonzero(series[lag:] == series[:-lag]) + lag
+        product = np.zeros((m, m))
+        for own in _blocks_of(later, m):
+            product += white[own].T @ white[own - lag]
         smooth += _quadratic_spectral(lag / width) * (product + product.T)
     recolour = 1 / (1 - rho)
     relative = 2 * width / rows + 4 * (1 + rho) / ((1 - rho) * rows)
@@ -138,22 +142,35 @@ def long_run(values: Array, series: NDArray[np.int64]) -> tuple[Array, Array]:
 
 def _autoregression(values: Array, follows: NDArray[np.int64]) -> Array:
     """First-order coefficients (m,), corrected for their bias -(1 + 3 r) / R (Kendall 1954)."""
-    now = values[follows]
-    before = values[follows - 1]
-    size = np.sum(before**2, axis=0)
-    rho = np.sum(now * before, axis=0) / np.where(size > 0, size, 1.0)
+    products, size = _lag_one(values, follows)
+    rho = products / np.where(size > 0, size, 1.0)
     return rho + (1 + 3 * rho) / len(follows)
+
+
+def _lag_one(values: Array, follows: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Sums (m,) of the products of rows with the row before them, and of these rows' squares."""
+    m = values.shape[1]
+    products = np.zeros(m)
+    squares = np.zeros(m)
+    for own in _blocks_of(follows, m):
+        before = values[own - 1]
+        products += np.sum(values[own] * before, axis=0)
+        squares += np.sum(before**2, axis=0)
+    return products, squares
+
+
+def _blocks_of(rows: NDArray[np.int64], m: int) -> list[NDArray[np.int64]]:
+    """Numbers of rows of m columns, in blocks."""
+    return [rows[block] for block in row_blocks(len(rows), 32 * m)]
 
 
 def _bandwidth(white: Array, follows: NDArray[np.int64], rows: int) -> float:
     """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5), with alpha from autoregressions."""
-    now = white[follows]
-    before = white[follows - 1]
-    size = np.sum(before**2, axis=0)
+    products, size = _lag_one(white, follows)
     good = size > 0
     if not good.any():
         return 1.0
-    rho = np.clip(np.sum(now * before, axis=0)[good] / size[good], -NEAR_ONE, NEAR_ONE)
+    rho = np.clip(products[good] / size[good], -NEAR_ONE, NEAR_ONE)
     return max(1.0, 1.3221 * float(np.mean(4 * rho**2 / (1 - rho) ** 4) * rows) ** 0.2)
 
 

@@ -5,6 +5,7 @@ With J = d f / d xi at the mean, xi ~ N(mu, S) gives y ~ N(f(mu), J S J' + diag(
 
 import numpy as np
 
+from dropo.core.numerics.kept_rows import row_blocks
 from dropo.core.services.validation import Array
 
 
@@ -35,14 +36,18 @@ def scores_and_information(
     -----
     d log L / d mu = J' Sigma^-1 r; d log L / d v_i = ((J_i' Sigma^-1 r)^2 - J_i' Sigma^-1 J_i) / 2.
     """
-    sigma = jacobian @ covariance @ jacobian.swapaxes(1, 2)
-    sigma[:, np.arange(len(epsilon)), np.arange(len(epsilon))] += epsilon
-    solved = np.linalg.solve(sigma, jacobian)  # (R, p, d)
-    gram = jacobian.swapaxes(1, 2) @ solved  # (R, d, d) = J' Sigma^-1 J
-    by_mean = np.einsum("rpd,rp->rd", solved, residuals)
-    by_variance = 0.5 * (by_mean**2 - np.einsum("rdd->rd", gram))
-    d = jacobian.shape[2]
+    rows, p, d = jacobian.shape
+    scores = np.empty((rows, 2 * d))
     information = np.zeros((2 * d, 2 * d))
-    information[:d, :d] = gram.sum(axis=0)
-    information[d:, d:] = 0.5 * (gram**2).sum(axis=0)
-    return np.concatenate([by_mean, by_variance], axis=1), information
+    for block in row_blocks(rows, 24 * p * (p + d)):
+        own = jacobian[block]
+        sigma = own @ covariance @ own.swapaxes(1, 2)
+        sigma[:, np.arange(len(epsilon)), np.arange(len(epsilon))] += epsilon
+        solved = np.linalg.solve(sigma, own)  # (r, p, d)
+        gram = own.swapaxes(1, 2) @ solved  # (r, d, d) = J' Sigma^-1 J
+        by_mean = np.einsum("rpd,rp->rd", solved, residuals[block])
+        scores[block, :d] = by_mean
+        scores[block, d:] = 0.5 * (by_mean**2 - np.einsum("rdd->rd", gram))
+        information[:d, :d] += gram.sum(axis=0)
+        information[d:, d:] += 0.5 * (gram**2).sum(axis=0)
+    return scores, information

@@ -47,7 +47,8 @@ def sandwich(
     inverse = inverse_information(information[block])
     covariance = np.full(information.shape, np.nan)
     degrees = np.full(len(information), np.nan)
-    covariance[block], degrees[good] = variance_of_sum(scores[:, good] @ inverse, units)
+    informed = scores if good.all() else scores[:, good]
+    covariance[block], degrees[good] = variance_of_sum(informed @ inverse, units)
     if prior is not None:
         of_data = np.diagonal(covariance)[good].copy()
         covariance[block] += inverse * prior[good] @ inverse

@@ -129,6 +129,7 @@ class _LocalModel(Simulator):
         return self.problem.simulator.targets(segments)
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
-        rows = np.isin(self._starts[self.problem.segments.rows[0]], segments.steps[:, 0])
-        predictions = [self.objective.predict(value[None])[:, rows] for value in values]
+        own = np.isin(self._starts[self.problem.segments.rows[0]], segments.steps[:, 0])
+        rows = np.flatnonzero(own)
+        predictions = [self.objective.predict_rows(value[None], rows) for value in values]
         return np.concatenate(predictions)

@@ -105,12 +105,14 @@ def _fisher_step(
     free = (phi[places] > low) & (phi[places] < high)
     chosen = places[free]
     _, scores, information = objective.value_score_information(phi)
-    _, pull, _ = without_residuals.value_score_information(phi)
+    of_residuals = scores[:, chosen]
+    del scores
+    of_residuals -= without_residuals.value_score_information(phi)[1][:, chosen]
     known = prior.information(phi[places])[free]
     of_prior = prior.score(phi[places])[free]
     both = information[np.ix_(chosen, chosen)] + np.diag(known)
     inverse = np.linalg.pinv(both, hermitian=True)
-    own = (scores - pull)[:, chosen] @ inverse
+    own = of_residuals @ inverse
     step = np.zeros(len(places))
     errors = np.zeros(len(places))
     step[free] = own.sum(axis=0) + of_prior @ inverse

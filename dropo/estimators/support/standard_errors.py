@@ -9,6 +9,7 @@ from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.mean_prior import MeanPrior, mean_places
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import independent
+from dropo.core.numerics.kept_rows import MEMORY, KeptRows, MemorySettings, keep_rows, row_blocks
 from dropo.core.numerics.linear_gaussian import scores_and_information
 from dropo.core.numerics.robust_covariance import inverse_information, sandwich
 from dropo.core.records.independent_units import units_of
@@ -70,7 +71,7 @@ class StandardErrors:
         for a mean on its bound, and for a scale of about 0.
     degrees : (d,) array
         The degrees of freedom of the means' errors.
-    jacobian : (R, p, d) array
+    jacobian : (R, p, d) array, in memory or in a file
         Of the predictions by the parameters.
     correlation : (d, d) array or None
         Of the correlations, NaN where one is on its bound; None of a family without, or where the
@@ -82,7 +83,7 @@ class StandardErrors:
     mean: Array
     scale: Array
     degrees: Array
-    jacobian: Array
+    jacobian: KeptRows
     correlation: Array | None = None
     prior: OfPrior | None = None
 
@@ -176,6 +177,7 @@ def local_standard_errors(
     phi: Array,
     settings: DifferenceSettings = DIFFERENCES,
     prior: MeanPrior | None = None,
+    memory: MemorySettings = MEMORY,
 ) -> StandardErrors:
     """Find the standard errors by a local likelihood's own scores.
 
@@ -190,6 +192,8 @@ def local_standard_errors(
     settings : DifferenceSettings
     prior : MeanPrior, optional
         Of the means, where the maximum is that with a prior.
+    memory : MemorySettings
+        What of it the sensitivities may take.
 
     Returns
     -------
@@ -210,7 +214,10 @@ def local_standard_errors(
     curvature = _curvature(prior, family.mean(phi[:own]), means, len(phi))
     of_free = None if curvature is None else curvature[free]
     own_information = information[np.ix_(free, free)]
-    covariance, degrees[free] = sandwich(scores[:, free], own_information, units, of_free)
+    if not free.all():
+        scores = scores[:, free]
+    covariance, degrees[free] = sandwich(scores, own_information, units, of_free)
+    del scores
     if objective.errors_from_model:
         known = own_information if of_free is None else own_information + np.diag(of_free)
         covariance = _at_least(covariance, np.linalg.pinv(known, hermitian=True))
@@ -222,7 +229,7 @@ def local_standard_errors(
         if f"scale.{name}" in names:
             scale[i] = errors[names.index(f"scale.{name}")]
     scale[~(scale < family.scale(phi[:own]))] = np.nan
-    jacobian = local_jacobian(objective, family.mean(phi[:own]), problem.space, settings)
+    jacobian = local_jacobian(objective, family.mean(phi[:own]), problem, settings, memory)
     whole = np.full((len(phi), len(phi)), np.nan)
     whole[np.ix_(free, free)] = covariance
     correlation = _correlation_errors(family, phi[:own], whole[:own, :own], settings)
@@ -298,27 +305,38 @@ def _correlation_errors(
 def local_jacobian(
     objective: LocalLogLikelihood,
     mean: Array,
-    space: ParameterSpace,
+    problem: Problem,
     settings: DifferenceSettings = DIFFERENCES,
-) -> Array:
-    """Differentiate a local model at the mean.
+    memory: MemorySettings = MEMORY,
+) -> KeptRows:
+    """Differentiate a local model at the mean, block by block.
 
     Parameters
     ----------
     objective : LocalLogLikelihood
     mean : (d,) array
-    space : ParameterSpace
+    problem : Problem
+        Of its rows and parameters.
     settings : DifferenceSettings
+    memory : MemorySettings
+        What of it the result may take, beyond which it is kept in a file.
 
     Returns
     -------
     (R, p, d) array
     """
+    space = problem.space
     half = settings.local * np.diag(space.high - space.low)
-    predictions = objective.predict(np.concatenate([mean + half, mean - half]))
-    change = predictions[: len(mean)] - predictions[len(mean) :]
-    slopes = change / (2 * np.diagonal(half))[:, None, None]
-    return np.moveaxis(slopes, 0, -1)
+    values = np.concatenate([mean + half, mean - half])
+    width = (2 * np.diagonal(half))[:, None, None]
+    rows = len(problem.segments.rows[0])
+    p = len(problem.simulator.signals)
+    (out,) = keep_rows([(rows, p, len(mean))], memory.sensitivities, memory)
+    for block in row_blocks(rows, 8 * p * 2 * len(values)):
+        predictions = objective.predict_rows(values, block)
+        change = predictions[: len(mean)] - predictions[len(mean) :]
+        out[block] = np.moveaxis(change / width, 0, -1)
+    return out
 
 
 def rounding(problem: Problem) -> Array:

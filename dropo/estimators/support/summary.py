@@ -12,6 +12,7 @@ from dropo.core.contracts.likelihood import LocalLogLikelihood, LogLikelihood
 from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.prior import describe
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.kept_rows import MEMORY, MemorySettings
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import ModelCheck, PriorUse
 from dropo.core.records.parameters import ParameterSpace
@@ -50,6 +51,7 @@ def summarize(
     objective: LogLikelihood | None = None,
     weighted_by: Array | None = None,
     warnings: Sequence[str] = (),
+    memory: MemorySettings = MEMORY,
     **further: Any,
 ) -> Fit:
     """Make the fit of a member of a family.
@@ -80,6 +82,8 @@ def summarize(
         The noise variances that the estimate took for its weights; epsilon by default.
     warnings : sequence of str
         What the method has to say against it.
+    memory : MemorySettings
+        What of it the sensitivities of the checks may take.
     **further
         Further fields of the fit: its typed parts, or an outside method's `arrays` and `details`.
 
@@ -98,7 +102,9 @@ def summarize(
     unknown = np.full(len(mean), np.nan)
     found: dict[str, Any] = {"mean_se": unknown, "scale_se": unknown, "degrees_of_freedom": unknown}
     try:
-        errors = _standard_errors(problem, run, family, objective, phi, epsilon, weighted_by, prior)
+        errors = _standard_errors(
+            problem, run, family, objective, phi, epsilon, weighted_by, prior, memory
+        )
     except SimulationFailed as error:
         notes.append(f"no standard errors: {error}")
     else:
@@ -202,11 +208,14 @@ def _standard_errors(
     epsilon: Array,
     weighted_by: Array | None,
     prior: MeanPrior,
+    memory: MemorySettings,
 ) -> StandardErrors:
     """Standard errors, from the objective's own scores where it has such."""
     with run.counting():
         if isinstance(objective, LocalLogLikelihood):
-            return local_standard_errors(problem, family, objective, phi, prior=prior)
+            return local_standard_errors(
+                problem, family, objective, phi, prior=prior, memory=memory
+            )
         own = phi[: len(family.unknowns)]
         noise = epsilon if weighted_by is None else weighted_by
         mean = family.mean(own)
@@ -246,13 +255,10 @@ def _check_model(
 ) -> ModelCheck:
     """The model check, by whitened residuals where the measurements' covariance is known."""
     learned = objective is None or len(objective.unknowns) > len(family.unknowns)
-    moments = getattr(objective, "moments", None)
+    residuals = getattr(objective, "whitened_residuals", None)
     whitened = getattr(objective, "whitened", None)
-    if moments is not None and not learned and problem.noise_degrees is None:
-        mean, covariance = moments(phi)
-        residual = problem.simulator.targets(problem.segments) - mean
-        root = np.linalg.cholesky(covariance)
-        whitened = np.linalg.solve(root, residual[:, :, None])[:, :, 0]
+    if residuals is not None and not learned and problem.noise_degrees is None:
+        whitened = residuals(phi)
     return check_model(
         problem,
         mean_prediction,

@@ -55,6 +55,13 @@ class TrustRegionSettings:
         The first iterations see so many segments, or so many for each parameter if that is more.
     coarse_iterations : int
         They end after so many iterations, or once the estimate is settled.
+    sample_segments : int
+        Where the data have `sample_factor` times as many segments or more, the next iterations see
+        so many, as fine as all of them; all are seen once the estimate is settled there.
+    sample_factor : float
+        As above.
+    sample_iterations : int
+        Iterations on the sample, at most.
     followed_move : float
         A region is at least as wide as this fraction of the last move of the mean.
     maximum_shrink, maximum_growth : float
@@ -81,6 +88,9 @@ class TrustRegionSettings:
     coarse_segments: int = 60
     coarse_segments_per_parameter: int = 5
     coarse_iterations: int = 6
+    sample_segments: int = 10_000
+    sample_factor: float = 4.0
+    sample_iterations: int = 6
     followed_move: float = 0.7
     maximum_shrink: float = 20.0
     maximum_growth: float = 4.0
@@ -105,11 +115,19 @@ class TrustRegion:
         Means are near the centre and scales at most about the width, in the parameters' units.
     coarse : bool
         Whether some of the segments are enough.
+    sampled : bool
+        Whether a sample of them is enough, as finely modelled as all.
     """
 
     centre: Array
     width: Array
     coarse: bool
+    sampled: bool = False
+
+    @property
+    def whole(self) -> bool:
+        """Whether all segments are seen."""
+        return not (self.coarse or self.sampled)
 
 
 @dataclass(frozen=True)
@@ -210,7 +228,7 @@ class OuterIterations:
         if status is Status.CONVERGED and not best.converged:
             status = Status.OUT_OF_BUDGET
             reason = CUT_SHORT
-        if best.region.coarse:
+        if not best.region.whole:
             best = self._on_all_segments(best)
         objective = self._likelihood_of(best)
         value = best.value
@@ -233,16 +251,45 @@ class OuterIterations:
             # End where nothing moves, or where the likelihood no longer rises.
             following = self._next_region(result)
             settled = self._is_settled(result, following)
-            if settled and not result.region.coarse:
+            if result.region.whole and len(results) > 1 and results[-2].region.sampled:
+                settled = settled or self._stays_inside(result, following)
+            if settled and result.region.whole:
                 return Status.CONVERGED, SETTLED.format(count)
-            if self._is_stalled(results):
+            stalled = self._is_stalled(results)
+            if stalled and result.region.whole:
                 return Status.CONVERGED, STALLED.format(count)
 
-            # Move there; once the estimate is settled on some segments, or late, see all of them.
-            is_early = count < self.settings.coarse_iterations
-            stays_coarse = result.region.coarse and is_early and not settled
-            region = replace(following, coarse=stays_coarse)
+            # Move there; once the estimate is settled on some segments, see more of them.
+            region = self._with_more(following, results, settled or stalled)
         return Status.OUT_OF_BUDGET, UNSETTLED.format(self.settings.max_iterations)
+
+    def _with_more(
+        self, region: TrustRegion, results: list[IterationResult], settled: bool
+    ) -> TrustRegion:
+        """The region with as many segments as the estimate needs: some, a sample of them, or all.
+
+        A sample's estimate is off by what rows differ, which the widths of the region hold.
+        """
+        settings = self.settings
+        count = len(results)
+        if region.coarse:
+            if not settled and count < settings.coarse_iterations:
+                return region
+            many = len(self.problem.segments) >= settings.sample_factor * settings.sample_segments
+            return replace(region, coarse=False, sampled=many)
+        sampled = sum(result.region.sampled for result in results)
+        more = not settled and sampled < settings.sample_iterations
+        return replace(region, sampled=region.sampled and more)
+
+    def _stays_inside(self, result: IterationResult, following: TrustRegion) -> bool:
+        """Whether a first maximum on all segments is where the model of a settled sample holds.
+
+        It moves by the sample's error, and its own error is smaller: the region need not follow.
+        """
+        region = result.region
+        inside = np.abs(following.centre - region.centre) < region.width
+        limit = (1 + self.settings.settled_width) * region.width
+        return bool(np.all(inside) and np.all(following.width <= limit))
 
     def _iteration(self, region: TrustRegion, last_maximum: Array | None) -> IterationResult:
         """One iteration, or its record in the evaluation log, from the last maximum (m,).
@@ -297,7 +344,7 @@ class OuterIterations:
         smallest = before / settings.maximum_shrink
         largest = np.minimum(settings.maximum_growth * before, settings.first_width * self.box)
         width = np.maximum(np.clip(wanted, smallest, largest), minimum_width)
-        return TrustRegion(mean, width, result.region.coarse)
+        return replace(result.region, centre=mean, width=width)
 
     def _is_settled(self, result: IterationResult, following: TrustRegion) -> bool:
         """Whether neither the mean nor the widths moved."""
@@ -321,9 +368,12 @@ class OuterIterations:
         return phi[: len(self.family.unknowns)]
 
     def _is_stalled(self, results: list[IterationResult]) -> bool:
-        """Whether the last iterations on all segments brought no better likelihood."""
-        # Log-likelihoods of some segments do not compare with those of all.
-        values = [result.value for result in results if not result.region.coarse]
+        """Whether the last iterations on these segments brought no better likelihood."""
+        last = results[-1].region
+        if last.coarse:
+            return False
+        alike = [r for r in results if not r.region.coarse and r.region.whole == last.whole]
+        values = [result.value for result in alike]
         patience = self.settings.patience
         if len(values) <= patience:
             return False
@@ -331,20 +381,22 @@ class OuterIterations:
 
     def _best(self, results: list[IterationResult]) -> IterationResult:
         """The last result; of a search that stalled, that of the highest likelihood."""
-        if not self._is_stalled(results):
+        if not (results[-1].region.whole and self._is_stalled(results)):
             return results[-1]
-        on_all_segments = [result for result in results if not result.region.coarse]
+        # Log-likelihoods of some segments do not compare with those of all.
+        on_all_segments = [result for result in results if result.region.whole]
         return max(on_all_segments, key=lambda result: result.value)
 
     # --- the likelihood in a region
 
     def _build(self, region: TrustRegion) -> tuple[TrustRegion, LocalLogLikelihood]:
         """The local likelihood, in a narrower region where simulations of its design diverge."""
+        self._last_built = None  # its memory is free for the next one
         for attempt in range(self.settings.retries + 1):
             try:
                 local = self.likelihood.linearize_at(
                     self.problem.simulator,
-                    self._segments(region.coarse),
+                    self._segments(region),
                     self.family,
                     self.epsilon,
                     region.centre,
@@ -361,17 +413,18 @@ class OuterIterations:
                 return self._last_built
         raise AssertionError("the last attempt returns or raises")
 
-    def _segments(self, coarse: bool) -> Segments:
+    def _segments(self, region: TrustRegion) -> Segments:
         """All segments, or some from all over the data."""
-        segments = self.problem.segments
-        if not coarse:
-            return segments
+        every = self.problem.segments
+        if region.whole:
+            return every
         settings = self.settings
-        per_parameter = settings.coarse_segments_per_parameter * len(self.box)
-        chosen = segments.thin(max(settings.coarse_segments, per_parameter))
-        if len(chosen) == len(segments):
-            return segments
-        return segments.take(chosen)
+        count = settings.sample_segments
+        if region.coarse:
+            per_parameter = settings.coarse_segments_per_parameter * len(self.box)
+            count = max(settings.coarse_segments, per_parameter)
+        chosen = every.thin(count)
+        return every.take(chosen) if len(chosen) < len(every) else every
 
     def _likelihood_of(self, result: IterationResult) -> LocalLogLikelihood:
         """The likelihood that a result came from.
@@ -387,7 +440,7 @@ class OuterIterations:
     def _on_all_segments(self, result: IterationResult) -> IterationResult:
         """The same maximum in a likelihood of all segments, after an early interruption."""
         with self.run.counting():
-            region, local = self._build(replace(result.region, coarse=False))
+            region, local = self._build(replace(result.region, coarse=False, sampled=False))
         return replace(result, region=region, value=local(result.phi))
 
     # --- the search in a region

@@ -10,11 +10,12 @@ import numpy as np
 from dropo.core.contracts.noise import NoiseModel
 from dropo.core.contracts.simulator import Simulator, describe_failures, predict_from_starts
 from dropo.core.numerics.finite_differences import axial_design
+from dropo.core.numerics.kept_rows import KeptRows, MemorySettings, keep_rows
 from dropo.core.records.parameters import ParameterSpace
+from dropo.core.records.segment_blocks import segment_blocks
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array
-from dropo.likelihoods.support.blocks import segment_blocks
 
 
 @dataclass(frozen=True)
@@ -54,12 +55,15 @@ class Axial:
     Attributes
     ----------
     value : (R, p) array
-    slope, curvature : (R, p, k) array
+    slope : (R, p, k) array
+        In memory or in a file.
+    curvature : (R, p, k) array
+        Likewise; (R, p, 0) where it was not asked for.
     """
 
     value: Array
-    slope: Array
-    curvature: Array
+    slope: KeptRows
+    curvature: KeptRows
 
 
 def along_parameters(
@@ -69,7 +73,9 @@ def along_parameters(
     step: Array,
     *,
     logarithmic: bool = False,
+    curved: bool = True,
     settings: StepSettings = STEPS,
+    memory: MemorySettings | None = None,
 ) -> Axial:
     """Differentiate along the d parameters, with 2 d + 1 simulations of each segment.
 
@@ -81,7 +87,12 @@ def along_parameters(
         If a step would leave what is physically possible, it is doubled to the other side.
     logarithmic : bool
         Whether centre and step are those of the parameters' logarithms.
+    curved : bool
+        Whether curvatures are kept.
     settings : StepSettings
+    memory : MemorySettings, optional
+        What of it slopes and curvatures may take, beyond which they are kept in files; by default
+        they are kept in memory.
 
     Returns
     -------
@@ -95,7 +106,7 @@ def along_parameters(
     steps = _possible_steps(simulator.space, centre, step, logarithmic, settings)
     points = centre + axial_design(*steps)
     design = simulator.space.feasible(np.exp(points) if logarithmic else points)
-    out = _empty(segments, simulator, len(centre))
+    out = _empty(segments, simulator, len(centre), memory, curved=curved)
     for part, rows, _ in segment_blocks(segments, 8 * len(design) * len(simulator.signals)):
         predictions = simulator.predict(design, part)
         _require_finite(simulator, predictions, design, rows.start)
@@ -109,6 +120,7 @@ def along_starts(
     value: Array,
     noise: NoiseModel,
     settings: StepSettings = STEPS,
+    memory: MemorySettings | None = None,
 ) -> Axial:
     """Differentiate along the p coordinates of each segment's own start.
 
@@ -124,6 +136,8 @@ def along_starts(
     noise : NoiseModel
         By its standard deviations go the steps.
     settings : StepSettings
+    memory : MemorySettings, optional
+        As of `along_parameters`.
 
     Returns
     -------
@@ -150,7 +164,7 @@ def along_starts(
     steps = np.stack([step, -step])
     moves = axial_design(*steps)
     design = np.repeat(value[None], len(moves), axis=0)
-    out = _empty(segments, simulator, p)
+    out = _empty(segments, simulator, p, memory)
     for part, rows, _ in segment_blocks(segments, 8 * len(moves) * p):
         predictions = predict_from_starts(simulator, value, part, moves)
         _require_finite(simulator, predictions, design, rows.start)
@@ -175,10 +189,18 @@ def _possible_steps(
     return np.stack([first, second])
 
 
-def _empty(segments: Segments, simulator: Simulator, axes: int) -> Axial:
+def _empty(
+    segments: Segments,
+    simulator: Simulator,
+    axes: int,
+    memory: MemorySettings | None,
+    curved: bool = True,
+) -> Axial:
     """Room for the rows of all segments along so many axes."""
     shape = (len(segments.rows[0]), len(simulator.signals))
-    return Axial(np.empty(shape), np.empty((*shape, axes)), np.empty((*shape, axes)))
+    shapes: list[tuple[int, ...]] = [(*shape, axes), (*shape, axes if curved else 0)]
+    slope, curvature = keep_rows(shapes, 0.0 if memory is None else memory.kept, memory)
+    return Axial(np.empty(shape), slope, curvature)
 
 
 def _require_finite(simulator: Simulator, predictions: Array, design: Array, first: int) -> None:
@@ -198,7 +220,8 @@ def _fill(out: Axial, rows: slice, predictions: Array, steps: Array) -> None:
     first = predictions[1 : k + 1] - predictions[0]
     second = predictions[k + 1 :] - predictions[0]
     slope = (two**2 * first - one**2 * second) / (one * two * (two - one))
-    curvature = 2 * (first / one - second / two) / (one - two)
     out.value[rows] = predictions[0]
     out.slope[rows] = np.moveaxis(slope, 0, -1)
-    out.curvature[rows] = np.moveaxis(curvature, 0, -1)
+    if out.curvature.shape[2]:
+        curvature = 2 * (first / one - second / two) / (one - two)
+        out.curvature[rows] = np.moveaxis(curvature, 0, -1)

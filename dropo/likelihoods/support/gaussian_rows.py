@@ -17,12 +17,12 @@ from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, is_tensor, namespace, plain
+from dropo.core.numerics.kept_rows import MEMORY, MemorySettings, row_blocks
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import Axial, along_starts
-from dropo.likelihoods.support.blocks import row_blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +189,8 @@ class GaussianRows(LocalLogLikelihood):
         The region in which the local model is sound, in the parameters' units.
     row_floats : int
         Numbers that `value_score_information` holds at once for a row.
+    memory : MemorySettings
+        How much the slopes in noisy start states may take, beyond which they are kept in files.
 
     Raises
     ------
@@ -220,6 +222,7 @@ class GaussianRows(LocalLogLikelihood):
         centre: Array,
         width: Array,
         row_floats: int,
+        memory: MemorySettings = MEMORY,
     ):
         self.family = family
         self.targets = simulator.targets(segments)
@@ -229,7 +232,7 @@ class GaussianRows(LocalLogLikelihood):
         self.blocks = row_blocks(len(self.targets), 8 * row_floats)
         self.starts: Axial | None = None
         if self.noise.noise.start:
-            self.starts = along_starts(simulator, segments, centre, self.noise)
+            self.starts = along_starts(simulator, segments, centre, self.noise, memory=memory)
 
     # --- what a plug-in writes
 
@@ -288,7 +291,21 @@ class GaussianRows(LocalLogLikelihood):
 
     def mean(self, phi: Array) -> Array:
         """Return the mean of the measurements (R, p) under phi."""
-        return self.moments(phi)[0]
+        member = self._member(self._own(phi))
+        epsilon = self.epsilon(phi)
+        means = [self._moments(member, epsilon, rows)[0] for rows in self.blocks]
+        return np.concatenate(means)
+
+    def whitened_residuals(self, phi: Array) -> Array:
+        """Return L^-1 (measurements - mean) (R, p) under phi (m,), with Sigma = L L'."""
+        member = self._member(self._own(phi))
+        epsilon = self.epsilon(phi)
+        out = np.empty_like(self.targets)
+        for rows in self.blocks:
+            mean, sigma = self._moments(member, epsilon, rows)
+            root = self._root(sigma, rows)
+            out[rows] = np.linalg.solve(root, (self.targets[rows] - mean)[:, :, None])[:, :, 0]
+        return out
 
     def _moments(self, member: Any, epsilon: Any, rows: slice) -> tuple[Any, Any]:
         """Mean (r, p) and Sigma (r, p, p) of a block with noise."""
@@ -363,27 +380,27 @@ class GaussianRows(LocalLogLikelihood):
         member = self._member(own)
         slopes = self._member_slopes(own)
         nu = self.noise.noise.degrees
-        values = []
-        scores = []
+        values = np.empty(len(self.targets))
+        scores = np.empty((len(self.targets), len(phi)))
         information = np.zeros((len(phi), len(phi)))
         for rows in self.blocks:
             mean, sigma = self._moments(member, epsilon, rows)
             density = self._density(mean, sigma, rows)
-            values.append(density.log)
+            values[rows] = density.log
             noise = self._noise_columns(epsilon, rows).whitened(density.whiten)
             parts = self._parts(member, slopes, rows, density.whiten, density.z, noise)
             if nu is None:
-                scores.append(parts.location + 0.5 * (parts.quadratic - parts.trace))
+                scores[rows] = parts.location + 0.5 * (parts.quadratic - parts.trace)
                 information += parts.by_mean + parts.by_spread
             else:
                 # The weight of a row falls with its distance.
                 weight = ((nu + p) / (nu + density.distance))[:, None]
                 pulled = 0.5 * (weight * parts.quadratic - parts.trace)
-                scores.append(weight * parts.location + pulled)
+                scores[rows] = weight * parts.location + pulled
                 traces = 0.5 * parts.trace.T @ parts.trace
                 gaussian = (nu + p) * (parts.by_mean + parts.by_spread)
                 information += (gaussian - traces) / (nu + p + 2)
-        return float(np.concatenate(values).sum()), np.concatenate(scores), information
+        return float(values.sum()), scores, information
 
     def _noise_columns(self, epsilon: Array, rows: slice) -> Columns:
         """The slopes of a block's moments in the unknowns of the noise."""

@@ -10,13 +10,14 @@ from scipy.special import ndtri
 from dropo.core.contracts.simulator import Simulator, describe_failures
 from dropo.core.numerics.array_api import constant, namespace
 from dropo.core.numerics.diverged_simulations import ranges, settled
+from dropo.core.numerics.kept_rows import FileRows, KeptRows, MemorySettings, keep_rows, row_blocks
 from dropo.core.numerics.sobol import sobol_points
 from dropo.core.numerics.standard_distributions import NORMAL, StandardDistribution
 from dropo.core.records.parameters import ParameterSpace
-from dropo.core.records.trajectories import Segments
+from dropo.core.records.segment_blocks import segment_blocks
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadArgument, SimulationFailed
 from dropo.core.services.validation import Array, require
-from dropo.likelihoods.support.blocks import segment_blocks
 
 
 @dataclass(frozen=True)
@@ -138,21 +139,41 @@ class Emulator:
         vectors of parameters that it is asked for, where groups have emulators of their own.
     indices : (M, d) array of int
         Exponents.
-    coefficients : (M, R, p) array
+    coefficients : (M, R, p) array, or (R, M, p) in a file
+        Read with `of_rows`.
     residual : (R, p, p) array
-        Covariance of the residuals.
+        Covariance of the residuals; in a file likewise.
     logarithmic : bool
     failed : int
         Design points that diverged or exploded.
+    constant : (R, p) array or None
+        Coefficients of the constant that stand for the first ones.
     """
 
     centre: Array
     width: Array
     indices: NDArray[np.int64]
-    coefficients: Array
-    residual: Array
+    coefficients: KeptRows
+    residual: KeptRows
     logarithmic: bool
     failed: int
+    constant: Array | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The rows R and the signals p."""
+        return self.residual.shape[0], self.residual.shape[1]
+
+    def of_rows(self, rows: slice | Ints) -> Array:
+        """Return the coefficients (M, r, p) of some rows."""
+        if isinstance(self.coefficients, FileRows):
+            found = np.moveaxis(self.coefficients[rows], 1, 0)
+        else:
+            found = self.coefficients[:, rows]
+        if self.constant is not None:
+            found = found.copy()
+            found[0] = self.constant[rows]
+        return found
 
     def basis(self, values: Array) -> Array:
         """Return the polynomials (K, M) at parameter vectors (K, d), array or tensor."""
@@ -175,9 +196,19 @@ class Emulator:
             found.append(factor * _multiplied(single, lower))
         return np.stack(found, axis=1)
 
-    def predict(self, values: Array) -> Array:
-        """Return emulated predictions (K, R, p) at parameter vectors (K, d)."""
-        return np.einsum("km,mrp->krp", self.basis(values), self.coefficients, optimize=True)
+    def predict(self, values: Array, rows: slice | Ints | None = None) -> Array:
+        """Return emulated predictions (K, R, p) at parameter vectors (K, d), of some rows alone if
+        these are named.
+        """
+        basis = self.basis(values)
+        if rows is not None:
+            return np.einsum("km,mrp->krp", basis, self.of_rows(rows), optimize=True)
+        count, p = self.shape
+        out = np.empty((len(basis), count, p))
+        for block in row_blocks(count, 8 * p * sum(basis.shape)):
+            own = self.of_rows(block)
+            out[:, block] = np.einsum("km,mrp->krp", basis, own, optimize=True)
+        return out
 
 
 def products(
@@ -217,6 +248,7 @@ def build(
     *,
     logarithmic: bool = False,
     settings: DesignSettings = DESIGN,
+    memory: MemorySettings | None = None,
 ) -> Emulator:
     """Simulate a scrambled Sobol design around a centre, and regress every row's signals on it.
 
@@ -236,6 +268,9 @@ def build(
     logarithmic : bool
         Whether the coordinates are the parameters' logarithms.
     settings : DesignSettings
+    memory : MemorySettings, optional
+        What of it the emulator may take, beyond which it is kept in a file; by default all is kept
+        in memory.
 
     Returns
     -------
@@ -260,8 +295,7 @@ def build(
 
     rows = len(segments.rows[0])
     p = len(simulator.signals)
-    coefficients = np.empty((terms, rows, p))
-    residual = np.empty((rows, p, p))
+    coefficients, residual = _room(terms, rows, p, memory)
     targets = simulator.targets(segments)
     span = ranges(targets)
     good = np.ones(count, dtype=bool)
@@ -279,11 +313,26 @@ def build(
             sentence = describe_failures(failed, design[good], simulator.space, first=own.start)
             raise SimulationFailed(f"{sentence} The design around the estimate cannot be used.")
         good[good] = whole
-        coefficients[:, own], residual[own] = _regress(
+        found, residual[own] = _regress(
             basis[good], predictions[whole], indices, simulator.space, settings
         )
+        if isinstance(coefficients, FileRows):
+            coefficients[own] = np.moveaxis(found, 0, 1)
+        else:
+            coefficients[:, own] = found
         used[k] = int(good.sum())
     return Emulator(centre, width, indices, coefficients, residual, logarithmic, int((~good).sum()))
+
+
+def _room(
+    terms: int, rows: int, p: int, memory: MemorySettings | None
+) -> tuple[KeptRows, KeptRows]:
+    """Room for coefficients and residuals (R, p, p), as `Emulator` has them."""
+    shapes: list[tuple[int, ...]] = [(rows, terms, p), (rows, p, p)]
+    coefficients, residual = keep_rows(shapes, 0.0 if memory is None else memory.kept, memory)
+    if isinstance(coefficients, FileRows):
+        return coefficients, residual
+    return coefficients.reshape(terms, rows, p), residual
 
 
 def _regress(

@@ -1,4 +1,4 @@
-"""Work cut into blocks within a number of bytes, so that memory does not grow with the data."""
+"""Segments cut into blocks within a number of bytes, so that memory does not grow with them."""
 
 from collections.abc import Iterator
 
@@ -7,25 +7,7 @@ from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Segments
 
-ROW_BYTES = 1 << 24  # of the arrays that a block of rows needs at once
 DESIGN_BYTES = 1 << 26  # of the predictions that are held at once
-
-
-def row_blocks(rows: int, bytes_per_row: int) -> list[slice]:
-    """Cut rows into blocks.
-
-    Parameters
-    ----------
-    rows : int
-    bytes_per_row : int
-
-    Returns
-    -------
-    list of slice
-        They cover the rows in order, each within ROW_BYTES, or one row.
-    """
-    size = max(1, ROW_BYTES // max(bytes_per_row, 1))
-    return [slice(start, min(start + size, rows)) for start in range(0, rows, size)]
 
 
 def segment_blocks(
