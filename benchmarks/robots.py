@@ -1,5 +1,5 @@
 """Problems of 4, 18 and 100 parameters, with any number of transitions: the hopper's masses, all of
-the hopper, a chain of 20 links.
+the hopper, a chain of 20 links; and a block on a spring, which is cheap to simulate.
 """
 
 import mujoco
@@ -127,3 +127,39 @@ def chain_problem(transitions: int, threads: int) -> Problem:
     noisy = after + np.sqrt(NOISE) * rng.standard_normal(after.shape)
     data = Trajectories(states, blank.actions, noisy, ends)
     return Problem("chain, 100", simulator, data, epsilon=NOISE, truth=ones(simulator))
+
+
+def block_simulator(threads: int) -> MujocoSimulator:
+    """A block that slides on a rail, on a spring: mass, damping, stiffness, place of rest."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 0.01
+    body = spec.worldbody.add_body(name="block")
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    body.add_joint(name="rail", type=slide, axis=[1, 0, 0], damping=1.0, stiffness=20.0)
+    size = [0.1, 0.1, 0.1]
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size, mass=1.5, contype=0, conaffinity=0)
+    spec.add_actuator(name="push", target="rail", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    fields = (("body_mass", "block"), ("dof_damping", "rail"), ("jnt_stiffness", "rail"))
+    parameters = [factor(field, element) for field, element in fields]
+    rest = FieldParameter("rest", -0.5, 0.5, field="qpos_spring", index=0, unit="m")
+    return MujocoSimulator(
+        spec, [*parameters, rest], observation=["qpos", "qvel"], frame_skip=2, threads=threads
+    )
+
+
+def block_problem(transitions: int, threads: int) -> Problem:
+    """Transitions of the block from states all over, in 500 to a trajectory."""
+    rng = np.random.default_rng(0)
+    simulator = block_simulator(threads)
+    truth = np.array([1.0, 1.0, 1.0, 0.1])
+    states = rng.normal(0, [0.3, 1.0], (transitions, 2))
+    ends = np.arange(transitions) % 500 == 499
+    ends[-1] = True
+    blank = Trajectories(states, rng.normal(0, 5.0, (transitions, 1)), states, ends)
+    after = simulator.predict(truth[None], blank.segments())[0]
+    after += np.sqrt(NOISE) * rng.standard_normal(after.shape)
+    data = Trajectories(states, blank.actions, after, ends)
+    names = simulator.space.names
+    return Problem(
+        "block, 4", simulator, data, epsilon=NOISE, truth=dict(zip(names, truth, strict=True))
+    )

@@ -98,6 +98,11 @@ def add(commands: Any) -> None:
         "--transitions", type=whole(1), metavar="N", help="use the first N transitions alone"
     )
     parser.add_argument(
+        "--simulator",
+        metavar="NAME",
+        help="what simulates the model in MuJoCo's place: warp, on a GPU",
+    )
+    parser.add_argument(
         "--unchecked",
         action="store_true",
         help="fit the data even where `dropo data check` finds an error",
@@ -155,6 +160,8 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     from dropo.evaluation.predictions import predict
 
     problem, spans = _without_disturbances(arguments, _problem(arguments))
+    if arguments.simulator is not None:
+        problem = problem.using(simulator=arguments.simulator)
     options = {name: getattr(arguments, name) for name in SETTINGS}
     given = {name: value for name, value in options.items() if value is not None}
     if isinstance(arguments.start, Path):

@@ -13,6 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from dropo._version import __version__
@@ -24,7 +25,6 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.atomic_write import write_json
 from dropo.core.services.plugin_files import plugin_sums
 from dropo.mjmodel.loading import model_sum
-from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
 def run_record(
@@ -119,7 +119,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     """Make a dict of the settings of a `problem`, with SHA-256 sums of all that is behind it."""
     plugins = plugin_sums()
     simulator = problem.simulator
-    model = simulator.model if isinstance(simulator, RobotSimulator) else None
+    model = getattr(simulator, "model", None)
     return {
         "problem": problem.name,
         "simulator": type(simulator).__name__,
@@ -136,7 +136,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "degrees": problem.noise_degrees,
         "transitions": len(problem.trajectories),
         "data_sha256": data_sum(problem.trajectories),
-        "model_sha256": None if model is None else model_sum(model),
+        "model_sha256": model_sum(model) if isinstance(model, mujoco.MjModel) else None,
         **({"plugins": plugins} if plugins else {}),
     }
 

@@ -52,6 +52,40 @@ def element_name(model: mujoco.MjModel, kind: str, index: int) -> str:
     return str(found) if found else f"{kind}{index}"
 
 
+TYPES = (
+    ("geom_type", mujoco.mjtGeom, "geom"),
+    ("sensor_type", mujoco.mjtSensor, "sensor"),
+    ("eq_type", mujoco.mjtEq, "equality"),
+    ("actuator_trntype", mujoco.mjtTrn, "actuator"),
+    ("actuator_dyntype", mujoco.mjtDyn, "actuator"),
+    ("actuator_gaintype", mujoco.mjtGain, "actuator"),
+    ("actuator_biastype", mujoco.mjtBias, "actuator"),
+)
+"""Fields that say of which type the elements of a kind are."""
+
+
+def element_of_type(model: mujoco.MjModel, said: str) -> str:
+    """Find the first element of a type that a message of MuJoCo's names.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    said : str
+        The message, with the name of an enum's entry such as "mjGEOM_SDF".
+
+    Returns
+    -------
+    str
+        As in "geom 'ball'"; "the model" where no element is of such a type.
+    """
+    for field, types, kind in TYPES:
+        for i, value in enumerate(getattr(model, field)):
+            if types(int(value)).name in said:
+                return f"{kind} {element_name(model, kind, i)!r}"
+    return "the model"
+
+
 def joint_names(model: mujoco.MjModel) -> list[str]:
     """Name all joints, each differently, in the model's order.
 

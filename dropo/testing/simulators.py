@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.contracts.simulator import STEP, Simulator
+from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, is_tensor, plain
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import Incompatible
@@ -237,12 +237,13 @@ def _check_jacobian(
         f"{name}.jacobian and linearize differ"
     )
     # not the step of the base class, so that agreement means something
-    step = 3 * STEP * width
+    step = 3 * simulator.least_step * width
     ahead = simulator.predict(centre + np.diag(step), segments)
     behind = simulator.predict(centre - np.diag(step), segments)
-    quotients = (ahead - behind) / (6 * STEP * width)[:, None, None]
+    quotients = (ahead - behind) / (2 * step)[:, None, None]
     differences = np.moveaxis(quotients, 0, -1)  # (R, p, d)
-    rounding = 1e-8 * np.abs(prediction).max(axis=0)[:, None] / width
+    relative = max(1e-8, 10 * simulator.least_step**2)  # of quotients over the least step
+    rounding = relative * np.abs(prediction).max(axis=0)[:, None] / width
     tolerance = rtol * np.abs(differences).max(axis=0) + rounding
     wrong = np.abs(sensitivities - differences) > tolerance
     if wrong.any():

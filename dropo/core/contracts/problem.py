@@ -14,6 +14,8 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.task import Task
 from dropo.core.records.trajectories import Reset, Segments, Trajectories
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, check_shape, known, require
 
 
@@ -166,8 +168,9 @@ class Problem:
         transitions: int | None = None,
         horizon: int | None = None,
         executor: Executor | None = None,
+        simulator: str | None = None,
     ) -> "Problem":
-        """Make the same problem with fewer data, another horizon, or parallel simulations.
+        """Make the same problem with fewer data, another horizon, or other simulations.
 
         Parameters
         ----------
@@ -177,6 +180,8 @@ class Problem:
             The horizon of a segment [control steps].
         executor : concurrent.futures.Executor, optional
             Any executor, on whose workers simulations run; the results are the same, bit for bit.
+        simulator : str, optional
+            The name of a simulator that takes over the problem's own model: "warp".
 
         Returns
         -------
@@ -186,23 +191,33 @@ class Problem:
         ------
         BadArgument
             If there are no transitions, or the horizon is longer than the trajectories.
+        UnknownName
+            If there is no such simulator.
         Incompatible
-            If there is an executor and the simulator gives gradients.
+            If there is an executor and the simulator gives gradients, or the simulator that is
+            named takes over no other's model, or cannot hold this one.
         """
         trajectories = self.trajectories
         if transitions is not None:
             everything = self.trajectories if self.everything is None else self.everything
             trajectories = everything.head(transitions)
-        simulator = self.simulator
+        simulating = self.simulator
+        if simulator is not None:
+            kind = find("simulators", simulator)
+            if not getattr(kind, "takes_over", False):
+                raise Incompatible(
+                    f"The simulator {simulator!r} takes over no other's model. 'warp' does."
+                )
+            simulating = kind(simulating)
         if executor is not None:
-            simulator = ParallelSimulator(simulator, executor)
+            simulating = ParallelSimulator(simulating, executor)
         chosen = self.horizon if horizon is None else horizon
         # Those of the runs that are left, then those held out.
         names = self.run_names[: len(trajectories.spans)]
         names += self.run_names[len(self.trajectories.spans) :]
         return replace(
             self,
-            simulator=simulator,
+            simulator=simulating,
             trajectories=trajectories,
             horizon=chosen,
             run_names=names,

@@ -101,6 +101,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
     },
     "simulators": {
         "mujoco": "dropo.simulators.mujoco.simulator:MujocoSimulator",
+        "warp": "dropo.simulators.warp.simulator:WarpSimulator",
         "gymnasium": "dropo.simulators.gymnasium:GymnasiumSimulator",
         "function": "dropo.simulators.function:FunctionSimulator",
         "env": "dropo.simulators.function:EnvSimulator",

@@ -50,7 +50,8 @@ class TrustRegionSettings:
         Outer iterations at most.
     first_width, minimum_width : float
         The first and largest width of a region, and the least one, as fractions of the search
-        interval.
+        interval. The least one is as large as a simulator of single precision asks for
+        (`Simulator.least_step`).
     coarse_segments, coarse_segments_per_parameter : int
         The first iterations see so many segments, or so many for each parameter if that is more.
     coarse_iterations : int
@@ -187,6 +188,8 @@ class OuterIterations:
     def __post_init__(self) -> None:
         self.prior = MeanPrior(self.problem.priors, self.problem.space)
         self.box = self.problem.space.high - self.problem.space.low
+        least = max(self.settings.minimum_width, self.problem.simulator.least_step)
+        self.minimum_width = least * self.box
         # One seed for all designs: with a new one each time, iterations would never settle.
         self.design_seed = int(self.rng.spawn(1)[0].integers(2**63))
         self._last_built: tuple[TrustRegion, LocalLogLikelihood] | None = None
@@ -337,8 +340,7 @@ class OuterIterations:
         # The largest of all that asks for width ...
         spread = np.maximum(scale, self.family.sd(phi))
         followed = settings.followed_move * np.abs(mean - result.region.centre)
-        minimum_width = settings.minimum_width * self.box
-        wanted = np.maximum.reduce([spread, followed, result.errors, minimum_width])
+        wanted = np.maximum.reduce([spread, followed, result.errors, self.minimum_width])
         # ... as far as a width may change in one iteration.
         before = result.region.width
         smallest = before / settings.maximum_shrink
@@ -355,7 +357,7 @@ class OuterIterations:
             [
                 settings.settled_sd * sd,
                 settings.settled_error * result.errors,
-                settings.settled_minimum * settings.minimum_width * self.box,
+                settings.settled_minimum * self.minimum_width,
             ]
         )
         move = np.abs(following.centre - result.region.centre)
