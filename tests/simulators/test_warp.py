@@ -1,0 +1,176 @@
+"""MuJoCo Warp on the CPU against MuJoCo; skipped where the package is not installed."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from dropo.core.contracts.noise import Noise
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services import optional_dependencies
+from dropo.core.services.errors import Incompatible, MissingPackage
+from dropo.core.services.registry import find
+from dropo.families.truncated_gaussian import TruncatedGaussian
+from dropo.likelihoods.linear import Linear
+from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.loading import load
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.simulators.toy import SlidingBlock
+from dropo.simulators.warp.simulator import WarpSimulator
+from dropo.testing import check_simulator
+
+NEEDED = ("warp", "mujoco_warp")
+BALL = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 .1"/>
+    <body name="ball" pos="0 0 .3">
+      <joint name="up" type="slide" axis="0 0 1"/>
+      <geom name="ball" size=".1" mass="1"/>
+      {more}
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="up"/></actuator>
+</mujoco>
+"""
+MASS = FieldParameter("mass", 0.5, 2.0, field="body_mass", element="ball")
+
+
+@pytest.fixture(scope="module")
+def warp():
+    """The package, without which a test is skipped."""
+    return [pytest.importorskip(name) for name in NEEDED]
+
+
+@pytest.fixture(scope="module")
+def hopper():
+    """The noisy hopper, on one thread."""
+    return load("hopper-noisy", threads=1)
+
+
+def ball(more="", parameters=()):
+    """A ball above a floor, with its data: falling, and thrown."""
+    model = mujoco.MjSpec.from_string(BALL.format(more=more))
+    simulator = MujocoSimulator(model, parameters, frame_skip=5, threads=1)
+    states = np.array([[0.0, 0.0], [-0.25, -1.0], [0.2, 2.0]])
+    ends = np.array([True, True, True])
+    return simulator, Trajectories(states, np.array([[0.0], [5.0], [-2.0]]), states, ends)
+
+
+def test_keeps_the_contract(warp, hopper):
+    """Whole predictions, in parts, by groups, of every step, chained, from ends: all the same."""
+    data = hopper.trajectories.rows(np.r_[0:4, 600:604])
+    simulator = WarpSimulator(hopper.simulator)
+    values = hopper.space.from_unit(np.random.default_rng(0).uniform(0.2, 0.8, (3, 4)))
+    check_simulator(simulator, data.segments(2), values=values, rtol=0.05)
+    columns = np.arange(11) < 5
+    partial = data.segments(2, reset="partial", set_columns=columns)
+    expected = hopper.simulator.predict(values, partial)
+    np.testing.assert_allclose(simulator.predict(values, partial), expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("name", ["hopper-noisy", "half-cheetah"])
+def test_log_likelihood_is_the_cpus(warp, name):
+    """Within 0.01 nat a transition of MuJoCo's, at a noise of variance 1e-6; a model of a tenth of
+    a percent more mass is further off.
+    """
+    problem = load(name, threads=1)
+    truth = problem.space.vector(problem.truth)
+    chosen = problem.segments.take(problem.segments.thin(40))
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(chosen.targets.shape)
+    measured = problem.simulator.predict(truth[None], chosen)[0] + noise
+    ends = np.ones(len(chosen), dtype=bool)
+    segments = Trajectories(chosen.starts, chosen.actions[:, 0], measured, ends).segments()
+    family = TruncatedGaussian(problem.space)
+    width = 0.01 * (problem.space.high - problem.space.low)
+
+    def value(simulator, mean):
+        rng = np.random.default_rng(0)
+        local = Linear().linearize_at(simulator, segments, family, Noise(1e-6), mean, width, rng)
+        point = family.phi(mean, 0.05 * width)
+        return local(np.clip(point, local.unknowns.low, local.unknowns.high)) / len(segments)
+
+    on_cpu = value(problem.simulator, truth)
+    assert abs(value(WarpSimulator(problem.simulator), truth) - on_cpu) < 0.01
+    assert abs(value(problem.simulator, 1.001 * truth) - on_cpu) > 0.01
+
+
+def test_parameters_are_those_of_the_model(warp):
+    """Numbers of the model and its options, with what follows from them, in every world its own."""
+    gravity = FieldParameter("gravity", -20.0, -1.0, field="gravity", index=2)
+    stiff = FieldParameter("stiff", 0.01, 0.05, field="geom_solref", element="ball", index=0)
+    gear = FieldParameter("gear", 0.5, 2.0, field="actuator_gear", element="push", index=0)
+    simulator, data = ball(parameters=[MASS, gravity, stiff, gear])
+    values = simulator.space.from_unit(np.random.default_rng(0).uniform(size=(6, 4)))
+    expected = simulator.predict(values, data.segments())
+    found = WarpSimulator(simulator).predict(values, data.segments())
+    assert np.ptp(expected, axis=0).max() > 0.1
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=2e-5)
+
+
+def test_memory_that_ends_halves_the_batch(warp, monkeypatch):
+    """It says so, and predicts the same bit for bit."""
+    simulator, data = ball(parameters=[MASS])
+    values = np.linspace(0.6, 1.8, 5)[:, None]
+    expected = WarpSimulator(simulator).predict(values, data.segments())
+    make_data = warp[1].make_data
+
+    def with_room_for_four(model, nworld, **more):
+        if nworld > 4:
+            raise RuntimeError("Failed to allocate 1000 bytes on device 'cuda:0'")
+        return make_data(model, nworld=nworld, **more)
+
+    monkeypatch.setattr(warp[1], "make_data", with_room_for_four)
+    small = WarpSimulator(simulator)
+    with pytest.warns(RuntimeWarning, match="no memory for") as said:
+        found = small.predict(values, data.segments())
+    assert str(said[0].message) == "cpu has no memory for 15 worlds: going on with 8."
+    assert small.worlds == 4
+    assert np.array_equal(found, expected)
+    with_less = WarpSimulator(simulator, worlds=3)
+    assert np.array_equal(with_less.predict(values, data.segments()), expected)
+
+
+def test_a_fit_is_that_of_the_cpu(warp, hopper):
+    """Means within half a standard error of those by MuJoCo, on the same data."""
+    problem = hopper.using(transitions=60)
+    estimator = find("methods", "dropo")(likelihood="linear", start=problem.truth)
+    on_cpu = estimator.fit(problem, rng=0)
+    fit = estimator.fit(problem.using(simulator="warp"), rng=0)
+    assert (np.abs(fit.mean - on_cpu.mean) < 0.5 * on_cpu.mean_se).all()
+
+
+def test_what_it_cannot_hold_is_refused(warp, hopper):
+    """A sentence that names the effect, the parameter, the element, the device or the simulator."""
+    simulator, _ = ball(parameters=[MASS])
+    friction = next(iter(find("effects", "joint_friction")(simulator.effect_context)))
+    with pytest.raises(Incompatible, match=r"joint_friction.* Use the simulator 'mujoco'"):
+        WarpSimulator(simulator.with_effects([friction]))
+    shared = FieldParameter("ratio", 1.0, 10.0, field="impratio")
+    with pytest.raises(Incompatible, match=r"'ratio': in Warp all worlds share one 'opt.impratio'"):
+        WarpSimulator(ball(parameters=[shared])[0])
+    with pytest.raises(Incompatible, match="finds no device 'cuda:9'"):
+        WarpSimulator(simulator, device="cuda:9")
+    with pytest.raises(Incompatible, match="SlidingBlock has none"):
+        WarpSimulator(SlidingBlock())
+    with pytest.raises(Incompatible, match="'gymnasium' takes over no other's model"):
+        hopper.using(simulator="gymnasium")
+
+
+def test_an_element_that_it_cannot_hold_is_named(warp, monkeypatch):
+    """By kind and name."""
+    simulator, _ = ball(more='<geom name="egg" type="ellipsoid" size=".1 .1 .2" mass="1"/>')
+    message = "['mjGEOM_ELLIPSOID'] not supported."
+
+    def refuse(model, batch_sizes):
+        raise NotImplementedError(message)
+
+    monkeypatch.setattr(warp[1], "put_model", refuse)
+    with pytest.raises(Incompatible, match="Warp cannot hold geom 'egg'"):
+        WarpSimulator(simulator)
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    """With how to install it."""
+    monkeypatch.setattr(optional_dependencies, "find_spec", lambda name: None)
+    with pytest.raises(MissingPackage, match=r"pip install 'dropo\[warp\]'"):
+        WarpSimulator(ball(parameters=[MASS])[0])
