@@ -1,7 +1,8 @@
 """What the main job, `dropo fit hopper`, spends its processor time on.
 
-`python benchmarks/shares.py` prints imports, bare simulation (inside of MuJoCo's `rollout`) and the
-rest, of one thread, and the most memory that the process held.
+`python benchmarks/shares.py` prints imports, bare simulation (inside of MuJoCo's `rollout`, and of
+its `batch`, which makes the built-in data) and the rest, of one thread, and the most memory that
+the process held.
 """
 
 import json
@@ -11,17 +12,19 @@ from typing import Any
 
 RUN = """
 import contextlib, io, json, resource, sys, time
-import mujoco.rollout
-bare = mujoco.rollout.rollout
+import mujoco.batch, mujoco.rollout
 spent = 0.0
-def timed(*given, **named):
-    global spent
-    before = time.process_time()
-    try:
-        return bare(*given, **named)
-    finally:
-        spent += time.process_time() - before
-mujoco.rollout.rollout = timed
+def timed(bare):
+    def run(*given, **named):
+        global spent
+        before = time.process_time()
+        try:
+            return bare(*given, **named)
+        finally:
+            spent += time.process_time() - before
+    return run
+mujoco.rollout.rollout = timed(mujoco.rollout.rollout)
+mujoco.batch.Batch.step = timed(mujoco.batch.Batch.step)
 from dropo.cli.main import main
 output = io.StringIO()
 with contextlib.redirect_stdout(output):

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
+from dropo.core.numerics.tails import normal_of_tail
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -170,7 +170,7 @@ def starts_are_noisy(
     spans = [span for span in settings.spans if longest >= settings.shortest * span]
     # Each signal and all together, over every span, in both ways.
     tests = 2 * len(spans) * (residual.shape[1] + 1)
-    limit = float(stats.norm.isf(settings.level / tests))
+    limit = float(normal_of_tail(settings.level / tests))
     found = [test for span in spans for test in _variance_ratios(residual, problem, span, settings)]
     if _is_low(found, limit, settings):
         return True
