@@ -2,6 +2,7 @@ from . import plots as plots
 from ._version import __version__ as __version__
 from .core.contracts.fit_by_name import fit as fit
 from .core.contracts.problem import Problem as Problem
+from .core.numerics.kept_rows import MemorySettings as MemorySettings
 from .core.records.fit import Fit as Fit
 from .core.records.fit import Status as Status
 from .core.records.parameters import Parameter as Parameter
@@ -63,6 +64,7 @@ from .simulators.function import (
 )
 from .simulators.gymnasium import GymnasiumSimulator as GymnasiumSimulator
 from .simulators.mujoco.simulator import MujocoSimulator as MujocoSimulator
+from .simulators.warp.simulator import WarpSimulator as WarpSimulator
 from .studies.comparison.compare import compare as compare
 from .training.ars import ARS as ARS
 from .training.environments import randomize as randomize
@@ -92,6 +94,7 @@ __all__ = [
     "GymnasiumSimulator",
     "InvalidInput",
     "LeastSquares",
+    "MemorySettings",
     "MujocoSimulator",
     "Parameter",
     "ParameterSpace",
@@ -104,6 +107,7 @@ __all__ = [
     "Status",
     "Task",
     "Trajectories",
+    "WarpSimulator",
     "UniformRandomization",
     "bootstrap",
     "check",

@@ -73,7 +73,7 @@ class ModelCheckSettings:
     faint: float = 1e-2
     lost: float = 0.25
     smooth: float = 0.5
-    rows: int = 100_000
+    rows: int = 30_000
     stretches: int = 1000
     regression: ResidualTestSettings = field(default_factory=ResidualTestSettings)
 

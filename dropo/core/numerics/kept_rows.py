@@ -5,6 +5,7 @@ No result depends on a limit or on the size of a block.
 
 import shutil
 import tempfile
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -107,7 +108,9 @@ class FileRows:
                 " there. Name another folder, or allow more memory:"
                 " DROPO(memory=MemorySettings(limit=..., folder=...))."
             )
-        self._file: Any = tempfile.TemporaryFile(buffering=0, dir=folder)  # noqa: SIM115 - lives with the object
+        file: Any = tempfile.TemporaryFile(buffering=0, dir=folder)  # noqa: SIM115 - see below
+        self._file = file
+        weakref.finalize(self, file.close)
 
     def __len__(self) -> int:
         return self.shape[0]

@@ -63,6 +63,10 @@ class TrustRegionSettings:
         As above.
     sample_iterations : int
         Iterations on the sample, at most.
+    sample_margin, sample_reach : float
+        The first region of all segments is so many times as wide as the sample asks for, since its
+        estimate is off by what rows differ. The first maximum on all is taken if it is within so
+        many widths of the centre.
     followed_move : float
         A region is at least as wide as this fraction of the last move of the mean.
     maximum_shrink, maximum_growth : float
@@ -92,6 +96,8 @@ class TrustRegionSettings:
     sample_segments: int = 10_000
     sample_factor: float = 4.0
     sample_iterations: int = 6
+    sample_margin: float = 1.5
+    sample_reach: float = 1.8
     followed_move: float = 0.7
     maximum_shrink: float = 20.0
     maximum_growth: float = 4.0
@@ -255,7 +261,7 @@ class OuterIterations:
             following = self._next_region(result)
             settled = self._is_settled(result, following)
             if result.region.whole and len(results) > 1 and results[-2].region.sampled:
-                settled = settled or self._stays_inside(result, following)
+                settled = settled or self._stays_inside(result)
             if settled and result.region.whole:
                 return Status.CONVERGED, SETTLED.format(count)
             stalled = self._is_stalled(results)
@@ -269,10 +275,7 @@ class OuterIterations:
     def _with_more(
         self, region: TrustRegion, results: list[IterationResult], settled: bool
     ) -> TrustRegion:
-        """The region with as many segments as the estimate needs: some, a sample of them, or all.
-
-        A sample's estimate is off by what rows differ, which the widths of the region hold.
-        """
+        """The region with as many segments as the estimate needs: some, a sample, or all."""
         settings = self.settings
         count = len(results)
         if region.coarse:
@@ -281,18 +284,19 @@ class OuterIterations:
             many = len(self.problem.segments) >= settings.sample_factor * settings.sample_segments
             return replace(region, coarse=False, sampled=many)
         sampled = sum(result.region.sampled for result in results)
-        more = not settled and sampled < settings.sample_iterations
-        return replace(region, sampled=region.sampled and more)
+        if not region.sampled or (not settled and sampled < settings.sample_iterations):
+            return region
+        width = np.minimum(settings.sample_margin * region.width, settings.first_width * self.box)
+        return replace(region, width=width, sampled=False)
 
-    def _stays_inside(self, result: IterationResult, following: TrustRegion) -> bool:
-        """Whether a first maximum on all segments is where the model of a settled sample holds.
-
-        It moves by the sample's error, and its own error is smaller: the region need not follow.
-        """
-        region = result.region
-        inside = np.abs(following.centre - region.centre) < region.width
-        limit = (1 + self.settings.settled_width) * region.width
-        return bool(np.all(inside) and np.all(following.width <= limit))
+    def _stays_inside(self, result: IterationResult) -> bool:
+        """Whether a first maximum on all segments is where the model of a settled sample holds."""
+        width = result.region.width
+        phi = self._of_family(result.phi)
+        move = np.abs(self.family.mean(phi) - result.region.centre)
+        needed = np.maximum(self.family.sd(phi), result.errors)
+        inside = move < self.settings.sample_reach * width
+        return bool(np.all(inside & (needed < (1 + self.settings.settled_width) * width)))
 
     def _iteration(self, region: TrustRegion, last_maximum: Array | None) -> IterationResult:
         """One iteration, or its record in the evaluation log, from the last maximum (m,).
