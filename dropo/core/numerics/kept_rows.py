@@ -152,7 +152,7 @@ class FileRows:
         """Read or write whole rows from the first one on; a call may move a part of them alone."""
         if not rows.size:
             return
-        left = memoryview(rows).cast("B")
+        left = rows.data.cast("B")
         self._file.seek(first * self._row_bytes)
         while len(left):
             moved = transfer(left)
