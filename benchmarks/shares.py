@@ -6,6 +6,7 @@ the process held.
 """
 
 import json
+import resource
 import subprocess
 import sys
 from typing import Any
@@ -65,6 +66,19 @@ def fit(arguments: list[str]) -> dict[str, Any]:
     return found
 
 
+def starting(arguments: list[str]) -> float:
+    """Seconds of processor time of Python with these arguments, beside Python's own."""
+
+    def spent(given: list[str]) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, *given], check=True, stdout=subprocess.DEVNULL)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    spent(arguments)  # compiles what is not yet compiled
+    return spent(arguments) - spent(["-c", "pass"])
+
+
 def report(arguments: list[str]) -> str:
     """The shares of a fit as a table."""
     found = fit(arguments)
@@ -78,6 +92,9 @@ def report(arguments: list[str]) -> str:
     for part in ("imports", "simulation", "rest", "total"):
         share = found[part] / found["total"]
         lines.append(f"| {part} | {found[part]:.2f} | {100 * share:.0f}% |")
+    imported = starting(["-c", "import dropo"])
+    helped = starting(["-m", "dropo", "--help"])
+    lines += ["", f"`import dropo` takes {imported:.2f} s, `dropo --help` {helped:.2f} s."]
     return "\n".join(lines)
 
 

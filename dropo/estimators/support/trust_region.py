@@ -281,7 +281,9 @@ class OuterIterations:
         if region.coarse:
             if not settled and count < settings.coarse_iterations:
                 return region
-            many = len(self.problem.segments) >= settings.sample_factor * settings.sample_segments
+            every = self.problem.segments
+            sample = len(every.thin(settings.sample_segments))  # all where they form chains
+            many = len(every) >= settings.sample_factor * sample
             return replace(region, coarse=False, sampled=many)
         sampled = sum(result.region.sampled for result in results)
         if not region.sampled or (not settled and sampled < settings.sample_iterations):
