@@ -120,7 +120,7 @@ class RandomEffects(LocalLikelihood):
         emulator = build(simulator, segments, centre, width, orders, rng)
         columns = [np.broadcast_to(np.eye(len(noise.shape)), emulator.residual.shape)]
         if noise.noise.start:
-            columns.append(along_starts(simulator, segments, centre, noise).slope)
+            columns.append(along_starts(simulator, segments, centre, noise).slope[:])
         return _RandomEffects(
             emulator,
             simulator,

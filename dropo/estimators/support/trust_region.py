@@ -351,7 +351,7 @@ class OuterIterations:
         before = result.region.width
         smallest = before / settings.maximum_shrink
         largest = np.minimum(settings.maximum_growth * before, settings.first_width * self.box)
-        width = np.maximum(np.clip(wanted, smallest, largest), minimum_width)
+        width = np.maximum(np.clip(wanted, smallest, largest), self.minimum_width)
         return replace(result.region, centre=mean, width=width)
 
     def _is_settled(self, result: IterationResult, following: TrustRegion) -> bool:
