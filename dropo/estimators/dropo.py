@@ -37,7 +37,13 @@ from dropo.estimators.support.family_of_groups import family_warnings
 from dropo.estimators.support.far_groups import with_models_of_their_own
 from dropo.estimators.support.filtered_starts import fit_from_filtered_starts
 from dropo.estimators.support.final_step import corrected_by_simulation
-from dropo.estimators.support.sobol_start import best_sobol_point
+from dropo.estimators.support.first_mean.global_search import (
+    GlobalStart,
+    best_start,
+    is_wide,
+    may_have_several,
+)
+from dropo.estimators.support.first_mean.search import search_from
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
 from dropo.estimators.support.whole_runs import (
@@ -240,19 +246,31 @@ class DROPO(Estimator):
         family = within_prior(find("families", self.family)(problem.space), prior)
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)
+        unmeasured = self._may_follow_runs(problem) and lacks_states(problem)
+
+        # In a wide box, or where a motion may repeat, begin near the best of several optima.
+        elsewhere: GlobalStart | None = None
+        has_own_search = not isinstance(likelihood, LocalLikelihood | RunLikelihood)
+        one_maximum = not (is_wide(problem.space) or may_have_several(problem))
+        if not (has_own_search or one_maximum or unmeasured):
+            elsewhere = best_start(problem, run, mean)
+            mean = elsewhere.value
+            problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
         mean = np.clip(mean, prior.within.low, prior.within.high)
 
         # Whole runs, where they are asked for, or where part of the state was not measured.
         if isinstance(likelihood, RunLikelihood):
             return self._fit_runs(problem, run, family, likelihood, noise, mean, reason="")
-        if self._may_follow_runs(problem) and lacks_states(problem):
+        if unmeasured:
             fit, problem = self._try_runs(problem, run, family, noise, mean, NOT_MEASURED)
             if fit is not None:
                 return fit
 
         # Else segments.
         if isinstance(likelihood, LocalLikelihood):
-            return self._fit_locally(problem, run, family, likelihood, noise, mean, likelihood_rng)
+            return self._fit_locally(
+                problem, run, family, likelihood, noise, mean, likelihood_rng, elsewhere
+            )
         if self.starts == "filtered":
             raise Incompatible(
                 f"{self._likelihood_name!r} takes no filtered starts. Use 'emulated', 'linear' or"
@@ -298,6 +316,7 @@ class DROPO(Estimator):
         noise: Noise,
         mean: Array,
         rng: np.random.Generator,
+        elsewhere: GlobalStart | None,
     ) -> Fit:
         """The fit by a local likelihood, which is built again wherever its maximum is found."""
         make_optimizer = None
@@ -312,12 +331,9 @@ class DROPO(Estimator):
             )
             return iterations.fit(mean, width)
 
-        # Search from the first mean, or, where simulations around it diverge (most of the box may
-        # explode), from the point of the box that follows the measurements best.
-        try:
-            objective, found = search(problem, noise, mean)
-        except SimulationFailed:
-            objective, found = search(problem, noise, best_sobol_point(problem, run))
+        searched = search_from(problem, run, family, noise, mean, elsewhere, search)
+        problem, noise = searched.problem, searched.noise
+        objective, found = searched.objective, searched.found
 
         # Where its residuals say that starts are noisy, go on with starts that are found.
         if self._may_follow_runs(problem) and found.status is not Status.INTERRUPTED:
@@ -447,8 +463,8 @@ class DROPO(Estimator):
         try:
             run_fit = likelihood.fit_runs(problem, run, family, noise, mean)
         except SimulationFailed:
-            start = best_sobol_point(problem, run)
-            run_fit = likelihood.fit_runs(problem, run, family, noise, start)
+            start = best_start(problem, run, mean)
+            run_fit = likelihood.fit_runs(problem, run, family, noise, start.best)
 
         # The fit, of the rows that start from the states that were found.
         found = replace(run_fit.found, reason=f"{run_fit.found.reason} {reason}".strip())

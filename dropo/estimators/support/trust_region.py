@@ -35,6 +35,7 @@ CUT_SHORT = (
 )
 STALLED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
 INTERRUPTED = "Interrupted: this is the best so far."
+DIVERGED = "Simulations of a design diverged."
 
 MakeOptimizer = Callable[[int, Array], Optimizer]
 """From the number of unknowns and a start (m,) in the unit box to the inner optimizer."""
@@ -304,11 +305,18 @@ class OuterIterations:
         """One iteration, or its record in the evaluation log, from the last maximum (m,).
 
         A record (2 d + 2 + m,) holds the width that was used (d,), the errors (d,), the value,
-        whether the search converged (0 or 1), and phi (m,).
+        whether the search converged (0 or 1), and phi (m,). A design that diverges is one NaN, so
+        that a resumed run goes the same way.
         """
+        failed = SimulationFailed(DIVERGED)
 
         def evaluate(_: Array) -> Array:
-            used_region, local = self._build(region)
+            nonlocal failed
+            try:
+                used_region, local = self._build(region)
+            except SimulationFailed as error:
+                failed = error
+                return np.full((1, 1), np.nan)
             start = self._search_start(local, used_region, last_maximum)
             phi, converged = self._maximize(local, start)
             errors = self._standard_errors(local, phi)
@@ -319,6 +327,8 @@ class OuterIterations:
         # The evaluation log knows an iteration by its region.
         point = np.concatenate([region.centre, region.width])[None]
         record = self.run.evaluate(point, evaluate)[0]
+        if len(record) == 1:
+            raise failed
         # Cut the record into its parts; only the width may differ from the region's, as `_build`
         # narrows it where simulations diverge.
         d = len(self.box)
