@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from dropo.data.outliers.disturbances import Span
 
 NAMED = {"likelihood": "likelihoods", "optimizer": "optimizers", "family": "families"}
-OTHERS = ("epsilon", "start_noise", "degrees", "budget", "draws", "redraw", "start", "starts")
+OTHERS = (
+    *("epsilon", "noise", "start_noise", "degrees", "budget", "draws", "redraw"),
+    *("start", "starts"),
+)
 SETTINGS = (*NAMED, *OTHERS)
 """Options that are settings of the method; those of them that were given are handed to it."""
 AUTO = "auto"
@@ -52,6 +55,11 @@ def add(commands: Any) -> None:
         parser.add_argument(f"--{name}", metavar="NAME", help=f"see `dropo list {kind}`")
     parser.add_argument(
         "--epsilon", type=_epsilon, metavar="X|tune|learn", help="variance of the measurement noise"
+    )
+    parser.add_argument(
+        "--noise",
+        choices=("auto", "gaussian"),
+        help="what learned noise may be; auto: long tails and outliers are noticed",
     )
     parser.add_argument(
         "--start-noise",

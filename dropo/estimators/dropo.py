@@ -32,7 +32,7 @@ from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 from dropo.estimators.least_squares import estimate
-from dropo.estimators.support.epsilon import noise_scale, noise_shape, tune
+from dropo.estimators.support.epsilon import TAILS, noise_scale, noise_shape, tail_degrees, tune
 from dropo.estimators.support.family_of_groups import family_warnings
 from dropo.estimators.support.far_groups import with_models_of_their_own
 from dropo.estimators.support.filtered_starts import fit_from_filtered_starts
@@ -57,6 +57,7 @@ from dropo.estimators.support.whole_runs import (
 from dropo.evaluation.emulator_check import check_emulator, parameters_without_spread
 from dropo.evaluation.held_out import held_out_errors
 
+LONG_TAILS = "The noise has long tails: a Student t of {:.3g} degrees of freedom."
 SWEEP = tuple(10.0**k for k in range(-8, -1))
 """Noise variances of figure 6.4: 1e-8, 1e-7, ..., 1e-2 [signal unit^2]."""
 
@@ -110,6 +111,10 @@ class DROPO(Estimator):
     memory : MemorySettings
         How much memory a fit by a local likelihood may take, however many transitions there are;
         what is more is kept in temporary files. A likelihood that is given keeps to its own.
+    noise : {"auto", "gaussian"}
+        What learned noise may be where neither this nor the problem gives degrees. "auto": a
+        Student t where the residuals of a Gaussian fit have longer tails (outliers among them), and
+        with a memory in whole runs. "gaussian": nothing else, but in whole runs.
 
     Notes
     -----
@@ -137,6 +142,7 @@ class DROPO(Estimator):
     starts: Literal["measured", "filtered"] = "measured"
     degrees: float | None = None
     memory: MemorySettings = MEMORY
+    noise: Literal["auto", "gaussian"] = "auto"
     name = "dropo"
     uses_priors = True
 
@@ -144,6 +150,7 @@ class DROPO(Estimator):
         start = checked_start(self.start, ("least-squares", "middle", "random"))
         object.__setattr__(self, "start", start)
         known("starts", self.starts, ("measured", "filtered"))
+        known("noise", self.noise, ("auto", "gaussian"))
         if isinstance(self.epsilon, str):
             known("epsilon", self.epsilon, ("learn", "tune"))
         require(self.budget >= 1, "budget", "at least 1", self.budget, "DROPO")
@@ -343,6 +350,15 @@ class DROPO(Estimator):
                 if fit is not None:
                     return fit
 
+        # Where residuals have long tails, so has the noise.
+        degrees = self._tails(problem, noise, family, objective, found)
+        if degrees is not None:
+            noise = replace(noise, degrees=degrees)
+            found_mean = family.mean(found.point[: len(family.unknowns)])
+            objective, found = search(problem, noise, found_mean)
+            reason = f"{found.reason} {LONG_TAILS.format(degrees)}"
+            found = replace(found, reason=reason)
+
         # Filter the start states at the estimate, and fit from there.
         start_filter: StartFilter | None = None
         if self.starts == "filtered":
@@ -402,6 +418,24 @@ class DROPO(Estimator):
             return made
 
         return make
+
+    def _tails(
+        self,
+        problem: Problem,
+        noise: Noise,
+        family: Family,
+        objective: LocalLogLikelihood,
+        found: SearchResult,
+    ) -> float | None:
+        """The degrees of freedom that the residuals of a Gaussian fit ask for, if they may."""
+        moments = getattr(objective, "moments", None)
+        learned = self.noise == AUTOMATIC and noise.learned == "each" and noise.degrees is None
+        if not learned or moments is None or found.status is Status.INTERRUPTED:
+            return None
+        mean, covariance = moments(found.point)
+        factors = found.point[len(family.unknowns) :]
+        targets = problem.simulator.targets(problem.segments)
+        return tail_degrees(targets - mean, covariance, factors > TAILS.rounding)
 
     # --- the fit of whole runs
 

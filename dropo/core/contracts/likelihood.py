@@ -224,6 +224,21 @@ class LocalLogLikelihood(LogLikelihood):
         """
         return self.predict(values)[:, rows]
 
+    def curvature_factor(self, phi: Array) -> float:
+        """Return how much the residuals bend the likelihood in the means, over its information.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+
+        Returns
+        -------
+        float
+            1 of Gaussian rows, whatever their residuals are.
+        """
+        return 1.0
+
     def anchored(self, value: Array, predictions: Array) -> "LocalLogLikelihood":
         """Make the same likelihood with a local model that is right at one parameter vector.
 

@@ -213,6 +213,7 @@ def local_standard_errors(
     means = mean_places(objective, family.space)
     curvature = _curvature(prior, family.mean(phi[:own]), means, len(phi))
     of_free = None if curvature is None else curvature[free]
+    information[np.ix_(means, means)] *= objective.curvature_factor(phi)
     own_information = information[np.ix_(free, free)]
     if not free.all():
         scores = scores[:, free]

@@ -402,6 +402,21 @@ class GaussianRows(LocalLogLikelihood):
                 information += (gaussian - traces) / (nu + p + 2)
         return float(values.sum()), scores, information
 
+    def curvature_factor(self, phi: Array) -> float:
+        """Return the mean curvature of the rows' log-density in their location, over its
+        expectation: tails are seldom those of a Student t to the letter.
+        """
+        nu = self.noise.noise.degrees
+        if nu is None:
+            return 1.0
+        p = self.targets.shape[1]
+        mean, sigma = self.moments(phi)
+        residual = (self.targets - mean)[:, :, None]
+        distance = (residual.swapaxes(1, 2) @ np.linalg.solve(sigma, residual))[:, 0, 0]
+        weight = (nu + p) / (nu + distance)
+        bent = weight * (1 - 2 / p * distance / (nu + distance))
+        return float(np.mean(bent)) / ((nu + p) / (nu + p + 2))
+
     def _noise_columns(self, epsilon: Array, rows: slice) -> Columns:
         """The slopes of a block's moments in the unknowns of the noise."""
         own = self.noise.slopes()
