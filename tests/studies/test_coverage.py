@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 
-from dropo.core.services.errors import BadArgument
+from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.simulators.toy import SlidingBlock
 from dropo.studies.engine.work import Work
-from dropo.studies.intervals.coverage import (
-    CASES,
+from dropo.studies.intervals.coverage import CASES, MANY, coverage
+from dropo.studies.intervals.data_sets import (
     DRY,
-    MANY,
+    LATE,
+    NOISE,
+    STATES,
     DryBlock,
     autocorrelated,
-    coverage,
     data_set,
+    measured,
 )
 
 
@@ -85,8 +87,32 @@ def test_start_noise_is_that_of_the_step_before():
     assert problem.start_noise
 
 
+@pytest.mark.parametrize("noise", STATES)
+def test_errors_of_sensors_have_one_size(noise):
+    """The variance of NOISE; with outliers 2 % of 400 times as much; rounding to few values."""
+    states = np.random.default_rng(1).normal(0, 1, (20_000, 2))
+    errors = (measured(noise, states, np.random.default_rng(2)) - states) / NOISE
+    expected = {"outliers": np.sqrt(0.98 + 0.02 * 400)}.get(noise, 1.0)
+    spread = errors.std()
+    assert spread == pytest.approx(expected, rel=0.2 if noise == "Student t 3" else 0.05)
+    long = np.mean(np.abs(errors) > 4 * np.median(np.abs(errors)) / 0.6745)
+    assert (long > 5e-3) == (noise in ("Student t 3", "outliers"))
+    assert (np.abs(errors).max() < 1.75) == (noise == "quantised")
+
+
+def test_jitter_is_that_of_the_steps():
+    """Every fifth step or so is a tenth longer or shorter: the block is off by that of its way."""
+    problem, truth = data_set("block", "jitter", *MANY, np.random.default_rng(0))
+    predicted = problem.simulator.predict(truth[None], problem.segments)[0]
+    off = problem.segments.targets - predicted
+    speed = np.abs(problem.segments.starts[:, 1])
+    fast = speed > np.quantile(speed, 0.7)
+    size = np.sqrt(0.2) * LATE * problem.simulator.dt * speed[fast]
+    assert 0.5 < np.std(off[fast, 0]) / np.sqrt(np.mean(size**2) + 2 * NOISE**2) < 1.5
+
+
 def test_refusals():
     with pytest.raises(BadArgument, match="'seeds' of coverage must be at least 2"):
         coverage(Work(), 1)
-    with pytest.raises(BadArgument, match="'noise' of data_set must be one of"):
+    with pytest.raises(UnknownName, match="pink"):
         data_set("block", "pink", *MANY, np.random.default_rng(0))

@@ -1,6 +1,7 @@
 """How often 95 % intervals hold the truth.
 
-Under independent, autocorrelated and start-state noise, and with friction left out of the model.
+Under noise of many kinds, under parameters that differ from run to run, and with friction left out
+of the model.
 """
 
 from collections.abc import Callable
@@ -10,30 +11,30 @@ from typing import Any
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator
-from dropo.core.contracts.problem import Problem
-from dropo.core.records.trajectories import Trajectories
+from dropo.core.records.fit import Fit
 from dropo.core.services.validation import Array, require
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
-from dropo.problems.hopper.data import simulate as simulate_hopper
-from dropo.problems.hopper.model import TRUTH
-from dropo.problems.hopper.problem import hopper_simulator
-from dropo.simulators.toy import SlidingBlock, simulate
+from dropo.estimators.random_effects import RandomEffects
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
+from dropo.studies.intervals.data_sets import CORRELATION, DRY, SPREAD, data_set
 
-RHO = 0.9  # autocorrelation of the autocorrelated noise from one control step to the next
-NOISE = 5e-3  # standard deviation, in each signal's unit
-DRY = 0.3  # [N] the friction that the model leaves out
-BLOCK = np.array([1.5, 0.8])  # [kg], [N s/m]
+EVALUATION = 1119  # in the seeds of the data sets
 FEW = (2, 500)
 """Trajectories, and control steps of each: few long ones."""
 MANY = (25, 40)
 """Trajectories, and control steps of each: many short ones."""
 
+SPREADS = (50, 20)
+"""The same, where each trajectory has parameters of its own."""
+
 METHODS: dict[str, Callable[[], Estimator]] = {
     "least squares": LeastSquares,
     "dropo": lambda: DROPO(likelihood="emulated", family="point", epsilon="learn"),
+    "as it comes": DROPO,
+    "random effects": RandomEffects,
+    "random effects, full": lambda: RandomEffects(family="full"),
 }
 Case = tuple[str, str, str, tuple[int, int]]
 """Robot, noise, method, and the data's size."""
@@ -51,6 +52,14 @@ CASES: tuple[Case, ...] = (
     ("block", "dry friction", "least squares", MANY),
     ("block", "dry friction", "least squares", FEW),
     ("block", "dry friction", "dropo", MANY),
+    ("block", "ends t3", "dropo", MANY),
+    ("block", "ends with outliers", "dropo", MANY),
+    ("block", "Student t 3", "as it comes", MANY),
+    ("block", "outliers", "as it comes", MANY),
+    ("block", "quantised", "as it comes", MANY),
+    ("block", "jitter", "as it comes", MANY),
+    ("block", "spread", "random effects", SPREADS),
+    ("block", "correlated spread", "random effects, full", SPREADS),
 )
 """The cases; "dry friction" is independent noise, and friction that the model does not have."""
 
@@ -119,17 +128,26 @@ def coverage(
         inside = np.array([answer["inside"] for answer in own])
         flagged = float(np.mean([answer["flagged"] for answer in own]))
         each = inside.mean(axis=0)
-        errors = np.sqrt(each * (1 - each) / count)
-        shown = ", ".join(f"{c:.0%} ± {e:.0%}" for c, e in zip(each, errors, strict=True))
+        shown = _listed(each, count)
+        of_spread = np.array([answer["spread"] for answer in own], dtype=float)
+        spread = _listed(of_spread.mean(axis=0), count)
         extent = f"{trajectories} x {steps}"
-        rows.append(
-            (f"{robot}, {noise}", extent, method, shown, f"{inside.mean():.1%}", f"{flagged:.0%}")
-        )
+        whole = f"{inside.mean():.1%}"
+        label = f"{robot}, {noise}"
+        rows.append((label, extent, method, shown, whole, spread, f"{flagged:.0%}"))
         name = f"{robot}, {noise}, {method}, {extent}"
         sentences = {sentence for answer in own for sentence in answer["sentences"]}
-        data[name] = {"coverage": each, "flagged": flagged, "sentences": sorted(sentences)}
+        data[name] = {
+            "coverage": each,
+            "coverage_of_spread": of_spread.mean(axis=0),
+            "flagged": flagged,
+            "sentences": sorted(sentences),
+        }
         if noise != "dry friction" and not low <= inside.mean() <= high:
             remarks.append(f"{name}: {inside.mean():.1%} is not within {low:.0%} to {high:.0%}.")
+        if of_spread.size and not low <= of_spread.mean() <= high:
+            share = f"{of_spread.mean():.1%}"
+            remarks.append(f"{name}, spread: {share} is not within {low:.0%} to {high:.0%}.")
     remarks.append(
         f"With a dry friction of {DRY} N left out the intervals cannot hold; the last "
         "column is how often the fit says so."
@@ -140,6 +158,7 @@ def coverage(
         "method",
         "coverage of each mean",
         "of all",
+        "of each sd, and correlation",
         "said to be wrong",
     )
     return Study(
@@ -162,16 +181,37 @@ def replication(item: list[Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        inside: whether each mean's interval holds the truth; flagged: whether the fit does not
+        inside: whether each mean's interval holds the truth; spread: the same of standard
+        deviations, and of correlations where there are intervals of these, where parameters differ
+        from run to run; flagged: whether the fit does not
         trust its model; sentences: what it says of that.
     """
     robot, noise, method, (count, steps), seed = item
-    problem, truth = data_set(robot, noise, count, steps, np.random.default_rng([seed, count]))
+    # Other data than those at hand while the methods were written.
+    rng = np.random.default_rng([seed, count, EVALUATION])
+    problem, truth = data_set(robot, noise, count, steps, rng)
     fit = METHODS[method]().fit(problem, rng=seed)
     low, high = fit.interval().T
     sentences = [text for text in fit.warnings if text.startswith("the model is wrong")]
     return {
         "inside": ((low <= truth) & (truth <= high)).tolist(),
+        "spread": _spread_held(fit) if "spread" in noise else [],
         "flagged": fit.trusted is False,
         "sentences": sentences,
     }
+
+
+def _listed(shares: Array, count: int) -> str:
+    """Shares with their standard errors."""
+    errors = np.sqrt(shares * (1 - shares) / count)
+    return ", ".join(f"{c:.0%} ± {e:.0%}" for c, e in zip(shares, errors, strict=True))
+
+
+def _spread_held(fit: Fit) -> list[bool]:
+    """Whether the intervals of standard deviations hold the truth, and of the correlation."""
+    low, high = fit.sd_interval().T
+    held = ((low <= SPREAD) & (high >= SPREAD)).tolist()
+    if fit.correlation_se is not None:
+        ends = fit.correlation_interval()[0, 1]
+        held.append(bool(ends[0] <= CORRELATION <= ends[1]))
+    return held

@@ -22,10 +22,17 @@ OUTLIER = 20.0  # standard deviation of an outlier, in those of the noise
 LATE = 0.1  # what a control step is longer or shorter by, where its timing jitters
 JITTER = 0.2  # share of such control steps
 
+SPREAD = np.array([0.2, 0.08])  # [kg], [N s/m], standard deviations from run to run
+CORRELATION = 0.6  # of the two where they are correlated
+
 ENDS = ("independent", "autocorrelated", "dry friction", "ends t3", "ends with outliers")
 """Noise on the next observations alone: starts are exact."""
 STATES = ("start", "Student t 3", "outliers", "quantised", "jitter")
 """Noise on every measured state, which is the end of one step and the start of the next."""
+SPREADS = ("spread", "correlated spread")
+"""Noise of a fifth of the others' on the next observations, and parameters that are drawn anew for
+each trajectory from a Gaussian.
+"""
 
 
 class DryBlock(SlidingBlock):
@@ -103,8 +110,8 @@ def data_set(
     robot : str
         "block" or "hopper".
     noise : str
-        One of `ENDS` or `STATES`; "dry friction" is independent noise, and friction that the model
-        does not have.
+        One of `ENDS`, `STATES` or `SPREADS`; "dry friction" is independent noise, and friction that
+        the model does not have.
     count : int
         Number of trajectories.
     steps : int
@@ -117,19 +124,21 @@ def data_set(
     problem : Problem
         The problem on these data.
     truth : (d,) array
-        True parameters.
+        True parameters; the means of those that differ from run to run.
 
     Raises
     ------
     UnknownName
         If there is no such noise.
     """
-    known("noise", noise, (*ENDS, *STATES))
+    known("noise", noise, (*ENDS, *STATES, *SPREADS))
     model: Any
     if robot == "block":
         model = SlidingBlock()
         truth = BLOCK
         forces = np.repeat(rng.normal(0.0, 3.0, (count, -(-steps // 5), 1)), 5, axis=1)[:, :steps]
+        if noise in SPREADS:
+            return _spread(noise, forces, rng), truth
         clean = _pushed(noise, forces, rng)
     else:
         model = hopper_simulator(threads=1)
@@ -154,6 +163,17 @@ def data_set(
     return Problem(f"{robot}, {noise}", model, data, start_noise=noise == "start"), truth
 
 
+def _spread(noise: str, forces: Array, rng: np.random.Generator) -> Problem:
+    """A block of other parameters in each run, under forces (n, L, 1)."""
+    correlation = CORRELATION if noise == "correlated spread" else 0.0
+    root = np.linalg.cholesky([[1.0, correlation], [correlation, 1.0]])
+    values = BLOCK + SPREAD * (rng.standard_normal((len(forces), 2)) @ root.T)
+    variance = (NOISE / 5) ** 2
+    simulator = SlidingBlock()
+    data = simulate(simulator, values, forces, np.zeros(2), noise_variance=variance, rng=rng)
+    return Problem(f"block, {noise}", simulator, data, epsilon=variance)
+
+
 def _pushed(noise: str, forces: Array, rng: np.random.Generator) -> Trajectories:
     """A block under forces (n, L, 1), without noise."""
     values = np.tile(BLOCK, (len(forces), 1))
@@ -163,9 +183,7 @@ def _pushed(noise: str, forces: Array, rng: np.random.Generator) -> Trajectories
     shares = [JITTER / 2, 1 - JITTER, JITTER / 2]
     factors = 1 + LATE * rng.choice([-1, 0, 1], forces.shape[:2], p=shares)
     jittering = [JitteringBlock(factors[[i]]) for i in range(len(forces))]
-    runs = [
-        simulate(own, values[[i]], forces[[i]], np.zeros(2)) for i, own in enumerate(jittering)
-    ]
+    runs = [simulate(own, values[[i]], forces[[i]], np.zeros(2)) for i, own in enumerate(jittering)]
     return Trajectories(
         np.concatenate([run.observations for run in runs]),
         np.concatenate([run.actions for run in runs]),
