@@ -5,7 +5,7 @@ short ones say: their likelihood has one maximum where that of long ones repeats
 an oscillation.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from dropo.core.numerics.sobol import sobol_points
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array
-from dropo.estimators.support.first_mean.descent import descend
+from dropo.estimators.support.first_mean.descent import DescentSettings, descend
 from dropo.estimators.support.first_mean.misfit import SETTINGS as MISFIT
 from dropo.estimators.support.first_mean.misfit import Misfit
 
@@ -27,9 +27,10 @@ class GlobalSearchSettings:
     Attributes
     ----------
     points : int
-        Points of the box, a power of 2; twice as many from `many` parameters on.
+        Points of the box, a power of 2.
     many : int
-        Parameters.
+        From so many parameters on, there are twice as many points, of which one is searched from,
+        and one further: each search costs more than there.
     segments, steps : int
         Segments that are simulated from each point: so many, or as many short ones as have no more
         steps, up to so many.
@@ -52,6 +53,8 @@ class GlobalSearchSettings:
         So many maxima along a parameter are named.
     stretch : int
         From one length of segments to the next.
+    follow : DescentSettings
+        How an optimum is followed from one length to the next.
     """
 
     points: int = 64
@@ -68,6 +71,11 @@ class GlobalSearchSettings:
     line: int = 64
     repeats: int = 3
     stretch: int = 4
+    follow: DescentSettings = field(default_factory=lambda: DescentSettings(rounds=5))
+
+    def searched(self, d: int) -> tuple[int, int]:
+        """Return from how many points the box of d parameters is searched, and how many further."""
+        return (1, 1) if d >= self.many else (self.searches, self.further)
 
 
 SETTINGS = GlobalSearchSettings()
@@ -164,12 +172,13 @@ def best_start(
     misfit = Misfit(problem, run, _some(problem, settings))
     scan = _scan(len(problem.space), settings)
     order = _apart(scan, misfit.at(scan), settings)
-    first = [misfit.unit_of(mean[None]), scan[order[: settings.searches]]]
+    searches, further = settings.searched(len(problem.space))
+    first = [misfit.unit_of(mean[None]), scan[order[:searches]]]
     if may_have_several(problem):
         first.append(_from_short_segments(problem, run, settings)[None])
     points, values = descend(misfit, np.concatenate(first))
     if _reached(values, settings) < 2:
-        behind = order[settings.searches : settings.searches + settings.further]
+        behind = order[searches : searches + further]
         if len(behind):
             more = descend(misfit, scan[behind])
             points = np.concatenate([points, more[0]])
@@ -228,10 +237,11 @@ def _from_short_segments(problem: Problem, run: Run, settings: GlobalSearchSetti
         if point is None:
             scan = _scan(len(problem.space), settings)
             order = _apart(scan, misfit.at(scan), settings)
-            points, values = descend(misfit, scan[order[: settings.searches]])
+            first = order[: settings.searched(len(problem.space))[0]]
+            points, values = descend(misfit, scan[first])
             point = points[values.argmin()]
         else:
-            point = descend(misfit, point[None])[0][0]
+            point = descend(misfit, point[None], settings.follow)[0][0]
         length *= settings.stretch
     assert point is not None
     return point
