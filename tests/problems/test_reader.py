@@ -148,6 +148,9 @@ def test_the_kind_of_noise(folder: Path) -> None:
     assert (problem.start_noise, problem.noise_degrees) == (True, 8.0)
     plain = load(written(folder), threads=1)
     assert (plain.start_noise, plain.noise_degrees) == (False, None)
+    gaussian = load(written(folder, new="noise: gaussian\n"), threads=1)
+    assert gaussian.settings == {"noise": "gaussian"}
+    assert plain.settings == {}
 
 
 def test_epsilon_by_signal(folder: Path) -> None:
@@ -436,6 +439,9 @@ def test_refusals(folder: Path, old: str, new: str, message: str) -> None:
 
 
 ADDED = {
+    "noise: gausian": (
+        "noise: expected what learned noise may be (the nearest is 'gaussian'), got 'gausian'."
+    ),
     "start_noise: 1": (
         "start_noise: expected true, where the measured start states carry the noise too, or "
         "false, got 1."

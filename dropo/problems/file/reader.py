@@ -87,7 +87,7 @@ def read_problem(
             priors=priors,
             task=task,
             estimated=_read_estimated(file, simulator),
-            settings=_read_start(file, simulator.space),
+            settings=_read_settings(file, simulator.space),
             run_names=names,
             reference=tuple(content.reference),
             plugins=plugins,
@@ -222,14 +222,17 @@ def _order_by_signal(
     return np.array([variances[name] for name in signals])
 
 
-def _read_start(file: FileContent[ProblemFile], space: ParameterSpace) -> dict[str, Any]:
-    """Where searches begin, as a setting of methods."""
+def _read_settings(file: FileContent[ProblemFile], space: ParameterSpace) -> dict[str, Any]:
+    """Where searches begin, and what noise may be, as settings of methods."""
+    settings: dict[str, Any] = {}
+    if file.content.noise is not None:
+        settings["noise"] = file.content.noise
     start = file.content.start
-    if not start:
-        return {}
-    with file.at("start"):
-        given_start(start, space)
-    return {"start": start}
+    if start:
+        with file.at("start"):
+            given_start(start, space)
+        settings["start"] = start
+    return settings
 
 
 def _read_priors(file: FileContent[ProblemFile], simulator: MujocoSimulator) -> dict[str, Any]:

@@ -215,6 +215,10 @@ class ProblemFile(Entry):
         | None
     ) = None
     """The variance of the noise: one number, one for each signal, or by name; else learned."""
+    noise: (
+        Annotated[Literal["auto", "gaussian"], ExpectedName("what learned noise may be")] | None
+    ) = None
+    """What learned noise may be: "auto", long tails too, or "gaussian" alone."""
     start_noise: Annotated[
         bool, Expected("true, where the measured start states carry the noise too, or false")
     ] = False

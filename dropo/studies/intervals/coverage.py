@@ -33,6 +33,7 @@ METHODS: dict[str, Callable[[], Estimator]] = {
     "least squares": LeastSquares,
     "dropo": lambda: DROPO(likelihood="emulated", family="point", epsilon="learn"),
     "as it comes": DROPO,
+    "dropo, full": lambda: DROPO(family="full"),
     "random effects": RandomEffects,
     "random effects, full": lambda: RandomEffects(family="full"),
 }
@@ -58,7 +59,9 @@ CASES: tuple[Case, ...] = (
     ("block", "outliers", "as it comes", MANY),
     ("block", "quantised", "as it comes", MANY),
     ("block", "jitter", "as it comes", MANY),
+    ("block", "spread", "as it comes", SPREADS),
     ("block", "spread", "random effects", SPREADS),
+    ("block", "correlated spread", "dropo, full", SPREADS),
     ("block", "correlated spread", "random effects, full", SPREADS),
 )
 """The cases; "dry friction" is independent noise, and friction that the model does not have."""
@@ -152,6 +155,11 @@ def coverage(
         f"With a dry friction of {DRY} N left out the intervals cannot hold; the last "
         "column is how often the fit says so."
     )
+    if any("spread" in noise for _, noise, _, _ in cases):
+        remarks.append(
+            "An interval that a fit does not give, as of a correlation on its bound, counts as one"
+            " that does not hold the truth."
+        )
     header = (
         "data",
         "trajectories",
