@@ -20,7 +20,8 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.toy import LinearSimulator, simulate
-from dropo.studies.intervals.coverage import FEW, MANY, data_set
+from dropo.studies.intervals.coverage import FEW, MANY
+from dropo.studies.intervals.data_sets import data_set
 from tests.reference.pushes import pushes
 
 SETS = 15

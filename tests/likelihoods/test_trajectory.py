@@ -13,7 +13,7 @@ from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.trajectory import Trajectory, TrajectorySettings
 from dropo.simulators.toy import SlidingBlock, simulate
-from dropo.studies.intervals.coverage import DryBlock
+from dropo.studies.intervals.data_sets import DryBlock
 from dropo.studies.unlogged_states.machines import simulate_log
 from dropo.testing import check_likelihood
 
