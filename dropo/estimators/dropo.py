@@ -354,10 +354,8 @@ class DROPO(Estimator):
         degrees = self._tails(problem, noise, family, objective, found)
         if degrees is not None:
             noise = replace(noise, degrees=degrees)
-            found_mean = family.mean(found.point[: len(family.unknowns)])
-            objective, found = search(problem, noise, found_mean)
-            reason = f"{found.reason} {LONG_TAILS.format(degrees)}"
-            found = replace(found, reason=reason)
+            objective, found = search(problem, noise, searched.mean(family), searched.width)
+            found = replace(found, reason=f"{found.reason} {LONG_TAILS.format(degrees)}")
 
         # Filter the start states at the estimate, and fit from there.
         start_filter: StartFilter | None = None

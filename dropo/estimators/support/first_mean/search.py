@@ -33,12 +33,15 @@ class Searched:
     noise : Noise
     objective : LocalLogLikelihood
     found : SearchResult
+    width : (d,) array, optional
+        Of a region that holds no other optimum, where there are several.
     """
 
     problem: Problem
     noise: Noise
     objective: LocalLogLikelihood
     found: SearchResult
+    width: Array | None = None
 
     def mean(self, family: Family) -> Array:
         """Return the means (d,) that were found."""
@@ -108,5 +111,5 @@ def search_from(
     if elsewhere is not None and elsewhere.is_better_than(done.mean(family)):
         objective, found = search(done.problem, done.noise, elsewhere.best, elsewhere.near)
         if found.value > done.found.value:
-            return replace(done, objective=objective, found=found)
-    return done
+            done = replace(done, objective=objective, found=found)
+    return replace(done, width=elsewhere.width if elsewhere else None)
