@@ -257,7 +257,7 @@ class DROPO(Estimator):
 
         # In a wide box, or where a motion may repeat, begin near the best of several optima.
         elsewhere: GlobalStart | None = None
-        has_own_search = not isinstance(likelihood, LocalLikelihood | RunLikelihood)
+        has_own_search = not isinstance(likelihood, LocalLikelihood)
         one_maximum = not (is_wide(problem.space) or may_have_several(problem))
         if not (has_own_search or one_maximum or unmeasured):
             elsewhere = best_start(problem, run, mean)

@@ -174,7 +174,7 @@ def best_start(
     order = _apart(scan, misfit.at(scan), settings)
     searches, further = settings.searched(len(problem.space))
     first = [misfit.unit_of(mean[None]), scan[order[:searches]]]
-    if may_have_several(problem):
+    if problem.segments.lengths.max() > 1:
         first.append(_from_short_segments(problem, run, settings)[None])
     points, values = descend(misfit, np.concatenate(first))
     if _reached(values, settings) < 2:
