@@ -164,6 +164,9 @@ def test_bad_requests_are_refused(tmp_path, capsys):
     """A machine that the benchmark has not, more sets than it has, a folder that is none."""
     with pytest.raises(UnknownName, match="Did you mean 'torque-arm'"):
         set_names(["torque-arms"], 1)
+    with pytest.raises(UnknownName, match="Did you mean 'hopper-003'"):
+        study.chosen_sets(["hopper-03"], 1)
+    assert study.chosen_sets(["hopper-003", "walker2d"], 1) == [("hopper", 3), ("walker2d", 0)]
     with pytest.raises(BadArgument, match="from 1 to 40"):
         set_names(["hopper"], 41)
     assert main(["benchmark", "answer", str(tmp_path), "--out", str(tmp_path / "a.json")]) == 2

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from dropo.core.services.validation import known
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
 from dropo.studies.benchmark.answers import Answers, answer_of
@@ -14,6 +15,7 @@ from dropo.studies.benchmark.sets import COUNT, MACHINES, SEED, VERSION, make_se
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
 
+EVERY = set_names(MACHINES, COUNT)
 RULES = (
     "Strength: about the log-likelihood that the hidden effect gains on every other trajectory,"
     " had the model the recording's own integrator and step.",
@@ -40,7 +42,7 @@ def benchmark(
     seeds : int or None
         The first so many data sets of each machine; None for all.
     problems : sequence of str
-        Machines.
+        Machines, or single data sets such as "hopper-003".
 
     Returns
     -------
@@ -48,19 +50,47 @@ def benchmark(
         The score of `diagnose`, and every set with what was said of it.
     """
     count = seeds or COUNT
-    chosen = set_names(problems, count)
+    chosen = chosen_sets(problems, count)
     runs = work.map(answered, [list(one) for one in chosen])
     truths = {run["name"]: run["truth"] for run in runs}
     answers = {run["name"]: run["answer"]["causes"] for run in runs}
     tables = (*score(truths, answers), _sets_table(runs))
-    what = f"the first {count} data sets of {', '.join(problems)}"
     return Study(
         "benchmark",
-        f"Benchmark {VERSION}: {what}; seed {SEED}",
+        f"Benchmark {VERSION}: {len(chosen)} of its {COUNT * len(MACHINES)} data sets, seed {SEED}",
         tables,
         RULES,
         {"runs": runs},
     )
+
+
+def chosen_sets(names: Sequence[str], count: int) -> list[tuple[str, int]]:
+    """List machine and number of the data sets that are named.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Machines, or single data sets.
+    count : int
+        Of a machine, the first so many.
+
+    Returns
+    -------
+    list of (str, int)
+
+    Raises
+    ------
+    UnknownName
+        If there is no such machine or set; with the nearest name.
+    BadArgument
+        If there are more sets asked for than the benchmark has.
+    """
+    single = {f"{machine}-{number:03d}": (machine, number) for machine, number in EVERY}
+    chosen: list[tuple[str, int]] = []
+    for name in names:
+        known("machine or data set", name, [*MACHINES, *single])
+        chosen += set_names([name], count) if name in MACHINES else [single[name]]
+    return list(dict.fromkeys(chosen))
 
 
 def describe_sets(protocol: dict[str, Any]) -> Study:
