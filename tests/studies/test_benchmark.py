@@ -164,7 +164,9 @@ def test_bad_requests_are_refused(tmp_path, capsys):
     """A machine that the benchmark has not, more sets than it has, a folder that is none."""
     with pytest.raises(UnknownName, match="Did you mean 'torque-arm'"):
         set_names(["torque-arms"], 1)
-    with pytest.raises(UnknownName, match="Did you mean 'hopper-003'"):
+    with pytest.raises(
+        UnknownName, match="No machine or data set called 'hopper-03'. Did you mean"
+    ):
         study.chosen_sets(["hopper-03"], 1)
     assert study.chosen_sets(["hopper-003", "walker2d"], 1) == [("hopper", 3), ("walker2d", 0)]
     with pytest.raises(BadArgument, match="from 1 to 40"):
