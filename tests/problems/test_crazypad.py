@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from dropo import load
+from dropo.core.contracts.effect import instances_of
+from dropo.core.numerics.gauss_newton import ReweightingSettings
+from dropo.data.outliers.outlier_runs import OutlierRunSettings, fit_run
 from dropo.problems.measured.crazypad import (
     AIRBORNE,
     FULL_COMMAND,
@@ -18,7 +21,7 @@ from dropo.problems.measured.crazypad import (
     yaw,
 )
 from dropo.problems.measured.external_data import find_data
-from tests.models.quadrotor import MIXER, Flight, fly
+from tests.models.quadrotor import MIXER, Flight, flights, fly
 
 STEP = 0.01
 
@@ -104,3 +107,22 @@ def test_the_flights_are_whole():
     assert sum("normal_flight" in name for name in names) == 6
     assert len(problem.space) == 0
     assert 25_000 < len(problem.trajectories) < 55_000
+
+
+def test_a_flight_has_one_answer():
+    """Gains found from 0 and from far below agree, since velocities lag as the model's own do.
+
+    Without the lag, positions and velocities ask for thrusts that differ by a tenth, and a robust
+    fit takes either side.
+    """
+    problem = flights({"weak": Flight(gain=(-0.3, -0.2, -0.3, -0.2))}, seed=5, normal=0)
+    simulator = problem.simulator
+    found = instances_of(simulator.effect_context, "actuator_gain")
+    gains = simulator.with_effects([one for one in found if one.target])
+    settings = OutlierRunSettings(
+        windows=100, fitting=ReweightingSettings(iterations=40, tolerance=1e-6)
+    )
+    starts = (np.zeros(4), np.full(4, -0.45))
+    fits = [fit_run(gains, problem.trajectories, start, 1, settings) for start in starts]
+    np.testing.assert_allclose(fits[0].value, fits[1].value, atol=1e-3)
+    assert np.all(np.abs(fits[0].value - [-0.3, -0.2, -0.3, -0.2]) < 0.05)

@@ -15,6 +15,7 @@ from dropo.core.services.validation import Array
 from dropo.logs.grids import held_means
 from dropo.logs.signals.resampling import resample
 from dropo.logs.signals.stamps import increasing
+from dropo.mjmodel.joints import model_joints
 from dropo.problems.measured.recordings import Channels, Runs, find_runs
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -122,7 +123,8 @@ def crazypad_problem(runs: Runs, threads: int = 0) -> Problem:
         frame_skip=FRAME_SKIP,
         threads=threads,
     )
-    stretches = [flown(run, simulator.control_step) for run in runs.channels]
+    lag = model_joints(simulator.model).velocity_lag
+    stretches = [flown(run, simulator.control_step, lag) for run in runs.channels]
     parts = [part for flight in stretches for part in flight]
     lengths = [len(time) - 1 for time, _, _ in parts]
     flight = np.repeat(np.arange(len(stretches)), [len(found) for found in stretches])
@@ -144,7 +146,7 @@ def crazypad_problem(runs: Runs, threads: int = 0) -> Problem:
     )
 
 
-def flown(run: Channels, step: float) -> list[tuple[Array, Array, Array]]:
+def flown(run: Channels, step: float, lag: float = 0.0) -> list[tuple[Array, Array, Array]]:
     """The stretches of a flight in the air, on a grid of control steps.
 
     Parameters
@@ -153,6 +155,8 @@ def flown(run: Channels, step: float) -> list[tuple[Array, Array, Array]]:
         `time` (n,) [s], `pos` (n, 3) [m], and `motor` (n, 4) or `cmd` (n, 4) in firmware units.
     step : float
         Of the grid [s].
+    lag : float
+        Delay of the model's velocities behind its positions [s], which those given here share.
 
     Returns
     -------
@@ -166,7 +170,7 @@ def flown(run: Channels, step: float) -> list[tuple[Array, Array, Array]]:
     thrust = FULL_THRUST * commanded(run)[keep]
     grid = np.arange(0.0, time[-1], step)
     heading = resample(time, yaw(run)[keep][:, None], grid, method="linear")[:, 0]
-    states = states_of(resample(time, position, grid), heading, step)
+    states = states_of(resample(time, position, grid), heading, step, lag)
     thrusts = held_means(time, thrust, grid, step)
 
     usable = states[:, 2] > AIRBORNE
@@ -223,7 +227,7 @@ def yaw(run: Channels) -> Array:
     return np.zeros(len(time))
 
 
-def states_of(position: Array, heading: Array, step: float) -> Array:
+def states_of(position: Array, heading: Array, step: float, lag: float = 0.0) -> Array:
     """States (n, 13) of a body that thrusts along its z, from its positions and headings.
 
     Parameters
@@ -234,6 +238,8 @@ def states_of(position: Array, heading: Array, step: float) -> Array:
         Turn about the body's z [rad].
     step : float
         Of the grid [s].
+    lag : float
+        Delay of the model's velocities behind its positions [s], which those given here share.
 
     Returns
     -------
@@ -260,4 +266,6 @@ def states_of(position: Array, heading: Array, step: float) -> Array:
     vector = quaternion[:, 1:]
     rates = quaternion[:, :1] * change[:, 1:] - change[:, :1] * vector
     rates = 2 * (rates - np.cross(vector, change[:, 1:]))
-    return np.concatenate([derived(position, 0), quaternion, derived(position, 1), rates], axis=1)
+    velocity = derived(position, 1) - lag * derived(position, 2)
+    rates = rates - lag * np.gradient(rates, step, axis=0)
+    return np.concatenate([derived(position, 0), quaternion, velocity, rates], axis=1)
