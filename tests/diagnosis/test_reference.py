@@ -73,7 +73,7 @@ def test_normal_flights_do_not_differ(found):
 
 @pytest.mark.study
 def test_levels_hold_on_normal_flights():
-    """Of 72 normal flights, each beside five others, one differs at 1 % and three at 5 %: figures
+    """Of 72 normal flights, each beside five others, one differs at 1 % and four at 5 %: figures
     of papers/crazypad, where 0.72 and 3.6 are expected.
     """
     chances = []
@@ -83,7 +83,7 @@ def test_levels_hold_on_normal_flights():
             one.p_value for one in compare_with_reference(normal, ["normal *"], settings=QUICK).runs
         ]
     assert len(chances) == 72
-    assert [sum(p <= level for p in chances) for level in (0.01, 0.05)] == [1, 3]
+    assert [sum(p <= level for p in chances) for level in (0.01, 0.05)] == [1, 4]
 
 
 def test_the_result_says_the_same_as_text_and_json(found):
