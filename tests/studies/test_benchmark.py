@@ -165,7 +165,7 @@ def test_bad_requests_are_refused(tmp_path, capsys):
     with pytest.raises(UnknownName, match="Did you mean 'torque-arm'"):
         set_names(["torque-arms"], 1)
     with pytest.raises(
-        UnknownName, match="No machine or data set called 'hopper-03'. Did you mean"
+        UnknownName, match=r"No machine or data set called 'hopper-03'\. Did you mean"
     ):
         study.chosen_sets(["hopper-03"], 1)
     assert study.chosen_sets(["hopper-003", "walker2d"], 1) == [("hopper", 3), ("walker2d", 0)]
