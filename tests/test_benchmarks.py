@@ -143,4 +143,4 @@ def test_shares_of_the_main_job_add_up():
     assert sum(parts) == pytest.approx(found["total"])
     assert min(parts[:2]) > 0
     assert max(parts) < found["total"]
-    assert shares.report(["hopper", "--transitions", "80"]).count("\n") == 7
+    assert shares.report(["hopper", "--transitions", "80"]).count("\n") == 9

@@ -247,7 +247,7 @@ def test_gradient_samplers_give_the_conjugate_posterior(sampler):
     assert (z_of_means(fit, mean, covariance) < 4.5).all()
     assert (z_of_means(fit, mean + 0.5 * sd, covariance) > 4.5).all()
     assert fit.sd == pytest.approx(sd, rel=4.5 / np.sqrt(2 * 400))
-    assert fit.simulator_steps < 5000
+    assert fit.simulator_steps < 8000  # a wide box is looked through first
     assert not any("local model" in text for text in fit.warnings)
 
 
