@@ -9,7 +9,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fit import Fit, Status
 from dropo.core.services.evaluation_log import Answer, EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.studies.engine.work import Work
@@ -86,7 +86,14 @@ def long_fit(work: Work, key: str, estimator: Estimator, problem: Problem) -> Fi
     -------
     Fit
         Its `wall_time_s` is the processor time of all its evaluations, in whatever runs.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If the search was interrupted: its best so far is no answer of a study.
     """
     log = KeptEvaluations(work, key)
     fit = estimator.fit(problem, rng=0, evaluation_log=log, progress=work.progress)
+    if fit.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
     return replace(fit, wall_time_s=log.seconds)
