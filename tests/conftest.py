@@ -94,3 +94,14 @@ def _no_lines_of_progress():
     from dropo.cli import output
 
     output.EVERY = float("inf")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _plug_ins_are_forgotten():
+    """What the tests of a file register is no part of what the next file lists."""
+    from dropo.core.services import registry
+
+    before = {kind: dict(plugins) for kind, plugins in registry._registered.items()}
+    yield
+    registry._registered.clear()
+    registry._registered.update(before)

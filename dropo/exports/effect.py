@@ -25,7 +25,7 @@ SIZES = {sizes!r}
 
 
 def {name}(robot):
-    """{formula}"""
+    """The law {formula}."""
     for place in places(robot, VARIANT):
         try:
             law = law_instance(robot, place, FORMULA, VARIANT, typical=SIZES)

@@ -1,5 +1,6 @@
 """How far simulations over the whole box are from some of the measurements."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,7 +125,7 @@ class Misfit:
     def unit_of(self, values: Array) -> Array:
         """Return points (K, d) of the unit box, of parameters (K, d)."""
         base = np.where(self.in_logarithms, self.low, 1.0)
-        ratio = np.where(self.in_logarithms, self.high / base, np.e)
+        ratio = np.where(self.in_logarithms, self.high / base, math.e)
         logarithm = np.log(np.where(self.in_logarithms, values, 1.0) / base) / np.log(ratio)
         linear = (values - self.low) / (self.high - self.low)
         return np.asarray(np.where(self.in_logarithms, logarithm, linear))
