@@ -32,6 +32,7 @@ PHRASES = {
     "problems": ("files and built-in ones", "#1f5f99"),
     "logs": ("raw logs to data", "#1f5f99"),
     "data": ("reading and checks", "#1f5f99"),
+    "executors": ("processes, clusters", "#1b6e53"),
     "evaluation": ("how good, how sure", "#1f5f99"),
     "estimators": ("methods", "#1b6e53"),
     "simulators": ("predictions", "#1b6e53"),

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options, whole
+from dropo.cli.output import NOTHING, computing_options, executor_option, printing_options, whole
 from dropo.cli.recover import named_variants, part_options, run_and_keep
 
 PROBLEMS = ("slide", "hopper-noisy")
@@ -54,6 +54,7 @@ def add(commands: Any) -> None:
         help="write comparison.md, .json and .svg here; the same command resumes",
     )
     computing_options(parser, seed=NOTHING)
+    executor_option(parser, "the fits run")
     printing_options(parser)
 
 

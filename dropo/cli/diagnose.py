@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dropo.cli.elsewhere import elsewhere_option, run_elsewhere
 from dropo.cli.folder import RunFolder, run_folder
 from dropo.cli.output import (
     PARTS,
@@ -100,6 +101,7 @@ def add(commands: Any) -> None:
             " any interruption"
         ),
     )
+    elsewhere_option(parser)
     computing_options(parser)
     trusting_option(parser, PARTS)
     printing_options(parser)
@@ -125,6 +127,8 @@ def run(arguments: argparse.Namespace) -> int:
     DropoError
         If the diagnosis was interrupted before there was a result.
     """
+    if arguments.executor is not None:
+        return run_elsewhere(arguments)
     _refuse_with_quick(arguments)
     with run_folder(arguments.out) as folder:
         return _run(arguments, folder)

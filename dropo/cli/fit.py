@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dropo.cli.elsewhere import elsewhere_option, run_elsewhere
 from dropo.cli.folder import RunFolder, run_folder
 from dropo.cli.output import (
     PARTS,
@@ -130,6 +131,7 @@ def add(commands: Any) -> None:
         metavar="DIR",
         help="write fit.json here; the same command resumes after any interruption",
     )
+    elsewhere_option(parser)
     computing_options(parser)
     trusting_option(parser, PARTS)
     printing_options(parser)
@@ -153,6 +155,8 @@ def run(arguments: argparse.Namespace) -> int:
     InvalidInput
         If the problem, a setting or the folder is refused; nothing is written then.
     """
+    if arguments.executor is not None:
+        return run_elsewhere(arguments)
     with run_folder(arguments.out) as folder:
         return _run(arguments, folder)
 

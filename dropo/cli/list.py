@@ -21,6 +21,7 @@ KINDS = (
     "effects",
     "readers",
     "exports",
+    "executors",
 )
 
 

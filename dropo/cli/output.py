@@ -249,6 +249,16 @@ def computing_options(
     )
 
 
+def executor_option(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --executor to a `parser`; `what` it runs there."""
+    parser.add_argument(
+        "--executor",
+        metavar="NAME[:PLACE]",
+        help=f"where {what}: processes:4, dask://host:8786, slurm:cpu,time=60; see `dropo list"
+        " executors`; results do not depend on it",
+    )
+
+
 TASK = (
     "run Python code that a problem file names under `task` and `plugins`, and read networks, which"
     " may hold code"

@@ -6,7 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dropo.cli.folder import run_folder
-from dropo.cli.output import Progress, computing_options, printing_options, show_and_save, whole
+from dropo.cli.output import (
+    Progress,
+    computing_options,
+    executor_option,
+    printing_options,
+    show_and_save,
+    whole,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,6 +71,7 @@ def add(commands: Any) -> None:
     computing_options(
         parser, seed="without effect: the data sets of a study have seeds of their own"
     )
+    executor_option(parser, "the tasks of the study run")
     printing_options(parser)
 
 
@@ -145,7 +153,7 @@ def run_and_keep(arguments: argparse.Namespace, noun: str, study_of: "Callable[.
     noun : str
         What it is called in messages.
     study_of : callable
-        Takes `out`, `threads` and `progress`.
+        Takes `out`, `executor`, `threads` and `progress`.
 
     Returns
     -------
@@ -160,13 +168,16 @@ def run_and_keep(arguments: argparse.Namespace, noun: str, study_of: "Callable[.
         If it was interrupted.
     """
     from dropo.core.services.errors import DropoError
+    from dropo.executors.named import executor_named
     from dropo.studies.engine.recover import keep_study
 
     out = arguments.out
     progress = Progress(silent=arguments.quiet)
     try:
-        with run_folder(out):
-            study = study_of(out=out, threads=arguments.threads, progress=progress)
+        with run_folder(out), executor_named(arguments.executor) as executor:
+            study = study_of(
+                out=out, executor=executor, threads=arguments.threads, progress=progress
+            )
             show_and_save(arguments, study, study.to_json(), partial(keep_study, study, out))
     except KeyboardInterrupt:
         kept = f"Interrupted: with --out, a {noun} can be resumed."

@@ -5,6 +5,7 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dropo.cli.elsewhere import elsewhere_option, run_elsewhere
 from dropo.cli.fit import variance
 from dropo.cli.folder import RunFolder, run_folder
 from dropo.cli.output import (
@@ -88,6 +89,7 @@ def add(commands: Any) -> None:
         ),
     )
     trusting_option(parser)
+    elsewhere_option(parser)
     computing_options(parser)
     printing_options(parser)
 
@@ -112,6 +114,8 @@ def run(arguments: argparse.Namespace) -> int:
     DropoError
         If training was interrupted.
     """
+    if arguments.executor is not None:
+        return run_elsewhere(arguments)
     with run_folder(arguments.out) as folder:
         return _run(arguments, folder)
 

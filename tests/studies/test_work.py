@@ -10,6 +10,7 @@ import pytest
 from dropo.core.services.journal import read_lines
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
+from dropo.executors.named import executor_named
 from dropo.problems.simulated.slide import slide
 from dropo.studies.engine.work import Work
 
@@ -87,15 +88,12 @@ def test_the_same_numbers_on_threads_and_processes():
     assert on_threads[0] != on_threads[1]
 
 
-def test_the_same_numbers_on_a_dask_cluster():
+def test_the_same_numbers_on_a_dask_cluster(monkeypatch):
     """A local cluster of one process: a study's tasks, and a fit whose simulations go there."""
-    distributed = pytest.importorskip("distributed")
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("dropo.executors.clusters.cores", lambda: 1)
     alone = LeastSquares().fit(slide(), rng=0)
-    cluster = distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
-    )
-    with cluster, distributed.Client(cluster) as client:
-        executor = client.get_executor()
+    with executor_named("dask") as executor:
         tasks = Work(executor).map(point_of_slide, [0, 1])
         spread = LeastSquares().fit(slide().using(executor=executor), rng=0)
     assert tasks == Work(threads=1).map(point_of_slide, [0, 1])

@@ -72,6 +72,11 @@ def is_loaded(path: str | Path) -> bool:
     return file.is_file() and _loaded.get(file) == _sum(file)
 
 
+def loaded_files() -> list[Path]:
+    """The plug-in files of this process."""
+    return list(_loaded)
+
+
 def plugin_sums() -> dict[str, str]:
     """SHA-256 sums of the plug-in files of this process by name, for the records of runs."""
     return dict(_sums)

@@ -187,6 +187,14 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "bam": "dropo.exports.bam:bam",
         "effect": "dropo.exports.effect:effect",
     },
+    "executors": {
+        "threads": "dropo.executors.machine:threads",
+        "processes": "dropo.executors.machine:processes",
+        "joblib": "dropo.executors.machine:joblib",
+        "dask": "dropo.executors.clusters:dask",
+        "ray": "dropo.executors.clusters:ray",
+        "slurm": "dropo.executors.slurm:slurm",
+    },
 }
 SERVICES = {
     "randomize": "dropo.training.environments:randomize",

@@ -1,0 +1,5 @@
+"""Executors by name: processes of this machine, Dask, Ray and SLURM; workers that die are replaced.
+
+Each is a function that takes what stands behind its name's colon and gives a context manager of a
+`concurrent.futures.Executor`. What runs on it gives the same numbers, bit for bit.
+"""
