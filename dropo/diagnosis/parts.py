@@ -6,6 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from dropo.core.numerics.tails import student_quantile
 from dropo.core.records.fit_parts import number_or_nan, number_or_null
 from dropo.core.services.tables import number, steps_text
 
@@ -24,12 +25,31 @@ class Estimate:
         "1" for a number without one.
     model : float or None
         The model's own number; None where it has none.
+    degrees : float
+        Degrees of freedom of the standard error; infinite where it is as good as known.
     """
 
     value: float
     se: float
     unit: str
     model: float | None = None
+    degrees: float = np.inf
+
+    def interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Give an interval by Student's t.
+
+        Parameters
+        ----------
+        level : float
+            How often it is to hold what is missing, between 0 and 1.
+
+        Returns
+        -------
+        tuple of float
+            Its ends, in `unit`; NaN where there is no standard error.
+        """
+        half = self.se * float(student_quantile(0.5 + level / 2, self.degrees))
+        return self.value - half, self.value + half
 
     def __str__(self) -> str:
         """Such as "+0.79 +- 0.01 N m"."""
@@ -43,13 +63,17 @@ class Estimate:
             "se": number_or_null(self.se),
             "unit": self.unit,
             "model": self.model,
+            "interval": [number_or_null(end) for end in self.interval()],
+            "degrees": number_or_null(self.degrees),
         }
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
         """What `to_json` gave."""
         se = number_or_nan(saved["se"])
-        return cls(saved["value"], se, saved["unit"], saved.get("model"))
+        degrees = saved.get("degrees")
+        freedom = np.inf if degrees is None else float(degrees)
+        return cls(saved["value"], se, saved["unit"], saved.get("model"), freedom)
 
 
 @dataclass(frozen=True)

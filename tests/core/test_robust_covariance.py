@@ -11,7 +11,8 @@ from dropo.core.numerics.dependence import (
     long_run,
     variance_of_sum,
 )
-from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.numerics.robust_covariance import few_units_sandwich, sandwich
+from dropo.core.numerics.tails import student_quantile
 from dropo.core.records.trajectories import Trajectories
 
 
@@ -108,3 +109,43 @@ def test_unknowns_without_information_are_nan():
     assert np.isnan(covariance[1]).all()
     assert np.isnan(degrees[1])
     assert covariance[0, 0] == alone[0, 0]
+
+
+def test_few_units_that_are_alike_have_the_classical_error():
+    """The mean of 8 numbers, each a unit: variance var(ddof=1) / 8 with 7 degrees, exactly."""
+    u = np.random.default_rng(0).standard_normal((8, 1))
+    u -= u.mean()
+    covariance, degrees = few_units_sandwich(u, np.ones((8, 1, 1)))
+    assert covariance[0, 0] == pytest.approx(u.var(ddof=1) / 8, rel=1e-12)
+    assert degrees[0] == pytest.approx(7.0, rel=1e-12)
+
+
+def test_intervals_of_few_units_cover():
+    """Six units, two of which have most of the information: over 2000 data sets the variance is
+    right within 4.5 standard errors, and intervals of 95 % hold the truth in at least 95 % (they
+    are known to be wide where degrees are below 4); the control, the sandwich with 1.96 standard
+    errors, does not in a fifth.
+    """
+    rng = np.random.default_rng(2)
+    scale = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 5.0])
+    jacobian = rng.standard_normal((6, 20, 3)) * scale[:, None, None]
+    flat = jacobian.reshape(-1, 3)
+    own = np.einsum("gnm,gnk->gmk", jacobian, jacobian)
+    exact = np.diagonal(np.linalg.inv(own.sum(axis=0)))
+    units = Units(np.arange(6), False, np.arange(6), "units")
+    variances, held, held_by_control = [], [], []
+    for _ in range(2000):
+        noise = rng.standard_normal((6, 20))
+        error = np.linalg.lstsq(flat, noise.ravel(), rcond=None)[0]
+        scores = np.einsum("gnm,gn->gm", jacobian, noise - jacobian @ error)
+        covariance, degrees = few_units_sandwich(scores, own)
+        variance = np.diagonal(covariance)
+        variances.append(variance)
+        held.append(np.abs(error) < student_quantile(0.975, degrees) * np.sqrt(variance))
+        usual = np.diagonal(sandwich(scores, own.sum(axis=0), units)[0])
+        held_by_control.append(np.abs(error) < 1.96 * np.sqrt(usual))
+    ratio = np.array(variances) / exact
+    spread = ratio.std(axis=0) / np.sqrt(len(ratio))
+    assert (np.abs(ratio.mean(axis=0) - 1) < 4.5 * spread).all()
+    assert (np.mean(held, axis=0) > 0.95).all()
+    assert (np.mean(held_by_control, axis=0) < 0.85).all()

@@ -116,7 +116,14 @@ def test_json_is_the_contracts(damped, tmp_path):
     assert set(found) == CONTRACT[""] | BESIDE
     (cause,) = found["causes"]
     assert set(cause) == CONTRACT["cause"] | {"variant", "acts_like"}
-    assert set(cause["estimate"]["damping"]) == {"value", "se", "unit", "model"}
+    assert set(cause["estimate"]["damping"]) == {
+        "value",
+        "se",
+        "unit",
+        "model",
+        "interval",
+        "degrees",
+    }
     assert 0 < cause["p_value"] < 1e-10
     for side in ("baseline", "extended"):
         assert set(found[side]) == CONTRACT["side"] | {"horizons"}

@@ -55,7 +55,7 @@ def test_where_predictions_bend(off):
     library, found, free, errors = fitted(off)
     assert np.all(np.abs(errors) < 1e-6 * np.abs(list(TRUE.values())))
     assert np.all(
-        np.abs(errors) < 4 * standard_errors(library, SimpleNamespace(free=free, train=found))
+        np.abs(errors) < 4 * standard_errors(library, SimpleNamespace(free=free, train=found))[0]
     )
 
 
@@ -66,7 +66,7 @@ def test_wide_differences_alone_stop_short():
     hundredth of what it should be.
     """
     library, found, free, errors = fitted(0.1)
-    wide = standard_errors(library, SimpleNamespace(free=free, train=found), close=1e-9)
+    wide = standard_errors(library, SimpleNamespace(free=free, train=found), close=1e-9)[0]
     assert np.abs(errors / wide).max() > 100
     assert np.abs(fitted(-0.02, RefitSettings(close=1.0))[-1] / list(TRUE.values())).max() > 1e-3
 

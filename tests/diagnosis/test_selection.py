@@ -38,7 +38,7 @@ def test_hidden_effect_is_found(name, declared):
     last, _ = review(search, search.run(first, first, instances()))
     assert [instance.effect for instance in last.accepted] == [name]
     errors = np.zeros(len(last.theta))
-    errors[last.free] = standard_errors(search.library, last)
+    errors[last.free] = standard_errors(search.library, last)[0]
     told = estimate(search.library, last, last.accepted[0], errors)["size"]
     assert abs(told.value - SIZES[name]) < 4 * told.se < 0.5 * abs(SIZES[name])
     assert gain_of(first.test, last.test)[0] > 20

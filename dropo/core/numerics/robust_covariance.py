@@ -58,6 +58,51 @@ def sandwich(
     return covariance, degrees
 
 
+def few_units_sandwich(scores: Array, information: Array) -> tuple[Array, Array]:
+    """Estimate the covariance of a least-squares estimate from few independent units.
+
+    The residuals of a unit are smaller than the errors, since the fit follows them: the more, the
+    more of the information is the unit's own. CR2 makes up for that, exactly where errors are
+    independent and alike; what is left of the uncertainty of the variance is in the degrees of
+    freedom, which may be far below G - 1 where few units have most of the information.
+
+    Parameters
+    ----------
+    scores : (G, m) array
+        J' r of each unit's whitened residuals r and Jacobian J.
+    information : (G, m, m) array
+        J' J of each unit.
+
+    Returns
+    -------
+    covariance : (m, m) array
+    degrees : (m,) array
+        Degrees of freedom of its diagonal, by Satterthwaite's approximation.
+
+    References
+    ----------
+    Bell and McCaffrey, Survey Methodology 28 (2002), 169; Pustejovsky and Tipton, J. Business &
+    Economic Statistics 36 (2018), 672, eq. 6 to 11.
+    """
+    inverse = inverse_information(information.sum(axis=0))
+    values, vectors = np.linalg.eigh(inverse)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T  # M^-1/2
+    # In coordinates in which all information is the identity, a unit has the share A of it.
+    share, axes = np.linalg.eigh(root @ information @ root)
+    left = np.maximum(1.0 - share, SINGULAR)
+    turned = np.einsum("gij,gi->gj", axes, scores @ root)
+    adjusted = np.einsum("gij,gj->gi", axes, turned / np.sqrt(left))
+    covariance = root @ adjusted.T @ adjusted @ root
+    # The variance of a coefficient c is a quadratic form of the errors with the matrix
+    # diag(c' (1 - A)^-1 A c) - w_g' w_h, where w_g = (1 - A_g)^-1/2 A_g c.
+    places = np.einsum("gij,ik->gjk", axes, root)
+    own = np.einsum("gj,gjk->gk", share / left, places**2)
+    pulls = np.einsum("gij,gjk->kgi", axes, (share / np.sqrt(left))[:, :, None] * places)
+    forms = own.T[:, :, None] * np.eye(len(scores)) - pulls @ pulls.transpose(0, 2, 1)
+    degrees = np.einsum("kgg->k", forms) ** 2 / np.einsum("kgh,kgh->k", forms, forms)
+    return covariance, degrees
+
+
 def inverse_information(information: Array) -> Array:
     """Invert an information matrix, with a huge variance along directions without information.
 

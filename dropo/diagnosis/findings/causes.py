@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
-from dropo.core.numerics.dependence import Units
-from dropo.core.numerics.robust_covariance import sandwich
-from dropo.core.numerics.tails import normal_tail
+from dropo.core.numerics.robust_covariance import few_units_sandwich
+from dropo.core.numerics.tails import student_tail
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.experiment import experiment
@@ -97,16 +96,17 @@ def causes(
         One of each accepted effect.
     """
     deviations = known
+    degrees = np.full(len(last.theta), np.inf)
     if deviations is None:
         deviations = np.zeros(len(last.theta))
         if last.accepted:
-            deviations[last.free] = standard_errors(library, last)
+            deviations[last.free], degrees[last.free] = standard_errors(library, last)
     found = []
     for instance, (before, after) in zip(last.accepted, errors, strict=True):
         if named is not None and instance.label not in named:
             continue
         own = reviews[instance.label]
-        gain = gain_of(own.without.test, last.test)[0]
+        gain, z = gain_of(own.without.test, last.test)
         blocks = gain_by_block(own.without.test, last.test)
         steps = last.test.windows.steps
         regimes = invariance(library, last.test, instance)
@@ -122,8 +122,8 @@ def causes(
             effect=instance.effect,
             target=instance.target,
             variant=instance.variant,
-            estimate=estimate(library, last, instance, deviations),
-            p_value=p_of(gain, count),
+            estimate=estimate(library, last, instance, deviations, degrees),
+            p_value=p_of(gain, count, z, len(blocks)),
             held_out_gain=gain / steps,
             held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
             rmse_before=before,
@@ -156,8 +156,12 @@ def _shape(last: State, instance: EffectInstance) -> str | None:
     return None
 
 
-def p_of(gain: float, count: int, z: float | None = None) -> float:
-    """Return the p-value of the split likelihood-ratio test for all effects tried.
+def p_of(gain: float, count: int, z: float, blocks: int) -> float:
+    """Return the p-value of an effect's gain on windows held out.
+
+    The larger of two, of which the first needs the noise to be as the model says and the second
+    blocks that are independent: of the split likelihood-ratio test for all effects tried, and of
+    the mean gain of a block by Student's t.
 
     Parameters
     ----------
@@ -165,17 +169,19 @@ def p_of(gain: float, count: int, z: float | None = None) -> float:
         On windows held out [nats].
     count : int
         How many effects were tried.
-    z : float, optional
-        The gain in standard errors by block: the p-value is no smaller than its own.
+    z : float
+        The gain in standard errors by block.
+    blocks : int
+        How many blocks there are.
 
     Returns
     -------
     float
         Between the smallest positive number and 1.
     """
-    p_value = min(1.0, count * float(np.exp(-max(gain, 0.0))))
-    of_z = 0.0 if z is None else float(normal_tail(z))
-    return max(p_value, float(np.finfo(float).tiny), of_z)
+    of_gain = min(1.0, count * float(np.exp(-max(gain, 0.0))))
+    of_blocks = float(student_tail(z, max(blocks - 1, 1)))
+    return max(of_gain, of_blocks, float(np.finfo(float).tiny))
 
 
 def _alternatives(
@@ -218,7 +224,11 @@ def _difference(library: Library, before: State, one: Candidate, two: Candidate)
 
 
 def estimate(
-    library: Library, last: State, instance: EffectInstance, errors: Array
+    library: Library,
+    last: State,
+    instance: EffectInstance,
+    errors: Array,
+    degrees: Array | None = None,
 ) -> dict[str, Estimate]:
     """Return an effect's magnitudes with their errors.
 
@@ -232,6 +242,8 @@ def estimate(
         One of its effects.
     errors : (m,) array
         Standard errors of all numbers.
+    degrees : (m,) array, optional
+        Degrees of freedom of these.
 
     Returns
     -------
@@ -241,11 +253,15 @@ def estimate(
     found = {}
     for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
         value = float(last.theta[place])
-        found[quantity.name] = Estimate(value, float(errors[place]), quantity.unit, quantity.base)
+        error = float(errors[place])
+        freedom = np.inf if degrees is None else float(degrees[place])
+        found[quantity.name] = Estimate(value, error, quantity.unit, quantity.base, freedom)
     return found
 
 
-def standard_errors(library: Library, last: State, close: float = REFIT.close) -> Array:
+def standard_errors(
+    library: Library, last: State, close: float = REFIT.close
+) -> tuple[Array, Array]:
     """Return standard errors of the fitted numbers, by the sandwich clustered by block.
 
     Parameters
@@ -260,29 +276,32 @@ def standard_errors(library: Library, last: State, close: float = REFIT.close) -
 
     Returns
     -------
-    (f,) array
+    errors : (f,) array
         In the numbers' units.
+    degrees : (f,) array
+        Degrees of freedom of each.
     """
-    errors = _sandwich(library, last, 1.0)
+    errors, degrees = _sandwich(library, last, 1.0)
     # Errors far below the usual width of differences: predictions are curved within it.
     curved = np.any(errors < close * library.steps[last.free])
-    return _sandwich(library, last, close) if curved else errors
+    return _sandwich(library, last, close) if curved else (errors, degrees)
 
 
-def _sandwich(library: Library, last: State, fraction: float) -> Array:
-    """Standard errors (f,) with differences over a fraction of the usual width."""
+def _sandwich(library: Library, last: State, fraction: float) -> tuple[Array, Array]:
+    """Standard errors and their degrees (f,), with differences over a fraction of the width."""
     train = last.train
     windows = train.windows
     free = last.free
     jacobian = library.jacobian(train.theta, free, windows, fraction)
     rows = train.flat(jacobian).reshape(len(free), len(windows), -1)
     residuals = train.flat(train.residuals).reshape(len(windows), -1)
-    scores = np.einsum("fwn,wn->wf", rows, residuals)
-    information = np.einsum("fwn,gwn->fg", rows, rows)
-    block = np.unique(windows.block, return_inverse=True)[1]
-    units = Units(block, False, np.argsort(block, kind="stable"), "blocks")
-    covariance = sandwich(scores, information, units)[0]
-    return np.sqrt(np.diagonal(covariance))
+    names, block = np.unique(windows.block, return_inverse=True)
+    scores = np.zeros((len(names), len(free)))
+    np.add.at(scores, block, np.einsum("fwn,wn->wf", rows, residuals))
+    information = np.zeros((len(names), len(free), len(free)))
+    np.add.at(information, block, np.einsum("fwn,gwn->wfg", rows, rows))
+    covariance, degrees = few_units_sandwich(scores, information)
+    return np.sqrt(np.diagonal(covariance)), degrees
 
 
 def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ...]:
@@ -303,6 +322,7 @@ def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ..
     """
     accepted = {instance.label for instance in last.accepted}
     trials = selection.batches[-1].trials if selection.batches else []
+    blocks = len(np.unique(last.test.windows.block))
     found = []
     for trial in trials:
         instance = trial.candidate.instance
@@ -311,7 +331,7 @@ def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ..
         suspect = Suspect(
             effect=instance.effect,
             target=instance.target,
-            p_value=p_of(trial.held_out_gain, count, trial.z),
+            p_value=p_of(trial.held_out_gain, count, trial.z, blocks),
             held_out_gain=trial.held_out_gain / last.test.windows.steps,
         )
         found.append(suspect)
