@@ -124,7 +124,7 @@ def test_json_is_the_contracts(damped, tmp_path):
         "interval",
         "degrees",
     }
-    assert 0 < cause["p_value"] < 1e-10
+    assert 0 < cause["p_value"] < 1e-6  # a few blocks alone: by Student's t
     for side in ("baseline", "extended"):
         assert set(found[side]) == CONTRACT["side"] | {"horizons"}
         assert list(found[side]["rmse"]) == ["1", "5", "20"]
