@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     content = found.to_json()
     video = None
     if arguments.video is not None:
-        from dropo.report.video import write_motion
+        from dropo.report.robot.video import write_motion
 
         place = arguments.policy if arguments.policy.is_dir() else arguments.policy.parent
         path = place / "policy.mp4" if arguments.video == Path(BESIDE) else arguments.video

@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     simulator = _simulator(result) if arguments.video else None
     written = {"report": str(write_page(result, path))}
     if simulator is not None and result.predictions is not None:
-        from dropo.report.video import write_video
+        from dropo.report.robot.video import write_video
 
         written["video"] = str(write_video(result.predictions, simulator, path.with_suffix(".mp4")))
     show(arguments, "\n".join(written.values()), written)

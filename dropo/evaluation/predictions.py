@@ -23,6 +23,7 @@ from dropo.evaluation.held_out import (
     stated_noise,
     whole_part,
 )
+from dropo.evaluation.whole_run import whole_run
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,8 @@ def predict(
     data = places.part.trajectories
     rows = places.shown.steps[:, 0]
     origins = np.array([start for start, _ in data.spans])
+    held_out = np.full(len(data), problem.held_out is not None)
+    seen = DataPart(data, data.trajectory, held_out)
     horizons = np.array([int(one.lengths.max()) for one in places.by_horizon], dtype=np.int64)
     noise = rms_of_motion(sigma**2, places.spread) if np.any(sigma > 0) else np.nan
     return Predictions(
@@ -131,6 +134,7 @@ def predict(
         held_out=problem.held_out is not None,
         before=sides[0],
         after=sides[1],
+        run=whole_run(problem, simulator, seen, (value, fit.mean), int(horizons[-1])),
     )
 
 

@@ -102,7 +102,7 @@ def page(
 </main>
 <footer>Made by dropo {__version__}.</footer>
 <script>
-{_part("page.js")}</script>
+{_part("page.js")}{_part("motion.js")}</script>
 </body>
 </html>
 """
@@ -135,8 +135,8 @@ def shortened(text: str, maximum: int = SHORT) -> tuple[str, str]:
 
 
 def _part(name: str) -> str:
-    """The text of a file beside this one."""
-    return files("dropo.report").joinpath(name).read_text(encoding="utf-8")
+    """The text of a file in assets."""
+    return files("dropo.report").joinpath("assets", name).read_text(encoding="utf-8")
 
 
 def figure(svg: str, title: str, caption: str = "") -> str:

@@ -10,6 +10,7 @@ from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.plots.motion import changed, sides, telling
 from dropo.report.folder import Result
 from dropo.report.page import Cell, Section, figure, grid, legend, paragraph, percent, table
+from dropo.report.run_viewer import viewer
 from dropo.report.svg import picture, rows
 
 SMALL = (4.2, 2.3)
@@ -56,7 +57,7 @@ def motion(found: Predictions | None, more: str = "") -> Section:
         draw = partial(plots.trajectory, found, signal)
         svg = picture(draw, _motion_text(found, signal), size=SMALL)
         pictures.append(figure(svg, ""))
-    body = key + grid(*pictures)
+    body = viewer(found) + key + grid(*pictures)
     rest = len(found.names) - len(pictures)
     if rest:
         most = "change" if changed(found) else "err"

@@ -224,7 +224,7 @@ def test_video(trained, tmp_path, capsys):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     assert main([*arguments(trained, budget=1), "--quiet"]) == 0
     small = (
-        "import sys; from dropo.report import video; video.WIDTH = video.HEIGHT = 96; from "
+        "import sys; from dropo.report.robot import video; video.WIDTH = video.HEIGHT = 96; from "
         "dropo.cli.main import main; sys.exit(main())"
     )
     line = [

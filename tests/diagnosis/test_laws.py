@@ -14,7 +14,7 @@ from dropo.problems.file.plain_model import write_extended
 from dropo.problems.file.verification import verify
 from dropo.problems.loading import load
 from dropo.problems.simulated.robots import simulated_robot
-from dropo.report.diagnosis_page import causes_section
+from dropo.report.pages.diagnosis_page import causes_section
 from tests.models.hidden_in_arm import problem
 
 FORMULA = "-c * abs(v) * v"

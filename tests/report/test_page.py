@@ -13,8 +13,8 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.services.evaluation_log import read_log
 from dropo.core.services.tables import estimate
 from dropo.report.build import write_report
-from dropo.report.diagnosis_page import _fitted, causes_section
-from dropo.report.fit_page import _parameters
+from dropo.report.pages.diagnosis_page import _fitted, causes_section
+from dropo.report.pages.fit_page import _parameters
 from dropo.report.page import Cell, percent, shortened, table
 
 LARGEST = 1_500_000  # bytes
@@ -322,7 +322,7 @@ def test_declared_parameters_stand_beside_their_intervals():
 
 def test_a_fit_with_priors_names_them(fit_folder, monkeypatch):
     """In a column of their own; what has none is uniform. Without the corner plot."""
-    monkeypatch.setattr("dropo.report.fit_page._joint", lambda fit: [])
+    monkeypatch.setattr("dropo.report.pages.fit_page._joint", lambda fit: [])
     fit = Fit.load(fit_folder)
     first = fit.space.names[0]
     section = _parameters(fit, {first: "normal(3.5, 0.2)"})

@@ -16,7 +16,7 @@ def test_both_halves_move(fit_folder, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     page = tmp_path / "p.html"
     small = (
-        "import sys; from dropo.cli.main import main; from dropo.report import video; "
+        "import sys; from dropo.cli.main import main; from dropo.report.robot import video; "
         "video.WIDTH = video.HEIGHT = 96; video.EACH = 1; "
     )
     command = [

@@ -36,6 +36,17 @@ RULES = {
     **{f"{side}.pit": f"number {side}" for side in SIDES},
 }
 """The arrays of predictions.npz with their kinds and axes."""
+RUN = "run."
+RUN_RULES = {
+    "run.trajectory": "whole",
+    "run.length": "whole",
+    "run.measured": "number T p",
+    "run.rows": "number T P",
+    "run.before": "number T p",
+    "run.after": "number T p",
+    "run.held_out": "flag T",
+}
+"""Those of a whole run, where there is one."""
 LEVEL = 0.9
 """The fraction of the measured motion that a band should hold."""
 
@@ -71,6 +82,35 @@ class Side:
 
 
 @dataclass(frozen=True, eq=False)
+class WholeRun:
+    """A run of T steps, and what two models predict in windows that follow each other.
+
+    Attributes
+    ----------
+    trajectory : int
+        Which of the data's, from 0; of those held out where these are data of their own.
+    length : int
+        Control steps after which predictions start again from a measurement.
+    measured : (T, p) array
+        The measured signals.
+    rows : (T, P) array
+        The same as observation rows.
+    before, after : (T, p) array
+        What the two models predict; NaN where a simulation failed.
+    held_out : (T,) array of bool
+        Which steps no fit has seen.
+    """
+
+    trajectory: int
+    length: int
+    measured: Array
+    rows: Array
+    before: Array
+    after: Array
+    held_out: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
 class Predictions:
     """Measured windows, and what two models predict for them.
 
@@ -98,6 +138,8 @@ class Predictions:
         Whether no fit has seen these data.
     before, after : Side
         The two models.
+    run : WholeRun or None
+        A whole run; None where none was kept.
     """
 
     names: tuple[str, ...]
@@ -113,6 +155,7 @@ class Predictions:
     held_out: bool
     before: Side
     after: Side
+    run: WholeRun | None = None
 
     def save(self, folder: str | Path) -> None:
         """Write predictions.npz, whole or not at all.
@@ -144,16 +187,18 @@ class Predictions:
         """
         path = Path(folder) / FILE
         kept = read_npz(path, "what a run of `dropo fit --out` or `dropo diagnose --out` keeps")
-        require_shapes(path, kept, RULES)
+        has_run = any(name.startswith(RUN) for name in kept)
+        require_shapes(path, kept, RULES | RUN_RULES if has_run else RULES)
         return _from_arrays(cls, kept)
 
 
 def _arrays(found: Predictions) -> dict[str, Any]:
-    """All fields by name, those of the sides as "before.line"."""
+    """All fields by name, those of the sides as "before.line", those of the run as "run.rows"."""
     own = {field.name: getattr(found, field.name) for field in fields(found)}
-    sides = {name: own.pop(name) for name in SIDES}
-    for name, side in sides.items():
-        own |= {f"{name}.{field.name}": getattr(side, field.name) for field in fields(side)}
+    parts = {name: own.pop(name) for name in (*SIDES, "run")}
+    for name, part in parts.items():
+        if part is not None:
+            own |= {f"{name}.{field.name}": getattr(part, field.name) for field in fields(part)}
     return {name: np.asarray(value) for name, value in own.items()}
 
 
@@ -164,10 +209,19 @@ def _from_arrays(cls: type[Predictions], kept: dict[str, Any]) -> Predictions:
         arrays = {field.name: kept[f"{name}.{field.name}"] for field in fields(Side)}
         return Side(**{**arrays, "name": str(arrays["name"])})
 
-    names = [field.name for field in fields(cls) if field.name not in SIDES]
+    names = [field.name for field in fields(cls) if field.name not in (*SIDES, "run")]
     own: dict[str, Any] = {name: kept[name] for name in names}
     for name in ("names", "units"):
         own[name] = tuple(own[name].tolist())
     for name in ("seconds", "rows_after", "held_out"):
         own[name] = own[name].item()
-    return cls(**own, before=side("before"), after=side("after"))
+    return cls(**own, before=side("before"), after=side("after"), run=_run(kept))
+
+
+def _run(kept: dict[str, Any]) -> WholeRun | None:
+    """The whole run, where there is one."""
+    if not any(name.startswith(RUN) for name in kept):
+        return None
+    arrays = {field.name: kept[f"{RUN}{field.name}"] for field in fields(WholeRun)}
+    whole = {name: arrays[name].item() for name in ("trajectory", "length")}
+    return WholeRun(**{**arrays, **whole})

@@ -28,6 +28,7 @@ from dropo.evaluation.held_out import (
     thin,
     window_starts,
 )
+from dropo.evaluation.whole_run import whole_run
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,7 @@ def motion(
         held_out=True,
         before=_side("the model as it is", begin, first, before, settings),
         after=_side(name, end, last, after, settings),
+        run=whole_run(problem, simulator, part, (first.theta, last.theta), windows.length),
     )
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from dropo.report import parts
-from dropo.report.diagnosis_page import causes_section, finding_cards
+from dropo.report.pages.diagnosis_page import causes_section, finding_cards
 from dropo.report.folder import Result
 from dropo.report.page import Cell, Section, notes, page, percent, plain, table
 
