@@ -2,6 +2,8 @@
 
 import argparse
 import os
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +11,7 @@ from dropo.cli.output import NOTHING, computing_options, printing_options, show
 
 if TYPE_CHECKING:
     from dropo.mjmodel.robot_simulator import RobotSimulator
-    from dropo.report.folder import Result
+    from dropo.report.folder import Media, Result
 
 
 def add(commands: Any) -> None:
@@ -31,7 +33,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--video",
         action="store_true",
-        help="also measured and simulated motion as an .mp4 beside it; needs the model",
+        help="with measured and simulated motion as a video, also as an .mp4; needs the model",
     )
     computing_options(parser, seed=NOTHING, threads=NOTHING)
     printing_options(parser)
@@ -55,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     InvalidInput
         If the input is refused; nothing is written then.
     """
+    from dropo.core.services.atomic_write import write_bytes
     from dropo.report.build import write_page
     from dropo.report.folder import read_result
 
@@ -62,14 +65,36 @@ def run(arguments: argparse.Namespace) -> int:
         os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
     result = read_result(arguments.folder)
     path = arguments.out or arguments.folder / "report.html"
-    simulator = _simulator(result) if arguments.video else None
+    if arguments.video:
+        result = replace(result, media=_rendered(result))
     written = {"report": str(write_page(result, path))}
-    if simulator is not None and result.predictions is not None:
-        from dropo.report.robot.video import write_video
-
-        written["video"] = str(write_video(result.predictions, simulator, path.with_suffix(".mp4")))
+    if result.media is not None:
+        video = path.with_suffix(".mp4")
+        write_bytes(video, result.media.video)
+        written["video"] = str(video)
     show(arguments, "\n".join(written.values()), written)
     return 0
+
+
+def _rendered(result: "Result") -> "Media":
+    """The video of a run, and a still of the robot where causes are marked on it."""
+    from dropo.plots.motion import changed
+    from dropo.report.folder import Media
+    from dropo.report.robot.picture import scene_of, still
+    from dropo.report.robot.video import write_video
+    from dropo.report.robot.video_part import told
+    from dropo.report.run_viewer import said
+
+    simulator = _simulator(result)
+    found = result.predictions
+    assert found is not None
+    with tempfile.TemporaryDirectory() as folder:
+        shown = write_video(found, simulator, Path(folder) / "report.mp4")
+        video = shown.path.read_bytes()
+    again = "" if found.run is None else said(found, found.run)
+    text = told(shown, again, changed(found))
+    scene = scene_of(result) if result.content.get("causes") else None
+    return Media(video, text, b"" if scene is None else still(scene))
 
 
 def _simulator(result: "Result") -> "RobotSimulator":

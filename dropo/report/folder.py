@@ -24,6 +24,25 @@ RESULT = "a folder that `dropo fit --out` or `dropo diagnose --out` wrote"
 EVALUATION_LOG = "evaluations.jsonl"
 
 
+@dataclass(frozen=True)
+class Media:
+    """What was rendered for a page.
+
+    Attributes
+    ----------
+    video : bytes
+        H.264 in MP4.
+    told : str
+        What the video shows, in sentences.
+    still : bytes
+        PNG of the robot, from the camera and in the pose of its drawing; empty without.
+    """
+
+    video: bytes
+    told: str
+    still: bytes = b""
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """A fit, a diagnosis, or neither, where a run was interrupted before its end.
@@ -46,6 +65,8 @@ class Result:
         Measured and simulated motion.
     history : History or None
         How the search went.
+    media : Media or None
+        What was rendered for its page.
     """
 
     folder: Path
@@ -56,6 +77,7 @@ class Result:
     figures: FigureData | None = None
     predictions: Predictions | None = None
     history: History | None = None
+    media: Media | None = None
 
     @property
     def kind(self) -> str:

@@ -8,8 +8,9 @@ import numpy as np
 from dropo import plots
 from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.plots.motion import changed, sides, telling
-from dropo.report.folder import Result
+from dropo.report.folder import Media, Result
 from dropo.report.page import Cell, Section, figure, grid, legend, paragraph, percent, table
+from dropo.report.robot.video_part import video_part
 from dropo.report.run_viewer import viewer
 from dropo.report.svg import picture, rows
 
@@ -27,13 +28,15 @@ WITHOUT = (
 )
 
 
-def motion(found: Predictions | None, more: str = "") -> Section:
+def motion(found: Predictions | None, media: Media | None, more: str = "") -> Section:
     """Show measured and simulated trajectories.
 
     Parameters
     ----------
     found : Predictions or None
         None where the folder has none.
+    media : Media or None
+        What was rendered for the page.
     more : str
         A sentence on the bands.
 
@@ -57,7 +60,7 @@ def motion(found: Predictions | None, more: str = "") -> Section:
         draw = partial(plots.trajectory, found, signal)
         svg = picture(draw, _motion_text(found, signal), size=SMALL)
         pictures.append(figure(svg, ""))
-    body = viewer(found) + key + grid(*pictures)
+    body = video_part(media) + viewer(found) + key + grid(*pictures)
     rest = len(found.names) - len(pictures)
     if rest:
         most = "change" if changed(found) else "err"

@@ -63,7 +63,7 @@ for (const figure of document.querySelectorAll("figure.run")) {
     pen.lineWidth = 1;
     pen.textBaseline = "middle";
     pen.textAlign = "right";
-    for (const value of ticks(low, high, Math.max(2, (bottom - top) / 45))) {
+    for (const value of ticks(low, high, Math.max(4, (bottom - top) / 45))) {
       pen.beginPath();
       pen.moveTo(left, y(value));
       pen.lineTo(right, y(value));

@@ -14,3 +14,18 @@ for (const button of document.querySelectorAll("th button")) {
     head.setAttribute("aria-sort", up ? "ascending" : "descending");
   });
 }
+// Copies the code beside a button; where the page may not, it selects it.
+for (const button of document.querySelectorAll("button.copy")) {
+  const code = button.parentNode.querySelector("code");
+  button.addEventListener("click", async () => {
+    let said = "copied";
+    try {
+      await navigator.clipboard.writeText(code.textContent);
+    } catch {
+      getSelection().selectAllChildren(code);
+      said = document.execCommand("copy") ? "copied" : "selected";
+    }
+    button.textContent = said;
+    setTimeout(() => { button.textContent = "copy"; }, 1500);
+  });
+}

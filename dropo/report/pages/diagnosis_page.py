@@ -14,6 +14,7 @@ from dropo.diagnosis.parts import Alternative, Cause, Leader, Suspect, effect_in
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
 from dropo.report.folder import Result
+from dropo.report.model_changes import changes_part
 from dropo.report.page import (
     Cell,
     Section,
@@ -26,6 +27,7 @@ from dropo.report.page import (
     plain,
     table,
 )
+from dropo.report.robot.picture import where_section
 from dropo.report.svg import picture
 from dropo.report.svg import rows as svg_rows
 
@@ -55,12 +57,15 @@ def diagnosis_page(result: Result) -> str:
     units = {}
     if predictions is not None:
         units = dict(zip(predictions.names, predictions.units, strict=True))
-    sections: list[Section | None] = [causes_section(content)]
+    sections: list[Section | None] = [where_section(result, changes_part(result))]
     if found is not None:
-        sections = [_searched(found), *sections, _evidence(found, units)]
+        sections.append(_searched(found))
+    sections.append(causes_section(content))
+    if found is not None:
+        sections.append(_evidence(found, units))
     sections += [
         _fitted(content, result.record),
-        parts.motion(predictions),
+        parts.motion(predictions, result.media),
         parts.errors(predictions, _errors(content) + _replay(content)),
         _remaining(content, found),
         parts.made(result),

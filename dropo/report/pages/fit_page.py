@@ -68,7 +68,7 @@ def fit_page(result: Result) -> str:
     fit = result.fit
     assert fit is not None
     sections = [
-        parts.motion(result.predictions, WIDE),
+        parts.motion(result.predictions, result.media, WIDE),
         _parameters(fit, result.record.get("priors", {})),
         parts.errors(result.predictions),
         _remaining(fit, result),

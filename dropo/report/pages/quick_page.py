@@ -3,9 +3,11 @@
 from typing import Any
 
 from dropo.report import parts
-from dropo.report.pages.diagnosis_page import causes_section, finding_cards
 from dropo.report.folder import Result
+from dropo.report.model_changes import changes_part
 from dropo.report.page import Cell, Section, notes, page, percent, plain, table
+from dropo.report.pages.diagnosis_page import causes_section, finding_cards
+from dropo.report.robot.picture import where_section
 
 
 def quick_page(result: Result) -> str:
@@ -27,8 +29,14 @@ def quick_page(result: Result) -> str:
         ("by", "regression alone", ""),
         ("time", f"{content['wall_time_s']:.1f} s", ""),
     ]
-    sections = [causes_section(content), _forces(content), parts.made(result)]
-    return page(f"dropo diagnose --quick · {result.problem}", content["headline"], cards, sections)
+    sections = [
+        where_section(result, changes_part(result)),
+        causes_section(content),
+        _forces(content),
+        parts.made(result),
+    ]
+    shown = [section for section in sections if section is not None]
+    return page(f"dropo diagnose --quick · {result.problem}", content["headline"], cards, shown)
 
 
 def _forces(content: dict[str, Any]) -> Section:

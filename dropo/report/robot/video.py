@@ -1,39 +1,68 @@
 """A video of the measured motion with the simulated one over it, translucent.
 
-The model before is on the left, the model after on the right.
+The model before is above, the model after below, so that both are as wide as a phone.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dropo.core.records.predictions import Predictions, Side
+from dropo.core.records.predictions import Predictions
 from dropo.core.services.atomic_write import atomic_write
-from dropo.core.services.errors import DropoError
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array
+from dropo.report.robot.camera import camera_of
+from dropo.report.robot.poses import MOST, poses_of
+from dropo.report.robot.stage import GHOSTS, Stage
 
 if TYPE_CHECKING:
     from dropo.mjmodel.robot_simulator import RobotSimulator
 
 # Size of each half [pixels].
 WIDTH = 480
-HEIGHT = 480
-# Frames in a second, and frames for each control step.
+HEIGHT = 320
 FRAMES = 30
-EACH = 3
-# Colours of the models before and after, as in the page's figures.
-GHOSTS = ((0.95, 0.42, 0.0, 0.6), (0.1, 0.55, 0.95, 0.6))
-MEASURED = (0.75, 0.75, 0.72, 1.0)
+"""Frames in a second of a motion ..."""
+PAGE_FRAMES = 20
+"""... and of a page's video, which is smaller for it."""
+SHORTEST = 6.0
+"""A motion that is shorter is slowed down to last about so long [s]."""
+SLOWED = (1, 2, 4, 10, 20, 50, 100)
+"""How many times."""
+LARGEST = 1_500_000
+"""Size of a file [bytes], about, at most: what a page carries."""
 
 
-def write_video(found: Predictions, simulator: "RobotSimulator", path: Path) -> Path:
-    """Write all windows, slowed down, as a video in H.264.
+@dataclass(frozen=True)
+class Shown:
+    """What a video shows, for its caption.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    factor : int
+        By how much errors are enlarged.
+    slowed : int
+        By how much time is slowed down; 0 where the length of a control step is not known.
+    seconds : float
+        How much of the run is shown [s]; NaN where unknown.
+    """
+
+    path: Path
+    factor: int
+    slowed: int
+    seconds: float
+
+
+def write_video(
+    found: Predictions, simulator: "RobotSimulator", path: Path, most: int = MOST
+) -> Shown:
+    """Write the motion of a run as a video in H.264 that every browser plays.
 
     Without a display it needs the environment variable MUJOCO_GL=egl before MuJoCo is imported.
-    Components of the state that the data do not hold, such as a hopper's position along the floor,
-    stay where the model begins.
 
     Parameters
     ----------
@@ -43,11 +72,12 @@ def write_video(found: Predictions, simulator: "RobotSimulator", path: Path) -> 
         One of the run's model.
     path : Path
         The file to write.
+    most : int
+        Poses in it at most.
 
     Returns
     -------
-    Path
-        The file.
+    Shown
 
     Raises
     ------
@@ -56,29 +86,29 @@ def write_video(found: Predictions, simulator: "RobotSimulator", path: Path) -> 
     DropoError
         If MuJoCo cannot draw on this machine.
     """
-    need("imageio_ffmpeg", extra="video", caller="A video")
-    import imageio_ffmpeg
-
-    measured = _states(found, simulator, None)
-    halves = [_states(found, simulator, side) for side in (found.before, found.after)]
-    stage = _Stage(simulator.model)
-    with atomic_write(path) as part:
-        writer = imageio_ffmpeg.write_frames(
-            str(part), (2 * WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7
-        )
-        writer.send(None)
-        try:
-            for k, qpos in enumerate(measured):
-                images = []
-                for half, ghost in zip(halves, GHOSTS, strict=True):
-                    images.append(stage.frame(qpos, half[k], ghost))
-                frame = np.concatenate(images, axis=1)
-                for _ in range(EACH):
-                    writer.send(np.ascontiguousarray(frame))
-        finally:
-            writer.close()
-            stage.close()
-    return path
+    poses = poses_of(found, simulator, most)
+    known = np.isfinite(found.seconds)
+    whole = float(poses.times[-1]) if known else np.nan
+    slowed = next((n for n in SLOWED if n * whole >= SHORTEST), SLOWED[-1]) if known else 0
+    length = slowed * whole if known else len(poses.times) / PAGE_FRAMES * 3
+    camera, lookat = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT)
+    count = max(2, round(length * PAGE_FRAMES))
+    shown = np.linspace(0, len(poses.times) - 1, count).round().astype(int)
+    stage = Stage(simulator.model, WIDTH, HEIGHT)
+    halves = ((poses.before, GHOSTS[0]), (poses.after, GHOSTS[1]))
+    at, frame = -1, np.zeros(0)
+    try:
+        with atomic_write(path) as part, _Writer(part, (WIDTH, 2 * HEIGHT), PAGE_FRAMES, length) as writer:
+            for k in shown:
+                if k != at:
+                    at = k
+                    stage.look(camera, lookat[k])
+                    images = [stage.frame(poses.measured[k], own[k], ghost) for own, ghost in halves]
+                    frame = np.concatenate(images)
+                writer.send(frame)
+    finally:
+        stage.close()
+    return Shown(path, poses.factor, slowed, whole)
 
 
 def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
@@ -107,93 +137,50 @@ def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
     MissingPackage, DropoError
         As of `write_video`.
     """
-    need("imageio_ffmpeg", extra="video", caller="A video")
-    import imageio_ffmpeg
-
-    stage = _Stage(model)
-    with atomic_write(path) as part:
-        writer = imageio_ffmpeg.write_frames(
-            str(part), (WIDTH, HEIGHT), fps=FRAMES, macro_block_size=16, quality=7
-        )
-        writer.send(None)
-        try:
-            for time in np.arange(0, len(qpos) * step, 1 / FRAMES):
+    stage = Stage(model, WIDTH, WIDTH)
+    if model.ncam:
+        stage.camera.type = stage.mujoco.mjtCamera.mjCAMERA_FIXED
+        stage.camera.fixedcamid = 0
+    length = len(qpos) * step
+    try:
+        with atomic_write(path) as part, _Writer(part, (WIDTH, WIDTH), FRAMES) as writer:
+            for time in np.arange(0, length, 1 / FRAMES):
                 nearest = min(round(time / step), len(qpos) - 1)
-                writer.send(np.ascontiguousarray(stage.frame(qpos[nearest])))
-        finally:
-            writer.close()
-            stage.close()
+                writer.send(stage.frame(qpos[nearest]))
+    finally:
+        stage.close()
     return path
 
 
-def _states(found: Predictions, simulator: "RobotSimulator", side: Side | None) -> Array:
-    """Joint positions (W L, nq) as measured, or as a side predicted them."""
-    rows = found.rows.reshape(-1, found.rows.shape[2])
-    layout = simulator.layout
-    if side is not None:
-        rows = layout.move(rows, (side.line - found.measured).reshape(len(rows), -1))
-    states = layout.full_states(np.nan_to_num(rows), simulator.model)
-    return states[:, 1 : 1 + simulator.model.nq]
+class _Writer:
+    """A file of H.264; bounded in size where its length [s] is given."""
 
+    def __init__(self, path: Path, size: tuple[int, int], frames: int, length: float = 0.0):
+        need("imageio_ffmpeg", extra="video", caller="A video")
+        import imageio_ffmpeg
 
-class _Stage:
-    """A renderer without shadows and reflections, which cost much and say nothing here."""
+        bounded = []
+        if length > 0:
+            rate = int(0.8 * 8 * LARGEST / length)
+            bounded = ["-maxrate", str(rate), "-bufsize", str(rate)]
+        quick = ["-crf", "27", "-preset", "veryfast", "-movflags", "+faststart"]
+        self.frames = imageio_ffmpeg.write_frames(
+            str(path),
+            size,
+            fps=frames,
+            macro_block_size=16,
+            quality=None,
+            output_params=[*quick, *bounded],
+        )
 
-    def __init__(self, model: Any):
-        import mujoco
+    def __enter__(self) -> "_Writer":
+        self.frames.send(None)
+        return self
 
-        self.mujoco = mujoco
-        self.model = _plain(model)
-        try:
-            self.renderer = mujoco.Renderer(self.model, HEIGHT, WIDTH)
-        except Exception as error:  # whatever the graphics library says
-            advice = (
-                "Set MUJOCO_GL to egl, osmesa or glfw before Python starts, or leave out --video."
-            )
-            raise DropoError(f"MuJoCo cannot draw here: {error}. {advice}") from None
-        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
-            self.renderer.scene.flags[flag] = 0
-        self.solid = mujoco.MjData(self.model)
-        self.ghost = mujoco.MjData(self.model)
-        self.camera = mujoco.MjvCamera()
-        self.option = mujoco.MjvOption()
-        mujoco.mjv_defaultFreeCamera(self.model, self.camera)
-        if self.model.ncam:
-            self.camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-            self.camera.fixedcamid = 0
+    def __exit__(self, *error: object) -> None:
+        self.frames.close()
 
-    def frame(
-        self, qpos: Array, ghost: Array | None = None, color: tuple[float, ...] = MEASURED
-    ) -> Any:
-        """The image (HEIGHT, WIDTH, 3) of the measured robot, and of the simulated one over it."""
-        scene = self.renderer.scene
-        for data, place in ((self.solid, qpos), (self.ghost, qpos if ghost is None else ghost)):
-            data.qpos[:] = place
-            self.mujoco.mj_forward(self.model, data)
-        self.renderer.update_scene(self.solid, self.camera, self.option)
-        first = scene.ngeom
-        dynamic = self.mujoco.mjtCatBit.mjCAT_DYNAMIC
-        if ghost is not None:
-            self.mujoco.mjv_addGeoms(
-                self.model, self.ghost, self.option, self.mujoco.MjvPerturb(), dynamic, scene
-            )
-        for i, geom in enumerate(scene.geoms[: scene.ngeom]):
-            if geom.category == dynamic:
-                geom.matid = -1
-                geom.rgba[:] = color if i >= first else MEASURED
-        return self.renderer.render()
+    def send(self, frame: Array) -> None:
+        """Append a frame (height, width, 3)."""
+        self.frames.send(np.ascontiguousarray(frame))
 
-    def close(self) -> None:
-        """Free the renderer."""
-        self.renderer.close()
-
-
-def _plain(model: Any) -> Any:
-    """A copy that is drawn at once: no multisampling, a picture as large as needed."""
-    import copy
-
-    out = copy.copy(model)
-    out.vis.quality.offsamples = 0
-    out.vis.global_.offwidth = max(WIDTH, out.vis.global_.offwidth)
-    out.vis.global_.offheight = max(HEIGHT, out.vis.global_.offheight)
-    return out
