@@ -10,7 +10,7 @@ The room imports core alone. Add a figure as a function with `ax=None` that take
 
 from dropo.plots.causes import candidates, changes, forces, law, residuals, similarity, sizes
 from dropo.plots.checks import expected_coverage, ranks
-from dropo.plots.distribution import corner, correlation, parameters
+from dropo.plots.distribution import corner, correlation, pair, parameters
 from dropo.plots.motion import calibration, errors, horizon, trajectory
 from dropo.plots.search import convergence, moves, noise, trace, tuning
 
@@ -28,6 +28,7 @@ __all__ = [
     "law",
     "moves",
     "noise",
+    "pair",
     "parameters",
     "ranks",
     "residuals",

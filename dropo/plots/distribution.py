@@ -160,6 +160,68 @@ def corner(fit: Fit, axes: Any = None) -> Any:
     return axes
 
 
+def correlated_pairs(fit: Fit, maximum: int = 12) -> list[tuple[int, int, float]]:
+    """List the pairs of parameters that are correlated most.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    maximum : int
+        Pairs at most.
+
+    Returns
+    -------
+    list of (int, int, float)
+        Two parameters, the later one second, and their correlation in the draws; the strongest
+        first. Those of a parameter with one value alone are left out.
+    """
+    spread = fit.sd > 0
+    draws = draws_of(fit)
+    varies = np.flatnonzero(spread & (np.ptp(draws, axis=0) > 0))
+    if len(varies) < 2:
+        return []
+    matrix = np.corrcoef(draws[:, varies].T)
+    first, second = np.triu_indices(len(varies), 1)
+    values = matrix[first, second]
+    order = np.argsort(-np.abs(values), kind="stable")[:maximum]
+    return [(int(varies[first[k]]), int(varies[second[k]]), float(values[k])) for k in order]
+
+
+def pair(fit: Fit, i: int, j: int, ax: Axes | None = None) -> Axes:
+    """Draw the joint distribution of two parameters: contours that hold half and 90 % of the draws.
+
+    Parameters
+    ----------
+    fit : Fit
+        What to draw.
+    i, j : int
+        The parameters, across and up.
+    ax : Axes, optional
+        Where to draw; a figure of its own by default.
+
+    Returns
+    -------
+    Axes
+    """
+    ax = axes_of(ax, size=(2.2, 2.1))
+    units = [_near(fit, k) for k in range(len(fit.space))]
+    draws = draws_of(fit)
+    x, y = ((draws[:, k] - units[k].base) / units[k].scale for k in (i, j))
+    _contours(ax, x, y)
+    for k, line in ((i, ax.axvline), (j, ax.axhline)):
+        truth = units[k].truth
+        ends = x if k == i else y
+        if truth is not None and ends.min() <= truth <= ends.max():
+            line(truth, color=BEFORE, lw=1)
+    ax.set_xlabel(units[i].label, fontsize=FONT)
+    ax.set_ylabel(units[j].label, fontsize=FONT)
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(_few_ticks(2))
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
 @dataclass(frozen=True)
 class _Unit:
     """How a parameter is written on its axis: (value - base) / scale, as the label says."""

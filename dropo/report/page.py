@@ -9,6 +9,7 @@ from importlib.resources import files
 import numpy as np
 
 from dropo._version import __version__
+from dropo.report.glossary import explained, list_of
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,8 @@ def page(
         for name, value, kind in cards
     )
     parts = "\n".join(_section(section) for section in sections)
+    beneath = explained(beneath)
+    words = list_of(beneath + parts)
     top = (
         f'<p class="kicker">{escape(kicker)}</p><h1>{escape(first)}</h1>{beneath}'
         f'<dl class="cards">{shown}</dl>'
@@ -100,7 +103,7 @@ def page(
 <main>
 {parts}
 </main>
-<footer>Made by dropo {__version__}.</footer>
+<footer>{words}Made by dropo {__version__}.</footer>
 <script>
 {_part("page.js")}{_part("motion.js")}</script>
 </body>
@@ -111,7 +114,8 @@ def page(
 def _section(section: Section) -> str:
     """A section as HTML."""
     lead = f"<p class=lead>{escape(section.lead)}</p>" if section.lead else ""
-    return f"<section><h2>{escape(section.title)}</h2>{lead}\n{section.body}</section>"
+    body = explained(f"{lead}\n{section.body}")
+    return f"<section><h2>{escape(section.title)}</h2>{body}</section>"
 
 
 def shortened(text: str, maximum: int = SHORT) -> tuple[str, str]:
@@ -159,9 +163,9 @@ def figure(svg: str, title: str, caption: str = "") -> str:
     return f"<figure>{above}{svg}{below}</figure>"
 
 
-def grid(*figures: str) -> str:
-    """Put `figures` side by side, one below the other on a phone."""
-    return f'<div class="grid">{"".join(figures)}</div>'
+def grid(*figures: str, small: bool = False) -> str:
+    """Put `figures` side by side, one below the other on a phone; `small` ones two by two there."""
+    return f'<div class="grid{" small" * small}">{"".join(figures)}</div>'
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Cell]], *, told: bool = False) -> str:

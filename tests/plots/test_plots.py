@@ -99,6 +99,7 @@ def figures(fit, predictions):
         "calibration": lambda ax: plots.calibration(predictions, ax),
         "parameters": lambda ax: plots.parameters(fit, ax, priors={"mass": "normal(1.5, 0.3)"}),
         "correlation": lambda ax: plots.correlation(fit, ax),
+        "pair": lambda ax: plots.pair(fit, 0, 1, ax),
         "convergence": lambda ax: plots.convergence([1, 2, 3], [-9, -2, -1], ax),
         "moves": lambda ax: plots.moves([[1.0, 1.0], [1.5, 0.9]], fit, ax),
         "noise": lambda ax: plots.noise(fit, predictions, ax),

@@ -10,7 +10,7 @@ from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_parts import PosteriorDraws
 from dropo.core.records.fit_report import INTERVAL, span, z_scores
 from dropo.core.services.tables import estimate
-from dropo.plots.distribution import MOST
+from dropo.plots.distribution import correlated_pairs
 from dropo.report import parts
 from dropo.report.folder import Result
 from dropo.report.page import (
@@ -29,6 +29,13 @@ from dropo.report.svg import picture
 from dropo.report.svg import rows as svg_rows
 
 LEVEL = "Level, and alike for all walkers, where they have come to the posterior."
+FEW = 4
+"""Parameters of which all pairs are drawn in one corner plot ..."""
+READABLE = 14
+"""... and of which a matrix of correlations can be read."""
+LEAST = 0.1
+"""The smallest correlation that is drawn by itself."""
+INSIDE = "Contours hold half and 90 % of the draws."
 # [in] of a picture with a row for each parameter
 ROW = 0.4
 HEAD = 0.8
@@ -184,7 +191,8 @@ def _parameters(fit: Fit, priors: dict[str, Prior]) -> Section:
     )
     lead = KNOWN if fit.parameters_are_constant or fit.method in POSTERIORS else SPREAD
     caption = "Grey is what was searched, pale blue the distribution, the line the mean."
-    pictures = grid(figure(svg, "Where in the search interval", caption), *_joint(fit))
+    shown = [figure(svg, "Where in the search interval", caption), *_joint(fit)]
+    pictures = grid(*shown) + _pairs(fit)
     return Section("Parameters", lead, table(header, rows) + pictures)
 
 
@@ -194,20 +202,49 @@ def _number(value: float, digits: int) -> Cell:
 
 
 def _joint(fit: Fit) -> list[str]:
-    """The joint distribution, and the correlations where the family has such."""
-    if len(fit.space) < 2 or not np.any(fit.sd > 0):
+    """All pairs of few parameters in one picture, and the correlations where they can be read."""
+    count = len(fit.space)
+    if count < 2 or not np.any(fit.sd > 0):
         return []
-    count = min(len(fit.space), MOST)
+    shown = []
+    if count <= FEW:
+        strongest = _strongest(fit)
+        text = f"Corner plot of {count} parameters. {strongest}"
+        svg = picture(partial(plots.corner, fit), text, size=(4.4, 4.4), grid=count)
+        shown = [figure(svg, "Joint distribution", f"{INSIDE} {strongest}{_orange(fit)}")]
+    correlated = np.any(np.abs(fit.correlation - np.eye(count)) > 0)
+    return [*shown, _matrix(fit)] if correlated and 2 < count <= READABLE else shown
+
+
+def _pairs(fit: Fit) -> str:
+    """Of many parameters a small picture for each of the pairs that are correlated most."""
+    names = fit.space.names
+    if len(names) <= FEW or not np.any(fit.sd > 0):
+        return ""
+    found = [one for one in correlated_pairs(fit) if abs(one[2]) >= LEAST]
+    if not found:
+        return paragraph(f"No two parameters have a correlation of {LEAST:g} or more.")
+    shown = []
+    for i, j, value in found:
+        text = f"Contours of {names[i]} and {names[j]}, correlation {value:.2f}."
+        svg = picture(partial(plots.pair, fit, i, j), text, size=(2.2, 2.1))
+        shown.append(figure(svg, f"{value:+.2f}"))
+    count = len(names) * (len(names) - 1) // 2
+    listed = f"The strongest correlations, {len(shown)} of {count}. {INSIDE}{_orange(fit)}"
+    body = "<h3>Which parameters the data tell only together</h3>"
+    return body + paragraph(listed) + grid(*shown, small=True)
+
+
+def _orange(fit: Fit) -> str:
+    """What orange is, where it is there."""
+    return " Orange: the truth." if fit.truth else ""
+
+
+def _matrix(fit: Fit) -> str:
+    """The matrix of correlations."""
     strongest = _strongest(fit)
-    text = f"Corner plot of {count} parameters. {strongest}"
-    svg = picture(partial(plots.corner, fit), text, size=(4.4, 4.4), grid=count)
-    truth = " Orange: the truth." if fit.truth else ""
-    caption = f"Contours hold half and 90 % of the draws. {strongest}{truth}"
-    shown = [figure(svg, "Joint distribution", caption)]
-    if len(fit.space) > 2 and np.any(np.abs(fit.correlation - np.eye(len(fit.space))) > 0):
-        svg = picture(partial(plots.correlation, fit), f"Correlation matrix. {strongest}")
-        shown.append(figure(svg, "Correlation", strongest))
-    return shown
+    svg = picture(partial(plots.correlation, fit), f"Correlation matrix. {strongest}")
+    return figure(svg, "Correlation", strongest)
 
 
 def _strongest(fit: Fit) -> str:
