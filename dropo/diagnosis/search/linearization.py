@@ -291,20 +291,24 @@ def linearize(library: Library, windows: Windows, theta: Array, noise: Noise) ->
     To second order in each signal's error z, without mixed terms, the prediction is f + J z +
     H z^2 / 2. The mean of the last part shifts the predictions; its variance, (H sigma^2)^2 / 2, is
     a loading of its own, so that windows that begin close to an impact count less.
+
+    Of a signal that was estimated sigma is wide, so that its start is free; but the start is not
+    that far off. Its differences are as wide as its errors are, and the second order is theirs.
     """
     sigma = noise.sigma
     p = len(sigma)
-    # Row 0: the measured start; then each signal larger by sigma, then each smaller by sigma.
-    offsets = np.repeat(axial_design(sigma, -sigma)[:, None], len(windows), axis=1)
+    width = sigma if windows.start_sd is None else np.minimum(sigma, windows.start_sd)
+    # Row 0: the measured start; then each signal larger by its width, then each smaller.
+    offsets = np.repeat(axial_design(width, -width)[:, None], len(windows), axis=1)
     predicted = library.predict(np.repeat(theta[None], 2 * p + 1, axis=0), windows, offsets)
     lost = np.asarray(~np.isfinite(predicted).all(axis=(0, 2)))
     predicted[:, lost] = 0.0
     centre = predicted[0]
     upper = predicted[1 : p + 1]
     lower = predicted[p + 1 :]
-    # (p, W, n) half the second derivative times sigma^2, and the first derivative times sigma.
+    # (p, W, n) half the second derivative times width^2, and the first derivative times sigma.
     curvature = 0.5 * (upper + lower) - centre
-    linear = 0.5 * (upper - lower)
+    linear = 0.5 * (upper - lower) * (sigma / width)[:, None, None]
     scaled = np.concatenate([linear, np.sqrt(2) * curvature])
     loadings = np.moveaxis(scaled / np.tile(sigma, 2)[:, None, None], 0, 2)
     shift = curvature.sum(axis=0)

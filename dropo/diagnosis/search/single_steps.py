@@ -160,4 +160,4 @@ def _cut_apart(library: Library, windows: Windows, maximum: int) -> Windows:
     chosen = np.unique(chosen)
     segments = old.trajectories.from_rows(old.steps.ravel()[chosen], every_step=True)
     measured = library.simulator.targets(segments).reshape(len(chosen), -1)
-    return Windows(segments, measured, chosen // windows.length, 1)
+    return Windows(segments, measured, chosen // windows.length, 1, windows.start_sd)

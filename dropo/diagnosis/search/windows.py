@@ -2,7 +2,7 @@
 windows held out.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,12 +53,16 @@ class Windows:
         The trajectory or block of time that each belongs to.
     length : int
         L.
+    start_sd : (p,) array or None
+        How far starts are from the true ones in signals that were estimated, not measured, infinite
+        in others; None where all were measured.
     """
 
     segments: Segments
     measured: Array
     block: Ints
     length: int
+    start_sd: Array | None = None
 
     def __len__(self) -> int:
         return len(self.block)
@@ -66,7 +70,8 @@ class Windows:
     def take(self, index: Ints) -> "Windows":
         """Return some of the windows, by index."""
         segments = self.segments.take(index)
-        return Windows(segments, self.measured[index], self.block[index], self.length)
+        measured = self.measured[index]
+        return Windows(segments, measured, self.block[index], self.length, self.start_sd)
 
     @property
     def steps(self) -> int:
@@ -150,7 +155,15 @@ def cut(
             f" Give more data, about {4 * settings.fewest * (length + 1)} transitions, or shorter"
             " windows."
         )
-    return _side(problem.simulator, part, starts, length, maximum, settings)
+    windows = _side(problem.simulator, part, starts, length, maximum, settings)
+    return replace(windows, start_sd=_start_sd(problem))
+
+
+def _start_sd(problem: Problem) -> Array | None:
+    """The errors (p,) of starts that were estimated."""
+    if not problem.estimated:
+        return None
+    return np.array([problem.estimated.get(one.name, np.inf) for one in problem.simulator.signals])
 
 
 def windows_from(simulator: Simulator, segments: Segments, block: Ints) -> Windows:
