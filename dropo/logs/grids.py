@@ -10,7 +10,7 @@ from dropo.core.services.validation import Array
 from dropo.logs.recordings import LogRun, TimeSeries
 from dropo.logs.signals.resampling import resample, resample_rotations
 from dropo.logs.signals.stamps import find_gaps
-from dropo.mjmodel.joints import Joint, ModelJoints
+from dropo.mjmodel.joints import ModelJoints
 
 ON_GRID = 1e-3
 """Stamps within this fraction of a control step of the grid are on it, and are not resampled."""
@@ -208,8 +208,8 @@ def _is_on_grid(time: Array, at: Array, step: float) -> bool:
 # What the signals are there
 
 
-def sample_state(series: TimeSeries, span: GridSpan, joint: Joint | None) -> Array:
-    """Take a position or velocity on the grid.
+def sample_state(series: TimeSeries, span: GridSpan, rotation: slice | None) -> Array:
+    """Take a position, a velocity or a sensor's numbers on the grid.
 
     Parameters
     ----------
@@ -217,8 +217,8 @@ def sample_state(series: TimeSeries, span: GridSpan, joint: Joint | None) -> Arr
         k numbers.
     span : GridSpan
         n instants.
-    joint : Joint or None
-        Whose position or velocity it is.
+    rotation : slice or None
+        The places of a quaternion among the numbers.
 
     Returns
     -------
@@ -230,11 +230,9 @@ def sample_state(series: TimeSeries, span: GridSpan, joint: Joint | None) -> Arr
         return series.values[_nearest(series.time, span.at)]
     at = np.clip(span.at, series.time[0], series.time[-1])
     values = resample(series.time, series.values, at)
-    if joint is not None and series.channel.field == "qpos":
-        quaternion = joint.quaternion()
-        if quaternion is not None:
-            measured = series.values[:, quaternion]
-            values[:, quaternion] = resample_rotations(series.time, measured, at)
+    if rotation is not None:
+        measured = series.values[:, rotation]
+        values[:, rotation] = resample_rotations(series.time, measured, at)
     return values
 
 
@@ -291,7 +289,9 @@ def held_means(time: Array, values: Array, at: Array, step: float) -> Array:
     return (integrate(at + step) - integrate(at)) / step
 
 
-def observation_items(robot: ModelJoints, names: Sequence[str]) -> list[str]:
+def observation_items(
+    robot: ModelJoints, names: Sequence[str], sensors: Sequence[str] = ()
+) -> list[str]:
     """Name the items of an observation, as a problem file does.
 
     Parameters
@@ -300,16 +300,20 @@ def observation_items(robot: ModelJoints, names: Sequence[str]) -> list[str]:
         All joints of the model.
     names : sequence of str
         The joints that were measured.
+    sensors : sequence of str
+        The sensors.
 
     Returns
     -------
     list of str
-        Positions, then velocities, in the model's order.
+        Positions, then velocities, in the model's order, and the sensors in theirs.
     """
+    others = [f"sensordata.{name}" for name in sensors]
     if len(names) == len(robot.joints):
-        return ["qpos", "qvel"]
+        return ["qpos", "qvel", *others]
     ordered = [names[i] for i in _model_order(robot, names)]
-    return [*(f"qpos.{name}" for name in ordered), *(f"qvel.{name}" for name in ordered)]
+    states = [*(f"qpos.{name}" for name in ordered), *(f"qvel.{name}" for name in ordered)]
+    return states + others
 
 
 def join_observations(

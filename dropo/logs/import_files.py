@@ -152,19 +152,25 @@ def _estimated(found: "Import") -> dict[str, float]:
 def _variances(found: "Import") -> dict[str, float]:
     """The variance of every signal's noise; empty where one is not known, or joints turn freely."""
     levels = {
-        name: noise.sd for name, noise in found.noise.items() if name.startswith(("qpos", "qvel"))
+        name: noise.sd
+        for name, noise in found.noise.items()
+        if name.startswith(("qpos", "qvel", "sensordata"))
     }
     known = {name: sd**2 for name, sd in levels.items() if sd is not None and sd > 0}
-    are_whole = len(known) == len(levels) and not any("[" in name for name in known)
-    ordered = sorted(known, key=lambda name: name.startswith("qvel"))
+    turned = [name for name in known if "[" in name and not name.startswith("sensordata")]
+    turned += [name for name in known if name.endswith("[3]")]  # of a quaternion
+    are_whole = len(known) == len(levels) and not turned
+    fields = ("qpos", "qvel", "sensordata")
+    ordered = sorted(known, key=lambda name: fields.index(name.partition(".")[0]))
     return {name: known[name] for name in ordered} if are_whole else {}
 
 
 def _whole_states(found: "Import", robot: ModelJoints) -> tuple[Array, Array] | None:
     """The rows of the longest trajectory as positions and velocities, where all were measured."""
-    if found.observation != ["qpos", "qvel"]:
+    if found.observation[:2] != ["qpos", "qvel"]:
         return None
     longest = int(np.argmax(found.trajectories))
     first = sum(found.trajectories[:longest])
     rows = found.arrays["observations"][first : first + found.trajectories[longest]]
-    return rows[:, : robot.model.nq], rows[:, robot.model.nq :]
+    nq, nv = robot.model.nq, robot.model.nv
+    return rows[:, :nq], rows[:, nq : nq + nv]

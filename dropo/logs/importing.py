@@ -307,10 +307,11 @@ def prepare(
     progress(0.9, "resampling")
     gathered = _gather(raw, runs, mapping, robot, skip)
     positions = [channel.name for channel in mapping.of("qpos")]
+    sensors = [channel.name for channel in mapping.of("sensordata")]
     action, _ = _action_items(mapping, robot)
     return Import(
         arrays=_join_arrays(gathered.pieces, list(gathered.rows)),
-        observation=observation_items(robot, positions),
+        observation=observation_items(robot, positions, sensors),
         action=action,
         frame_skip=skip,
         control_step=skip * robot.timestep,
@@ -467,7 +468,21 @@ def _observations(run: LogRun, span: GridSpan, mapping: LogMapping, robot: Model
     names = [channel.name for channel in mapping.of("qpos")]
     positions = _sample_states("qpos", names, run, span, robot)
     velocities = _sample_states("qvel", names, run, span, robot)
-    return join_observations(robot, names, positions, velocities)
+    states = join_observations(robot, names, positions, velocities)
+    return np.hstack([states, *_sample_sensors(run, span, mapping, robot)])
+
+
+def _sample_sensors(
+    run: LogRun, span: GridSpan, mapping: LogMapping, robot: ModelJoints
+) -> list[Array]:
+    """What the sensors show (n, k) in a span."""
+    found = []
+    for channel in mapping.of("sensordata"):
+        series = run.of("sensordata", channel.name)
+        if series is not None:
+            whole = slice(0, 4) if robot.sensors[channel.name].is_rotation else None
+            found.append(sample_state(series, span, whole))
+    return found
 
 
 def _sample_states(
@@ -478,7 +493,8 @@ def _sample_states(
     for name in names:
         series = run.of(quantity, name)
         if series is not None:
-            states.append(sample_state(series, span, robot.joints[name]))
+            rotation = robot.joints[name].quaternion() if quantity == "qpos" else None
+            states.append(sample_state(series, span, rotation))
     return states
 
 

@@ -32,7 +32,13 @@ from dropo.data.checks.kinematics import (
 )
 from dropo.logs.guessing.words import tokens
 from dropo.logs.recordings import LogRun, TimeSeries
-from dropo.logs.signals.stamps import StampSettings, check_stamps, find_gaps, increasing
+from dropo.logs.signals.stamps import (
+    StampSettings,
+    check_stamps,
+    check_values,
+    find_gaps,
+    increasing,
+)
 from dropo.mjmodel.joints import Joint, ModelJoints
 
 
@@ -99,8 +105,14 @@ def check_runs(
         for stamps in run.stamps:
             found += check_stamps(stamps.name, stamps.time, stamps.rows, name, settings.stamps)
         series = []
+        longest = max((len(stamps.time) for stamps in run.stamps), default=0)
         for logged in run.series:
             ordered = logged.take(increasing(logged.time))
+            is_sensor = logged.channel.field == "sensordata"
+            if is_sensor and len(ordered.time) < longest:
+                found += check_values(
+                    ordered.label, ordered.time, ordered.rows, name, settings.stamps
+                )
             if _is_angle(ordered, robot):
                 found += _check_degrees(ordered, robot, name, settings)
                 found += check_turns(next(_columns(ordered, robot, name)))
@@ -235,6 +247,7 @@ def _columns(series: TimeSeries, robot: ModelJoints, run: str | None) -> Iterato
     names = [f"{series.label}[{i}]" for i in range(width)] if width > 1 else [series.label]
     limits = None
     quaternion = None
+    whole = channel.field == "sensordata" and width > 1 and np.ptp(series.values, axis=0).any()
     if channel.field == "ctrl":
         limits = robot.actuators[channel.name].range
     elif channel.field == "qpos":
@@ -244,6 +257,8 @@ def _columns(series: TimeSeries, robot: ModelJoints, run: str | None) -> Iterato
         values = series.values[:, i]
         if quaternion is not None and i >= quaternion.start and np.ptp(values) == 0:
             continue  # a rotation about one axis leaves some of the four at rest
+        if whole and np.ptp(values) == 0:
+            continue  # as does a sensor of several axes that moves in a plane
         yield Column(
             name=name,
             unit=channel.units[i],

@@ -2,17 +2,20 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from dropo.core.services.errors import BadFile
 from dropo.core.services.file_content import FileContent, describe_options, describe_value
 from dropo.logs.units import UNITS, units_of
 from dropo.mjmodel.joints import Joint, ModelJoints
+from dropo.mjmodel.sensors import Sensor
 
 if TYPE_CHECKING:
-    from dropo.logs.mapping_schema import ChannelEntry, ClockEntry, MappingFile
+    from dropo.logs.mapping_schema import ChannelEntry, ClockEntry, MappingFile, SensorEntry
 
 KIND = "a mapping file"
 """What messages call such a file."""
@@ -20,6 +23,21 @@ TORQUE_LIKE = ("N m", "N", "A", "V", "rad", "m", "rad/s", "m/s", "")
 """SI units that a command may have: what an actuator takes is the model's own."""
 COMMAND = "command"
 """The name of the only candidate where a mapping has `ctrl` and no `inputs`."""
+AXES: dict[object, tuple[float, float, float]] = {
+    "x": (1.0, 0.0, 0.0),
+    "y": (0.0, 1.0, 0.0),
+    "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "-z": (0.0, 0.0, -1.0),
+}
+"""Axes as a mapping file names them."""
+ROTATION = (
+    "a quaternion w, x, y, z of length 1, or three axes of the log that are turned and not mirrored,"
+    " such as [y, -x, z]"
+)
+ROUNDED = 0.01
+"""How far the length of a quaternion in a mapping file may be from 1."""
 ONE_UNIT_EACH = "one unit for each column, of its kind"
 _SLICE = re.compile(r"(?P<name>.+)\[(?P<start>\d{1,9}):(?P<stop>\d{1,9})\]")
 
@@ -64,16 +82,17 @@ class Source:
 
 @dataclass(frozen=True)
 class Channel:
-    """One or more columns that are the numbers of a joint or an actuator.
+    """One or more columns that are the numbers of a joint, an actuator or a sensor.
 
-    A value is factor (sign column + offset), in the SI unit.
+    A value is factor (sign column + offset), in the SI unit; of a sensor that is turned, these
+    values turned.
 
     Attributes
     ----------
     field : str
-        "qpos" or "qvel" of a joint, or "ctrl" of an actuator.
+        "qpos" or "qvel" of a joint, "ctrl" of an actuator, or "sensordata" of a sensor.
     name : str
-        The joint or actuator.
+        The joint, actuator or sensor.
     columns, units : tuple of str
         For each number the column and the SI unit.
     factors, signs, offsets : tuple of float
@@ -84,6 +103,8 @@ class Channel:
         Of the commands, where a log has several.
     key : str
         Where the channel stands in the mapping file.
+    rotation : tuple of float or None
+        Quaternion w, x, y, z that turns the axes of a sensor's columns into those of the model's.
     """
 
     field: str
@@ -96,6 +117,7 @@ class Channel:
     source: Source
     candidate: str = ""
     key: str = ""
+    rotation: tuple[float, ...] | None = None
 
     @property
     def label(self) -> str:
@@ -135,7 +157,7 @@ class Mapping:
         Parameters
         ----------
         field : str
-            "qpos", "qvel" or "ctrl".
+            "qpos", "qvel", "ctrl" or "sensordata".
         candidate : str
             Of the commands.
 
@@ -230,7 +252,11 @@ def _make_mapping(file: "FileContent[MappingFile]", robot: ModelJoints) -> Mappi
     content = file.content
     time = content.time
     source = Source(time.file, time.topic, _make_clock(time))
-    channels = (*_read_joints(file, robot, source), *_read_commands(file, robot, source))
+    channels = (
+        *_read_joints(file, robot, source),
+        *_read_sensors(file, robot, source),
+        *_read_commands(file, robot, source),
+    )
     only = tuple(content.run.only or ())
     return Mapping(file.path, channels, content.run.column, only, content.rate)
 
@@ -253,6 +279,16 @@ def _read_joints(
             yield reader.read_joint(field, robot.joints[name])
 
 
+def _read_sensors(
+    file: "FileContent[MappingFile]", robot: ModelJoints, source: Source
+) -> Iterator[Channel]:
+    """The channels of the sensors."""
+    for name, entry in file.content.sensordata.items():
+        key = f"sensordata.{name}"
+        file.require_known(key, name, robot.sensors, "the name of a sensor of the model")
+        yield _ChannelReader(file, key, entry, source).read_sensor(robot.sensors[name], entry)
+
+
 def _read_commands(
     file: "FileContent[MappingFile]", robot: ModelJoints, source: Source
 ) -> Iterator[Channel]:
@@ -269,7 +305,7 @@ def _read_commands(
 
 @dataclass(frozen=True)
 class _ChannelReader:
-    """An entry of a joint or actuator, on its way to a channel."""
+    """An entry of a joint, actuator or sensor, on its way to a channel."""
 
     file: "FileContent[MappingFile]"
     key: str
@@ -289,6 +325,22 @@ class _ChannelReader:
         columns = self._read_columns(1)
         units, factors = self._read_units(("",), TORQUE_LIKE)
         return self._make_channel("ctrl", name, columns, units, factors, candidate)
+
+    def read_sensor(self, sensor: Sensor, entry: "SensorEntry") -> Channel:
+        """The channel of a sensor."""
+        columns = self._read_columns(len(sensor.units))
+        allowed = tuple(unit for unit in dict.fromkeys(sensor.units) if unit)
+        units, factors = self._read_units(sensor.units, allowed or ("",))
+        channel = self._make_channel("sensordata", sensor.name, columns, units, factors, "")
+        if entry.rotation is None:
+            return channel
+        if not sensor.may_be_turned:
+            got = f"one of a {sensor.kind}"
+            raise self._refusal("rotation", "a sensor that turns with its mount", got)
+        turn = read_rotation(entry.rotation)
+        if turn is None:
+            raise self._refusal("rotation", ROTATION, describe_value(entry.rotation))
+        return replace(channel, rotation=turn)
 
     def _make_channel(
         self,
@@ -376,6 +428,34 @@ class _ChannelReader:
     def _refusal(self, key: str, expected: str, got: str) -> BadFile:
         """The error for a key of the entry."""
         return self.file.refusal(f"{self.key}.{key}", expected, got)
+
+
+def read_rotation(given: Sequence[object]) -> tuple[float, ...] | None:
+    """Read how a sensor is turned in its mount.
+
+    Parameters
+    ----------
+    given : sequence
+        Four numbers w, x, y, z, or three axes such as "-y": those of the log that are the model's
+        x, y and z.
+
+    Returns
+    -------
+    tuple of float or None
+        A unit quaternion w, x, y, z; None where it is neither, or a mirror image.
+    """
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    if len(given) == 4 and all(isinstance(one, int | float) for one in given):
+        quaternion = np.array(given, dtype=float)
+        length = float(np.linalg.norm(quaternion))
+        return tuple((quaternion / length).tolist()) if abs(length - 1) < ROUNDED else None
+    if len(given) != 3 or not all(one in AXES for one in given):
+        return None
+    matrix = np.array([AXES[str(one)] for one in given])
+    if round(float(np.linalg.det(matrix))) != 1:
+        return None
+    return tuple(Rotation.from_matrix(matrix).as_quat(scalar_first=True).tolist())
 
 
 def _count_columns(name: str) -> int:

@@ -21,6 +21,7 @@ from dropo.logs.units import UNITS
 
 COLUMNS = "a list of columns, or a slice such as 'pose[0:7]'"
 UNIT = "a unit, or a list of one for each column"
+ROTATION = "a quaternion [w, x, y, z], or three axes of the log such as [y, -x, z]"
 
 
 def _check_sign(sign: float) -> float:
@@ -81,6 +82,14 @@ class ChannelEntry(Entry):
     """The clock of these columns, where it is another than the log's."""
 
 
+class SensorEntry(ChannelEntry):
+    """The columns of a sensor: value = rotation (unit (sign column + offset))."""
+
+    rotation: Annotated[list[Number | Word], Expected(ROTATION)] | None = None
+    """How a sensor that is mounted turned stands in the model's: a quaternion w, x, y, z that turns
+    its axes into the model's, or the axis of the log that is the model's x, y and z."""
+
+
 class RunEntry(Entry):
     """Which runs a log holds, and which of them to take."""
 
@@ -105,6 +114,11 @@ Actuators = Annotated[
     Expected("a mapping from actuator names to columns"),
 ]
 
+Sensors = Annotated[
+    dict[Key, Annotated[SensorEntry, Expected("a mapping such as {columns: [gx, gy, gz]}")]],
+    Expected("a mapping from sensor names to columns"),
+]
+
 
 class MappingFile(Entry):
     """A mapping file of dropo: which column of a log is which joint or actuator of a model."""
@@ -121,6 +135,8 @@ class MappingFile(Entry):
     """The velocities, by joint; left out, they are estimated from the positions."""
     ctrl: Actuators = {}
     """The commands, by actuator."""
+    sensordata: Sensors = {}
+    """What other sensors of the model show, by sensor: gyros, accelerometers, forces, ..."""
     inputs: Annotated[
         dict[Key, Actuators],
         Expected("a mapping from candidates to commands, each as under `ctrl`"),

@@ -10,10 +10,14 @@ from dropo.core.services.validation import Array
 from dropo.data.checks.columns import Column, find_hangs, unwrap
 from dropo.logs.mapping import Channel
 from dropo.logs.recordings import LogRun, TimeSeries
+from dropo.logs.signals.joint_motion import continuous, joint_velocities
 from dropo.logs.signals.resampling import align_signs
 from dropo.logs.signals.stamps import find_gaps, increasing
-from dropo.logs.signals.velocities import Velocities, estimate_velocities
+from dropo.logs.signals.velocities import estimate_velocities
 from dropo.mjmodel.joints import Joint, ModelJoints
+
+ZIGZAG = 0.6745 * np.sqrt(6)
+"""The median size of second differences of white noise, in its standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,12 @@ def _clean(series: TimeSeries, robot: ModelJoints) -> TimeSeries:
     series = series.take(increasing(series.time))
     if series.channel.field == "ctrl":
         return series
+    if series.channel.field == "sensordata":
+        sensor = robot.sensors[series.channel.name]
+        if sensor.is_rotation:
+            return replace(series, values=align_signs(series.values, series.values[0]))
+        if not sensor.follows_motion:
+            return series  # a touch sensor rests, and jumps
     # of a stretch in which a sensor hangs only the first row was measured
     keep = np.ones(len(series.time), dtype=bool)
     gaps = find_gaps(series.time)
@@ -221,7 +231,12 @@ def _measurement_noise(series: TimeSeries, settings: NoiseSettings) -> tuple[Arr
     if np.ptp(series.values[rows], axis=0).max() == 0:
         return unknown, unknown
     found = estimate_velocities(series.time[rows], series.values[rows])
-    return found.position_noise, found.velocity_noise
+    noise = found.position_noise
+    if series.channel.field == "sensordata":
+        # accelerations jump with the commands, which no smoother follows
+        zigzag = np.median(np.abs(np.diff(series.values[rows], n=2, axis=0)), axis=0)
+        noise = np.minimum(noise, zigzag / ZIGZAG)
+    return noise, found.velocity_noise
 
 
 def _pieces(series: TimeSeries, settings: NoiseSettings) -> list[Ints]:
@@ -244,42 +259,11 @@ def _estimate_velocity(
     velocities = []
     variances = []
     for rows in pieces:
-        values = _continuous(position.values[rows], joint)
-        found, noise = _joint_velocity(estimate_velocities(position.time[rows], values), joint)
+        values = continuous(position.values[rows], joint)
+        found, noise = joint_velocities(estimate_velocities(position.time[rows], values), joint)
         velocities.append(found)
         variances.append(len(rows) * noise**2)
     rows = np.concatenate(pieces)
     found = np.concatenate(velocities)
     series = TimeSeries(channel, position.time[rows], found, position.rows[rows])
     return series, np.sqrt(sum(variances) / len(rows))
-
-
-def _continuous(values: Array, joint: Joint) -> Array:
-    """Positions whose quaternion, q or -q, goes on without jumps."""
-    quaternion = joint.quaternion()
-    if quaternion is None:
-        return values
-    out = values.copy()
-    out[:, quaternion] = align_signs(out[:, quaternion], out[0, quaternion])
-    return out
-
-
-def _joint_velocity(smooth: Velocities, joint: Joint) -> tuple[Array, Array]:
-    """Velocities (n, k) of a joint and their noise (k,).
-
-    A quaternion's derivative becomes the body's angular velocity, 2 Im(conj(q) dq/dt).
-    """
-    quaternion = joint.quaternion()
-    if quaternion is None:
-        return smooth.velocities, smooth.velocity_noise
-    q = smooth.positions[:, quaternion]
-    dq = smooth.velocities[:, quaternion]
-    w = q[:, :1]
-    v = q[:, 1:]
-    dw = dq[:, :1]
-    dv = dq[:, 1:]
-    angular = 2 * (w * dv - dw * v - np.cross(v, dv)) / np.sum(q**2, axis=1, keepdims=True)
-    noise = 2 * np.sqrt(np.mean(smooth.velocity_noise[quaternion] ** 2))
-    linear = slice(0, quaternion.start)
-    velocities = np.hstack([smooth.velocities[:, linear], angular])
-    return velocities, np.concatenate([smooth.velocity_noise[linear], np.full(3, noise)])

@@ -142,10 +142,17 @@ def format_problem(
     """
     text = HEAD.format(command=command) + _with_comments(format_yaml(content), control_step)
     if variances:
-        levels = ", ".join(f"{name}: {_scientific(value)}" for name, value in variances.items())
+        levels = ", ".join(
+            f"{_flow_key(name)}: {_scientific(value)}" for name, value in variances.items()
+        )
         text += NOISE.format(levels=levels)
     bounds = _Bounds(robot, motion, control_step, settings)
     return text + PARAMETERS + "".join(bounds.lines())
+
+
+def _flow_key(name: str) -> str:
+    """A signal as a key within braces, where brackets need quotes."""
+    return f'"{name}"' if "[" in name else name
 
 
 def _with_comments(text: str, control_step: float) -> str:

@@ -20,6 +20,7 @@ from dropo.core.services.validation import Array
 from dropo.logs.mapping import Channel, Mapping, Source
 from dropo.logs.readers.reader import Arrays, Log, Progress, open_log, part_progress
 from dropo.logs.units import seconds
+from dropo.mjmodel.sensors import turned_columns
 
 FAR = 1e6
 """Stamps of more seconds, and dates, count from the log's first one, so that digits are left."""
@@ -127,14 +128,14 @@ class LogRun:
     without_stamp: int = 0
 
     def of(self, field: str, name: str, candidate: str = "") -> TimeSeries | None:
-        """Find the series of a joint or actuator.
+        """Find the series of a joint, actuator or sensor.
 
         Parameters
         ----------
         field : str
-            "qpos", "qvel" or "ctrl".
+            "qpos", "qvel", "ctrl" or "sensordata".
         name : str
-            The joint or actuator.
+            The joint, actuator or sensor.
         candidate : str
             Of the commands, where a log has several.
 
@@ -342,8 +343,12 @@ def _channel_values(table: _SourceTable, channel: Channel, rows: Ints) -> Array:
     """The numbers (n, k) of a channel in SI units."""
     columns = [table.columns[column][rows] for column in channel.columns]
     logged = np.stack(columns, axis=1).astype(float)
-    values = np.array(channel.signs) * logged + np.array(channel.offsets)
-    return np.asarray(np.array(channel.factors) * values)
+    values = np.array(channel.factors) * (
+        np.array(channel.signs) * logged + np.array(channel.offsets)
+    )
+    if channel.rotation is None:
+        return np.asarray(values)
+    return turned_columns(channel.rotation, values, rotation=len(channel.columns) == 4)
 
 
 def _seconds(table: _SourceTable, rows: Ints, mapping: Mapping, origins: dict[str, Any]) -> Array:

@@ -18,7 +18,8 @@ from dropo.core.services.errors import BadArgument, BadFile
 from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
-from dropo.logs.guessing.guess import Ask, Guess, guess_mapping
+from dropo.data.checks.sensors import unit_of
+from dropo.logs.guessing.guess import NAMED, Ask, Guess, guess_mapping
 from dropo.logs.guessing.servos import estimate_drives
 from dropo.logs.import_files import (
     PROBLEM,
@@ -40,6 +41,7 @@ from dropo.logs.mapping import KIND, check_mapping
 from dropo.logs.preparing import clean_run, compare_velocities
 from dropo.logs.readers.reader import Progress, open_log
 from dropo.logs.recordings import LogRun, read_runs
+from dropo.logs.sensor_pairs import sensor_pairs
 from dropo.mjmodel.joints import ModelJoints, model_joints
 from dropo.mjmodel.loading import load_model
 from dropo.mjmodel.robots import (
@@ -168,6 +170,9 @@ def init(
     if guess.drives or found.is_urdf:
         joints, text, more = _make_model(found, spec, guess, content, paths, folder)
         lines += more
+    if guess.sensor_units:
+        content, more = _choose_sensor_units(content, guess, paths, folder, joints)
+        lines += more
     if "qvel" in content and "qvel" not in given:
         content, more = _choose_velocities(content, paths, folder, joints)
         lines += more
@@ -239,7 +244,7 @@ def _merge(guessed: dict[str, Any], given: dict[Any, Any]) -> dict[str, Any]:
             out[key] = value
     if "inputs" in given:
         out.pop("ctrl", None)
-    order = ("time", "qpos", "qvel", "ctrl", "inputs", "run", "rate")
+    order = ("time", "qpos", "qvel", "sensordata", "ctrl", "inputs", "run", "rate")
     known = {key: out[key] for key in order if key in out}
     return known | out
 
@@ -262,6 +267,29 @@ def _choose_velocities(
         f"{number(noise[name].smoothed or 0.0)}"
     )
     return {key: value for key, value in content.items() if key != "qvel"}, [line]
+
+
+def _choose_sensor_units(
+    content: dict[str, Any],
+    guess: Guess,
+    paths: Sequence[str | Path],
+    folder: Path,
+    joints: ModelJoints,
+) -> tuple[dict[str, Any], list[str]]:
+    """The mapping with units of sensors by what the model's own show, where no name says them."""
+    mapping = check_mapping(folder / MAP, content, joints)
+    runs = read_runs(paths[:1], mapping, ignore_progress)
+    lines = []
+    entries = dict(content["sensordata"])
+    for pair in sensor_pairs(runs, joints):
+        name = pair.name.removeprefix("sensordata.")
+        unit = unit_of(pair)
+        by_name = guess.sensor_units.get(name) in (None, NAMED)
+        if unit is None or by_name or unit == entries[name].get("unit"):
+            continue
+        entries[name] = entries[name] | {"unit": unit}
+        lines.append(f"sensor: {name} is in {unit}, by what the model's own shows along the motion")
+    return content | {"sensordata": entries}, lines
 
 
 # A model that has no actuators

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.validation import Array
+from dropo.mjmodel.sensors import G
 
 TURNS = tuple(2**bits for bits in range(8, 21))
 """Counts of encoders in a turn."""
@@ -23,6 +24,9 @@ _BY_SI: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "rev/s": 2 * math.pi},
     "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "m/s^2": {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G, "cm/s^2": 1e-2, "mm/s^2": 1e-3},
+    "rad/s^2": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180},
+    "T": {"T": 1.0, "mT": 1e-3, "uT": 1e-6},
     "N m": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "mNm": 1e-3, "N mm": 1e-3},
     "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
     "A": {"A": 1.0, "mA": 1e-3},

@@ -9,6 +9,7 @@ import numpy as np
 from dropo.core.services.validation import Array
 from dropo.mjmodel.loading import load_model
 from dropo.mjmodel.names import KINDS, actuator_names, driven_joints, joint_names
+from dropo.mjmodel.sensors import Sensor, named_sensors
 
 _POSITION_UNITS = {
     "free": ("m",) * 3 + ("",) * 4,
@@ -129,11 +130,14 @@ class ModelJoints:
         All joints.
     actuators : dict of str to Actuator
         All actuators.
+    sensors : dict of str to Sensor
+        Those that have a name.
     """
 
     model: mujoco.MjModel
     joints: dict[str, Joint]
     actuators: dict[str, Actuator]
+    sensors: dict[str, Sensor]
 
     @property
     def name(self) -> str:
@@ -189,9 +193,10 @@ def load_model_joints(path: str | Path) -> ModelJoints:
 
 
 def model_joints(model: mujoco.MjModel) -> ModelJoints:
-    """Collect the joints and actuators of a compiled model."""
+    """Collect the joints, actuators and sensors of a compiled model."""
     joints = {joint.name: joint for joint in all_joints(model)}
-    return ModelJoints(model, joints, {actuator.name: actuator for actuator in actuators(model)})
+    driven = {actuator.name: actuator for actuator in actuators(model)}
+    return ModelJoints(model, joints, driven, named_sensors(model))
 
 
 def all_joints(model: mujoco.MjModel) -> list[Joint]:

@@ -13,6 +13,7 @@ from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import item_columns
 from dropo.mjmodel.joints import all_joints
 from dropo.mjmodel.names import element_names
+from dropo.mjmodel.sensors import named_sensors
 
 STATE = ("qpos", "qvel", "act")
 
@@ -36,9 +37,9 @@ class ObservedColumn:
 class Layout:
     """The P columns of observation rows of a model, compared as p signals.
 
-    A quaternion's four columns are three signals: it is compared in the tangent space at the
-    measured one, by a rotation vector in the body's frame that is 0 for the measurement
-    (mj_differentiatePos).
+    A quaternion's four columns, of a joint or of a sensor, are three signals: it is compared in the
+    tangent space at the measured one, by a rotation vector in the body's frame that is 0 for the
+    measurement (mj_differentiatePos).
 
     Parameters
     ----------
@@ -59,12 +60,12 @@ class Layout:
     signals : list of Signal
         Names and units of the p signals.
     model_units : dict
-        The unit of each number of qpos and qvel, by field and place.
+        The unit of each number of qpos, qvel and named sensors, by field and place.
 
     Raises
     ------
     BadArgument
-        If there is no column, an item is outside of its field, or a part of a quaternion is
+        If there is no column, an item is outside of its field, or a part of a quaternion of qpos is
         observed.
     UnknownName
         If there is no such field or element; with the nearest valid name.
@@ -99,16 +100,20 @@ class Layout:
         return np.array(columns, dtype=np.int64), np.array(places, dtype=np.int64)
 
     def _quaternion_columns(self, model: mujoco.MjModel) -> list[list[int]]:
-        """The four columns of each quaternion that is observed; a part of one is refused."""
-        column_of = {
-            column.place: i for i, column in enumerate(self.columns) if column.field == "qpos"
-        }
+        """The four columns of each quaternion that is observed; a part of a joint's is refused."""
+        column_of = {(column.field, column.place): i for i, column in enumerate(self.columns)}
+        starts = [("qpos", start) for start in quaternion_addresses(model)]
+        for sensor in named_sensors(model).values():
+            starts += [("sensordata", sensor.place)] if sensor.is_rotation else []
         quaternions = []
-        for start in quaternion_addresses(model):
-            own = [column_of[i] for i in range(start, start + 4) if i in column_of]
+        for field, start in starts:
+            places = [(field, i) for i in range(start, start + 4)]
+            own = [column_of[place] for place in places if place in column_of]
             if not own:
                 continue
-            if own != list(range(own[0], own[0] + 4)):
+            if len(own) != 4 or own != list(range(own[0], own[0] + 4)):
+                if field == "sensordata":
+                    continue  # numbers like any others
                 raise BadArgument(
                     "The observation must hold all four numbers of the quaternion at "
                     f"qpos[{start}:{start + 4}], in order, or none."
@@ -287,9 +292,11 @@ class Layout:
     @property
     def of_state(self) -> NDArray[np.bool_]:
         """Which of the p signals are of qpos, qvel or act (p,)."""
-        plain, _ = self._signal_places()
+        plain, rotations = self._signal_places()
         out = np.ones(len(self.signals), dtype=bool)
         out[plain] = [self.columns[i].field in STATE for i in self._plain]
+        for columns, places in zip(self.quaternions, rotations, strict=True):
+            out[places] = self.columns[columns[0]].field in STATE
         return out
 
     def by_column(self, per_signal: Array) -> Array:
@@ -381,13 +388,16 @@ def _name(addresses: Addresses, column: ObservedColumn) -> str:
 
 
 def _units(model: mujoco.MjModel) -> dict[tuple[str, int], str]:
-    """The unit of each number of qpos and qvel; a quaternion's have none."""
+    """The unit of each number of qpos, qvel and named sensors; a quaternion's have none."""
     out = {}
     for joint in all_joints(model):
         for i, unit in enumerate(joint.units("qpos")):
             out["qpos", joint.qpos + i] = unit
         for i, unit in enumerate(joint.units("qvel")):
             out["qvel", joint.qvel + i] = unit
+    for sensor in named_sensors(model).values():
+        for i, unit in enumerate(sensor.units):
+            out["sensordata", sensor.place + i] = unit
     return out
 
 

@@ -1,6 +1,6 @@
 """What a log says of a robot's base: where it is, how it is turned, and whether it moves."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -175,7 +175,9 @@ def how_it_moves(
     return None
 
 
-def moving_base(log: Log, robot: ModelJoints) -> Finding | None:
+def moving_base(
+    log: Log, robot: ModelJoints, others: Collection[tuple[str | None, str]] = ()
+) -> Finding | None:
     """Find a base that moves in a log and is fixed in the model.
 
     Parameters
@@ -184,6 +186,8 @@ def moving_base(log: Log, robot: ModelJoints) -> Finding | None:
         The log, whose columns are known by their names.
     robot : ModelJoints
         The robot.
+    others : collection of (str or None, str)
+        Topic and name of columns that are known to be of something else, such as an IMU on a link.
 
     Returns
     -------
@@ -193,6 +197,7 @@ def moving_base(log: Log, robot: ModelJoints) -> Finding | None:
     if any(joint.kind == "free" for joint in robot.joints.values()):
         return None
     columns = read_names(log, [*robot.joints, *robot.actuators])
+    columns = [one for one in columns if (one.topic, one.column) not in others]
     certain = [one for one in columns if set(_words_of(one)) & set(CERTAIN)]
     found = find_base(certain)
     level: Level = "error"

@@ -17,10 +17,19 @@ from dropo.logs.guessing.base import BaseColumns, find_base, moving_base, quater
 from dropo.logs.guessing.places import POSSIBLE, likeness, match
 from dropo.logs.guessing.scales import (
     Scale,
+    accelerometer_unit,
     angle_unit,
     command_unit,
     time_unit,
     velocity_unit,
+)
+from dropo.logs.guessing.sensors import (
+    ACCELEROMETER,
+    ORIENTATION,
+    SensorColumns,
+    find_sensor_columns,
+    match_by_name,
+    match_sensors,
 )
 from dropo.logs.guessing.words import ColumnName, read_names
 from dropo.logs.readers.reader import Log
@@ -31,6 +40,8 @@ from dropo.mjmodel.joints import Joint, ModelJoints
 
 Ask = Callable[[str, Sequence[str]], str]
 """Asks a question that has some answers, on a terminal."""
+NAMED = "its name says so"
+"""Why a unit is taken."""
 LISTED = 8
 """Columns that a line names."""
 FOLLOWS: dict[str | None, float] = {
@@ -57,12 +68,15 @@ class Guess:
         What the names and numbers do not decide.
     drives : dict
         By joint what kind of command drives it, where the model has no actuators.
+    sensor_units : dict
+        By sensor why its unit was taken.
     """
 
     mapping: dict[str, Any] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
     undecided: list[str] = field(default_factory=list)
     drives: dict[str, str] = field(default_factory=dict)
+    sensor_units: dict[str, str] = field(default_factory=dict)
 
 
 def guess_mapping(
@@ -98,6 +112,7 @@ def guess_mapping(
     guesser = _Guesser(log, robot, given or {}, ask)
     guesser.find_time()
     guesser.find_runs()
+    guesser.find_sensors()
     guesser.find_positions()
     guesser.find_base()
     guesser.find_velocities()
@@ -275,6 +290,73 @@ class _Guesser:
                 self.guess.lines.append(f"runs: told apart by {column.column!r}")
                 return
 
+    def find_sensors(self) -> None:
+        """Find the columns of gyros, accelerometers and other sensors of the model."""
+        if not self._robot.sensors:
+            return
+        given = self._given.get("sensordata")
+        entries = given if isinstance(given, dict) else {}
+        taken: set[ColumnName] = set(self._used)
+        if self._free_joints() and len(self._base.position) == 3 and len(self._base.quaternion) == 4:
+            taken |= set(self._base.all()) - set(self._base.gyro)
+        free = [one for one in self._columns if one not in taken]
+        groups, left = match_sensors(find_sensor_columns(free), self._robot)
+        in_groups = {one for group in (*groups.values(), *left) for one in group.columns}
+        for name, group in groups.items():
+            columns = self._numeric(group.columns)
+            if len(columns) == len(group.columns):
+                self._take_sensor(name, group, entries.get(name))
+        rest = [one for one in free if one not in in_groups]
+        for name, columns_of in match_by_name(rest, self._robot).items():
+            if len(self._numeric(columns_of)) == len(columns_of):
+                unit = self._robot.sensors[name].units[0]
+                self._keep_sensor(name, columns_of, unit, "it is called so", entries.get(name))
+        # what is another sensor's is not the base's
+        others = [one for one in self._columns if one not in self._used]
+        self._base = find_base(others, [joint.name for joint in self._free_joints()])
+
+    def _take_sensor(self, name: str, group: SensorColumns, given: object) -> None:
+        """Take columns of an IMU into the mapping."""
+        columns = list(group.columns)
+        if group.kind == ORIENTATION:
+            why = "by the names"
+            if not group.is_named:
+                order = quaternion_order(np.stack(self._read(columns), axis=1))
+                columns = [columns[3], *columns[:3]] if order == "xyzw" else columns
+                why = f"taken as {order or 'wxyz'}"
+            self._keep_sensor(name, columns, "", why, given)
+            return
+        if group.unit is not None:
+            self._keep_sensor(name, columns, group.unit, NAMED, given)
+            return
+        if group.kind == ACCELEROMETER:
+            lengths = np.linalg.norm(np.stack(self._read(columns), axis=1), axis=1)
+            unit, why = accelerometer_unit(lengths)
+            self._keep_sensor(name, columns, unit, why, given)
+            return
+        self._keep_sensor(name, columns, "rad/s", "nothing says otherwise", given)
+
+    def _keep_sensor(
+        self, name: str, columns: Sequence[ColumnName], unit: str, why: str, given: object
+    ) -> None:
+        """Take columns into the mapping, in a unit."""
+        self._used |= set(columns)
+        entry: dict[str, Any]
+        if len(columns) == 1:
+            entry = {"column": columns[0].column}
+        else:
+            entry = {"columns": [one.column for one in columns]}
+        stated = given.get("unit") if isinstance(given, dict) else None
+        if unit and stated is None:
+            entry["unit"] = unit
+            self.guess.sensor_units[name] = why
+        if columns[0].topic is not None:
+            entry["topic"] = columns[0].topic
+        self.guess.mapping.setdefault("sensordata", {})[name] = entry
+        shown = f"in {stated}, since it was given" if stated else f"in {unit}, since {why}"
+        told = shown if unit else f"in w, x, y, z, {why}"
+        self.guess.lines.append(f"sensor: {name} = {_quote(list(columns))}; {told}")
+
     def find_positions(self) -> None:
         """Find the position of every hinge and slide, and their units."""
         joints = {
@@ -395,7 +477,8 @@ class _Guesser:
         free = self._free_joints()
         base = self._base
         if not free:
-            moves = moving_base(self._log, self._robot)
+            used = {(one.topic, one.column) for one in self._used}
+            moves = moving_base(self._log, self._robot, used)
             if moves is not None and moves.level == "error":
                 raise Incompatible(f"{self._log.path}: {moves.sentence} {moves.advice}")
             self._used |= set(base.all())

@@ -10,6 +10,7 @@ from dropo.core.services.validation import Array
 from dropo.data.checks.columns import lattice_step, unwrap
 from dropo.logs.units import SECONDS, UNITS
 from dropo.mjmodel.joints import Joint
+from dropo.mjmodel.sensors import G
 
 
 @dataclass(frozen=True)
@@ -329,3 +330,24 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
         if unit != position.unit and distance(unit, 0.0) < 0.5 * nearest:
             best, nearest = Scale(unit, "the joint follows them"), distance(unit, 0.0)
     return best
+
+
+def accelerometer_unit(lengths: Array) -> tuple[str, str]:
+    """Guess the unit of an accelerometer, which shows gravity most of the time.
+
+    Parameters
+    ----------
+    lengths : (n,) array
+        Of what it shows.
+
+    Returns
+    -------
+    unit : str
+        "m/s^2", "g" or "mg", by the nearest of their sizes.
+    why : str
+        The reason.
+    """
+    typical = float(np.nanmedian(lengths))
+    units = {"m/s^2": G, "g": 1.0, "mg": 1e3}
+    unit = min(units, key=lambda one: abs(np.log(max(typical, 1e-9) / units[one])))
+    return unit, f"it shows {typical:.4g} most of the time, which is gravity"

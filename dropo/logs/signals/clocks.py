@@ -1,24 +1,29 @@
 """Which stamps of a recording are late, by how much, and the same recording without the delays.
 
 In reading order: `align_runs` first brings sources with clocks of their own to the log's clock
-(`_estimate_source_clock`), then each velocity to its position (`_velocity_delays`).
+(`_estimate_source_clock`), then each velocity to its position (`_velocity_delay`), and each sensor
+to what the model's own shows along the positions (`_sensor_delay`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
+from dropo.data.checks.kinematics import rotation_vectors
 from dropo.logs.mapping import Source
 from dropo.logs.recordings import LogRun, TimeSeries
 from dropo.logs.signals.delays import estimate_clock, estimate_delay
-from dropo.logs.signals.resampling import resample
+from dropo.logs.signals.joint_motion import ShownSensors, sensors_shown
+from dropo.logs.signals.resampling import resample, resample_rotations
 from dropo.logs.signals.velocities import estimate_velocities
 from dropo.mjmodel.forces import inverse_forces
 from dropo.mjmodel.joints import Joint, ModelJoints
+from dropo.mjmodel.sensors import Sensor
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,8 @@ class AlignmentSettings:
     ----------
     rows : int
         Rows that a delay is estimated from at most.
+    sensor_rows : int
+        The same where what the model's sensor shows must be computed.
     minimum_rows : int
         Rows that it needs.
     largest_offset : float
@@ -51,6 +58,7 @@ class AlignmentSettings:
     """
 
     rows: int = 20000
+    sensor_rows: int = 4000
     minimum_rows: int = 50
     largest_offset: float = 0.5
     certain: float = 3.0
@@ -155,7 +163,10 @@ def align_runs(
     A source with a clock of its own is brought to the log's by its velocities or positions, beside
     the same joint's on the log's clock, or by its commands, beside the forces that the motion
     needs. A velocity on the log's clock is brought to its position, as late behind it as the
-    model's own velocities are (`ModelJoints.velocity_lag`), which is not counted as a delay.
+    model's own velocities are (`ModelJoints.velocity_lag`), which is not counted as a delay. A
+    sensor of orientations or velocities is brought to what the model's own one shows along the
+    positions, and an accelerometer of the same mount and source goes with it: its own motion is too
+    rough to tell.
     """
     found: list[SignalDelay] = []
     aligned = []
@@ -168,14 +179,34 @@ def align_runs(
                 run = _correct(run, delay, labels)
         aligned.append(run)
     for name in robot.joints:
-        delays = _velocity_delays(aligned, name, robot, settings)
+        delays = _common_delay(aligned, partial(_velocity_delay, name, robot, settings), settings)
         found += delays
-        by_run = {delay.run: delay for delay in delays}
-        for i, run in enumerate(aligned):
-            delay = by_run.get(run.name, by_run.get(None))
-            if delay is not None:
-                aligned[i] = _correct(run, delay, [delay.signal])
+        _take_off(aligned, delays)
+    # sensors
+    shown = _ShownOnce(robot, settings)
+    for sensor in robot.sensors.values():
+        if sensor.stage == "acceleration":
+            continue
+        delays = _common_delay(aligned, partial(_sensor_delay, sensor, shown), settings)
+        companions = _companions(aligned, sensor, robot)
+        found += delays
+        _take_off(aligned, delays)
+        for delay in delays:
+            for label in companions:
+                seconds = delay.seconds + _lag(sensor, robot)
+                of_companion = replace(delay, signal=label, seconds=seconds)
+                found.append(of_companion)
+                _take_off(aligned, [of_companion])
     return aligned, found
+
+
+def _take_off(runs: list[LogRun], delays: Sequence[SignalDelay]) -> None:
+    """Remove delays of one signal from runs: one for all, or each run's own."""
+    by_run = {delay.run: delay for delay in delays}
+    for i, run in enumerate(runs):
+        delay = by_run.get(run.name, by_run.get(None))
+        if delay is not None:
+            runs[i] = _correct(run, delay, [delay.signal])
 
 
 def _sources_with_clocks(run: LogRun) -> list[Source]:
@@ -197,18 +228,17 @@ def _mark(delay: SignalDelay, settings: AlignmentSettings) -> SignalDelay:
     return replace(delay, removed=bool(late or fast))
 
 
-# Velocities behind their positions
+# Signals on the log's clock
 
 
-def _velocity_delays(
-    runs: list[LogRun], name: str, robot: ModelJoints, settings: AlignmentSettings
+def _common_delay(
+    runs: list[LogRun],
+    delay_of: Callable[[LogRun], SignalDelay | None],
+    settings: AlignmentSettings,
 ) -> list[SignalDelay]:
-    """How much later a joint's measured velocity is than its position.
-
-    It is one delay for all runs, or each its own where they disagree.
-    """
+    """How late a signal is: one delay for all runs, or each its own where they disagree."""
     some = np.linspace(0, len(runs) - 1, min(settings.runs, len(runs))).astype(int)
-    each = _delays_of_runs([runs[i] for i in some], name, robot, settings)
+    each = _delays_of_runs([runs[i] for i in some], delay_of)
     if not each:
         return []
     seconds = np.array([delay.seconds for delay in each])
@@ -216,45 +246,53 @@ def _velocity_delays(
     mean = float(np.sum(weights * seconds) / np.sum(weights))
     spread = float(np.sum(weights * (seconds - mean) ** 2)) / max(1, len(each) - 1)
     if spread > settings.disagreement:
-        return _delays_of_runs(runs, name, robot, settings)
+        return _delays_of_runs(runs, delay_of)
     se = float(np.sqrt(max(1.0, spread) / np.sum(weights)))
     return [_mark(replace(each[0], seconds=mean, se=se, run=None), settings)]
 
 
 def _delays_of_runs(
-    runs: Sequence[LogRun], name: str, robot: ModelJoints, settings: AlignmentSettings
+    runs: Sequence[LogRun], delay_of: Callable[[LogRun], SignalDelay | None]
 ) -> list[SignalDelay]:
     """The delays of the runs in which one can be estimated."""
-    delays = [_velocity_delay(run, name, robot, settings) for run in runs]
+    delays = [delay_of(run) for run in runs]
     return [delay for delay in delays if delay is not None]
 
 
 def _velocity_delay(
-    run: LogRun, name: str, robot: ModelJoints, settings: AlignmentSettings
+    name: str, robot: ModelJoints, settings: AlignmentSettings, run: LogRun
 ) -> SignalDelay | None:
     """How much later a measured velocity is than the position of the same joint, on one clock."""
     position = run.of("qpos", name)
     velocity = run.of("qvel", name)
     if position is None or velocity is None or robot.joints[name].kind == "ball":
         return None
-    time, reference = _displacements(position, robot, settings)
-    stamps, signal = _displacements(velocity, robot, settings)
+    reference = _Curve(position.label, *_displacements(position, robot, settings))
+    signal = _Curve(velocity.label, *_displacements(velocity, robot, settings))
+    return _delay_between(reference, signal, run.name, settings)
+
+
+def _delay_between(
+    reference: "_Curve", signal: "_Curve", run: str, settings: AlignmentSettings
+) -> SignalDelay | None:
+    """How much later a signal is than a reference on the same clock."""
+    time, stamps = reference.time, signal.time
     if not len(stamps):
         return None
-    # both at the position's stamps
+    # both at the reference's stamps
     both = (time >= stamps[0]) & (time <= stamps[-1])
     if both.sum() < settings.minimum_rows:
         return None
     time = time[both]
-    reference = reference[both]
-    signal = resample(stamps, signal, time)
-    moving = (np.ptp(reference, axis=0) > 0) & (np.ptp(signal, axis=0) > 0)
+    known = reference.values[both]
+    late = resample(stamps, signal.values, time)
+    moving = (np.ptp(known, axis=0) > 0) & (np.ptp(late, axis=0) > 0)
     if not moving.any():
         return None
-    found = estimate_delay(time, reference[:, moving], signal[:, moving])
+    found = estimate_delay(time, known[:, moving], late[:, moving])
     if not (np.isfinite(found.se) and found.se > 0 and found.explained > settings.explained):
         return None
-    delay = SignalDelay(velocity.label, position.label, found.seconds, found.se, run=run.name)
+    delay = SignalDelay(signal.name, reference.name, found.seconds, found.se, run=run)
     return _mark(delay, settings)
 
 
@@ -268,14 +306,33 @@ def _displacements(
     """
     time = series.time[: settings.rows]
     values = _linear_part(series, robot.joints[series.channel.name])[: settings.rows]
-    half = max(settings.window, 5 * float(np.median(np.diff(time)))) / 2
-    inside = time[(time >= time[0] + half) & (time <= time[-1] - half)]
     if series.channel.field == "qpos":
-        later = resample(time, values, np.clip(inside + half, time[0], time[-1]))
-        earlier = resample(time, values, np.clip(inside - half, time[0], time[-1]))
-        return inside, later - earlier
-    time = time - robot.velocity_lag
-    inside = inside - robot.velocity_lag
+        return _changes(time, values, settings)
+    return _integrals(time - robot.velocity_lag, values, settings)
+
+
+def _half_window(time: Array, settings: AlignmentSettings) -> tuple[float, Array]:
+    """Half of the window, and the stamps around which it has rows."""
+    half = max(settings.window, 5 * float(np.median(np.diff(time)))) / 2
+    return half, time[(time >= time[0] + half) & (time <= time[-1] - half)]
+
+
+def _changes(
+    time: Array, values: Array, settings: AlignmentSettings, *, rotation: bool = False
+) -> tuple[Array, Array]:
+    """Stamps (n,), and by how much values (n, k) change in the window around each of them."""
+    half, inside = _half_window(time, settings)
+    ends = [np.clip(inside + shift, time[0], time[-1]) for shift in (-half, half)]
+    if rotation and len(inside):
+        earlier, later = (resample_rotations(time, values, end) for end in ends)
+        return inside, rotation_vectors(earlier, later)
+    earlier, later = (resample(time, values, end) for end in ends)
+    return inside, later - earlier
+
+
+def _integrals(time: Array, values: Array, settings: AlignmentSettings) -> tuple[Array, Array]:
+    """Stamps (n,), and the integrals of values (n, k) over the window around each of them."""
+    half, inside = _half_window(time, settings)
     steps = np.diff(time)[:, None] * (values[1:] + values[:-1]) / 2
     total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)])
     integral = CubicHermiteSpline(time, total, values)
@@ -286,6 +343,78 @@ def _linear_part(series: TimeSeries, joint: Joint) -> Array:
     """The numbers (n, k) of a position or velocity that are no rotations in space."""
     width = {"free": 3, "ball": 0}.get(joint.kind)
     return series.values[:, :width]
+
+
+# Sensors behind the model's own
+
+
+class _ShownOnce:
+    """What the model's sensors show along the positions of runs, computed once for each run."""
+
+    def __init__(self, robot: ModelJoints, settings: AlignmentSettings):
+        self.robot = robot
+        self.settings = settings
+        self._by_run: dict[int, tuple[LogRun, ShownSensors | None]] = {}
+
+    def curves(self, run: LogRun, sensor: Sensor) -> "tuple[_Curve, _Curve] | None":
+        """What the model's sensor shows, and what was logged, in windows; None where unknown."""
+        series = run.of("sensordata", sensor.name)
+        shown = None if series is None else self._along(run)
+        if series is None or shown is None or sensor.name not in shown.by_name:
+            return None
+        modelled = _Curve(
+            f"the model's {sensor.name} along the positions",
+            *_windows(sensor, shown.time, shown.by_name[sensor.name], self.settings),
+        )
+        time = series.time[: self.settings.rows] - _lag(sensor, self.robot)
+        values = series.values[: self.settings.rows]
+        return modelled, _Curve(series.label, *_windows(sensor, time, values, self.settings))
+
+    def _along(self, run: LogRun) -> ShownSensors | None:
+        """What all sensors that were logged show along the positions, which no delay moves."""
+        position = next(one for one in run.series if one.channel.field == "qpos")
+        key = id(position)
+        if key not in self._by_run:
+            names = [one.channel.name for one in run.series if one.channel.field == "sensordata"]
+            sensors = [self.robot.sensors[name] for name in names]
+            rows, least = self.settings.sensor_rows, self.settings.minimum_rows
+            self._by_run[key] = run, sensors_shown(run, self.robot, sensors, rows, least)
+        return self._by_run[key][1]
+
+
+def _windows(
+    sensor: Sensor, time: Array, values: Array, settings: AlignmentSettings
+) -> tuple[Array, Array]:
+    """Changes of a position, or integrals of anything else, in windows."""
+    if sensor.stage == "position":
+        return _changes(time, values, settings, rotation=sensor.is_rotation)
+    return _integrals(time, values, settings)
+
+
+def _lag(sensor: Sensor, robot: ModelJoints) -> float:
+    """By how much the model's own sensor is behind its positions [s]."""
+    return robot.velocity_lag if sensor.stage == "velocity" else 0.0
+
+
+def _sensor_delay(sensor: Sensor, shown: _ShownOnce, run: LogRun) -> SignalDelay | None:
+    """How much later a sensor is than the model's own along the positions, on one clock."""
+    curves = shown.curves(run, sensor)
+    return None if curves is None else _delay_between(*curves, run.name, shown.settings)
+
+
+def _companions(runs: Sequence[LogRun], sensor: Sensor, robot: ModelJoints) -> list[str]:
+    """The labels of accelerometers of the mount and source of a gyro."""
+    series = runs[0].of("sensordata", sensor.name)
+    if series is None or sensor.kind != "gyro":
+        return []
+    found = []
+    for other in runs[0].series:
+        if other.channel.field != "sensordata" or other.channel.source != series.channel.source:
+            continue
+        own = robot.sensors[other.channel.name]
+        if own.stage == "acceleration" and own.mount == sensor.mount:
+            found.append(other.label)
+    return found
 
 
 # Sources with a clock of their own
@@ -352,8 +481,16 @@ def _pairs(
         if own is not None and main is not None and joint.kind != "ball":
             reference = _Curve(main.label, *_displacements(main, robot, settings))
             yield reference, _Curve(own.label, *_displacements(own, robot, settings))
-    for series in run.series:
-        if series.channel.source != source or series.channel.field != "ctrl":
+    shown = _ShownOnce(robot, settings)
+    of_source = [series for series in run.series if series.channel.source == source]
+    logged = [one.channel.name for one in of_source if one.channel.field == "sensordata"]
+    # what is rough comes last
+    for sensor in sorted((robot.sensors[name] for name in logged), key=_is_rough):
+        curves = shown.curves(run, sensor)
+        if curves is not None:
+            yield curves
+    for series in of_source:
+        if series.channel.field != "ctrl":
             continue
         driven = robot.actuators[series.channel.name].joint
         forces = None if driven is None else _needed_forces(run, robot, driven.qvel, settings)
@@ -361,6 +498,11 @@ def _pairs(
             # from a row to the middle of its effect
             held = float(np.median(np.diff(series.time))) / 2 - robot.velocity_lag
             yield forces, _Curve(series.label, series.time + held, series.values)
+
+
+def _is_rough(sensor: Sensor) -> bool:
+    """Whether a sensor shows accelerations."""
+    return sensor.stage == "acceleration"
 
 
 def _first_series(

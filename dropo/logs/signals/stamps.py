@@ -23,6 +23,8 @@ class StampSettings:
         Steps that vary by more than this fraction of the median (rms) are reported.
     lost, many_lost : float
         From these fractions of missing rows on, packets were lost: a warning, and an error.
+    uneven : float
+        Values that are within so many usual steps of even ones have a rate of their own.
     backward : float
         Where more than this fraction of the rows runs backward, the stamps cannot be trusted.
     """
@@ -31,6 +33,7 @@ class StampSettings:
     jitter: float = 0.2
     lost: float = 0.01
     many_lost: float = 0.2
+    uneven: float = 1.5
     backward: float = 0.01
 
 
@@ -106,6 +109,34 @@ def check_stamps(
     keep = increasing(time)
     yield from _check_order(stamps, float(np.mean(~keep)), settings)
     yield from _check_steps(_Stamps(name, time[keep], rows[keep], run), settings)
+
+
+def check_values(
+    name: str,
+    time: Array,
+    rows: Ints,
+    run: str | None = None,
+    settings: StampSettings = DEFAULTS,
+) -> Iterator[Finding]:
+    """Find values that are missing in some rows, as where packets of one sensor were lost.
+
+    Parameters
+    ----------
+    name, time, rows, run, settings
+        As of `check_stamps`, of the rows that have a value.
+
+    Yields
+    ------
+    Finding
+        None where the values are a rate of their own.
+    """
+    if len(time) < 5:
+        return
+    typical = float(np.median(np.diff(time)))
+    even = np.linspace(time[0], time[-1], len(time))
+    if np.abs(time - even).max() > settings.uneven * typical:
+        stamps = _Stamps(name, time, rows, run)
+        yield from _check_lost(stamps, np.diff(time), typical, settings)
 
 
 @dataclass(frozen=True, eq=False)
