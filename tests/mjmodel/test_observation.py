@@ -139,7 +139,7 @@ def test_product_is_mujocos():
             SENSED,
             ["sensordata.angle", "sensordata.imu"],
             ["sensordata.angle", *(f"sensordata.imu[{i}]" for i in range(3))],
-            [("sensordata.angle", ""), *((f"sensordata.imu[{i}]", "") for i in range(3))],
+            [("sensordata.angle", "rad"), *((f"sensordata.imu[{i}]", "m/s^2") for i in range(3))],
         ),
     ],
 )

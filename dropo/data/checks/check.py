@@ -31,12 +31,16 @@ from dropo.data.checks.kinematics import (
     fall_accelerations,
     rotation_vectors,
 )
+from dropo.data.checks.sensors import SensorPair, check_sensors
 from dropo.data.describe import columns, controls, simulator_of
 from dropo.mjmodel.joints import Joint, actuators, all_joints, model_joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.sensors import named_sensors, sensors_along
 
 REIMPORT = "`dropo data import` resamples logs on the control step and ends trajectories at gaps."
 MOST_NUMBERS = 8  # trajectories that a message lists
+COMPARED = ("gyro", "accelerometer", "velocimeter")
+"""Kinds of sensors that are compared with the model's own."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,8 @@ class CheckSettings:
         How far the rows' distances may be from their median (rms), as a fraction of it.
     gap : float
         A distance of rows above this many medians is a gap.
+    sensor_rows : int
+        Rows that sensors are compared in at most.
     columns : ColumnSettings
         Of single columns.
     motion : MotionSettings
@@ -68,6 +74,7 @@ class CheckSettings:
     rate: float = 0.02
     jitter: float = 0.05
     gap: float = 1.5
+    sensor_rows: int = 1000
     columns: ColumnSettings = field(default_factory=ColumnSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
 
@@ -243,6 +250,7 @@ def _possible_errors(data: _CheckedData) -> Iterator[Finding]:
     yield from _check_rate(data)
     yield from _check_velocities(data)
     yield from _check_falls(data)
+    yield from _check_sensors(data)
 
 
 # Time
@@ -442,6 +450,53 @@ def _check_falls(data: _CheckedData) -> Iterator[Finding]:
                 data.time[places],
                 settings=settings.motion,
             )
+
+
+def _check_sensors(data: _CheckedData) -> Iterator[Finding]:
+    """Gyros, accelerometers and orientations that the motion contradicts: unit, sign, mount."""
+    for finding in check_sensors(_sensor_pairs(data)):
+        advice = f"Change the data, or import their log with: {finding.advice}"
+        yield replace(finding, advice=advice)
+
+
+def _sensor_pairs(data: _CheckedData) -> list[SensorPair]:
+    """Sensors beside the model's own along the first rows, where whole states are observed."""
+    robot = data.robot
+    step = data.control_step
+    if robot is None or step is None or not robot.layout.needs_sensors:
+        return []
+    if any(column.field != "act" for column in robot.layout.missing_state(robot.model)):
+        return []
+    where = {(column.field, column.place): i for i, column in enumerate(robot.layout.columns)}
+    compared = []
+    for sensor in named_sensors(robot.model).values():
+        columns = [where.get(("sensordata", sensor.place + i), -1) for i in range(3)]
+        if sensor.kind in COMPARED and min(columns) >= 0:
+            compared.append((sensor, columns))
+    shown = []
+    measured = []
+    count = 0
+    for start, stop in data.trajectories.spans:
+        if not compared or count >= data.settings.sensor_rows:
+            break
+        if stop - start <= data.settings.short:
+            continue
+        rows = data.trajectories.observations[start:stop][: data.settings.sensor_rows]
+        states = robot.layout.full_states(rows, robot.model)[:, 1:]
+        positions, velocities, _ = np.split(
+            states, [robot.model.nq, robot.model.nq + robot.model.nv], axis=1
+        )
+        accelerations = np.gradient(velocities, step, axis=0)
+        shown.append(sensors_along(robot.model, positions, velocities, accelerations))
+        measured.append(rows)
+        count += len(rows)
+    pairs = []
+    for sensor, columns in compared if shown else []:
+        own = np.concatenate(shown)[:, sensor.place : sensor.place + 3]
+        logged = np.concatenate(measured)[:, columns]
+        name = f"sensordata.{sensor.name}"
+        pairs.append(SensorPair(name, sensor.mount, sensor.units[0], logged, own))
+    return pairs
 
 
 # Rows and trajectories

@@ -128,8 +128,9 @@ def estimate_states(
 ) -> StateEstimate:
     """Estimate the states of measured trajectories with the simulator.
 
-    What the model misses is always learned, by expectation-maximization, so that a poor model is
-    trusted little. The smoother is the Rauch-Tung-Striebel recursion; each pass is linearized by
+    Columns that are no state, such as an IMU's, are measurements like the others, and stay as they
+    were measured. What the model misses is always learned, by expectation-maximization, so that a
+    poor model is trusted little. The smoother is the Rauch-Tung-Striebel recursion; each pass is linearized by
     central differences at the states of the pass before.
 
     Parameters
@@ -175,7 +176,7 @@ def estimate_states(
     if simulator.start_size != p or columns != p:
         raise Incompatible(
             "States are estimated for simulators that start from what they compare, without"
-            f" rotations: this one has {p} signals, {simulator.start_size} start coordinates, and"
+            f" rotations of joints or sensors: this one has {p} signals, {simulator.start_size} start coordinates, and"
             f" {columns} columns were given."
         )
     value = float_array("values", values, (len(simulator.space),), caller)
@@ -196,12 +197,26 @@ def estimate_states(
     variance, process = learn_noise(model_of_first_rows, known_variance)
     states, covariance = estimate_along(model, variance, process, causal)
     return StateEstimate(
-        trajectories=replace_states(trajectories, states),
+        trajectories=_with_sensors(replace_states(trajectories, states), trajectories, simulator),
         covariance=covariance[places_before(trajectories)],
         noise=np.where(is_measured, variance, np.inf),
         process=process,
         causal=causal,
         signals=tuple(simulator.signals),
+    )
+
+
+def _with_sensors(
+    estimated: Trajectories, measured: Trajectories, simulator: Simulator
+) -> Trajectories:
+    """The estimated states, with what is no state, such as an IMU's numbers, as it was measured."""
+    no_state = ~simulator.state_coordinates
+    return replace(
+        estimated,
+        observations=np.where(no_state, measured.observations, estimated.observations),
+        next_observations=np.where(
+            no_state, measured.next_observations, estimated.next_observations
+        ),
     )
 
 
