@@ -1,7 +1,7 @@
 """Data and a model in; what the model gets wrong, and why, out."""
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -32,7 +32,7 @@ from dropo.diagnosis.findings.horizons import (
 )
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
-from dropo.diagnosis.findings.numerics import numerics
+from dropo.diagnosis.findings.numerics import numerics, refused_delay, short_delay
 from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.replay import replay
 from dropo.diagnosis.findings.stability import stability
@@ -41,18 +41,13 @@ from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
 from dropo.diagnosis.parts import Cause, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.result import Diagnosis, HeldOut
+from dropo.diagnosis.search.arithmetic import Arithmetic, Rivals
 from dropo.diagnosis.search.confirmation import SelectionSettings
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.library import LAW, instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
-from dropo.diagnosis.search.review import (
-    Review,
-    merge,
-    penalized_log_likelihood,
-    review,
-    reviews_so_far,
-)
+from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import STOPPING, Selection
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.whitening import Noise, NoiseSettings, white
@@ -64,12 +59,6 @@ from dropo.diagnosis.search.window_length import (
 )
 from dropo.diagnosis.search.windows import Windows, split, spread_of
 from dropo.evaluation.held_out import SETTINGS as HELD_OUT
-from dropo.mjmodel.robot_simulator import RobotSimulator
-
-INSTEAD = 0.9
-"""Part of what all causes gain from which exact steps that gain as much stand in their place."""
-OF_STEP = 0.5
-"""Part of it from which causes are looked for anew with exact steps."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +183,8 @@ class Diagnose:
         # The simulator's threads use the cores; products of small matrices gain nothing from more.
         with threadpool_limits(1, user_api="blas"):
             log = evaluation_log or EvaluationLog()
-            found = self._run(problem, np.random.default_rng(rng), progress, log)
+            task = _Task(problem, problem, np.random.default_rng(rng), log)
+            found = self._run(task, progress)
         return replace(found, wall_time_s=time.perf_counter() - begun, seed=seed)
 
     def baseline(self, problem: Problem) -> float:
@@ -303,71 +293,78 @@ class Diagnose:
         count = len(instances)
         return _Setup(problem, explained, library, selection, train, test, free, count, wiring)
 
-    def _run(
-        self,
-        problem: Problem,
-        rng: np.random.Generator,
-        progress: Progress,
-        log: EvaluationLog,
-        undisturbed: WithoutDisturbances | None = None,
-        spent: int = 0,
-    ) -> Diagnosis:
-        """The diagnosis of a problem, or of what is left of it without disturbances.
-
-        spent: simulator steps that were spent on finding those.
-        """
-        data = problem if undisturbed is None else undisturbed.problem
-        setup = self._set_up(data, progress, log)
+    def _run(self, task: "_Task", progress: Progress) -> Diagnosis:
+        """The diagnosis of a problem, or of what is left of it without disturbances."""
+        setup = self._set_up(task.data, progress, task.log)
         setup.selection.progress(0.0, "fitting the model as it is")
-        setup, found = _solved(setup, self.settings.noise)
+        setup = _with_noise_left(setup, task.before, self.settings.noise)
+        disturbed = partial(self._without_disturbances, task)
+        setup, found, undisturbed = _solved(setup, self.settings.noise, disturbed)
+        if undisturbed is not None:
+            spent = task.spent + setup.library.simulator.steps
+            anew = replace(
+                task,
+                problem=setup.problem,
+                undisturbed=undisturbed,
+                before=found.last,
+                spent=spent,
+            )
+            return self._run(anew, progress)
         if not found.interrupted:
             try:
-                return self._result(problem, setup, found, rng, log, undisturbed, spent)
+                return self._result(task, setup, found, progress)
             except KeyboardInterrupt:
                 setup.selection.progress(0.9, STOPPING)
                 found = replace(found, interrupted=True)
-        return self._result(problem, setup, found, rng, log, undisturbed, spent)
+        return self._result(task, setup, found, progress)
+
+    def _without_disturbances(
+        self, task: "_Task", setup: "_Setup", found: "_Searched"
+    ) -> WithoutDisturbances | None:
+        """What is left where disturbances stand out; once the causes are known, they do."""
+        if not self.disturbances or setup.explained is not None or task.undisturbed is not None:
+            return None
+        data = setup.problem
+        extended = _extended(data, setup.library, found.last)
+        declared = found.last.theta[: len(data.space)]
+        left = without_disturbances(data, extended.simulator, declared)
+        if left is None or not self._can_diagnose(left.problem, setup.train.length):
+            return None
+        return left
 
     def _result(
-        self,
-        problem: Problem,
-        setup: "_Setup",
-        searched: "_Searched",
-        rng: np.random.Generator,
-        log: EvaluationLog,
-        undisturbed: WithoutDisturbances | None,
-        spent: int,
+        self, task: "_Task", setup: "_Setup", searched: "_Searched", progress: Progress
     ) -> Diagnosis:
         """What a search found, in figures; of one that was interrupted, only what is soon told."""
         data = setup.problem
-        whole = data if undisturbed is None else problem
+        undisturbed = task.undisturbed
+        whole = data if undisturbed is None else task.problem
         library, selection = setup.library, setup.selection
-        progress = selection.progress
+        show = selection.progress
         far_off = setup.explained is not None
+        spent = task.spent
         spent += setup.explained.simulator_steps if setup.explained is not None else 0
         first, last, reviews = searched.first, searched.last, searched.reviews
         complete = not searched.interrupted
-        progress(0.9, "what remains")
-        rest, forces = remaining(data, library, last, selection.floor, rng)
+        show(0.9, "what remains")
+        rest, forces = remaining(data, library, last, selection.floor, task.rng)
         simulator = robot_of(data)
         extended = _extended(data, library, last)
         declared = last.theta[: len(data.space)]
-
-        # Once the causes are known, disturbances stand out: leave them out and begin anew.
         length = setup.train.length
         laws = searched.laws
-        looks = self.disturbances and not far_off and complete and laws is None
-        if undisturbed is None and looks:
-            undisturbed = without_disturbances(data, extended.simulator, declared)
-            if undisturbed is not None and self._can_diagnose(undisturbed.problem, length):
-                return self._run(whole, rng, progress, log, undisturbed, library.simulator.steps)
-            undisturbed = None
+
+        # What explains the data in part is no delay that is finer than the model's own steps.
+        if complete and not far_off and not rest.calibrated:
+            further = _without_short_delays(setup, searched)
+            if further is not None:
+                return self._result(task, *further, progress)
 
         # Where known effects leave something, it may follow a law that none of them stands for.
         if laws is None and complete and not far_off and self._wants_laws(library, last, rest):
-            further = self._with_laws(setup, searched, rng)
+            further = self._with_laws(setup, searched, task.rng)
             if further is not None:
-                return self._result(problem, *further, rng, log, undisturbed, spent)
+                return self._result(task, *further, progress)
 
         # How good each model is on data held out.
         errors = _errors_without_and_with(data, library, last, reviews)
@@ -387,9 +384,10 @@ class Diagnose:
         if far_off and not found and complete:
             # Motions do not bear out what regression finds.
             plain = replace(self, settings=replace(self.settings, far_off=None))
-            return plain._run(problem, rng, progress, log, None, spent + library.simulator.steps)
+            spent += library.simulator.steps
+            return plain._run(replace(task, spent=spent), progress)
         thetas = [nominal_of(library), first.theta, last.theta]
-        (draws,) = rng.spawn(1)
+        (draws,) = task.rng.spawn(1)
         nominal, fitted, with_causes = horizons(data, library, thetas, last, draws)
         # With disturbances the windows' own horizon alone, on all data held out.
         own_horizon = replace(HELD_OUT, horizons=())
@@ -401,7 +399,7 @@ class Diagnose:
         beyond = () if far_off else _beyond(verdict, with_causes, length)
 
         # What figures and tables show.
-        progress(0.95, "what the pictures show")
+        show(0.95, "what the pictures show")
         figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
         compared = self.disturbances and not (rest.calibrated or far_off) and complete
@@ -427,7 +425,10 @@ class Diagnose:
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=(*undetermined(library, last), *setup.ties),
-            numerics=numerics(problem, data, library, first, last, found, selection.floor, rest)
+            numerics=(
+                *numerics(task.came, data, library, first, last, found, selection.floor, rest),
+                *setup.refused.values(),
+            )
             if complete
             else (),
             disturbances=None if undisturbed is None else left_out(undisturbed, inside),
@@ -554,6 +555,31 @@ def _extended(problem: Problem, library: Library, last: State) -> Problem:
 
 
 @dataclass(frozen=True, eq=False)
+class _Task:
+    """What is to be diagnosed.
+
+    came: with the model as it came.
+    problem: with all data, and the steps that the model has by now.
+    undisturbed: what is left of it where disturbances were found.
+    before: the model by which they were found.
+    spent: simulator steps so far.
+    """
+
+    came: Problem
+    problem: Problem
+    rng: np.random.Generator
+    log: EvaluationLog
+    undisturbed: WithoutDisturbances | None = None
+    before: State | None = None
+    spent: int = 0
+
+    @property
+    def data(self) -> Problem:
+        """The problem, or what is left of it."""
+        return self.problem if self.undisturbed is None else self.undisturbed.problem
+
+
+@dataclass(frozen=True, eq=False)
 class _Setup:
     """What a search works on.
 
@@ -562,6 +588,7 @@ class _Setup:
     count: how many effects are looked for.
     wiring: what does not fit in signs, units and names of commands, a sentence each.
     noise: the first guess where it is coloured.
+    refused: by their labels, effects that are no causes, with why, a sentence each.
     """
 
     problem: Problem
@@ -574,11 +601,13 @@ class _Setup:
     count: int
     wiring: tuple[str, ...]
     noise: Noise | None = None
+    refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def instances(self) -> list[EffectInstance]:
         """The effects that may be accepted."""
-        return without_impulses(self.library.instances)
+        everything = without_impulses(self.library.instances)
+        return [instance for instance in everything if instance.label not in self.refused]
 
     def first(self) -> State:
         """The model as it is, with its declared parameters and the noise fitted."""
@@ -657,62 +686,53 @@ class _Searched:
     laws: WithLaws | None = None
 
 
-def _solved(setup: _Setup, settings: NoiseSettings) -> tuple[_Setup, _Searched]:
-    """What a search ends with, and the setup that led to it.
+def _with_noise_left(setup: _Setup, before: State | None, settings: NoiseSettings) -> _Setup:
+    """A setup with noise that is coloured, where the model before says so of these windows."""
+    if before is None or setup.explained is not None:
+        return setup
+    # Impulses, which come last, may be others; they are 0.
+    size = min(len(before.theta), len(setup.library.simulator.space))
+    theta = setup._padded(before.theta[:size])
+    noise = white(before.train.whiten.sigma)
+    state = setup.selection.as_it_is(
+        setup.train, setup.test, theta, noise, before.free, before.accepted
+    )
+    noise = other_noise(setup.library, state.train, setup.selection.floor, settings)
+    if noise is None:
+        return setup
+    return replace(setup, selection=_anew(setup, "noise that is not white"), noise=noise)
+
+
+def _solved(
+    setup: _Setup,
+    settings: NoiseSettings,
+    disturbed: Callable[[_Setup, "_Searched"], WithoutDisturbances | None],
+) -> "tuple[_Setup, _Searched, WithoutDisturbances | None]":
+    """What a search ends with, the setup that led to it, and what is left where that found
+    disturbances.
 
     Where errors of a sensor still follow each other, they may have been taken for causes: all is
-    done anew with noise that is coloured. Then with exact physics steps, where these alone gain
-    much of what the causes do.
+    done anew with noise that is coloured, unless there are disturbances to be left out first.
     """
-    found = _search(setup)
+    setup, found = _search(setup)
     if found.interrupted:
-        return setup, found
+        return setup, found, None
     try:
+        left = disturbed(setup, found)
+        if left is not None or setup.noise is not None:
+            return setup, found, left
         noise = other_noise(setup.library, found.last.train, setup.selection.floor, settings)
-        if noise is not None:
-            selection = _anew(setup, "noise that is not white")
-            again = replace(setup, selection=selection, noise=noise)
-            anew = _search(again)
-            if anew.interrupted:
-                # What was found before is whole; half a search under other premises is not.
-                return setup, replace(found, interrupted=True)
-            setup, found = again, anew
-        return _with_exact_steps(setup, found)
+        if noise is None:
+            return setup, found, None
+        selection = _anew(setup, "noise that is not white")
+        again, anew = _search(replace(setup, selection=selection, noise=noise))
+        if anew.interrupted:
+            # What was found before is whole; half a search under other premises is not.
+            return setup, replace(found, interrupted=True), None
+        return again, anew, disturbed(again, anew)
     except KeyboardInterrupt:
         setup.selection.progress(0.9, STOPPING)
-        return setup, replace(found, interrupted=True)
-
-
-def _with_exact_steps(setup: _Setup, found: _Searched) -> tuple[_Setup, _Searched]:
-    """The search with physics steps that hardly matter, where that explains more.
-
-    Steps act like delays, inertia and damping. Where exact ones gain as much as all causes, there
-    is no cause; where they gain much of that, all is done anew.
-    """
-    simulator = setup.library.simulator
-    known = setup.explained is not None or not found.last.accepted
-    if known or not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
-        return setup, found
-    exact = simulator.with_finer_steps(2).with_integrator("RK4")
-    library = Library(exact, setup.library.instances, setup.library.declared)
-    selection = replace(_anew(setup, "exact physics steps"), library=library)
-    robot = robot_of(setup.problem).with_finer_steps(2).with_integrator("RK4")
-    problem = replace(setup.problem, simulator=robot)
-    again = replace(setup, problem=problem, library=library, selection=selection)
-    first = again.first()
-    gain = penalized_log_likelihood(first) - penalized_log_likelihood(found.first)
-    of_causes = penalized_log_likelihood(found.last) - penalized_log_likelihood(found.first)
-    chosen = setup, found
-    if gain > INSTEAD * of_causes:
-        chosen = again, _Searched(first, first, {})
-    elif gain > OF_STEP * of_causes:
-        anew = _search(again)
-        if anew.interrupted:
-            return setup, replace(found, interrupted=True)
-        if penalized_log_likelihood(anew.last) > penalized_log_likelihood(found.last):
-            chosen = again, anew
-    chosen[0].library.simulator.steps = simulator.steps + exact.steps
-    return chosen
+        return setup, replace(found, interrupted=True), None
 
 
 def _anew(setup: _Setup, under: str) -> Selection:
@@ -726,28 +746,55 @@ def _anew(setup: _Setup, under: str) -> Selection:
     return replace(setup.selection, progress=further, batches=[], origins={})
 
 
-def _search(setup: _Setup) -> _Searched:
-    """Look for effects; where that is interrupted, what was accepted so far."""
+def _stepped(setup: _Setup, arithmetic: Arithmetic) -> _Setup:
+    """A setup whose simulations are stepped otherwise."""
+    library = setup.library
+    simulator = robot_of(setup.problem)
+    exact = arithmetic.of(library.simulator)  # type: ignore[arg-type]
+    exact.steps = library.simulator.steps
+    library = Library(exact, library.instances, library.declared, library.differences)
+    selection = replace(_anew(setup, "exact physics steps"), library=library)
+    problem = replace(setup.problem, simulator=arithmetic.of(simulator))
+    return replace(setup, problem=problem, library=library, selection=selection)
+
+
+def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
+    """Look for effects; where that is interrupted, what was accepted so far.
+
+    Where more exact physics steps are the better explanation, all is done anew with them.
+    """
     explained = setup.explained
     if explained is not None:
-        return _Searched(*setup.judged(), explained.interrupted)
+        return setup, _Searched(*setup.judged(), explained.interrupted)
     first = setup.first()
     selection = setup.selection
+    rivals = Rivals(setup.library, selection.floor, selection.settings, selection.log)
     try:
-        return _Searched(first, *_explain(setup, first))
+        last, reviews = _explain(setup, first, rivals)
+        if rivals.winner is None:
+            return setup, _Searched(first, last, reviews)
     except KeyboardInterrupt:
         selection.progress(0.9, STOPPING)
         last = selection.latest or first
-        return _Searched(first, last, reviews_so_far(selection, last), interrupted=True)
+        reviews = reviews_so_far(selection, last)
+        return setup, _Searched(first, last, reviews, interrupted=True)
+    return _search(_stepped(setup, rivals.winner))
 
 
-def _explain(setup: _Setup, first: State) -> tuple[State, dict[str, Review]]:
-    """The model that the search ends with, and its effects' reviews."""
+def _explain(
+    setup: _Setup, first: State, rivals: Rivals, begun: State | None = None
+) -> tuple[State, dict[str, Review]]:
+    """The model that the search ends with, and its effects' reviews.
+
+    It ends early where one of the rivals is better. begun: where it begins, if not with the first.
+    """
     selection = setup.selection
     instances = setup.instances
-    last, reviews = review(selection, first)
+    last, reviews = review(selection, first if begun is None else begun)
     while True:
-        found = selection.run(first, last, instances)
+        found = selection.run(first, last, instances, rivals)
+        if rivals.winner is not None:
+            return last, reviews
         if found is last:
             break
         # After an exchange, others may be confirmed.
@@ -759,6 +806,46 @@ def _explain(setup: _Setup, first: State) -> tuple[State, dict[str, Review]]:
     if merged is not last:
         _, reviews = review(selection, merged)
     return merged, reviews
+
+
+def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _Searched] | None:
+    """The search gone on without delays shorter than a physics step; None where there are none.
+
+    They are what else is wrong looks like: a model says little of what happens within its steps.
+    """
+    library, last = setup.library, searched.last
+    step = float(robot_of(setup.problem).model.opt.timestep)
+    refused: dict[str, str] = {}
+    indices: list[int] = []
+    for instance in last.accepted:
+        own = library.places[instance.label]
+        size = short_delay(instance, last.theta[own], step)
+        if size is not None:
+            without = searched.reviews[instance.label].without
+            refused[instance.label] = refused_delay(instance, size, step, without.test, last.test)
+            indices += own.tolist()
+    if not refused:
+        return None
+    selection = replace(
+        setup.selection,
+        origins={
+            label: replace(
+                batch, trials=[t for t in batch.trials if t.candidate.instance.label not in refused]
+            )
+            for label, batch in setup.selection.origins.items()
+        },
+    )
+    setup = replace(setup, selection=selection, refused={**setup.refused, **refused})
+    theta = last.theta.copy()
+    theta[indices] = 0.0
+    train = shift_linearization(library, last.train, theta, last.train.whiten.noise)
+    kept = tuple(one for one in last.accepted if one.label not in refused)
+    begun = State(train, last.test, np.setdiff1d(last.free, indices), kept)
+    rivals = Rivals(library, selection.floor, selection.settings, selection.log)
+    further, reviews = _explain(setup, searched.first, rivals, selection.polish(begun))
+    if rivals.winner is not None:
+        return _search(_stepped(setup, rivals.winner))
+    return setup, replace(searched, last=further, reviews=reviews)
 
 
 def _errors_without_and_with(

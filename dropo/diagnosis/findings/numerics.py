@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
-from dropo.diagnosis.parts import Cause, Remaining
+from dropo.diagnosis.parts import Cause, Remaining, effect_in_words
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
@@ -40,6 +41,13 @@ class NumericsSettings:
 
 
 SETTINGS = NumericsSettings()
+INTEGRATORS = {
+    int(mujoco.mjtIntegrator.mjINT_EULER): "Euler",
+    int(mujoco.mjtIntegrator.mjINT_RK4): "RK4",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICIT): "implicit",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST): "implicitfast",
+}
+"""By MuJoCo's number of an integrator, its name in MJCF."""
 OTHER_INTEGRATOR = {
     int(mujoco.mjtIntegrator.mjINT_EULER): "implicitfast",
     int(mujoco.mjtIntegrator.mjINT_IMPLICIT): "Euler",
@@ -93,13 +101,7 @@ def numerics(
             " held out better."
         )
     step = float(robot_of(found).model.opt.timestep)
-    came = float(robot_of(given).model.opt.timestep)
-    if step < came:
-        sentences.append(
-            f"The model's physics steps of {1e3 * came:.3g} ms act like delays, inertia and damping"
-            f" here: steps of {1e3 * step:.3g} ms by Runge and Kutta predict the data better, and"
-            f' all was judged with these. Type timestep="{step:.3g}" integrator="RK4".'
-        )
+    sentences += _other_steps(robot_of(given).model, robot_of(found).model)
     sentences += [_below_step(cause, step) for cause in causes if _is_below_step(cause, step)]
     moved = _moved_by_step(library, first, last, settings) if causes else 0.0
     if moved > settings.share:
@@ -110,6 +112,21 @@ def numerics(
     if not remaining.calibrated:
         sentences += _better_arithmetic(library, last, floor, settings)
     return tuple(sentences)
+
+
+def _other_steps(came: mujoco.MjModel, used: mujoco.MjModel) -> list[str]:
+    """That all was judged with other steps than those of the model that came."""
+    before, after = (float(model.opt.timestep) for model in (came, used))
+    integrator = INTEGRATORS[int(used.opt.integrator)]
+    own = INTEGRATORS[int(came.opt.integrator)]
+    if after == before and integrator == own:
+        return []
+    return [
+        f"The model's physics steps of {1e3 * before:.3g} ms by {own} act like delays, inertia and"
+        f" damping here: steps of {1e3 * after:.3g} ms by {integrator} predict data held out"
+        " better, better than the first effect would in their place, and all was judged with"
+        f' these. Type timestep="{after:.3g}" integrator="{integrator}".'
+    ]
 
 
 def _better_arithmetic(
@@ -160,6 +177,65 @@ def _below_step(cause: Cause, step: float) -> str:
     return (
         f"The {cause.place} is less than a physics step of {1e3 * step:.3g} ms: a machine whose"
         " own loop is faster than the model's looks like that. Shorten the timestep first."
+    )
+
+
+def short_delay(instance: EffectInstance, magnitudes: Array, step: float) -> float | None:
+    """Return how late a delay is, if that is less than a physics step.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        Any effect.
+    magnitudes : (q,) array
+        Its numbers.
+    step : float
+        The physics step [s].
+
+    Returns
+    -------
+    float or None
+        [s]; None of longer delays and other effects.
+    """
+    if not instance.effect.endswith("_delay"):
+        return None
+    for quantity, size in zip(instance.quantities, magnitudes.tolist(), strict=True):
+        if quantity.unit == "s" and 0 < abs(size) < step:
+            return float(size)
+    return None
+
+
+def refused_delay(
+    instance: EffectInstance,
+    size: float,
+    step: float,
+    without: LinearizedWindows,
+    last: LinearizedWindows,
+) -> str:
+    """Say why a delay is no cause.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        The delay.
+    size : float
+        How late it is [s].
+    step : float
+        The physics step [s].
+    without, last : LinearizedWindows
+        The windows held out, without it and with it.
+
+    Returns
+    -------
+    str
+    """
+    gain, z = gain_of(without, last)
+    error = f" +- {gain / z:.0f}" if z else ""
+    place = effect_in_words(instance.effect, instance.target, instance.variant)
+    return (
+        f"The {place} of {1e3 * size:.2g} ms would gain {gain:.0f}{error} nats and is not named: it is"
+        f" less than a physics step of {1e3 * step:.3g} ms, and with it something remains, which"
+        " may look like such a delay."
     )
 
 

@@ -16,7 +16,7 @@ from dropo.diagnosis.search.linearization import shift_linearization
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
-from dropo.diagnosis.search.trials import Batch, State, Trial
+from dropo.diagnosis.search.trials import Batch, State, Trial, penalized_log_likelihood
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,29 +170,6 @@ def _better_alternative(selection: Selection, state: State, reviewed: Review) ->
             selection.origins[trial.candidate.instance.label] = reviewed.origin
             return polished
     return None
-
-
-def penalized_log_likelihood(state: State) -> float:
-    """Return the log-likelihood of all windows less the BIC penalty.
-
-    Parameters
-    ----------
-    state : State
-        A model.
-
-    Returns
-    -------
-    float
-        [nats].
-
-    References
-    ----------
-    Schwarz, Estimating the dimension of a model, Annals of Statistics 6, 1978.
-    """
-    sides = (state.train, state.test)
-    steps = sum(side.windows.steps for side in sides)
-    total = float(sum(side.log_likelihood.sum() for side in sides))
-    return total - 0.5 * len(state.free) * float(np.log(steps))
 
 
 def _without_effect(selection: Selection, state: State, instance: EffectInstance) -> State:

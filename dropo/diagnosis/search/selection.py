@@ -175,7 +175,13 @@ class Selection:
 
     # --- one effect after another
 
-    def run(self, first: State, state: State, instances: Sequence[EffectInstance]) -> State:
+    def run(
+        self,
+        first: State,
+        state: State,
+        instances: Sequence[EffectInstance],
+        stop: Callable[[State, State | None], bool] | None = None,
+    ) -> State:
         """Accept effects until none is confirmed.
 
         Parameters
@@ -186,6 +192,9 @@ class Selection:
             Where the search begins.
         instances : sequence of EffectInstance
             The effects that may be accepted.
+        stop : callable, optional
+            Called with a model, and with the one that has one more effect or None; where it is
+            true, that effect is not accepted, and the search ends.
 
         Returns
         -------
@@ -194,7 +203,7 @@ class Selection:
         """
         while len(state.accepted) < self.settings.maximum_effects:
             found = self.step(state, instances, first)
-            if found is None:
+            if (stop is not None and stop(state, found)) or found is None:
                 break
             state = found
             self.latest = state

@@ -38,6 +38,29 @@ class State:
         return self.train.theta
 
 
+def penalized_log_likelihood(state: State) -> float:
+    """Return the log-likelihood of all windows less the BIC penalty.
+
+    Parameters
+    ----------
+    state : State
+        A model.
+
+    Returns
+    -------
+    float
+        [nats].
+
+    References
+    ----------
+    Schwarz, Estimating the dimension of a model, Annals of Statistics 6, 1978.
+    """
+    sides = (state.train, state.test)
+    steps = sum(side.windows.steps for side in sides)
+    total = float(sum(side.log_likelihood.sum() for side in sides))
+    return total - 0.5 * len(state.free) * float(np.log(steps))
+
+
 @dataclass(frozen=True, eq=False)
 class Trial:
     """A candidate refitted.

@@ -1,0 +1,187 @@
+"""Other physics steps and integrators as rivals of the causes, on equal terms.
+
+A model's own steps act like delays, inertia and damping. Before an effect is accepted, the model
+without it is therefore fitted with steps that are more exact, too: a rival that costs no number.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import mujoco
+import numpy as np
+
+from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.validation import Array
+from dropo.diagnosis.search.confirmation import SelectionSettings, is_confirmed
+from dropo.diagnosis.search.linearization import Library, linearize, shift_linearization
+from dropo.diagnosis.search.record import Sides, recorded_sides
+from dropo.diagnosis.search.refit import NO_INDICES, refit, settle
+from dropo.diagnosis.search.trials import State, penalized_log_likelihood
+from dropo.mjmodel.robot_simulator import RobotSimulator
+
+
+@dataclass(frozen=True)
+class Arithmetic:
+    """How a simulation is stepped, beside the model's own steps.
+
+    Attributes
+    ----------
+    finer : int
+        Physics steps in the place of one.
+    integrator : str or None
+        Its name in MJCF; the model's own if None.
+    """
+
+    finer: int
+    integrator: str | None = None
+
+    def of(self, simulator: RobotSimulator) -> RobotSimulator:
+        """Return a simulator that is stepped so; its count of steps begins at 0."""
+        changed = simulator.with_finer_steps(self.finer)
+        return changed if self.integrator is None else changed.with_integrator(self.integrator)
+
+
+@dataclass(frozen=True)
+class ArithmeticSettings:
+    """Which rivals there are.
+
+    Attributes
+    ----------
+    rivals : tuple of Arithmetic
+        The cheapest first. The last is for machines too stiff for Runge and Kutta.
+    of_runge_kutta : tuple of Arithmetic
+        Those of a model that is stepped by Runge and Kutta already.
+    nearly : float
+        The cheapest is fitted that gains this fraction of what any gains.
+    finest : int
+        A winner's steps are halved as long as that is confirmed, down to this part.
+    """
+
+    rivals: tuple[Arithmetic, ...] = (
+        Arithmetic(1, "RK4"),
+        Arithmetic(2, "RK4"),
+        Arithmetic(4),
+    )
+    of_runge_kutta: tuple[Arithmetic, ...] = (Arithmetic(2),)
+    nearly: float = 0.95
+    finest: int = 8
+
+
+SETTINGS = ArithmeticSettings()
+
+
+@dataclass(eq=False)
+class Rivals:
+    """More exact steps, each time beside the effect that a search would accept next.
+
+    Attributes
+    ----------
+    library : Library
+        The simulator with every effect, in its own steps.
+    floor : (p,) array
+        Lower bound of the noise.
+    selection : SelectionSettings
+        How sure a gain must be.
+    log : EvaluationLog
+        Where fits are recorded.
+    settings : ArithmeticSettings
+        Which rivals there are.
+    winner : Arithmetic or None
+        What explained the data better than an effect.
+    """
+
+    library: Library
+    floor: Array
+    selection: SelectionSettings
+    log: EvaluationLog
+    settings: ArithmeticSettings = SETTINGS
+    winner: Arithmetic | None = field(init=False, default=None)
+
+    def __call__(self, state: State, found: State | None) -> bool:
+        """Decide whether more exact steps are the better explanation.
+
+        Parameters
+        ----------
+        state : State
+            A model.
+        found : State or None
+            That model with one more effect; None where none is confirmed.
+
+        Returns
+        -------
+        bool
+            Whether windows held out confirm a rival, which is then `winner`, and all windows are
+            as likely under it as with the effect, or likelier.
+        """
+        simulator = self.library.simulator
+        if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
+            return False
+        arithmetic, gain = self._most_promising(simulator, state)
+        # Along the way what promises nothing is not fitted; where all begins and ends, it is.
+        if gain < 0 and state.accepted and found is not None:
+            return False
+        rival = self._fitted(simulator, arithmetic, state)
+        needed = self.selection.needed_gain(len(self._rivals(simulator)))
+        best = state if found is None else found
+        if not is_confirmed(state.test, rival.test, needed, self.selection):
+            return False
+        if penalized_log_likelihood(rival) < penalized_log_likelihood(best):
+            return False
+        self.winner = self._refined(simulator, arithmetic, rival, needed)
+        return True
+
+    def _rivals(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
+        """Those of a model with its integrator."""
+        if simulator.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            return self.settings.of_runge_kutta
+        return self.settings.rivals
+
+    def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
+        """The cheapest rival that gains nearly as much as any on the windows to fit, and its gain.
+
+        Nothing is fitted but the noise.
+        """
+        before = float(state.train.log_likelihood.sum())
+        gains = []
+        for arithmetic in self._rivals(simulator):
+            library = self._library(arithmetic.of(simulator))
+            noise = state.train.whiten.noise
+            train = shift_linearization(library, state.train, state.theta, noise)
+            train = settle(library, train, NO_INDICES, self.floor, rounds=1)
+            gains.append((arithmetic, float(train.log_likelihood.sum()) - before))
+            simulator.steps += library.simulator.steps
+        most = max(gain for _, gain in gains)
+        enough = most - (1 - self.settings.nearly) * abs(most)
+        return next((one, gain) for one, gain in gains if gain >= enough)
+
+    def _fitted(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
+        """A model in other steps, fitted as one with an effect more is."""
+        library = self._library(arithmetic.of(simulator))
+
+        def fit() -> Sides:
+            start = linearize(library, state.train.windows, state.theta, state.train.whiten.noise)
+            train = refit(library, start, state.free, self.floor, settings=self.selection.refit)
+            noise = train.whiten.noise
+            return train, linearize(library, state.test.windows, train.theta, noise)
+
+        windows = (state.train.windows, state.test.windows)
+        key = np.concatenate([state.theta, state.train.whiten.noise.numbers])
+        train, test = recorded_sides(self.log, library, key, windows, fit)
+        simulator.steps += library.simulator.steps
+        return State(train, test, state.free, state.accepted)
+
+    def _refined(
+        self, simulator: RobotSimulator, arithmetic: Arithmetic, rival: State, needed: float
+    ) -> Arithmetic:
+        """A winner's steps, halved as long as windows held out confirm that."""
+        while arithmetic.finer < self.settings.finest:
+            finer = replace(arithmetic, finer=2 * arithmetic.finer)
+            halved = self._fitted(simulator, finer, rival)
+            if not is_confirmed(rival.test, halved.test, needed, self.selection):
+                break
+            arithmetic, rival = finer, halved
+        return arithmetic
+
+    def _library(self, simulator: RobotSimulator) -> Library:
+        """The same effects with another simulator."""
+        library = self.library
+        return Library(simulator, library.instances, library.declared, library.differences)
