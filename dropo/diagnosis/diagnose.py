@@ -351,7 +351,6 @@ class Diagnose:
         simulator = robot_of(data)
         extended = _extended(data, library, last)
         declared = last.theta[: len(data.space)]
-        length = setup.train.length
         laws = searched.laws
 
         # What explains the data in part is no delay that is finer than the model's own steps.
@@ -396,7 +395,7 @@ class Diagnose:
             inside = horizons(whole, library, thetas, last, draws, own_horizon)
 
         verdict = _verdict(found, not rest.calibrated)
-        beyond = () if far_off else _beyond(verdict, with_causes, length)
+        beyond = () if far_off else _beyond(verdict, with_causes, setup.train.length)
 
         # What figures and tables show.
         show(0.95, "what the pictures show")
@@ -421,7 +420,7 @@ class Diagnose:
                 signal.name: float(size)
                 for signal, size in zip(simulator.signals, signal_noise(data, last), strict=True)
             },
-            window_steps=length,
+            window_steps=setup.train.length,
             nominal=tuple(nominal) if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=(*undetermined(library, last), *setup.ties),
@@ -693,9 +692,9 @@ def _with_noise_left(setup: _Setup, before: State | None, settings: NoiseSetting
     # Impulses, which come last, may be others; they are 0.
     size = min(len(before.theta), len(setup.library.simulator.space))
     theta = setup._padded(before.theta[:size])
-    noise = white(before.train.whiten.sigma)
+    plain = white(before.train.whiten.sigma)
     state = setup.selection.as_it_is(
-        setup.train, setup.test, theta, noise, before.free, before.accepted
+        setup.train, setup.test, theta, plain, before.free, before.accepted
     )
     noise = other_noise(setup.library, state.train, setup.selection.floor, settings)
     if noise is None:
@@ -826,15 +825,11 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
             indices += own.tolist()
     if not refused:
         return None
-    selection = replace(
-        setup.selection,
-        origins={
-            label: replace(
-                batch, trials=[t for t in batch.trials if t.candidate.instance.label not in refused]
-            )
-            for label, batch in setup.selection.origins.items()
-        },
-    )
+    origins = {}
+    for label, batch in setup.selection.origins.items():
+        others = [one for one in batch.trials if one.candidate.instance.label not in refused]
+        origins[label] = replace(batch, trials=others)
+    selection = replace(setup.selection, origins=origins)
     setup = replace(setup, selection=selection, refused={**setup.refused, **refused})
     theta = last.theta.copy()
     theta[indices] = 0.0

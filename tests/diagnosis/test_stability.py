@@ -28,7 +28,7 @@ SIZE = Quantity("size", "N m", 0.0, 1.0, (0.01,))
 def searched():
     """The search on an arm with more damping at the elbow: setup, the effect and its review."""
     setup = SEARCH._set_up(problem([("joint_damping:elbow", [0.05])]), silent, EvaluationLog())
-    found = _search(setup)
+    _, found = _search(setup)
     (instance,) = found.last.accepted
     return setup, instance, found.reviews[instance.label]
 

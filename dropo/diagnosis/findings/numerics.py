@@ -233,9 +233,9 @@ def refused_delay(
     error = f" +- {gain / z:.0f}" if z else ""
     place = effect_in_words(instance.effect, instance.target, instance.variant)
     return (
-        f"The {place} of {1e3 * size:.2g} ms would gain {gain:.0f}{error} nats and is not named: it is"
-        f" less than a physics step of {1e3 * step:.3g} ms, and with it something remains, which"
-        " may look like such a delay."
+        f"The {place} of {1e3 * size:.2g} ms would gain {gain:.0f}{error} nats and is not named:"
+        f" it is less than a physics step of {1e3 * step:.3g} ms, and with it something remains,"
+        " which may look like such a delay."
     )
 
 
