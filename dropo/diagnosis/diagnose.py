@@ -588,6 +588,7 @@ class _Setup:
     wiring: what does not fit in signs, units and names of commands, a sentence each.
     noise: the first guess where it is coloured.
     refused: by their labels, effects that are no causes, with why, a sentence each.
+    won: what its steps gained over the model's own [nats]; 0 if they are those.
     """
 
     problem: Problem
@@ -601,6 +602,7 @@ class _Setup:
     wiring: tuple[str, ...]
     noise: Noise | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
+    won: float = 0.0
 
     @property
     def instances(self) -> list[EffectInstance]:
@@ -745,8 +747,14 @@ def _anew(setup: _Setup, under: str) -> Selection:
     return replace(setup.selection, progress=further, batches=[], origins={})
 
 
-def _stepped(setup: _Setup, arithmetic: Arithmetic) -> _Setup:
-    """A setup whose simulations are stepped otherwise."""
+def _rivals(setup: _Setup) -> Rivals:
+    """Other steps than a setup's."""
+    selection = setup.selection
+    return Rivals(setup.library, selection.floor, selection.settings, selection.log, setup.won)
+
+
+def _stepped(setup: _Setup, arithmetic: Arithmetic, gain: float) -> _Setup:
+    """A setup whose simulations are stepped otherwise, which gained so much."""
     library = setup.library
     simulator = robot_of(setup.problem)
     exact = arithmetic.of(library.simulator)  # type: ignore[arg-type]
@@ -754,7 +762,7 @@ def _stepped(setup: _Setup, arithmetic: Arithmetic) -> _Setup:
     library = Library(exact, library.instances, library.declared, library.differences)
     selection = replace(_anew(setup, "exact physics steps"), library=library)
     problem = replace(setup.problem, simulator=arithmetic.of(simulator))
-    return replace(setup, problem=problem, library=library, selection=selection)
+    return replace(setup, problem=problem, library=library, selection=selection, won=gain)
 
 
 def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
@@ -767,7 +775,7 @@ def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
         return setup, _Searched(*setup.judged(), explained.interrupted)
     first = setup.first()
     selection = setup.selection
-    rivals = Rivals(setup.library, selection.floor, selection.settings, selection.log)
+    rivals = _rivals(setup)
     try:
         last, reviews = _explain(setup, first, rivals)
         if rivals.winner is None:
@@ -777,7 +785,7 @@ def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
         last = selection.latest or first
         reviews = reviews_so_far(selection, last)
         return setup, _Searched(first, last, reviews, interrupted=True)
-    return _search(_stepped(setup, rivals.winner))
+    return _search(_stepped(setup, rivals.winner, rivals.gain))
 
 
 def _explain(
@@ -836,10 +844,10 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
     train = shift_linearization(library, last.train, theta, last.train.whiten.noise)
     kept = tuple(one for one in last.accepted if one.label not in refused)
     begun = State(train, last.test, np.setdiff1d(last.free, indices), kept)
-    rivals = Rivals(library, selection.floor, selection.settings, selection.log)
+    rivals = _rivals(setup)
     further, reviews = _explain(setup, searched.first, rivals, selection.polish(begun))
     if rivals.winner is not None:
-        return _search(_stepped(setup, rivals.winner))
+        return _search(_stepped(setup, rivals.winner, rivals.gain))
     return setup, replace(searched, last=further, reviews=reviews)
 
 

@@ -54,6 +54,8 @@ class ArithmeticSettings:
         The cheapest is fitted that gains this fraction of what any gains.
     finest : int
         A winner's steps are halved as long as that is confirmed, down to this part.
+    further : float
+        Another winner must gain this fraction of what the one before did: a search anew costs much.
     """
 
     rivals: tuple[Arithmetic, ...] = (
@@ -64,6 +66,7 @@ class ArithmeticSettings:
     of_runge_kutta: tuple[Arithmetic, ...] = (Arithmetic(2),)
     nearly: float = 0.95
     finest: int = 8
+    further: float = 0.1
 
 
 SETTINGS = ArithmeticSettings()
@@ -83,18 +86,24 @@ class Rivals:
         How sure a gain must be.
     log : EvaluationLog
         Where fits are recorded.
+    won : float
+        What the steps that the model has by now gained over its own [nats]; 0 if they are those.
     settings : ArithmeticSettings
         Which rivals there are.
     winner : Arithmetic or None
-        What explained the data better than an effect.
+        What explained the data better than an effect ...
+    gain : float
+        ... and by how much [nats].
     """
 
     library: Library
     floor: Array
     selection: SelectionSettings
     log: EvaluationLog
+    won: float = 0.0
     settings: ArithmeticSettings = SETTINGS
     winner: Arithmetic | None = field(init=False, default=None)
+    gain: float = field(init=False, default=0.0)
 
     def __call__(self, state: State, found: State | None) -> bool:
         """Decide whether more exact steps are the better explanation.
@@ -115,17 +124,20 @@ class Rivals:
         simulator = self.library.simulator
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
             return False
-        arithmetic, gain = self._most_promising(simulator, state)
+        arithmetic, promise = self._most_promising(simulator, state)
         # Along the way what promises nothing is not fitted; where all begins and ends, it is.
-        if gain < 0 and state.accepted and found is not None:
+        if promise < 0 and state.accepted and found is not None:
             return False
         rival = self._fitted(simulator, arithmetic, state)
         needed = self.selection.needed_gain(len(self._rivals(simulator)))
-        best = state if found is None else found
         if not is_confirmed(state.test, rival.test, needed, self.selection):
             return False
-        if penalized_log_likelihood(rival) < penalized_log_likelihood(best):
+        before = penalized_log_likelihood(state)
+        gain = penalized_log_likelihood(rival) - before
+        of_effect = 0.0 if found is None else penalized_log_likelihood(found) - before
+        if gain < max(of_effect, self.settings.further * self.won):
             return False
+        self.gain = gain
         self.winner = self._refined(simulator, arithmetic, rival, needed)
         return True
 
