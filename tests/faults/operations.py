@@ -47,6 +47,10 @@ KILLED = 137
 UNTOUCHED = 77
 """The exit status of a run that had fewer operations."""
 IMPORTED = (
+    "cma",
+    "emcee",
+    "ruamel.yaml",
+    "scipy.stats",
     "dropo.cli.record",
     "dropo.core.records.saved_schema",
     "dropo.diagnosis.diagnose",
