@@ -149,7 +149,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     folder.begin(record)
     log = EvaluationLog(folder.file(SEARCH), record)
     try:
-        found = _diagnosis(arguments, problem, log)
+        found = _diagnosis(arguments, problem, log, folder)
     except KeyboardInterrupt:
         if arguments.out is None:
             raise
@@ -190,16 +190,17 @@ def _compare(
 
 
 def _diagnosis(
-    arguments: argparse.Namespace, problem: "Problem", log: "EvaluationLog"
+    arguments: argparse.Namespace, problem: "Problem", log: "EvaluationLog", folder: RunFolder
 ) -> "Diagnosis | QuickDiagnosis":
     """What a search by simulation finds, or with --quick a regression alone."""
     if arguments.quick:
         from dropo.diagnosis.regression.quick import QuickDiagnose
 
         return QuickDiagnose().run(problem)
+    from dropo.core.services.progress_file import PROGRESS
     from dropo.diagnosis.diagnose import Diagnose
 
-    progress = Progress(silent=arguments.quiet)
+    progress = Progress(silent=arguments.quiet, path=folder.file(PROGRESS))
     try:
         diagnose = Diagnose(
             arguments.effects, length=arguments.steps, disturbances=arguments.disturbances == "auto"

@@ -168,6 +168,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     from dropo.core.records.fit import Fit, Status
     from dropo.core.records.fit_choices import ExcludedSpan, ExcludedSpans
     from dropo.core.services.evaluation_log import EvaluationLog
+    from dropo.core.services.progress_file import PROGRESS
     from dropo.estimators.support.segment_length import ChooseHorizon
     from dropo.evaluation.predictions import predict
 
@@ -188,7 +189,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
         record = {**record, "lambda": AUTO}
     folder.begin(record)
     evaluation_log = EvaluationLog(folder.file("evaluations.jsonl"), record)
-    progress = Progress(silent=arguments.quiet)
+    progress = Progress(silent=arguments.quiet, path=folder.file(PROGRESS))
     try:
         fit = estimator.fit(
             problem, rng=arguments.seed, evaluation_log=evaluation_log, progress=progress

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import IO, Any
 
 from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
+from dropo.core.services.progress_file import LOCK
 
 RECORD = "run.json"
 """What the run is."""
 RESULTS = ("fit.json", "diagnosis.json", "policy.json")
 """Files by which a folder holds a result."""
-LOCK = ".lock"
-"""There while a run lives; it says which process that is."""
 
 
 class RunFolder:

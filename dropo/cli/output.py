@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TextIO
 
 SHOWN = 40
@@ -34,9 +35,16 @@ class Progress:
         Whether to write nothing.
     stream : text file, optional
         Where to write; standard error by default.
+    path : Path, optional
+        A file that holds the last steps while the work goes on, silent or not.
     """
 
-    def __init__(self, *, silent: bool = False, stream: TextIO | None = None):
+    def __init__(
+        self, *, silent: bool = False, stream: TextIO | None = None, path: Path | None = None
+    ):
+        from dropo.core.services.progress_file import ProgressFile
+
+        self._file = ProgressFile(path)
         self.stream = sys.stderr if stream is None else stream
         self.silent = silent
         self._draws = self.stream.isatty()
@@ -46,11 +54,12 @@ class Progress:
 
     def __call__(self, fraction: float, text: str) -> None:
         """Show the `fraction` that is done, with a `text`."""
-        if self.silent:
-            return
         self._done = max(self._done, min(fraction, 1.0))
         spent = time.monotonic() - self._begun
         left = time_left(self._done, spent)
+        self._file(self._done, text, left)
+        if self.silent:
+            return
         if self._draws:
             self._draw(text, left)
         elif text.startswith(AT_ONCE) or time.monotonic() - self._last_line >= EVERY:
@@ -60,7 +69,8 @@ class Progress:
                 print(f"dropo: {self._done:.0%}, {times}: {text}", file=self.stream, flush=True)
 
     def close(self) -> None:
-        """Remove the line from a terminal."""
+        """Remove the line from a terminal, and the file of the last steps."""
+        self._file.close()
         if self._bar is not None:
             self._bar.stop()
 

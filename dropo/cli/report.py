@@ -3,15 +3,21 @@
 import argparse
 import os
 import tempfile
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options, show
+from dropo.cli.output import NOTHING, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
     from dropo.mjmodel.robot_simulator import RobotSimulator
     from dropo.report.folder import Media, Result
+
+PORT = 8000
+"""Where --serve listens by default ..."""
+HERE = "127.0.0.1"
+"""... and at which address: this machine's alone."""
 
 
 def add(commands: Any) -> None:
@@ -35,12 +41,27 @@ def add(commands: Any) -> None:
         action="store_true",
         help="with measured and simulated motion as a video, also as an .mp4; needs the model",
     )
+    parser.add_argument(
+        "--serve",
+        nargs="?",
+        type=whole(0, most=65535),
+        const=PORT,
+        metavar="PORT",
+        help=f"serve the page, renewed while the run is at work, until Ctrl-C; port {PORT} by "
+        "default, 0 for any that is free",
+    )
+    parser.add_argument(
+        "--host",
+        metavar="ADDRESS",
+        help=f"the address at which --serve listens, {HERE} by default; 0.0.0.0 for others in the "
+        "network, such as a phone",
+    )
     computing_options(parser, seed=NOTHING, threads=NOTHING)
     printing_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the page, and the video where asked.
+    """Write the page, and the video where asked; or serve it.
 
     Parameters
     ----------
@@ -58,9 +79,14 @@ def run(arguments: argparse.Namespace) -> int:
         If the input is refused; nothing is written then.
     """
     from dropo.core.services.atomic_write import write_bytes
+    from dropo.core.services.errors import BadArgument
     from dropo.report.build import write_page
     from dropo.report.folder import read_result
 
+    if arguments.serve is not None:
+        return _serve(arguments)
+    if arguments.host is not None:
+        raise BadArgument(f"--host belongs to --serve. Got --host {arguments.host} alone.")
     if arguments.video and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
     result = read_result(arguments.folder)
@@ -73,6 +99,25 @@ def run(arguments: argparse.Namespace) -> int:
         write_bytes(video, result.media.video)
         written["video"] = str(video)
     show(arguments, "\n".join(written.values()), written)
+    return 0
+
+
+def _serve(arguments: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C; 0."""
+    from dropo.core.services.errors import BadArgument
+    from dropo.report.live import live_server
+
+    for option, given in (("--out", arguments.out), ("--video", arguments.video)):
+        if given:
+            raise BadArgument(f"--serve writes nothing. Leave out {option}, or --serve.")
+    host = arguments.host or HERE
+    with live_server(arguments.folder, host, arguments.serve) as server:
+        port = server.server_address[1]
+        address = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+        text = f"{address} shows {arguments.folder}; Ctrl-C ends it."
+        show(arguments, text, {"address": address})
+        with suppress(KeyboardInterrupt):
+            server.serve_forever(poll_interval=0.2)
     return 0
 
 

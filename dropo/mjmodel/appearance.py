@@ -235,7 +235,9 @@ def _where(model: mujoco.MjModel, data: mujoco.MjData, kind: str, i: int) -> Arr
             int(mujoco.mjtTrn.mjTRN_BODY): "body",
         }
         moved = named.get(int(model.actuator_trntype[i]))
-        return None if moved is None else _where(model, data, moved, int(model.actuator_trnid[i, 0]))
+        return (
+            None if moved is None else _where(model, data, moved, int(model.actuator_trnid[i, 0]))
+        )
     objects = {
         int(mujoco.mjtObj.mjOBJ_JOINT): "joint",
         int(mujoco.mjtObj.mjOBJ_BODY): "body",

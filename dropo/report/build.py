@@ -69,7 +69,27 @@ def write_page(result: Result, path: Path) -> Path:
     BadFile
         If parts of the result do not fit together, so that no page can be made of them.
     """
-    with refusing_faults(result.folder, RESULT):
-        text = PAGES[result.kind](result)
-    write_text(path, text)
+    write_text(path, page_of(result))
     return path
+
+
+def page_of(result: Result) -> str:
+    """Make the page of a result.
+
+    Parameters
+    ----------
+    result : Result
+        What a run left.
+
+    Returns
+    -------
+    str
+        The HTML file's text.
+
+    Raises
+    ------
+    BadFile
+        If parts of the result do not fit together, so that no page can be made of them.
+    """
+    with refusing_faults(result.folder, RESULT):
+        return PAGES[result.kind](result)

@@ -17,11 +17,14 @@ from dropo.core.records.saved_schema import (
 )
 from dropo.core.services.errors import BadFile
 from dropo.core.services.file_schema import Saved, check_content, read_saved
+from dropo.core.services.progress_file import LOCK, Step, read_progress
 from dropo.core.services.saved_files import read_json
 from dropo.report.history import History, read_history
 
 RESULT = "a folder that `dropo fit --out` or `dropo diagnose --out` wrote"
 EVALUATION_LOG = "evaluations.jsonl"
+COMMANDS = ("fit", "diagnose")
+"""Commands whose folders have pages."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,10 @@ class Result:
         How the search went.
     media : Media or None
         What was rendered for its page.
+    at_work : bool
+        Whether a process seems to be at work in the folder.
+    steps : tuple of Step
+        What it did last.
     """
 
     folder: Path
@@ -78,6 +85,8 @@ class Result:
     predictions: Predictions | None = None
     history: History | None = None
     media: Media | None = None
+    at_work: bool = False
+    steps: tuple[Step, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -136,11 +145,15 @@ def read_result(folder: str | Path) -> Result:
         if evaluation_log.is_file():
             history = read_history(evaluation_log, len(fit.space))[1]
         return Result(folder, content, record, made, fit, None, predictions, history)
+    alive = (folder / LOCK).exists()
+    steps = read_progress(folder)
     if not evaluation_log.is_file():
-        raise BadFile(folder, "", RESULT, _listing(folder))
+        if record.get("command") not in COMMANDS:
+            raise BadFile(folder, "", RESULT, _listing(folder))
+        return Result(folder, {}, record, made, at_work=alive, steps=steps)
     header, history = read_history(evaluation_log, None)
     check_content(evaluation_log, header, SavedRun)
-    return Result(folder, {}, header, made, history=history)
+    return Result(folder, {}, header, made, history=history, at_work=alive, steps=steps)
 
 
 def _optional(path: Path, schema: type[Saved], what: str) -> dict[str, Any]:

@@ -110,6 +110,12 @@ def pattern(word: str) -> re.Pattern[str]:
     return re.compile(rf"(?<![\w-]){form}(?![\w-])", 0 if word in ("MJCF", "sd") else re.IGNORECASE)
 
 
+def meaning(text: str) -> str:
+    """Return the sentence of the first word of the glossary in a text; empty without."""
+    found = [(hit.start(), word) for word in WORDS if (hit := pattern(word).search(text))]
+    return WORDS[min(found)[1]] if found else ""
+
+
 def list_of(html: str) -> str:
     """List the words that a page uses anywhere, with their sentences.
 

@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 
 from dropo._version import __version__
-from dropo.report.glossary import explained, list_of
+from dropo.report.glossary import explained, list_of, meaning
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]], *, told: bool =
         HTML.
     """
     head = "".join(
-        f'<th scope="col"><button type="button">{escape(name)}</button></th>' for name in header
+        f'<th scope="col"><button type="button"{_told(name)}>{escape(name)}</button></th>'
+        for name in header
     )
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
     kind = "told" if told else "numbers"
@@ -194,6 +195,12 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]], *, told: bool =
         '<div class="scroll" tabindex="0"><table '
         f'class="{kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
     )
+
+
+def _told(name: str) -> str:
+    """The attribute that says what a column's title means, where the glossary has it."""
+    says = meaning(name)
+    return f' title="{escape(says)}"' if says else ""
 
 
 def _cell(cell: Cell) -> str:

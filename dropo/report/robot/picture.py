@@ -72,7 +72,9 @@ def scene_of(result: Result) -> Scene | None:
         None where the extended model is not in the folder, or cannot be read.
     """
     path = result.folder / str(result.content.get("extended_problem") or "")
-    simulator = _simulator(path.resolve()) if path.is_file() else None
+    simulator = None
+    if path.is_file():
+        simulator = _simulator(path.resolve(), path.stat().st_mtime_ns)
     if simulator is None:
         return None
     model = simulator.model
@@ -82,7 +84,9 @@ def scene_of(result: Result) -> Scene | None:
     if result.predictions is not None:
         poses = poses_of(result.predictions, simulator, POSES)
         camera, lookat = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT)
-        best = int(np.argmax([_area(camera, shapes(model, posed(model, q))) for q in poses.measured]))
+        best = int(
+            np.argmax([_area(camera, shapes(model, posed(model, q))) for q in poses.measured])
+        )
         qpos, places = poses.measured[best], poses.places[best : best + 1]
         alone, _ = camera_of(places, sizes, WIDTH / HEIGHT)
         seen = Camera(alone.lookat, alone.distance, camera.azimuth, camera.elevation)
@@ -91,8 +95,8 @@ def scene_of(result: Result) -> Scene | None:
 
 
 @lru_cache(maxsize=1)
-def _simulator(path: Path) -> "RobotSimulator | None":
-    """The simulator of a problem file, if it has a model and can be read."""
+def _simulator(path: Path, written: int) -> "RobotSimulator | None":
+    """The simulator of a problem file of some time, if it has a model and can be read."""
     from dropo.mjmodel.robot_simulator import RobotSimulator
     from dropo.problems.loading import load
 

@@ -98,12 +98,17 @@ def write_video(
     halves = ((poses.before, GHOSTS[0]), (poses.after, GHOSTS[1]))
     at, frame = -1, np.zeros(0)
     try:
-        with atomic_write(path) as part, _Writer(part, (WIDTH, 2 * HEIGHT), PAGE_FRAMES, length) as writer:
+        with (
+            atomic_write(path) as part,
+            _Writer(part, (WIDTH, 2 * HEIGHT), PAGE_FRAMES, length) as writer,
+        ):
             for k in shown:
                 if k != at:
                     at = k
                     stage.look(camera, lookat[k])
-                    images = [stage.frame(poses.measured[k], own[k], ghost) for own, ghost in halves]
+                    images = [
+                        stage.frame(poses.measured[k], own[k], ghost) for own, ghost in halves
+                    ]
                     frame = np.concatenate(images)
                 writer.send(frame)
     finally:
@@ -183,4 +188,3 @@ class _Writer:
     def send(self, frame: Array) -> None:
         """Append a frame (height, width, 3)."""
         self.frames.send(np.ascontiguousarray(frame))
-

@@ -9,6 +9,7 @@ from dropo.report.folder import Media
 from dropo.report.page import paragraph, plain
 from dropo.report.robot.video import Shown
 
+
 def told(shown: Shown, again: str, both: bool) -> str:
     """Say what a video shows.
 
