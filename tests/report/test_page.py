@@ -13,9 +13,9 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.services.evaluation_log import read_log
 from dropo.core.services.tables import estimate
 from dropo.report.build import write_report
+from dropo.report.page import Cell, percent, shortened, table
 from dropo.report.pages.diagnosis_page import _fitted, causes_section
 from dropo.report.pages.fit_page import _parameters
-from dropo.report.page import Cell, percent, shortened, table
 
 LARGEST = 1_500_000  # bytes
 VOID = {"meta", "link", "br", "img", "input"}
