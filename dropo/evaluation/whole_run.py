@@ -67,7 +67,7 @@ def whole_run(
     data = part.trajectories
     has_unseen = part.chosen.any()
     lengths = [
-        (stop - start) * (part.chosen[start:stop].any() or not has_unseen)
+        stop - start if part.chosen[start:stop].any() or not has_unseen else 0
         for start, stop in data.spans
     ]
     chosen = int(np.argmax(lengths))

@@ -181,7 +181,7 @@ def correlated_pairs(fit: Fit, maximum: int = 12) -> list[tuple[int, int, float]
     varies = np.flatnonzero(spread & (np.ptp(draws, axis=0) > 0))
     if len(varies) < 2:
         return []
-    matrix = np.corrcoef(draws[:, varies].T)
+    matrix = np.asarray(np.corrcoef(draws[:, varies].T))
     first, second = np.triu_indices(len(varies), 1)
     values = matrix[first, second]
     order = np.argsort(-np.abs(values), kind="stable")[:maximum]

@@ -1,7 +1,7 @@
 """What to type into a model's MJCF: the first model against the extended one."""
 
 import difflib
-import xml.etree.ElementTree as ElementTree
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from html import escape
 from pathlib import Path
@@ -66,8 +66,8 @@ def changed_elements(old: str, new: str) -> Iterator[str]:
         A place as a comment, then the element with its new attributes, such as
         `<joint name="elbow" frictionloss="0.05"/>`.
     """
-    before = dict(_elements(ElementTree.fromstring(old)))
-    for path, element in _elements(ElementTree.fromstring(new)):
+    before = dict(_elements(ET.fromstring(old)))
+    for path, element in _elements(ET.fromstring(new)):
         kept = before.get(path)
         had = {} if kept is None else kept.attrib
         new_ones = {key: value for key, value in element.attrib.items() if had.get(key) != value}
@@ -90,8 +90,8 @@ def changed_elements(old: str, new: str) -> Iterator[str]:
 
 
 def _elements(
-    element: ElementTree.Element, above: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], ElementTree.Element]]:
+    element: ET.Element, above: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], ET.Element]]:
     """Every element with its path, whose steps hold a name, or a number among their kind."""
     seen: dict[str, int] = {}
     for child in element:

@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.records.predictions import Predictions, WholeRun
 from dropo.core.services.validation import Array
@@ -123,7 +124,7 @@ def _missed(found: Predictions, run: WholeRun, i: int, both: bool) -> str:
     return f"{found.names[i]} is off by {plain(errors[0], 3)} before, {after} after."
 
 
-def _spans(held_out: Array) -> list[list[int]]:
+def _spans(held_out: NDArray[np.bool_]) -> list[list[int]]:
     """First and last + 1 step of every span held out; none where all or nothing is."""
     if held_out.all() or not held_out.any():
         return []

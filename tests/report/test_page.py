@@ -135,13 +135,17 @@ def test_a_fits_page_holds_its_numbers(fit_folder, pages):
 
 
 def test_a_diagnosis_page_names_the_cause_at_once(diagnosis_folder, pages):
-    """In the headline, and in the first picture's words; the table holds size and unit."""
+    """In the headline, at its place, in the words of the first plot; the table holds size and
+    unit.
+    """
     seen = Seen(pages["diagnosis"].read_text())
     text = "".join(seen.text)
     content = json.loads((diagnosis_folder / "diagnosis.json").read_text())
     assert content["headline"].replace("+-", "±") in text
     assert "joint damping at elbow" in content["headline"]
-    assert seen.all("svg")[0]["aria-label"].startswith(
+    robot, tried = (picture["aria-label"] for picture in seen.all("svg")[:2])
+    assert robot == "The robot, with causes marked. 1: joint damping at elbow."
+    assert tried.startswith(
         "Bars: nats that each effect gains on data held out. joint damping at elbow"
     )
     assert f"{content['causes'][0]['estimate']['damping']['value']:+.4g}" in text

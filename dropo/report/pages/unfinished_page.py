@@ -53,12 +53,12 @@ def unfinished_page(result: Result) -> str:
     body += _steps(result)
     if history is not None:
         body += _searched(result, history, best)
+    title = "How far it is" if result.at_work else "How far it came"
     return page(
         f"dropo {command} · {result.problem}",
         _headline(result, NAMES.get(command, command)),
         cards,
-        [Section("How far it is" if result.at_work else "How far it came", "", body)]
-        + [parts.made(result)],
+        [Section(title, "", body), parts.made(result)],
     )
 
 

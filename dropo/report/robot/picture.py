@@ -83,10 +83,9 @@ def scene_of(result: Result) -> Scene | None:
     qpos = np.array(model.qpos0)
     if result.predictions is not None:
         poses = poses_of(result.predictions, simulator, POSES)
-        camera, lookat = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT)
-        best = int(
-            np.argmax([_area(camera, shapes(model, posed(model, q))) for q in poses.measured])
-        )
+        camera, _ = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT)
+        areas = [_area(camera, shapes(model, posed(model, own))) for own in poses.measured]
+        best = int(np.argmax(areas))
         qpos, places = poses.measured[best], poses.places[best : best + 1]
         alone, _ = camera_of(places, sizes, WIDTH / HEIGHT)
         seen = Camera(alone.lookat, alone.distance, camera.azimuth, camera.elevation)

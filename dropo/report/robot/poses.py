@@ -1,4 +1,4 @@
-"""The poses of a robot that a video or a picture shows: measured, and as two models predict them."""
+"""The poses of a robot that a video or a picture shows: measured, and as two models predict."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -96,7 +96,8 @@ def poses_of(found: Predictions, simulator: "RobotSimulator", most: int = MOST) 
     off = [np.linalg.norm(geom_places(model, poses(e)) - places, axis=2) for e in errors]
     factor = enlargement(np.maximum(*off), places, sizes)
     before, after = (poses(factor * error) for error in errors)
-    return Poses(measured, before, after, step * (1 + shown), factor, places, sizes)
+    times = np.asarray(step * (1.0 + shown))
+    return Poses(measured, before, after, times, factor, places, sizes)
 
 
 def enlargement(off: Array, places: Array, sizes: Array) -> int:
