@@ -8,7 +8,6 @@ import numpy as np
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.predictions import WholeRun
-from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array
 from dropo.evaluation.held_out import DataPart
 
@@ -75,23 +74,19 @@ def whole_run(
     most = max(1, min(settings.steps, settings.numbers // len(simulator.signals)))
     count = min(stop - start, most)
     each = min(length, count) if problem.reset == "transition" else count
-    count -= count % each
+    end = start + count - count % each
+    windows = [data.from_rows(np.arange(start, end, each), each, every_step=True)]
+    if count % each:
+        windows.append(data.from_rows(np.array([end]), count % each, every_step=True))
     own = copy.copy(simulator)
     values = np.stack(sides)
-    segments = data.from_rows(np.arange(start, start + count, each), each, every_step=True)
-    before, after = own.predict(values, segments)
+    before, after = np.concatenate([own.predict(values, one) for one in windows], axis=1)
     return WholeRun(
         trajectory=chosen,
         length=each,
-        measured=simulator.targets(segments),
-        rows=_rows(segments),
+        measured=np.concatenate([simulator.targets(one) for one in windows]),
+        rows=data.next_observations[start : start + count],
         before=before,
         after=after,
         held_out=part.chosen[start : start + count],
     )
-
-
-def _rows(segments: Segments) -> Array:
-    """(T, P) the measured observation rows at the steps of segments."""
-    rows = segments.trajectories.next_observations[segments.steps]
-    return np.asarray(rows.reshape(-1, rows.shape[-1]))

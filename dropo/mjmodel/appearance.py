@@ -12,6 +12,8 @@ from dropo.mjmodel.names import element_names
 
 SHOWN = 3
 """Groups of geoms that a viewer shows at first: those below this number."""
+THICK = 0.03
+"""Radius of the lines of a skeleton, as a fraction of the length of all links in a row."""
 MOST = 400
 """Vertices of a mesh that are kept for its outline."""
 KINDS = ("joint", "actuator", "body", "geom", "tendon", "site", "sensor")
@@ -71,14 +73,13 @@ def posed(model: mujoco.MjModel, qpos: Array | None = None) -> mujoco.MjData:
 
 
 def moving_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """List the ids of geoms that are shown and can move; of all that are shown where none can."""
-    shown = _shown(model)
-    moving = [i for i in shown if model.body_weldid[model.geom_bodyid[i]] > 0]
-    return np.array(moving or shown, dtype=np.int64)
+    """List the ids of the geoms that are shown and can move."""
+    moving = [i for i in _shown(model) if model.body_weldid[model.geom_bodyid[i]] > 0]
+    return np.array(moving, dtype=np.int64)
 
 
-def geom_places(model: mujoco.MjModel, poses: Array) -> Array:
-    """Find where the moving geoms are in some poses.
+def part_places(model: mujoco.MjModel, poses: Array) -> Array:
+    """Find where the parts of a robot are in some poses.
 
     Parameters
     ----------
@@ -90,25 +91,67 @@ def geom_places(model: mujoco.MjModel, poses: Array) -> Array:
     Returns
     -------
     (N, g, 3) array
-        Centres [m] of the g geoms of `moving_geoms`.
+        Centres [m] of the geoms that move; of bodies and their masses where a model has no such.
     """
     geoms = moving_geoms(model)
     data = mujoco.MjData(model)
-    out = np.empty((len(poses), len(geoms), 3))
-    for k, qpos in enumerate(poses):
+    out = []
+    for qpos in poses:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        out[k] = data.geom_xpos[geoms]
+        bodies = np.concatenate([data.xpos[1:], data.xipos[1:]])
+        out.append(data.geom_xpos[geoms] if len(geoms) else bodies)
+    return np.array(out)
+
+
+def part_sizes(model: mujoco.MjModel) -> Array:
+    """Return the radii (g,) [m] of balls around the parts of `part_places`."""
+    geoms = moving_geoms(model)
+    if len(geoms):
+        return np.asarray(model.geom_rbound[geoms], dtype=float)
+    return np.full(2 * (model.nbody - 1), THICK * _reach(model))
+
+
+def skeleton(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
+    """Return lines between the joints of a model whose bodies have no geoms to be seen.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    data : MjData
+        Of `posed`.
+
+    Returns
+    -------
+    list of Shape
+        From every body to its parent, and to its centre of mass at the end of a chain; none where
+        there are geoms.
+    """
+    if len(moving_geoms(model)):
+        return []
+    radius = THICK * _reach(model)
+    out = []
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        still = bool(model.body_weldid[body] == 0)
+        if parent:
+            ends = np.stack([data.xpos[parent], data.xpos[body]])
+            out.append(Shape(ends, radius, still))
+        if body not in model.body_parentid:
+            ends = np.stack([data.xpos[body], data.xipos[body]])
+            out.append(Shape(ends, 0.7 * radius, still))
     return out
 
 
-def geom_sizes(model: mujoco.MjModel) -> Array:
-    """Return the radii (g,) [m] of balls around the geoms of `moving_geoms`."""
-    return np.asarray(model.geom_rbound[moving_geoms(model)], dtype=float)
+def _reach(model: mujoco.MjModel) -> float:
+    """The length of all links in a row [m]."""
+    lengths = np.linalg.norm(model.body_pos[2:], axis=1).sum()
+    return max(float(lengths), float(np.linalg.norm(model.body_ipos[1:], axis=1).max()), 0.05)
 
 
 def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
-    """Return the geoms that a viewer shows, but for planes and height fields.
+    """Return the geoms that a viewer shows, but for planes and height fields; else the skeleton.
 
     Parameters
     ----------
@@ -121,7 +164,7 @@ def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
     -------
     list of Shape
     """
-    out = []
+    out = skeleton(model, data)
     for i in _shown(model):
         local, radius = _outline(model, i)
         if local is None:

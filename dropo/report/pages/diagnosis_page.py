@@ -34,6 +34,8 @@ from dropo.report.svg import rows as svg_rows
 # [in] of a picture with a row for each effect
 ROW = 0.42
 HEAD = 0.6
+SHOWN = 3
+"""Causes in a card; the table has all."""
 RESPONSE = "response to the effect"
 GOOD = {"consistent": "good", "explained": "good", "partly": "bad", "unexplained": "bad"}
 
@@ -101,7 +103,9 @@ def finding_cards(content: dict[str, Any]) -> list[tuple[str, str, str]]:
     list of (str, str, str)
         The verdict and the causes, each as name, value, and whether it is good or bad.
     """
-    causes = ", ".join(words(_label(cause)) for cause in _causes_of(content)) or "none"
+    named = [words(_label(cause)) for cause in _causes_of(content)]
+    more = f" and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
+    causes = (", ".join(named[:SHOWN]) or "none") + more
     return [
         ("verdict", content["verdict"], GOOD.get(content["verdict"], "")),
         ("cause", causes, ""),

@@ -16,8 +16,8 @@ from dropo.diagnosis.parts import Cause, effect_in_words
 from dropo.mjmodel.appearance import (
     Shape,
     element_places,
-    geom_places,
-    geom_sizes,
+    part_places,
+    part_sizes,
     posed,
     shapes,
 )
@@ -78,8 +78,8 @@ def scene_of(result: Result) -> Scene | None:
     if simulator is None:
         return None
     model = simulator.model
-    places = geom_places(model, model.qpos0[None])
-    sizes = geom_sizes(model)
+    places = part_places(model, model.qpos0[None])
+    sizes = part_sizes(model)
     qpos = np.array(model.qpos0)
     if result.predictions is not None:
         poses = poses_of(result.predictions, simulator, POSES)
@@ -178,7 +178,7 @@ def where_section(result: Result, changes: str) -> Section | None:
     for cause in causes:
         named = effect_in_words(cause.effect, cause.target, cause.variant, cause.formula)
         sizes = ", ".join(
-            f"{name} {one.value:+.4g} ± {plain(one.se, 2)} {one.unit}".rstrip()
+            f"{name} {one.value:+.4g} ± {plain(one.se, 2)} {one.unit.removeprefix('1')}".rstrip()
             for name, one in cause.estimate.items()
         )
         places = element_places(model, data, cause.effect, cause.target) if cause.target else []
@@ -288,12 +288,14 @@ def _free(at: Array, centre: Array, others: list[Array], solid: Array) -> Array:
     low, high = np.full(2, BADGE + 3.0), np.array([WIDTH, HEIGHT]) - BADGE - 3.0
     turns = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     best, room = at, -np.inf
-    for way in np.stack([np.cos(turns), np.sin(turns)], axis=1):
+    ways = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    for way in np.concatenate([ways, 1.8 * ways]):
         tried = np.clip(at + AWAY * way, low, high)
         off = [np.linalg.norm(solid - tried, axis=1).min(initial=AWAY)]
         off += [2 * np.linalg.norm(tried - one) - 2 * BADGE for one in others]
         off.append(float(np.linalg.norm(tried - at)))
-        own = float(min(off)) + 1e-3 * float(way @ (at - centre))
+        own = min(float(min(off)), AWAY / 2) + 1e-3 * float(way @ (at - centre))
+        own -= 0.1 * float(np.linalg.norm(way))  # near its place
         if own > room:
             best, room = tried, own
     return best

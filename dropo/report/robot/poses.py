@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.records.predictions import Predictions
 from dropo.core.services.validation import Array
-from dropo.mjmodel.appearance import geom_places, geom_sizes
+from dropo.mjmodel.appearance import part_places, part_sizes
 
 if TYPE_CHECKING:
     from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -37,7 +37,7 @@ class Poses:
     factor : int
         By how much errors are enlarged.
     places : (N, g, 3) array
-        Centres of the moving geoms as measured [m].
+        Centres of the robot's parts as measured [m].
     sizes : (g,) array
         Radii around them [m].
     """
@@ -91,9 +91,9 @@ def poses_of(found: Predictions, simulator: "RobotSimulator", most: int = MOST) 
         return states[:, 1 : 1 + model.nq]
 
     measured = poses(np.zeros_like(errors[0]))
-    places = geom_places(model, measured)
-    sizes = geom_sizes(model)
-    off = [np.linalg.norm(geom_places(model, poses(e)) - places, axis=2) for e in errors]
+    places = part_places(model, measured)
+    sizes = part_sizes(model)
+    off = [np.linalg.norm(part_places(model, poses(e)) - places, axis=2) for e in errors]
     factor = enlargement(np.maximum(*off), places, sizes)
     before, after = (poses(factor * error) for error in errors)
     times = np.asarray(step * (1.0 + shown))

@@ -7,6 +7,7 @@ import numpy as np
 
 from dropo.core.services.errors import DropoError
 from dropo.core.services.validation import Array
+from dropo.mjmodel.appearance import skeleton
 from dropo.report.robot.camera import Camera
 
 # Colours of the models before and after, as in the page's figures, and of what was measured.
@@ -95,10 +96,12 @@ class Stage:
         self.renderer.update_scene(self.solid, self.camera, self.option)
         first = scene.ngeom
         dynamic = self.mujoco.mjtCatBit.mjCAT_DYNAMIC
+        self._add_skeleton(self.solid, MEASURED)
         if ghost is not None:
             self.mujoco.mjv_addGeoms(
                 self.model, self.ghost, self.option, self.mujoco.MjvPerturb(), dynamic, scene
             )
+            self._add_skeleton(self.ghost, color)
         for i, geom in enumerate(scene.geoms[: scene.ngeom]):
             if geom.category == dynamic and (plain or i >= first):
                 geom.matid = -1
@@ -106,6 +109,19 @@ class Stage:
         image = self.renderer.render()
         image[(image == 0).all(axis=2)] = EMPTY
         return np.asarray(image)
+
+    def _add_skeleton(self, data: Any, color: tuple[float, ...]) -> None:
+        """Draw lines where a model has no geoms to be seen."""
+        scene = self.renderer.scene
+        kind = self.mujoco.mjtGeom.mjGEOM_CAPSULE
+        for line in skeleton(self.model, data):
+            if scene.ngeom >= scene.maxgeom:
+                return
+            geom = scene.geoms[scene.ngeom]
+            shade = np.array(color, dtype=np.float32)
+            self.mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), shade)
+            self.mujoco.mjv_connector(geom, kind, line.radius, *line.points)
+            scene.ngeom += 1
 
     def close(self) -> None:
         """Free the renderer."""
