@@ -137,9 +137,7 @@ def _pair(
     facts = (channel.factors[0], channel.rotation, negative)
     if not sensor.is_rotation:
         measured = resample(series.time, series.values, time)
-        return SensorPair(
-            series.label, sensor.mount, sensor.units[0], measured, modelled, *facts
-        )
+        return SensorPair(series.label, sensor.mount, sensor.units[0], measured, modelled, *facts)
     steps = max(1, round(settings.turn / float(np.median(np.diff(time)))))
 
     def turns(quaternions: Array) -> Array:

@@ -77,7 +77,14 @@ def record(rng, steps=60, more_damping=0.0, xml=ARM, every=1):
     for i in range(steps * SKIP + 1):
         if i % every == 0:
             mujoco.mj_forward(model, data)
-            rows.append((data.time, data.qpos.copy(), data.sensordata.copy(), held[min(i // SKIP, len(held) - 1)]))
+            rows.append(
+                (
+                    data.time,
+                    data.qpos.copy(),
+                    data.sensordata.copy(),
+                    held[min(i // SKIP, len(held) - 1)],
+                )
+            )
         data.ctrl[:] = held[min(i // SKIP, len(held) - 1)]
         mujoco.mj_step(model, data)
     time, angles, found, commands = (np.array(part) for part in zip(*rows, strict=True))
@@ -96,14 +103,17 @@ def problem(seed, sensors=IMU, runs=6, steps=60, more_damping=0.0, parameters=PA
         run = record(rng, steps, more_damping, every=SKIP)
         parts = [run.angles + ENCODER * rng.standard_normal(run.angles.shape)]
         noisy = {
-            name: one + SD[name] * rng.standard_normal(one.shape) for name, one in run.sensors.items()
+            name: one + SD[name] * rng.standard_normal(one.shape)
+            for name, one in run.sensors.items()
         }
         rows = np.hstack([*parts, *(noisy[name] for name in sensors)])
         before.append(rows[:-1])
         after.append(rows[1:])
         actions.append(run.commands[:-1])
     ends = np.arange(1, runs * steps + 1) % steps == 0
-    data = Trajectories(np.concatenate(before), np.concatenate(actions), np.concatenate(after), ends)
+    data = Trajectories(
+        np.concatenate(before), np.concatenate(actions), np.concatenate(after), ends
+    )
     observation = ["qpos", *(f"sensordata.{name}" for name in sensors)]
     robot = MujocoSimulator(
         mujoco.MjSpec.from_string(ARM),

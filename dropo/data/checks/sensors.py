@@ -285,7 +285,9 @@ def _check_mount(pairs: Sequence[SensorPair], settings: SensorSettings) -> Itera
     matrix = _free_turn(pairs)
     rest = float(np.mean([left_over(one.measured @ matrix.T, one.modelled) for one in pairs]))
     if rest < settings.right and _is_determined(pairs, settings):
-        text = f"along the motion the model's own shows otherwise: it is turned by {_degrees(matrix)}."
+        text = (
+            f"along the motion the model's own shows otherwise: it is turned by {_degrees(matrix)}."
+        )
         yield Finding("error", names, text, _rotation_advice(pairs[0], matrix))
         return
     text = (

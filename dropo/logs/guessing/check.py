@@ -78,9 +78,7 @@ def _groups(log: Log, robot: ModelJoints) -> list[SensorColumns]:
     return find_sensor_columns(read_names(log, [*robot.joints, *robot.actuators]))
 
 
-def _sensor_columns(
-    log: Log, mapping: Mapping, robot: ModelJoints
-) -> set[tuple[str | None, str]]:
+def _sensor_columns(log: Log, mapping: Mapping, robot: ModelJoints) -> set[tuple[str | None, str]]:
     """Topic and name of the columns of sensors of the model, which are not its base's."""
     found = _mapped_columns(mapping)
     matched, _ = match_sensors(_groups(log, robot), robot)

@@ -297,7 +297,11 @@ class _Guesser:
         given = self._given.get("sensordata")
         entries = given if isinstance(given, dict) else {}
         taken: set[ColumnName] = set(self._used)
-        if self._free_joints() and len(self._base.position) == 3 and len(self._base.quaternion) == 4:
+        if (
+            self._free_joints()
+            and len(self._base.position) == 3
+            and len(self._base.quaternion) == 4
+        ):
             taken |= set(self._base.all()) - set(self._base.gyro)
         free = [one for one in self._columns if one not in taken]
         groups, left = match_sensors(find_sensor_columns(free), self._robot)

@@ -24,7 +24,14 @@ _UNIT_WORDS = {
     "g": {"g", "gs", "gee"},
     "m/s^2": {"m", "mps", "ms"},
 }
-_TRAILING = {word for unit in _UNIT_WORDS.values() for word in unit} | {"s", "s2", "ss", "per", "sec", "2"}
+_TRAILING = {word for unit in _UNIT_WORDS.values() for word in unit} | {
+    "s",
+    "s2",
+    "ss",
+    "per",
+    "sec",
+    "2",
+}
 _BY_NAME = ("touch", "force", "torque", "velocimeter", "magnetometer", "rangefinder")
 _PLACES = {"qw": "w", "qx": "x", "qy": "y", "qz": "z"}
 
@@ -160,12 +167,14 @@ def match_sensors(
         if len(own) == len(sensors) == 1:
             found[sensors[0].name] = own[0]
             continue
-        scores = {(i, one.name): _alike(group, one, robot) for i, group in enumerate(own) for one in sensors}
+        scores = {
+            (i, one.name): _alike(group, one, robot)
+            for i, group in enumerate(own)
+            for one in sensors
+        }
         while scores:
             (i, name), best = max(scores.items(), key=lambda item: item[1])
-            rivals = [
-                score for (j, other), score in scores.items() if (j == i) != (other == name)
-            ]
+            rivals = [score for (j, other), score in scores.items() if (j == i) != (other == name)]
             if best <= max(rivals, default=0.0):
                 break
             found[name] = own[i]

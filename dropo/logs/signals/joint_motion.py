@@ -135,7 +135,7 @@ def sensors_shown(
 
 
 def _is_known(sensor: Sensor, robot: ModelJoints, measured: dict[str, TimeSeries]) -> bool:
-    """Whether the motion of all joints that move a sensor was measured, and it shows nothing else."""
+    """Whether a sensor shows motion alone, and that of all joints that move it was measured."""
     if not sensor.follows_motion or sensor.body < 0:
         return False
     moving = joints_before(robot.model, sensor.body)

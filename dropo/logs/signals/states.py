@@ -130,8 +130,8 @@ def estimate_states(
 
     Columns that are no state, such as an IMU's, are measurements like the others, and stay as they
     were measured. What the model misses is always learned, by expectation-maximization, so that a
-    poor model is trusted little. The smoother is the Rauch-Tung-Striebel recursion; each pass is linearized by
-    central differences at the states of the pass before.
+    poor model is trusted little. The smoother is the Rauch-Tung-Striebel recursion; each pass is
+    linearized by central differences at the states of the pass before.
 
     Parameters
     ----------
@@ -176,8 +176,8 @@ def estimate_states(
     if simulator.start_size != p or columns != p:
         raise Incompatible(
             "States are estimated for simulators that start from what they compare, without"
-            f" rotations of joints or sensors: this one has {p} signals, {simulator.start_size} start coordinates, and"
-            f" {columns} columns were given."
+            f" rotations of joints or sensors: this one has {p} signals, {simulator.start_size} start"
+            f" coordinates, and {columns} columns were given."
         )
     value = float_array("values", values, (len(simulator.space),), caller)
     if measured is None:
