@@ -307,7 +307,7 @@ def prepare(
     progress(0.9, "resampling")
     gathered = _gather(raw, runs, mapping, robot, skip)
     positions = [channel.name for channel in mapping.of("qpos")]
-    sensors = [channel.name for channel in mapping.of("sensordata")]
+    sensors = _sensor_names(mapping, robot)
     action, _ = _action_items(mapping, robot)
     return Import(
         arrays=_join_arrays(gathered.pieces, list(gathered.rows)),
@@ -477,12 +477,18 @@ def _sample_sensors(
 ) -> list[Array]:
     """What the sensors show (n, k) in a span."""
     found = []
-    for channel in mapping.of("sensordata"):
-        series = run.of("sensordata", channel.name)
+    for name in _sensor_names(mapping, robot):
+        series = run.of("sensordata", name)
         if series is not None:
-            whole = slice(0, 4) if robot.sensors[channel.name].is_rotation else None
+            whole = slice(0, 4) if robot.sensors[name].is_rotation else None
             found.append(sample_state(series, span, whole))
     return found
+
+
+def _sensor_names(mapping: LogMapping, robot: ModelJoints) -> list[str]:
+    """The sensors that are mapped, in the model's order."""
+    mapped = {channel.name for channel in mapping.of("sensordata")}
+    return [name for name in robot.sensors if name in mapped]
 
 
 def _sample_states(

@@ -33,8 +33,8 @@ AXES: dict[object, tuple[float, float, float]] = {
 }
 """Axes as a mapping file names them."""
 ROTATION = (
-    "a quaternion w, x, y, z of length 1, or three axes of the log, turned and not mirrored, such as"
-    " [y, -x, z]"
+    "a quaternion w, x, y, z of length 1, or three axes of the log, turned and not mirrored, such "
+    "as [y, -x, z]"
 )
 ROUNDED = 0.01
 """How far the length of a quaternion in a mapping file may be from 1."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -147,8 +148,8 @@ def _pair(
     lengths = np.linalg.norm(series.values, axis=1)
     real = series.take(lengths > 0)
     whole = resample_rotations(real.time, real.values, time)
-    other = turns(resample_rotations(real.time, real.values[:, [3, 0, 1, 2]], time))
-    away = multiply(whole, modelled * np.array([1.0, -1.0, -1.0, -1.0]))
+    other = resample_rotations(real.time, real.values[:, [3, 0, 1, 2]], time)
+    back = modelled * np.array([1.0, -1.0, -1.0, -1.0])
     return SensorPair(
         series.label,
         sensor.mount,
@@ -156,19 +157,20 @@ def _pair(
         turns(whole),
         turns(modelled),
         *facts,
-        reordered=other,
-        away=logarithm(away),
+        reordered=turns(other),
+        away=logarithm(multiply(whole, back)),
+        reordered_away=logarithm(multiply(other, back)),
     )
 
 
 def _together(pairs: Sequence[SensorPair]) -> SensorPair:
     """The pairs of one sensor in several runs as one."""
-    reordered = [one.reordered for one in pairs if one.reordered is not None]
-    away = [one.away for one in pairs if one.away is not None]
-    return replace(
-        pairs[0],
-        measured=np.concatenate([one.measured for one in pairs]),
-        modelled=np.concatenate([one.modelled for one in pairs]),
-        reordered=np.concatenate(reordered) if reordered else None,
-        away=np.concatenate(away) if away else None,
-    )
+
+    def joined(name: str) -> Array | None:
+        """What all have under a name."""
+        parts = [getattr(one, name) for one in pairs]
+        return None if parts[0] is None else np.concatenate(parts)
+
+    names = ("measured", "modelled", "reordered", "away", "reordered_away")
+    arrays: dict[str, Any] = {name: joined(name) for name in names}
+    return replace(pairs[0], **arrays)

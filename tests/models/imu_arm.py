@@ -8,6 +8,7 @@ import numpy as np
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 ARM = """
@@ -95,18 +96,23 @@ def record(rng, steps=60, more_damping=0.0, xml=ARM, every=1):
     return Recording(time, angles, sensors, commands)
 
 
+def noisy(run, rng):
+    """The angles (n, 2) and the sensors (n, k) by name, with errors."""
+    angles = run.angles + ENCODER * rng.standard_normal(run.angles.shape)
+    sensors = {
+        name: one + SD[name] * rng.standard_normal(one.shape) for name, one in run.sensors.items()
+    }
+    return angles, sensors
+
+
 def problem(seed, sensors=IMU, runs=6, steps=60, more_damping=0.0, parameters=PARAMETERS):
-    """A problem of angles and some sensors with errors, without velocities."""
+    """A problem of angles and some sensors with errors; velocities come from the positions."""
     rng = np.random.default_rng([seed, 4])
     before, after, actions = [], [], []
     for _ in range(runs):
         run = record(rng, steps, more_damping, every=SKIP)
-        parts = [run.angles + ENCODER * rng.standard_normal(run.angles.shape)]
-        noisy = {
-            name: one + SD[name] * rng.standard_normal(one.shape)
-            for name, one in run.sensors.items()
-        }
-        rows = np.hstack([*parts, *(noisy[name] for name in sensors)])
+        angles, shown = noisy(run, rng)
+        rows = np.hstack([angles, *(shown[name] for name in sensors)])
         before.append(rows[:-1])
         after.append(rows[1:])
         actions.append(run.commands[:-1])
@@ -114,12 +120,54 @@ def problem(seed, sensors=IMU, runs=6, steps=60, more_damping=0.0, parameters=PA
     data = Trajectories(
         np.concatenate(before), np.concatenate(actions), np.concatenate(after), ends
     )
-    observation = ["qpos", *(f"sensordata.{name}" for name in sensors)]
     robot = MujocoSimulator(
         mujoco.MjSpec.from_string(ARM),
         list(parameters),
-        observation=observation,
+        observation=["qpos", *(f"sensordata.{name}" for name in sensors)],
         frame_skip=SKIP,
         threads=1,
     )
-    return Problem("imu-arm", robot, data)
+    return with_velocities(Problem("imu-arm", robot, data))
+
+
+COLUMNS = {
+    "imu_gyro": ("gyro_x", "gyro_y", "gyro_z"),
+    "imu_acc": ("acc_x", "acc_y", "acc_z"),
+    "imu_quat": ("quat_w", "quat_x", "quat_y", "quat_z"),
+}
+"""What the columns of a log are called."""
+MAP = {
+    "time": {"column": "t"},
+    "qpos": {"yaw": {"column": "q_yaw"}, "pitch": {"column": "q_pitch"}},
+    "ctrl": {"yaw_motor": {"column": "tau_yaw"}, "pitch_motor": {"column": "tau_pitch"}},
+}
+"""The mapping of the rest."""
+
+
+def sensor_map(*names, **more):
+    """A mapping with some sensors, and more of each."""
+    entries = {name: {"columns": list(COLUMNS[name])} | more for name in names}
+    return MAP | {"sensordata": entries}
+
+
+def write_logs(folder, seed=0, runs=2, steps=200, sensors=IMU, change=None, names=None):
+    """Write arm.xml and CSV logs, and give the logs' paths.
+
+    `change` changes the sensors, and `names` the names of columns.
+    """
+    (folder / "arm.xml").write_text(ARM)
+    rng = np.random.default_rng([seed, 9])
+    paths = []
+    for i in range(runs):
+        run = record(rng, steps, every=SKIP)
+        angles, shown = noisy(run, rng)
+        shown = change(shown) if change else shown
+        table = {"t": run.time, "q_yaw": angles[:, 0], "q_pitch": angles[:, 1]}
+        table |= {"tau_yaw": run.commands[:, 0], "tau_pitch": run.commands[:, 1]}
+        for sensor in sensors:
+            table |= dict(zip(COLUMNS[sensor], shown[sensor].T, strict=True))
+        header = ",".join((names or {}).get(name, name) for name in table)
+        paths.append(folder / f"run{i}.csv")
+        values = np.stack(list(table.values()), axis=1)
+        np.savetxt(paths[-1], values, delimiter=",", header=header, comments="", fmt="%.9g")
+    return paths

@@ -92,6 +92,8 @@ class SensorPair:
         Of an orientation how it turned if its order is x, y, z, w.
     away : (m, 3) array or None
         Of an orientation the turn from the model's to the measured one, in the world's axes [rad].
+    reordered_away : (m, 3) array or None
+        The same if its order is x, y, z, w.
     """
 
     name: str
@@ -104,6 +106,7 @@ class SensorPair:
     negative: bool = False
     reordered: Array | None = None
     away: Array | None = None
+    reordered_away: Array | None = None
 
     @property
     def is_orientation(self) -> bool:
@@ -195,12 +198,23 @@ def _check_order(pair: SensorPair, settings: SensorSettings) -> Finding | None:
     """A quaternion in the order x, y, z, w."""
     if pair.reordered is None:
         return None
-    _, as_it_is = _best_turn([pair], settings)
-    _, reordered = _best_turn([_with(pair, pair.reordered)], settings)
-    if as_it_is < settings.right or reordered > settings.right:
-        return None
+    if not _is_reordered_in_place(pair, settings):
+        _, as_it_is = _best_turn([pair], settings)
+        _, reordered = _best_turn([_with(pair, pair.reordered)], settings)
+        if as_it_is < settings.right or reordered > settings.right:
+            return None
     text = "its quaternion is in the order x, y, z, w, by how the model turns along the motion."
     return Finding("error", pair.name, text, "Map the four columns in the order w, x, y, z.")
+
+
+def _is_reordered_in_place(pair: SensorPair, settings: SensorSettings) -> bool:
+    """Whether an orientation is the model's in another order, and another one as it is."""
+    if pair.away is None or pair.reordered_away is None:
+        return False
+    as_it_is, reordered = (
+        float(np.median(np.linalg.norm(away, axis=1))) for away in (pair.away, pair.reordered_away)
+    )
+    return reordered < settings.world < 2 * settings.world < as_it_is
 
 
 def _check_unit(pair: SensorPair, settings: SensorSettings) -> Finding | None:

@@ -176,8 +176,8 @@ def estimate_states(
     if simulator.start_size != p or columns != p:
         raise Incompatible(
             "States are estimated for simulators that start from what they compare, without"
-            f" rotations of joints or sensors: this one has {p} signals, {simulator.start_size} start"
-            f" coordinates, and {columns} columns were given."
+            f" rotations of joints or sensors: this one has {p} signals, {simulator.start_size}"
+            f" start coordinates, and {columns} columns were given."
         )
     value = float_array("values", values, (len(simulator.space),), caller)
     if measured is None:
