@@ -747,12 +747,6 @@ def _anew(setup: _Setup, under: str) -> Selection:
     return replace(setup.selection, progress=further, batches=[], origins={})
 
 
-def _rivals(setup: _Setup) -> Rivals:
-    """Other steps than a setup's."""
-    selection = setup.selection
-    return Rivals(setup.library, selection.floor, selection.settings, selection.log, setup.won)
-
-
 def _stepped(setup: _Setup, arithmetic: Arithmetic, gain: float) -> _Setup:
     """A setup whose simulations are stepped otherwise, which gained so much."""
     library = setup.library
@@ -775,9 +769,10 @@ def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
         return setup, _Searched(*setup.judged(), explained.interrupted)
     first = setup.first()
     selection = setup.selection
-    rivals = _rivals(setup)
+    settings = selection.settings
+    rivals = Rivals(setup.library, selection.floor, settings, selection.log, first, setup.won)
     try:
-        last, reviews = _explain(setup, first, rivals)
+        last, reviews = _explain(setup, first, first, rivals)
         if rivals.winner is None:
             return setup, _Searched(first, last, reviews)
     except KeyboardInterrupt:
@@ -789,18 +784,18 @@ def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
 
 
 def _explain(
-    setup: _Setup, first: State, rivals: Rivals, begun: State | None = None
+    setup: _Setup, first: State, begun: State, rivals: Rivals | None = None
 ) -> tuple[State, dict[str, Review]]:
     """The model that the search ends with, and its effects' reviews.
 
-    It ends early where one of the rivals is better. begun: where it begins, if not with the first.
+    It ends early where one of the rivals is better.
     """
     selection = setup.selection
     instances = setup.instances
-    last, reviews = review(selection, first if begun is None else begun)
+    last, reviews = review(selection, begun)
     while True:
         found = selection.run(first, last, instances, rivals)
-        if rivals.winner is not None:
+        if rivals is not None and rivals.winner is not None:
             return last, reviews
         if found is last:
             break
@@ -844,10 +839,8 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
     train = shift_linearization(library, last.train, theta, last.train.whiten.noise)
     kept = tuple(one for one in last.accepted if one.label not in refused)
     begun = State(train, last.test, np.setdiff1d(last.free, indices), kept)
-    rivals = _rivals(setup)
-    further, reviews = _explain(setup, searched.first, rivals, selection.polish(begun))
-    if rivals.winner is not None:
-        return _search(_stepped(setup, rivals.winner, rivals.gain))
+    # More exact steps were tried beside them, and were not better.
+    further, reviews = _explain(setup, searched.first, selection.polish(begun))
     return setup, replace(searched, last=further, reviews=reviews)
 
 

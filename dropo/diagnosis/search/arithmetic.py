@@ -86,6 +86,8 @@ class Rivals:
         How sure a gain must be.
     log : EvaluationLog
         Where fits are recorded.
+    first : State
+        The model as it is, in the steps that it has by now.
     won : float
         What the steps that the model has by now gained over its own [nats]; 0 if they are those.
     settings : ArithmeticSettings
@@ -100,6 +102,7 @@ class Rivals:
     floor: Array
     selection: SelectionSettings
     log: EvaluationLog
+    first: State
     won: float = 0.0
     settings: ArithmeticSettings = SETTINGS
     winner: Arithmetic | None = field(init=False, default=None)
@@ -129,7 +132,9 @@ class Rivals:
         if promise < 0 and state.accepted and found is not None:
             return False
         rival = self._fitted(simulator, arithmetic, state)
+        gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
         needed = self.selection.needed_gain(len(self._rivals(simulator)))
+        needed = max(needed, self.selection.minimum_fraction * gained)
         if not is_confirmed(state.test, rival.test, needed, self.selection):
             return False
         before = penalized_log_likelihood(state)
