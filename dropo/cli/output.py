@@ -292,7 +292,19 @@ MOST = 10**9
 
 
 def whole(minimum: int, most: int = MOST) -> Callable[[str], int]:
-    """Make a type for argparse: a whole number of at least the `minimum`, at `most` another."""
+    """Make a type for argparse: a whole number between two others.
+
+    Parameters
+    ----------
+    minimum, most : int
+        The smallest and the largest that is taken.
+
+    Returns
+    -------
+    callable
+        From the text of an option to the number; raises `ArgumentTypeError`, which argparse makes a
+        refusal of, where it is none between them.
+    """
 
     def convert(text: str) -> int:
         try:

@@ -257,9 +257,9 @@ class DROPO(Estimator):
 
         # In a wide box, or where a motion may repeat, begin near the best of several optima.
         elsewhere: GlobalStart | None = None
-        has_own_search = not isinstance(likelihood, LocalLikelihood)
-        one_maximum = not (is_wide(problem.space) or may_have_several(problem))
-        if not (has_own_search or one_maximum or unmeasured):
+        is_local = isinstance(likelihood, LocalLikelihood)
+        several = is_wide(problem.space) or may_have_several(problem)
+        if is_local and several and not unmeasured:
             elsewhere = best_start(problem, run, mean)
             mean = elsewhere.value
             problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))

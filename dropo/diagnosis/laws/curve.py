@@ -54,7 +54,9 @@ def law_curve(
         axis = f"{name}.{other}" if other else name
         axis_unit = units[name, other]
     else:
-        x, axis, axis_unit = value, law.formula, unit
+        x = value
+        axis = law.formula
+        axis_unit = unit
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     inside = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
     masks = [inside == b for b in range(max(len(edges) - 1, 1))]

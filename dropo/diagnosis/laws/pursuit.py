@@ -162,7 +162,10 @@ def _sets(
     cross = gram[first, second]
     apart = 1 - cross**2
     fine = apart > settings.independent
-    first, second, cross, apart = first[fine], second[fine], cross[fine], apart[fine]
+    first = first[fine]
+    second = second[fine]
+    cross = cross[fine]
+    apart = apart[fine]
     gain = 0.5 * (along[first] ** 2 - 2 * along[first] * along[second] * cross + along[second] ** 2)
     pair = score_of(gain / apart, 2, 2 + extra[first] + extra[second])
     order = np.argsort(-pair)[: 20 * settings.pairs]

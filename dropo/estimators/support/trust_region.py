@@ -2,7 +2,9 @@
 
 A local likelihood is sound only near the point where it was built. Each outer iteration builds one
 in the trust region, searches it for its maximum, and centres the next region there, as wide as the
-estimate is uncertain. The iterations end where the region stays as it is.
+estimate is uncertain. The iterations end where the region stays as it is. First ones see only some
+of the segments (`coarse`), then, where there are very many, a sample of them (`sampled`), and the
+last ones all.
 """
 
 from collections.abc import Callable

@@ -560,9 +560,9 @@ class _Guesser:
         first, second = self._read([one, other])
         time = self._time_of(one.topic, len(first))
         there = np.isfinite(first) & np.isfinite(second) & np.isfinite(time)
-        time, first, second = time[there], first[there], second[there]
-        onward = increasing(time)
-        return time[onward], first[onward], second[onward]
+        rows = np.flatnonzero(there)
+        rows = rows[increasing(time[rows])]
+        return time[rows], first[rows], second[rows]
 
     def _time_of(self, topic: str | None, rows: int) -> Array:
         """The stamps [s] of a topic's rows."""
@@ -666,7 +666,8 @@ class _Guesser:
         """Choose the commands that fit the actuators, and take them into the mapping."""
         wanted = self._kind_wanted()
         if wanted == words.EFFORT and wanted not in by_kind and "measured torque" in by_kind:
-            chosen, kind = by_kind["measured torque"], words.EFFORT
+            kind = words.EFFORT
+            chosen = by_kind["measured torque"]
             why = "which was measured: no torque was commanded in the log"
         elif wanted is None and by_kind:
             kind = next(one for one in by_kind)
@@ -675,7 +676,9 @@ class _Guesser:
             why = "and the model has no actuators: each such joint gets one"
             self.guess.drives = dict.fromkeys(chosen, kind)
         elif wanted in by_kind:
-            chosen, kind, why = by_kind[wanted], wanted, "as the model's actuators take"
+            kind = wanted
+            chosen = by_kind[kind]
+            why = "as the model's actuators take"
         else:
             self._say_no_commands(wanted, by_kind)
             return

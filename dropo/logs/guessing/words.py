@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from dropo.core.services.errors import BadFile
 from dropo.logs.readers.reader import Log
 
-POSITION, VELOCITY, COMMAND, EFFORT, TIME, RUN, OTHER = (
-    "position",
-    "velocity",
-    "command",
-    "torque",
-    "time",
-    "run",
-    "other",
-)
-"""Quantities of columns."""
+# Quantities of columns.
+POSITION = "position"
+VELOCITY = "velocity"
+COMMAND = "command"
+EFFORT = "torque"
+TIME = "time"
+RUN = "run"
+OTHER = "other"
+
 _QUANTITIES: dict[str, tuple[str, ...]] = {
     COMMAND: (
         *("cmd", "command", "commanded", "commands", "target", "targets", "goal", "ctrl"),

@@ -256,7 +256,9 @@ def states_of(position: Array, heading: Array, step: float, lag: float = 0.0) ->
     up = derived(position, 2) + np.array([0.0, 0.0, GRAVITY])
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     # The shortest turn that takes z to `up`, after the turn about z.
-    w, x, y = 1 + up[:, 2], -up[:, 1], up[:, 0]
+    w = 1 + up[:, 2]
+    x = -up[:, 1]
+    y = up[:, 0]
     half = derived(heading, 0) / 2
     cos, sin = np.cos(half), np.sin(half)
     quaternion = np.stack([w * cos, x * cos + y * sin, y * cos - x * sin, w * sin], axis=1)
