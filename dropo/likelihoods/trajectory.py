@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import lsq_linear
 
 from dropo.core.contracts.estimator import Run
@@ -21,6 +20,7 @@ from dropo.core.contracts.mean_prior import MeanPrior, local_with_prior
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.tails import chi2_tail, normal_of_tail, student_below
 from dropo.core.records.fit import Status
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments, Trajectories
@@ -609,13 +609,15 @@ class _Search:
         columns = look.columns
         residual = whiten(columns, law)[:, :, -1]
         finite = np.isfinite(law.degrees)
-        tails = np.clip(stats.t.cdf(residual, np.where(finite, law.degrees, 5.0)), 1e-15, 1 - 1e-15)
-        scores = np.where(finite, stats.norm.ppf(tails), residual)
+        tails = np.clip(
+            student_below(residual, np.where(finite, law.degrees, 5.0)), 1e-15, 1 - 1e-15
+        )
+        scores = np.where(finite, -normal_of_tail(tails), residual)
         squares = np.where(columns.valid, scores**2, 0.0).sum(axis=1)
         total = np.bincount(columns.window, squares)
         count = np.bincount(columns.window, columns.valid.sum(axis=1))
         far = total > self.settings.stuck * count
-        unlikely = stats.chi2.sf(total, np.maximum(count, 1)) < self.settings.stuck_level
+        unlikely = chi2_tail(total, np.maximum(count, 1)) < self.settings.stuck_level
         return float(np.mean(far & unlikely))
 
     def _doubts(self, look: _Look) -> tuple[str, ...]:

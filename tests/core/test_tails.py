@@ -16,6 +16,7 @@ WITH_DEGREES = [
     (tails.student_tail, stats.t.sf, NUMBERS),
     (tails.student_below, stats.t.cdf, NUMBERS),
     (tails.student_quantile, stats.t.ppf, SHARES),
+    (tails.student_log_density, stats.t.logpdf, NUMBERS),
     (tails.chi2_tail, stats.chi2.sf, np.abs(NUMBERS)),
     (tails.chi2_of_tail, stats.chi2.isf, SHARES),
     (tails.chi2_quantile, stats.chi2.ppf, SHARES),

@@ -1,4 +1,4 @@
-"""Tails and quantiles of the distributions of tests, bit for bit those of scipy.stats.
+"""Tails, quantiles and densities of a few distributions, bit for bit those of scipy.stats.
 
 Its import takes longer than a small fit, and these are all that a fit asks of it.
 """
@@ -32,6 +32,14 @@ def student_below(t: Any, degrees: Any) -> Any:
 def student_quantile(share: Any, degrees: Any) -> Any:
     """Return the number below which a Student t one is with a probability `share`."""
     return special.stdtrit(degrees, share)
+
+
+def student_log_density(t: Any, degrees: Any) -> Any:
+    """Return the logarithm of a Student t number's density at `t`."""
+    t = np.asarray(t, dtype=float)
+    degrees = np.asarray(degrees, dtype=float)
+    constant = np.log(special.poch(0.5 * degrees, 0.5)) - 0.5 * (np.log(degrees) + np.log(np.pi))
+    return constant - (degrees + 1) / 2 * np.log1p(t * t / degrees)
 
 
 def chi2_tail(x: Any, degrees: Any) -> Any:

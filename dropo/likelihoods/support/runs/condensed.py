@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
+from dropo.core.numerics.tails import student_log_density
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.runs.linearization import Columns
 from dropo.likelihoods.support.runs.noise_levels import NoiseLaw, follows, whiten
@@ -105,7 +105,7 @@ def log_densities(columns: Columns, law: NoiseLaw) -> Array:
     finite = np.isfinite(law.degrees)
     nu = np.where(finite, law.degrees, 5.0)
     gaussian = -0.5 * residual**2 - 0.5 * np.log(2 * np.pi)
-    own = np.where(finite, stats.t.logpdf(residual, nu), gaussian)
+    own = np.where(finite, student_log_density(residual, nu), gaussian)
     shrink = 0.5 * np.log1p(-(law.memory**2))
     own = own - np.log(law.sd) - np.where(follows(columns), shrink, 0.0)
     return np.asarray(np.where(columns.valid, own, 0.0).sum(axis=1))

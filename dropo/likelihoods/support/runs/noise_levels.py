@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.optimize import minimize_scalar
 
+from dropo.core.numerics.tails import student_log_density
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.runs.linearization import Columns
 
@@ -353,7 +353,7 @@ class RestrictedEstimates:
             own = z[telling[:, j], j]
             if len(own) < self.settings.fewest:
                 continue
-            gaussian = float(stats.norm.logpdf(own, scale=np.sqrt(np.mean(own**2))).sum())
+            gaussian = -0.5 * len(own) * float(np.log(2 * np.pi * np.mean(own**2)) + 1)
             tried = [(*_scale_of_t(own, nu), nu) for nu in self.settings.degrees]
             value, scale, nu = max(tried)
             if value - gaussian > self.settings.gain:
@@ -372,4 +372,4 @@ def _scale_of_t(z: Array, nu: float) -> tuple[float, float]:
         if done:
             break
     scale = float(np.sqrt(square))
-    return float(stats.t.logpdf(z, nu, scale=scale).sum()), scale
+    return float((student_log_density(z / scale, nu) - np.log(scale)).sum()), scale
