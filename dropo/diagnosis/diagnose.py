@@ -240,7 +240,7 @@ class Diagnose:
         start = start_of(problem, free, settings.far_off, settings.regression)
         if start is None:
             return None
-        explained = FarOffSearch(settings.motions, progress, log).run(start.model)
+        explained = FarOffSearch(settings.motions, progress, log).run(start.model, start.whole)
         return explained if start.sure or explained.fits or explained.interrupted else None
 
     def _length(self, problem: Problem, explained: Explained | None = None) -> int:

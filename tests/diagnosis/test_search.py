@@ -128,13 +128,13 @@ def test_kinds_that_are_needed_together_are_added_together(monkeypatch):
     arm = torque_arm()
     tried = []
 
-    def better(model, other, fitted, held_out):
+    def better(model, other, sides):
         added = {instance.effect for instance, _ in other.numbers}
         tried.append(added)
         return other if len(added) == 2 else model
 
     monkeypatch.setattr(search, "_is_misfit", lambda model, motions: True)
     monkeypatch.setattr(search, "_better", better)
-    found = search._with_families(arm, None, None)
+    found = search._with_families(arm, SimpleNamespace(fitted=None))
     assert tried == [{"joint_armature"}, {"actuator_bias"}, {"joint_armature", "actuator_bias"}]
     assert len(found.numbers) == 4

@@ -120,7 +120,9 @@ def test_a_regression_that_motions_contradict_is_corrected(monkeypatch):
     divided = replace(problem, trajectories=fitted, held_out=checked)
     nominal = np.array(problem.simulator.nominal)
     absurd = FarOffModel(divided, nominal, NONE, [(effect, size)])
-    monkeypatch.setattr("dropo.diagnosis.diagnose.start_of", lambda *arguments: Start(absurd, True))
+    monkeypatch.setattr(
+        "dropo.diagnosis.diagnose.start_of", lambda *arguments: Start(absurd, absurd.problem, True)
+    )
     found = Diagnose(length=5, windows=24, disturbances=False).run(problem)
     assert [(one.effect, one.target) for one in found.causes] == [("joint_armature", "elbow")]
 

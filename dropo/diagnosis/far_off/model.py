@@ -87,6 +87,12 @@ class FarOffModel:
         simulator = robot_of(self.problem).with_holding_friction()
         return replace(self, problem=replace(self.problem, simulator=simulator))
 
+    def with_data_of(self, problem: Problem) -> "FarOffModel":
+        """The model with a problem's data."""
+        if problem.trajectories is self.problem.trajectories:
+            return self
+        return replace(self, problem=replace(problem, simulator=self.problem.simulator))
+
     def without(self, labels: Sequence[str]) -> "FarOffModel":
         """The model without some of its effects."""
         kept = [(one, sizes) for one, sizes in self.numbers if one.label not in labels]

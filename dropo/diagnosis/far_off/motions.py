@@ -34,6 +34,8 @@ class MotionSettings:
         About how many are simulated for all windows of a side.
     control_steps : int
         How many at most are compared.
+    pool : int
+        Windows to fit are chosen from about so many times as many.
     few : int
         Windows of which it is found out whether the start's noise matters: ...
     start : float
@@ -48,6 +50,7 @@ class MotionSettings:
     curved: float = 0.2
     physics_steps: int = 160_000
     control_steps: int = 16_000
+    pool: int = 8
     few: int = 4
     start: float = 0.1
     rate_noise: float = 0.05
@@ -56,6 +59,8 @@ class MotionSettings:
 SETTINGS = MotionSettings()
 FEW = WindowSettings(fewest=3)
 """Long windows may be few: each has many pieces."""
+TOLD = 0.01
+"""What is told of how a signal moves before any window is chosen, beside what one usually tells."""
 OUTER = 0.9
 """The part of errors whose size stands for all of them: where a machine mostly rests, the median
 is that of rest.
@@ -125,6 +130,8 @@ def motions_of(
     Returns
     -------
     fitted, held_out : Motions
+        Those to fit in an order in which the first few of them tell the most, since a machine
+        mostly does the same; those held out evenly spread.
 
     Raises
     ------
@@ -133,11 +140,13 @@ def motions_of(
     """
     whole = whole_part(problem.trajectories)
     length = _length(problem, whole, library, theta, settings)
-    train = cut(problem, whole, length, _count(problem, length, settings), "fit", FEW)
-    test = _held_out(problem, length, settings)
     signals = library.simulator.signals
     is_rate = np.array([signal.unit.endswith("/s") for signal in signals])
     compared = ~is_rate if not is_rate.all() else is_rate
+    count = _count(problem, length, settings)
+    pool = cut(problem, whole, length, settings.pool * count, "fit", FEW)
+    train = pool.take(_most_telling(pool, compared, count))
+    test = _held_out(problem, length, settings)
     start_sd = first_noise(problem, library, train, theta, noise_floor(library.simulator, train))
     least = settings.rate_noise * spread_of(library.simulator, train)
     start_sd = np.where(is_rate, np.maximum(start_sd, least), start_sd)
@@ -152,6 +161,32 @@ def motions_of(
         make(library, theta, train, compared, start_sd),
         make(library, theta, test, compared, start_sd),
     )
+
+
+def _most_telling(windows: Windows, compared: np.ndarray, wanted: int) -> Ints:
+    """The indices of so many windows, those first whose motions differ most from what is chosen.
+
+    How far and how fast each signal moves in a window stands for what it tells of a joint; one
+    after another is taken that adds most to the determinant of these numbers' products.
+    """
+    shape = (len(windows), windows.length, len(compared))
+    signals = windows.measured.reshape(shape)[:, :, compared]
+    speed = np.sqrt(np.mean(np.diff(signals, axis=1, prepend=signals[:, :1]) ** 2, axis=1))
+    moved = np.concatenate([signals.std(axis=1), speed], axis=1)
+    moved /= np.maximum(np.sqrt(np.mean(moved**2, axis=0)), 1e-300)
+    # By the inverse of the products so far, begun with little more than nothing.
+    inverse = np.eye(moved.shape[1]) / TOLD
+    gain = np.sum(moved**2, axis=1) / TOLD
+    chosen = []
+    for _ in range(min(wanted, len(windows))):
+        best = int(np.argmax(gain))
+        chosen.append(best)
+        step = inverse @ moved[best]
+        size = 1 + float(moved[best] @ step)
+        inverse -= np.outer(step, step) / size
+        gain -= (moved @ step) ** 2 / size
+        gain[best] = -np.inf
+    return np.array(chosen, dtype=np.int64)
 
 
 def _spread(count: int, wanted: int) -> Ints:

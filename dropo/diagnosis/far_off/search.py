@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.contracts.estimator import Progress
+from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
@@ -24,6 +25,9 @@ PAYLOAD = "payload"
 
 KNOWN = 1e-4
 """Standard deviation of a scale that is known."""
+
+FEWEST = 8
+"""Windows that any fit takes, where there are so many."""
 
 ROUGH = OutputErrorSettings(jacobians=4, tolerance=0.003)
 """Enough to begin with."""
@@ -47,6 +51,8 @@ class FarOffSettings:
         Fraction of the cost on data held out that a group must take away, ...
     z : float
         ... and standard errors, by piece of all data, that its gain must be above 0.
+    needless : float
+        Standard errors up to which what is lost without a kind of effect is no reason to keep it.
     first : float
         Length at most of the windows of the very first fit [s]: from far off, numbers that follow
         long motions may end where only the slow ones are followed.
@@ -68,6 +74,11 @@ class FarOffSettings:
         How the first fits are done.
     fit : OutputErrorSettings
         How numbers are fitted to all windows.
+
+    References
+    ----------
+    Breiman, Friedman, Olshen and Stone, Classification and Regression Trees (1984), section 3.4.3:
+    the simplest model within one standard error of the best.
     """
 
     laws: tuple[str, ...] = ("joint_friction", "joint_damping", "joint_armature")
@@ -79,9 +90,10 @@ class FarOffSettings:
     misfit: float = 3.0
     share: float = 0.005
     z: float = 2.0
+    needless: float = 1.0
     first: float = 5.0
     rough: int = 2
-    simulated: int = 3_200_000
+    simulated: int = 5_000_000
     certain: float = 3.0
     scale: float = 0.2
     accuracy: float = 0.02
@@ -143,6 +155,15 @@ class Explained:
         return tuple(found)
 
 
+@dataclass(frozen=True, eq=False)
+class _Sides:
+    """Motions: those to fit, the few of them that first fits take, and those held out."""
+
+    fitted: Motions
+    few: Motions
+    held_out: Motions
+
+
 class FarOffSearch:
     """The search for what a model lacks that is far off.
 
@@ -163,6 +184,7 @@ class FarOffSearch:
         self.progress = progress
         self.log = log or EvaluationLog()
         self._simulators: list[Simulator] = []
+        self._simulated: dict[tuple[FarOffModel, Motions], Array] = {}
         self._latest: tuple[FarOffModel, Motions] | None = None
         # About what the drives' gains are: as the model has them, until all are fitted by one.
         self._gain = 0.0
@@ -172,13 +194,17 @@ class FarOffSearch:
         """What has been simulated so far."""
         return sum(simulator.steps for simulator in self._simulators)
 
-    def run(self, model: FarOffModel) -> Explained:
+    def run(self, model: FarOffModel, whole: Problem | None = None) -> Explained:
         """Fit a model's numbers to whole motions, with what else these ask for.
 
         Parameters
         ----------
         model : FarOffModel
-            With what regression finds.
+            With what regression finds, and data divided into those that are fitted and those by
+            which it is decided what is.
+        whole : Problem, optional
+            With the data that the last fit takes, and others that nothing is decided by. If None,
+            the model's own.
 
         Returns
         -------
@@ -187,7 +213,7 @@ class FarOffSearch:
         """
         interrupted = False
         try:
-            self._search(model)
+            self._search(model, whole or model.problem)
         except KeyboardInterrupt:
             interrupted = self._latest is not None
             if not interrupted:
@@ -195,8 +221,9 @@ class FarOffSearch:
             self.progress(0.7, STOPPING)
         assert self._latest is not None
         model, fitted = self._latest
+        model = model.with_data_of(whole or model.problem)
         if interrupted:  # what the errors are asks for a Jacobian: that of the fewest windows
-            fitted = _some(fitted, len(fitted.windows))
+            fitted = _first(fitted, 0)
         error = self._error(model, fitted)
         end = error.linearize(model.theta, model.fitted, central=True)
         covariance = error.covariance(end, self._prior(model, end, np.inf))
@@ -214,7 +241,7 @@ class FarOffSearch:
         ties = ties_of(model, covariance, end.free, self.settings.scale)
         return Explained(model, errors, certain, without, length, steps, ties, fits, interrupted)
 
-    def _search(self, model: FarOffModel) -> None:
+    def _search(self, model: FarOffModel, whole: Problem) -> None:
         """Fit numbers to longer and longer motions, and add families where these ask for them."""
         settings = self.settings
         model = with_families(model, settings.laws)
@@ -226,24 +253,28 @@ class FarOffSearch:
             chosen = replace(settings.motions, seconds=seconds)
             library = self._library(model)
             fitted, held_out = motions_of(model.problem, library, model.theta, chosen)
+            few = -(-len(fitted.windows) // settings.rough)
+            sides = _Sides(fitted, _first(fitted, few), held_out)
             length = fitted.windows.length
             self.progress(at, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
-            model = self._fit(model, _some(fitted, settings.rough), settings.rough_fit)
+            model = self._fit(model, sides.few, settings.rough_fit)
             self._latest = model, fitted
-        if self._is_misfit(model, fitted) and not model.holds:
+        if not model.holds and self._is_misfit(model, fitted):
             self.progress(0.25, "fitting dry friction that holds what rests")
-            model = self._better(model, model.with_holding_friction(), fitted, held_out)
-        model = self._with_own_gains(model, fitted, held_out)
-        model = self._with_families(model, fitted, held_out)
-        model = self._without_needless(model, fitted, held_out)
-        fitted = _some(fitted, self._thinning(model, fitted))
+            model = self._better(model, model.with_holding_friction(), sides)
+        model = self._with_own_gains(model, sides)
+        model = self._with_families(model, sides)
+        model = self._without_needless(model, sides)
+        if whole.trajectories is not model.problem.trajectories:
+            model = model.with_data_of(whole)
+            chosen = settings.motions
+            fitted, _ = motions_of(model.problem, self._library(model), model.theta, chosen)
+        fitted = _first(fitted, self._affordable(model, fitted))
         windows = len(fitted.windows)
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
         self._latest = self._fit(model, fitted, settings.fit), fitted
 
-    def _with_own_gains(
-        self, model: FarOffModel, fitted: Motions, held_out: Motions
-    ) -> FarOffModel:
+    def _with_own_gains(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """A gain for each drive, where that is better than one for all, or as good as a payload.
 
         One gain for all drives that differ shows as a payload: without it, gains have a say.
@@ -254,61 +285,57 @@ class FarOffSearch:
             return model
         self.progress(0.25, f"fitting {len(apart.fitted)} numbers: {GAIN}")
         self._gain = float(np.mean(model.theta[_gains(model)])) if _gains(model).any() else 0.0
-        apart = self._fit(apart, _some(fitted, self.settings.rough), self.settings.rough_fit)
+        apart = self._fit(apart, sides.few, self.settings.rough_fit)
         if payloads:
-            chosen = model if self._is_better(model, apart, fitted, held_out) else apart
+            chosen = model if self._is_better(model, apart, sides) else apart
         else:
-            chosen = apart if self._is_better(apart, model, fitted, held_out) else model
-        self._latest = chosen, fitted
+            chosen = apart if self._is_better(apart, model, sides) else model
+        self._latest = chosen, sides.fitted
         return chosen
 
-    def _with_families(self, model: FarOffModel, fitted: Motions, held_out: Motions) -> FarOffModel:
+    def _with_families(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """Effects at every joint or drive, where motions are not explained without them.
 
         Each kind alone may explain little, so those that were refused are tried together.
         """
         refused: list[str] = []
         for number, names in enumerate(self.settings.families):
-            if not self._is_misfit(model, fitted):
+            if not self._is_misfit(model, sides.fitted):
                 return model
             self.progress(0.3 + 0.1 * number, f"fitting more numbers: {', '.join(names)}")
-            better = self._better(model, with_families(model, names), fitted, held_out)
+            better = self._better(model, with_families(model, names), sides)
             refused += names if better is model else ()
             model = better
-        if refused and self._is_misfit(model, fitted):
+        if refused and self._is_misfit(model, sides.fitted):
             self.progress(0.6, f"fitting more numbers: {', '.join(refused)}")
-            model = self._better(model, with_families(model, refused), fitted, held_out)
+            model = self._better(model, with_families(model, refused), sides)
         return model
 
-    def _without_needless(
-        self, model: FarOffModel, fitted: Motions, held_out: Motions
-    ) -> FarOffModel:
+    def _without_needless(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """Drop the kinds of effects that data held out do not ask for, one after another.
 
         The laws and gains stay: without them, the scale of all forces would seem known.
         """
         kept = {*self.settings.laws, GAIN}
-        some = _some(fitted, self.settings.rough)
         while True:
             names = {instance.effect for instance, _ in model.numbers} - kept
             if not names:
                 return model
             self.progress(0.65, "leaving out what data held out do not ask for")
-            error = self._error(model, some)
-            end = error.linearize(model.theta, model.fitted)
+            end = self._error(model, sides.few).linearize(model.theta, model.fitted)
             needless = []
             for name in sorted(names):
                 labels = [one.label for one, _ in model.numbers if one.effect == name]
                 theta = _theta_without(model, end, labels)
                 moved = model.at(theta).without(labels)
-                if not self._is_better(model, moved, some, held_out):
-                    loss = self._gains(model, moved, held_out)[0].sum()
+                if not self._is_better(model, moved, sides, self.settings.needless):
+                    loss = self._gains(model, moved, sides.held_out)[0].sum()
                     needless.append((loss, name, moved))
             if not needless:
                 return model
             least = min(needless, key=lambda one: one[:2])[2]
-            model = self._fit(least, some, self.settings.rough_fit)
-            self._latest = model, fitted
+            model = self._fit(least, sides.few, self.settings.rough_fit)
+            self._latest = model, sides.fitted
 
     def _error(
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings | None = None
@@ -339,23 +366,20 @@ class FarOffSearch:
                 self._latest = model.at(found[-1]), motions
             raise
 
-    def _better(
-        self, model: FarOffModel, other: FarOffModel, fitted: Motions, held_out: Motions
-    ) -> FarOffModel:
+    def _better(self, model: FarOffModel, other: FarOffModel, sides: _Sides) -> FarOffModel:
         """Another model, fitted roughly, where it predicts clearly better; else the model."""
-        settings = self.settings
         if other is model:
             return model
-        other = self._fit(other, _some(fitted, settings.rough), settings.rough_fit)
-        if not self._is_better(other, model, fitted, held_out):
+        other = self._fit(other, sides.few, self.settings.rough_fit)
+        if not self._is_better(other, model, sides):
             return model
-        self._latest = other, fitted
+        self._latest = other, sides.fitted
         return other
 
-    def _thinning(self, model: FarOffModel, motions: Motions) -> int:
-        """One window of so many is as much as may be simulated for all of a model's numbers."""
-        steps = motions.windows.steps * robot_of(model.problem).steps_per_action
-        return round(np.ceil(steps * len(model.fitted) / self.settings.simulated))
+    def _affordable(self, model: FarOffModel, motions: Motions) -> int:
+        """So many windows are as much as may be simulated for all of a model's numbers."""
+        steps = motions.windows.length * robot_of(model.problem).steps_per_action
+        return self.settings.simulated // (steps * len(model.fitted))
 
     def _prior(
         self, model: FarOffModel, end: Fitted, scale: float, own: float | None = None
@@ -417,51 +441,62 @@ class FarOffSearch:
 
     def _is_misfit(self, model: FarOffModel, motions: Motions) -> bool:
         """Whether errors are beyond what the sensors' noise and the physics step explain."""
-        error = self._error(model, motions)
-        residuals = error.residuals(model.theta[None])[0]
+        residuals = self._residuals(model, motions)
         count = len(motions.noise)
         size = outer_spread(residuals.reshape(-1, count))
+        noise = self.settings.misfit * motions.noise
+        if np.median(size / np.hypot(noise, size / 2)) > 1:  # whatever the physics step makes
+            return True
         # Errors fall with the step: what halving it takes away is half of what it makes.
-        by_step = 2 * outer_spread(error.halved(model.theta, residuals).reshape(-1, count))
-        limit = np.hypot(self.settings.misfit * motions.noise, np.minimum(by_step, size / 2))
+        change = self._error(model, motions).halved(model.theta, residuals)
+        by_step = 2 * outer_spread(change.reshape(-1, count))
+        limit = np.hypot(noise, np.minimum(by_step, size / 2))
         return bool(np.median(size / limit) > 1)
 
     def _is_better(
-        self, more: FarOffModel, model: FarOffModel, fitted: Motions, held_out: Motions
+        self, more: FarOffModel, model: FarOffModel, sides: _Sides, z: float | None = None
     ) -> bool:
         """Whether windows are predicted clearly better with more numbers.
 
         Those held out by a part that counts; all of them for certain, less what numbers gain by
         being fitted.
+
+        z: how many standard errors are certain; the settings' if None.
         """
-        gains, cost = self._gains(more, model, held_out)
+        gains, cost = self._gains(more, model, sides.held_out)
         if gains.sum() <= self.settings.share * cost:
             return False
-        of_fitted, _ = self._gains(more, model, _some(fitted, self.settings.rough))
+        of_fitted, _ = self._gains(more, model, sides.few)
         every = np.concatenate([gains, of_fitted])
         error = every.std(ddof=1) * np.sqrt(len(every)) if len(every) > 1 else np.inf
         added = max(0, len(more.fitted) - len(model.fitted))
-        return bool(every.sum() - added > self.settings.z * error)
+        return bool(every.sum() - added > (self.settings.z if z is None else z) * error)
 
     def _gains(
-        self, more: FarOffModel, model: FarOffModel, held_out: Motions
+        self, more: FarOffModel, model: FarOffModel, motions: Motions
     ) -> tuple[Array, float]:
-        """What more numbers gain in each piece of the windows held out, and the cost without them
-        [nats].
-        """
-        before = self._error(model, held_out)
-        residuals = before.residuals(model.theta[None])
-        scale = before.scale_of(residuals[0])
-        after = self._error(more, held_out)
-        old = before.cost_by_piece(before.whitened(residuals, scale)[0])
-        new = after.cost_by_piece(after.whitened(after.residuals(more.theta[None]), scale)[0])
+        """What more numbers gain in each piece of the windows, and the cost without them [nats]."""
+        error = self._error(model, motions)
+        before = self._residuals(model, motions)
+        scale = error.scale_of(before)
+        old = error.cost_by_piece(error.whitened(before, scale))
+        new = error.cost_by_piece(error.whitened(self._residuals(more, motions), scale))
         return (old - new).ravel(), float(old.sum())
 
+    def _residuals(self, model: FarOffModel, motions: Motions) -> Array:
+        """A model's errors (W, n) in some motions, simulated once."""
+        found = self._simulated.get((model, motions))
+        if found is None:
+            found = self._error(model, motions).residuals(model.theta[None])[0]
+            self._simulated[model, motions] = found
+        return found
 
-def _some(motions: Motions, every: int) -> Motions:
-    """One window of so many, but no fewer than eight."""
-    count = len(motions.windows)
-    index = np.arange(0, count, max(1, min(every, count // 8)))
+
+def _first(motions: Motions, count: int) -> Motions:
+    """So many windows, but no fewer than eight: the first, which tell the most."""
+    if len(motions.windows) <= max(count, FEWEST):
+        return motions
+    index = np.arange(max(count, FEWEST))
     return replace(motions, windows=motions.windows.take(index), loadings=motions.loadings[index])
 
 

@@ -54,12 +54,16 @@ class Start:
     Attributes
     ----------
     model : FarOffModel
-        With the data in those that are fitted and those held out.
+        With the data in those that are fitted and those by which it is decided what is.
+    whole : Problem
+        With all data that may be fitted, and those held out: the problem's own where it holds out
+        some, which then decide nothing.
     sure : bool
         Whether the model is far off for certain. If not, it is if motions are explained then.
     """
 
     model: FarOffModel
+    whole: Problem
     sure: bool
 
 
@@ -103,9 +107,12 @@ def start_of(
             continue
         for i, value in changed_parameters(simulator, instance, sizes).items():
             values[i] = np.clip(value, space.low[i], space.high[i])
-    divided = replace(problem, trajectories=fitted, held_out=checked)
     numbers += _gain(simulator, free, numbers)
-    return Start(FarOffModel(divided, values, free, tuple(numbers)), sure)
+    whole = divided = replace(problem, trajectories=fitted, held_out=checked)
+    if problem.held_out is not None:
+        fitted, checked = sides(replace(problem, held_out=None), settings.checked)
+        divided = replace(problem, trajectories=fitted, held_out=checked)
+    return Start(FarOffModel(divided, values, free, tuple(numbers)), whole, sure)
 
 
 def _may_be(estimate: Missing, kinds: Sequence[str], limits: FarOffLimits) -> bool:

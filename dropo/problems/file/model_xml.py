@@ -111,7 +111,7 @@ def _possible(inertia: Array) -> Array:
 
 
 def _write_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Armature, friction, damping, stiffness and ranges."""
+    """Armature, friction, damping, springs and ranges."""
     for joint in spec.joints:
         dof = int(model.jnt_dofadr[joint.id])
         joint.armature = model.dof_armature[dof]
@@ -119,6 +119,8 @@ def _write_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         joint.solimp_friction = model.dof_solimp[dof]
         joint.damping = _fill(joint.damping, [model.dof_damping[dof]])
         joint.stiffness = _fill(joint.stiffness, [model.jnt_stiffness[joint.id]])
+        if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            joint.springref = model.qpos_spring[model.jnt_qposadr[joint.id]]
         if model.jnt_limited[joint.id]:
             joint.range = model.jnt_range[joint.id]
 
