@@ -395,6 +395,8 @@ class Diagnose:
             inside = horizons(whole, library, thetas, last, draws, own_horizon)
 
         verdict = _verdict(found, not rest.calibrated)
+        # Numbers of whole motions would gain by being fitted to windows, whatever the arithmetic.
+        fails = not (rest.calibrated or far_off)
         beyond = () if far_off else _beyond(verdict, with_causes, setup.train.length)
 
         # What figures and tables show.
@@ -425,7 +427,7 @@ class Diagnose:
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=(*undetermined(library, last), *setup.ties),
             numerics=(
-                *numerics(task.came, data, library, first, last, found, selection.floor, rest),
+                *numerics(task.came, data, library, first, last, found, selection.floor, fails),
                 *setup.refused.values(),
             )
             if complete

@@ -9,9 +9,12 @@ import pytest
 from dropo.core.contracts.estimator import silent
 from dropo.diagnosis.far_off.motions import MotionSettings
 from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch, FarOffSettings
+from dropo.diagnosis.far_off.start import FarOffLimits, start_of
+from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.problems.simulated.hidden import hide
 from tests.models.far_off import torque_arm
+from tests.models.first_models import unknown_rotor
 
 TRUTH = 0.01  # [kg m^2] at the elbow
 SETTINGS = FarOffSettings(
@@ -120,6 +123,41 @@ def test_drives_that_differ_are_no_payload():
     assert labels == ["actuator_gain:shoulder_motor", "actuator_gain:elbow_motor"]
     assert explained.certain == {"actuator_gain:elbow_motor"}
     assert explained.model.theta[-1] == pytest.approx(0.3, abs=4 * explained.errors[-1])
+
+
+def test_data_held_out_decide_nothing():
+    """Others in their place, and all numbers are the same; other fitted data, and they are not."""
+    problem = unknown_rotor()
+    data = problem.trajectories
+    first, last = (data.rows(np.flatnonzero(data.trajectory % 4 == k)) for k in (0, 1))
+    free = np.zeros(0, dtype=np.int64)
+    found = []
+    for fitted, held_out in ((data, first), (data, last), (first, last)):
+        given = replace(problem, trajectories=fitted, held_out=held_out)
+        start = start_of(given, free, FarOffLimits(gain=0.0), QuickSettings())
+        assert start.whole.held_out is held_out
+        explained = FarOffSearch(SETTINGS, silent).run(start.model, start.whole)
+        assert explained.model.problem.trajectories is fitted
+        assert explained.model.problem.held_out is held_out
+        found.append(explained.model.theta)
+    np.testing.assert_array_equal(found[0], found[1])
+    assert not np.array_equal(found[0], found[2])
+
+
+@pytest.mark.parametrize(("gain", "kept"), [(0.5, False), (1.5, True), (3.0, True)])
+def test_a_kind_is_left_out_within_one_standard_error(monkeypatch, gain, kept):
+    """A loss of half a standard error is no reason to keep it; of one and a half it is, though a
+    kind that gains as little would not be added.
+    """
+    search = FarOffSearch(SETTINGS, silent)
+    model = torque_arm("joint_armature:elbow")
+    # Taken twice, of windows held out and of those fitted: 16 pieces whose spread is 1.
+    spread = np.sqrt(15 / 16) * np.array([-1.0, 1.0]).repeat(4)
+    pieces = gain / np.sqrt(16) + spread
+    monkeypatch.setattr(search, "_gains", lambda *arguments: (pieces, 1.0))
+    sides = SimpleNamespace(held_out=None, few=None)
+    assert search._is_better(model, model, sides, SETTINGS.needless) == kept
+    assert search._is_better(model, model, sides) == (gain > SETTINGS.z)
 
 
 def test_kinds_that_are_needed_together_are_added_together(monkeypatch):

@@ -386,6 +386,25 @@ def test_load_friction_holds():
     assert falls > 0.1
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_springs_and_a_load_add_up_in_any_order(first):
+    """A spring, a load alone and their sum; all are numbers of the model. A load alone comes with a
+    spring of a millionth of the largest torque a rad.
+    """
+    robot = ROBOTS["arm"]()
+    spring = (instance(robot, "joint_stiffness:shoulder"), np.array([2.0]))
+    load = (instance(robot, "joint_stiffness:shoulder.rest"), np.array([0.0, 0.7]))
+    pair = [spring, load][:: 1 - 2 * first]
+    simulator = robot.simulator.with_effects((), pair)
+    both = simulator.predict(simulator.nominal[None], robot.segments)[0]
+    together = predicted(robot, "joint_stiffness:shoulder.rest", 2.0, 0.7)
+    np.testing.assert_allclose(both, together, rtol=1e-5, atol=1e-5)
+    alone = predicted(robot, "joint_stiffness:shoulder.rest", 0.0, 0.7)
+    plain = mujoco.MjModel.from_xml_string(XML["arm"])
+    pushed = replay(plain, robot, applied_force=lambda m, d: np.array([0.7, 0.0]))
+    np.testing.assert_allclose(alone, observed(robot, pushed), rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("name", "label", "axis"),
     [("arm", "external_force:lower.x", 0), ("cube", "external_force:cube.y", 1)],

@@ -9,7 +9,7 @@ import numpy as np
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
-from dropo.diagnosis.parts import Cause, Remaining, effect_in_words
+from dropo.diagnosis.parts import Cause, effect_in_words
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
@@ -64,7 +64,7 @@ def numerics(
     last: State,
     causes: Sequence[Cause],
     floor: Array,
-    remaining: Remaining,
+    unexplained: bool,
     settings: NumericsSettings = SETTINGS,
 ) -> tuple[str, ...]:
     """Say where the model's arithmetic, not its physics, decides.
@@ -83,8 +83,9 @@ def numerics(
         What was named.
     floor : (p,) array
         Lower bound of the noise.
-    remaining : Remaining
-        Whether something remains unexplained: then finer steps and another integrator are tried.
+    unexplained : bool
+        Whether numbers that were fitted to these windows leave something unexplained: then finer
+        steps and another integrator are tried, with numbers fitted anew.
     settings : NumericsSettings
         Numbers that decide.
 
@@ -109,7 +110,7 @@ def numerics(
             f"Physics steps of half the length ({500 * step:.3g} ms) change predictions by"
             f" {moved:.2g} of what the causes change: their sizes are those of this step."
         )
-    if not remaining.calibrated:
+    if unexplained:
         sentences += _better_arithmetic(library, last, floor, settings)
     return tuple(sentences)
 
