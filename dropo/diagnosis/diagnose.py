@@ -395,8 +395,6 @@ class Diagnose:
             inside = horizons(whole, library, thetas, last, draws, own_horizon)
 
         verdict = _verdict(found, not rest.calibrated)
-        # Numbers of whole motions would gain by being fitted to windows, whatever the arithmetic.
-        fails = not (rest.calibrated or far_off)
         beyond = () if far_off else _beyond(verdict, with_causes, setup.train.length)
 
         # What figures and tables show.
@@ -427,7 +425,17 @@ class Diagnose:
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=(*undetermined(library, last), *setup.ties),
             numerics=(
-                *numerics(task.came, data, library, first, last, found, selection.floor, fails),
+                *numerics(
+                    task.came,
+                    data,
+                    library,
+                    first,
+                    last,
+                    found,
+                    selection.floor,
+                    # Numbers of whole motions gain by being fitted to windows, whatever the steps.
+                    not (rest.calibrated or far_off),
+                ),
                 *setup.refused.values(),
             )
             if complete
