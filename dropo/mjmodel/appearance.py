@@ -104,6 +104,14 @@ def part_places(model: mujoco.MjModel, poses: Array) -> Array:
     return np.array(out)
 
 
+def floats(model: mujoco.MjModel) -> bool:
+    """Return whether a robot may go away: it has a free joint, or two slides on one body."""
+    kinds = np.asarray(model.jnt_type)
+    slides = np.asarray(model.jnt_bodyid)[kinds == mujoco.mjtJoint.mjJNT_SLIDE]
+    free = bool((kinds == mujoco.mjtJoint.mjJNT_FREE).any())
+    return free or len(set(slides.tolist())) < len(slides)
+
+
 def part_sizes(model: mujoco.MjModel) -> Array:
     """Return the radii (g,) [m] of balls around the parts of `part_places`."""
     geoms = moving_geoms(model)

@@ -51,7 +51,8 @@ class LivePage:
         self._lock = Lock()
         self._tag = ""
         self._text = ""
-        self._make(self.tag())
+        text = page_of(read_result(folder))
+        self._keep(self.tag(), text)
 
     def tag(self) -> str:
         """Return a text that changes with the folder's files."""
@@ -71,16 +72,15 @@ class LivePage:
             tag = self.tag()
             if tag != self._tag:
                 try:
-                    self._make(tag)
+                    self._keep(tag, page_of(read_result(self.folder)))
                 except InvalidInput:
                     self._tag = ""
             return self._text
 
-    def _make(self, tag: str) -> None:
-        """Make the page anew."""
-        made = page_of(read_result(self.folder))
+    def _keep(self, tag: str, text: str) -> None:
+        """Keep a page, which asks whether its tag is still that of the folder."""
         follow = FOLLOW % {"every": EVERY, "tag": tag}
-        self._text = made.replace("</body>", follow)
+        self._text = text.replace("</body>", follow)
         self._tag = tag
 
 

@@ -1,6 +1,6 @@
 """What pictures are drawn from comes back as it was kept."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from dropo.core.records.figure_data import (
     Sizes,
     Sums,
 )
-from dropo.core.records.predictions import Predictions, Side
+from dropo.core.records.predictions import Predictions, Side, WholeRun
 from dropo.core.services.errors import BadFile
 
 
@@ -30,7 +30,15 @@ def side(name, rng):
     )
 
 
-def predictions():
+def whole_run():
+    """A run of 4 steps."""
+    rng = np.random.default_rng(1)
+    lines = rng.random((3, 4, 2))
+    lines[1, 2] = np.nan
+    return WholeRun(1, 3, lines[0], rng.random((4, 3)), *lines[1:], np.arange(4) > 1)
+
+
+def predictions(run=None):
     """Of a state that is observed as three columns and compared as two signals."""
     rng = np.random.default_rng(0)
     measured = rng.random((2, 3, 2))
@@ -49,6 +57,7 @@ def predictions():
         True,
         side("before", rng),
         side("after", rng),
+        run,
     )
 
 
@@ -71,6 +80,20 @@ def test_predictions_come_back(tmp_path):
         assert one.name == other.name
         for field in fields(Side)[1:]:
             np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
+
+
+def test_a_whole_run_comes_back(tmp_path):
+    """Bit for bit, and whole numbers as such; one of another length is refused by its name."""
+    kept = predictions(whole_run())
+    kept.save(tmp_path)
+    found = Predictions.load(tmp_path).run
+    assert (found.trajectory, found.length) == (1, 3)
+    for name in ("measured", "rows", "before", "after", "held_out"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(kept.run, name))
+    broken = replace(kept, run=replace(kept.run, after=kept.run.after[1:]))
+    broken.save(tmp_path)
+    with pytest.raises(BadFile, match=r"run\.after: expected .* with T = 4"):
+        Predictions.load(tmp_path)
 
 
 def test_other_files_are_refused(tmp_path):

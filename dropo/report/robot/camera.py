@@ -11,7 +11,7 @@ FOVY = 45.0
 ROOM = 1.05
 """Size of the picture by that of what is to be seen."""
 FOLLOWED = 2.5
-"""A robot that moves over more than so many of its sizes is followed."""
+"""A robot goes away that moves over more than so many of its sizes."""
 FLAT = 0.02
 """A motion is level where its variance upward is below this fraction of that sideward."""
 DOWN = -15.0
@@ -68,7 +68,9 @@ class Camera:
         return np.stack([across, height / 2 - scale * (relative @ up)], axis=1), scale
 
 
-def camera_of(places: Array, sizes: Array, aspect: float) -> tuple[Camera, Array]:
+def camera_of(
+    places: Array, sizes: Array, aspect: float, floating: bool = False
+) -> tuple[Camera, Array]:
     """Choose a camera that looks across the plane in which a robot moves most.
 
     Parameters
@@ -79,19 +81,22 @@ def camera_of(places: Array, sizes: Array, aspect: float) -> tuple[Camera, Array
         Radii around them [m].
     aspect : float
         Width of the picture by its height.
+    floating : bool
+        Whether the robot is followed where it goes away.
 
     Returns
     -------
     camera : Camera
         Of the first pose.
     path : (N, 3) array
-        What the camera looks at in each pose: one place, unless the robot goes away from it.
+        What the camera looks at in each pose: one place, unless the robot is followed.
     """
     low = (places - sizes[:, None]).min(axis=1)
     high = (places + sizes[:, None]).max(axis=1)
     own = float(np.linalg.norm(high - low, axis=1).max())
     path = np.repeat((low.min(axis=0) + high.max(axis=0))[None] / 2, len(places), axis=0)
-    if np.linalg.norm(high.max(axis=0) - low.min(axis=0)) > FOLLOWED * own:
+    away = np.linalg.norm(high.max(axis=0) - low.min(axis=0)) > FOLLOWED * own
+    if floating and away:
         path = _smooth((low + high) / 2)
     azimuth, elevation = _direction(places)
     axes = _axes(azimuth, elevation)

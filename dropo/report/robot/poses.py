@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.records.predictions import Predictions
 from dropo.core.services.validation import Array
-from dropo.mjmodel.appearance import part_places, part_sizes
+from dropo.mjmodel.appearance import floats, part_places, part_sizes
 
 if TYPE_CHECKING:
     from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -40,6 +40,8 @@ class Poses:
         Centres of the robot's parts as measured [m].
     sizes : (g,) array
         Radii around them [m].
+    floating : bool
+        Whether the robot may go away.
     """
 
     measured: Array
@@ -49,6 +51,7 @@ class Poses:
     factor: int
     places: Array
     sizes: Array
+    floating: bool
 
 
 def poses_of(found: Predictions, simulator: "RobotSimulator", most: int = MOST) -> Poses:
@@ -97,7 +100,7 @@ def poses_of(found: Predictions, simulator: "RobotSimulator", most: int = MOST) 
     factor = enlargement(np.maximum(*off), places, sizes)
     before, after = (poses(factor * error) for error in errors)
     times = np.asarray(step * (1.0 + shown))
-    return Poses(measured, before, after, times, factor, places, sizes)
+    return Poses(measured, before, after, times, factor, places, sizes, floats(model))
 
 
 def enlargement(off: Array, places: Array, sizes: Array) -> int:

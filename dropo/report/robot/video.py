@@ -91,7 +91,7 @@ def write_video(
     whole = float(poses.times[-1]) if known else np.nan
     slowed = next((n for n in SLOWED if n * whole >= SHORTEST), SLOWED[-1]) if known else 0
     length = slowed * whole if known else len(poses.times) / PAGE_FRAMES * 3
-    camera, lookat = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT)
+    camera, lookat = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT, poses.floating)
     count = max(2, round(length * PAGE_FRAMES))
     shown = np.linspace(0, len(poses.times) - 1, count).round().astype(int)
     stage = Stage(simulator.model, WIDTH, HEIGHT)
