@@ -78,7 +78,7 @@ def test_page_in_a_browser(browser, pages, kind):
         )
         assert wide[0] <= wide[1] == width
         pictures = browser.execute_script(
-            "return [...document.querySelectorAll('svg, img')].map(e => "
+            "return [...document.querySelectorAll('svg, img, canvas')].map(e => "
             "[e.getAttribute('role'), e.getAttribute('aria-label'),"
             " e.getBoundingClientRect().width, e.getBoundingClientRect().height])"
         )
@@ -118,6 +118,52 @@ def contrast(one, two):
         ]
         lights.append(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
     return (max(lights) + 0.05) / (min(lights) + 0.05)
+
+
+def test_a_run_zooms(browser, pages):
+    """By buttons, keys and dragging across a part, on a phone too; another signal is drawn."""
+    opened(browser, pages["diagnosis"], 400, "light")
+    figure = browser.find_element("css selector", "figure.run")
+    reading = figure.find_element("css selector", ".reading")
+    canvas = figure.find_element("css selector", "canvas.motion")
+    drawn = "return document.querySelector('canvas.motion').toDataURL()"
+    whole, first = reading.text, browser.execute_script(drawn)
+    figure.find_element("css selector", "[data-do=in]").click()
+    closer = reading.text
+    assert closer != whole
+    assert browser.execute_script(drawn) != first
+    canvas.send_keys("0")
+    assert reading.text == whole
+    assert browser.execute_script(drawn) == first
+    browser.execute_script(
+        "const c = arguments[0], box = c.getBoundingClientRect();"
+        "c.setPointerCapture = () => {};"
+        "for (const [kind, at] of [['down', 0.4], ['move', 0.6], ['up', 0.6]])"
+        "  c.dispatchEvent(new PointerEvent('pointer' + kind,"
+        "    {clientX: box.left + at * box.width, bubbles: true, pointerId: 1}))",
+        canvas,
+    )
+    assert reading.text not in (whole, closer)
+    figure.find_element("css selector", "[data-do=all]").click()
+    browser.execute_script(
+        "const s = arguments[0].querySelector('select'); s.value = 1;"
+        "s.dispatchEvent(new Event('change'))",
+        figure,
+    )
+    assert reading.text == whole
+    assert browser.execute_script(drawn) != first
+
+
+def test_a_tapped_word_is_explained(browser, pages):
+    """At the foot of the screen, inside it."""
+    opened(browser, pages["diagnosis"], 400, "dark")
+    says, shown, place = browser.execute_script(
+        "const word = document.querySelector('.word'); word.focus();"
+        "const style = getComputedStyle(word, '::after');"
+        "return [word.title, style.content, style.position]"
+    )
+    assert says in shown
+    assert place == "fixed"
 
 
 def test_errors_and_requests_are_noticed(browser, tmp_path):

@@ -5,8 +5,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
 import urllib.error
@@ -101,16 +99,23 @@ def test_refusals(unfinished_folder, served, tmp_path, capsys):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_ctrl_c_ends_it_with_0(unfinished_folder):
-    """Its address is printed, and answers."""
-    command = [sys.executable, "-m", "dropo", "report", str(unfinished_folder), "--serve", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        line = process.stdout.readline()
-        address = re.match(r"http://127\.0\.0\.1:\d+/", line)[0]
-        assert "evaluations" in asked(address)
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=30)
-    finally:
-        process.kill()
-    assert (process.returncode, error) == (0, "")
+def test_ctrl_c_ends_it_with_0(unfinished_folder, capsys):
+    """Its address is printed, and answers; nothing is written."""
+    found = []
+
+    def look():
+        """Reads the page when its address is there, then presses Ctrl-C."""
+        printed = ""
+        while not (address := re.match(r"http://127\.0\.0\.1:\d+/", printed)):
+            time.sleep(0.02)
+            printed += capsys.readouterr().out
+        found.append(asked(address[0]))
+        os.kill(os.getpid(), signal.SIGINT)
+
+    names = sorted(path.name for path in unfinished_folder.iterdir())
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    assert main(["report", str(unfinished_folder), "--serve", "0"]) == 0
+    thread.join(timeout=30)
+    assert "evaluations" in found[0]
+    assert sorted(path.name for path in unfinished_folder.iterdir()) == names
