@@ -65,10 +65,11 @@ def fittable(
 def _bounded(
     instance: EffectInstance, sizes: Array, cause: Cause, settings: FittableSettings
 ) -> EffectInstance:
-    """An effect whose quantities have bounds around their sizes."""
+    """An effect whose quantities have bounds around their sizes, their own where none is known."""
     quantities = []
     for quantity, size in zip(instance.quantities, sizes.tolist(), strict=True):
-        se = cause.estimate[quantity.name].se
+        estimate = cause.estimate.get(quantity.name)
+        se = np.nan if estimate is None else estimate.se
         known = settings.errors * se if np.isfinite(se) else np.inf
         half = max(known, settings.share * abs(size))
         low = max(quantity.low, size - half)
