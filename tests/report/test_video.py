@@ -56,7 +56,8 @@ def test_both_halves_move(fit_folder, tmp_path):
     ]
     frames = subprocess.run(unpack, capture_output=True, check=True).stdout
     shown = np.frombuffer(frames, np.uint8).reshape(-1, 192, 96, 3)
-    assert len(shown) == 2 * 20 * 80 * 0.008  # twice as slow, frames a second, the run's seconds
+    seconds = 80 * 0.008
+    assert len(shown) == round(2 * 20 * seconds)  # twice as slow, 20 frames a second
     halves = [
         np.stack([frame[part] for frame in shown[::4]]).astype(float)
         for part in (slice(0, 96), slice(96, None))

@@ -13,6 +13,8 @@ from dropo.report.robot.camera import Camera
 # Colours of the models before and after, as in the page's figures, and of what was measured.
 GHOSTS = ((0.95, 0.42, 0.0, 0.6), (0.1, 0.55, 0.95, 0.6))
 MEASURED = (0.75, 0.75, 0.72, 1.0)
+INSIDE = 0.97
+"""Thickness of a ghost's lines by that of the robot's: where both agree, the robot is seen."""
 LIGHT = 0.5
 """Of the lamp on the camera: half from everywhere, half from there."""
 EMPTY = (240, 240, 236)
@@ -96,12 +98,12 @@ class Stage:
         self.renderer.update_scene(self.solid, self.camera, self.option)
         first = scene.ngeom
         dynamic = self.mujoco.mjtCatBit.mjCAT_DYNAMIC
-        self._add_skeleton(self.solid, MEASURED)
+        self._add_skeleton(self.solid, MEASURED, 1.0)
         if ghost is not None:
             self.mujoco.mjv_addGeoms(
                 self.model, self.ghost, self.option, self.mujoco.MjvPerturb(), dynamic, scene
             )
-            self._add_skeleton(self.ghost, color)
+            self._add_skeleton(self.ghost, color, INSIDE)
         for i, geom in enumerate(scene.geoms[: scene.ngeom]):
             if geom.category == dynamic and (plain or i >= first):
                 geom.matid = -1
@@ -110,7 +112,7 @@ class Stage:
         image[(image == 0).all(axis=2)] = EMPTY
         return np.asarray(image)
 
-    def _add_skeleton(self, data: Any, color: tuple[float, ...]) -> None:
+    def _add_skeleton(self, data: Any, color: tuple[float, ...], share: float) -> None:
         """Draw lines where a model has no geoms to be seen."""
         scene = self.renderer.scene
         kind = self.mujoco.mjtGeom.mjGEOM_CAPSULE
@@ -120,7 +122,7 @@ class Stage:
             geom = scene.geoms[scene.ngeom]
             shade = np.array(color, dtype=np.float32)
             self.mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), shade)
-            self.mujoco.mjv_connector(geom, kind, line.radius, *line.points)
+            self.mujoco.mjv_connector(geom, kind, share * line.radius, *line.points)
             scene.ngeom += 1
 
     def close(self) -> None:
