@@ -8,6 +8,7 @@ import pytest
 from dropo import Diagnose
 from dropo.diagnosis.findings.horizons import Horizon, beyond_windows
 from dropo.problems.file.estimated_velocities import with_velocities
+from tests.models import imu_arm
 from tests.models.hidden_in_arm import problem
 
 ENCODER = 2 * np.pi / 4096
@@ -84,3 +85,19 @@ def test_errors_beyond_the_windows_are_told():
     assert beyond_windows([horizon(5, 0.04), horizon(20, 0.05)], 5) is None
     assert beyond_windows([horizon(5, 0.011), horizon(20, 0.012)], 5) is None
     assert beyond_windows(grows, 7) is None
+
+
+def test_an_imu_without_velocities():
+    """Angles and an IMU: nothing is named where nothing is hidden, a damping where it is. The
+    control: starts that are taken to be as far off as the arm is fast turn gravity, since an
+    accelerometer shows the square of a velocity.
+    """
+    diagnose = Diagnose(["joint_damping", "gravity_tilt"], windows=60, disturbances=False)
+    nothing = imu_arm.problem(2, runs=24, parameters=())
+    assert diagnose.run(nothing).verdict == "consistent"
+    hidden = imu_arm.problem(2, runs=12, parameters=(), more_damping=0.04)
+    (cause,) = diagnose.run(hidden).causes
+    assert (cause.effect, cause.target) == ("joint_damping", "pitch")
+    assert cause.estimate["damping"].value == pytest.approx(0.04, rel=0.05)
+    far = replace(nothing, estimated=dict.fromkeys(nothing.estimated, 10.0))
+    assert [one.effect for one in diagnose.run(far).causes] == ["gravity_tilt"]

@@ -16,6 +16,7 @@ from dropo.simulators.toy import SlidingBlock, simulate
 from dropo.studies.intervals.data_sets import DryBlock
 from dropo.studies.unlogged_states.machines import simulate_log
 from dropo.testing import check_likelihood
+from tests.models import imu_arm
 
 SEED = 77_000
 TRUTH = np.array([1.5, 0.8])
@@ -181,3 +182,15 @@ def test_what_it_refuses():
         DROPO(likelihood="trajectory", optimizer="cma-es").fit(problem)
     with pytest.raises(Incompatible, match="partial"):
         DROPO(likelihood="trajectory").fit(replace(problem, reset="partial"))
+
+
+def test_an_imu_tells_more_than_angles():
+    """Angles and the IMU of an arm's last link, without velocities: within 4.5 standard errors of
+    the truth, which are at most 0.7 of those that angles alone have.
+    """
+    angles = DROPO().fit(imu_arm.problem(12, ()), rng=0)
+    both = DROPO().fit(imu_arm.problem(12), rng=0)
+    assert angles.likelihood == both.likelihood == "trajectory"
+    for fit in (angles, both):
+        assert (np.abs(fit.mean - imu_arm.TRUTH) < 4.5 * fit.mean_se).all()
+    assert (np.array(both.mean_se) < 0.7 * np.array(angles.mean_se)).all()

@@ -32,7 +32,7 @@ Shown = dict[str, Any]
 
 def imported(folder: Path, content: dict[str, Any], **more: Any) -> Import:
     """The import of logs by a mapping."""
-    logs = write_logs(folder, **({"sensors": ALL, "steps": 120} | more))
+    logs = write_logs(folder, **({"sensors": ALL, "runs": 1, "steps": 120} | more))
     (folder / "map.yaml").write_text(yaml.safe_dump(content))
     return import_logs(logs, folder / "map.yaml", folder / "arm.xml", folder / "data.npz")
 
@@ -43,7 +43,7 @@ def refusal(folder: Path, content: dict[str, Any], **more: Any) -> str:
         imported(folder, content, **more)
     assert not (folder / "data.npz").exists()
     assert not (folder / "problem.yaml").exists()
-    return str(caught.value).replace(f"{folder}/", "").removeprefix("run0.csv, run1.csv: ")
+    return str(caught.value).replace(f"{folder}/", "").removeprefix("run0.csv: ")
 
 
 def in_mount(shown: Shown) -> Shown:
@@ -196,7 +196,7 @@ def test_what_is_not_mapped_is_told(tmp_path: Path) -> None:
     found = imported(tmp_path, content, sensors=IMU).findings
     assert [(one.level, one.signal) for one in found] == [("information", "sensordata.imu_acc")]
     assert "'acc_x', 'acc_y', 'acc_z' are not mapped" in found[0].sentence
-    logs = write_logs(tmp_path, steps=100)
+    logs = write_logs(tmp_path, runs=1, steps=100)
     text = (
         (tmp_path / "arm.xml").read_text().replace('<accelerometer name="imu_acc" site="imu"/>', "")
     )

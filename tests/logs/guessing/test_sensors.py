@@ -23,7 +23,7 @@ SHORT = {"gyro_": "g", "acc_": "a", "quat_": "q"}
 
 def started(folder: Path, names: Any = None, change: Any = None, sensors: Any = IMU) -> Start:
     """What `init` makes of logs whose columns are called otherwise."""
-    logs = write_logs(folder, 3, steps=120, sensors=sensors, change=change, names=names)
+    logs = write_logs(folder, 3, runs=1, steps=120, sensors=sensors, change=change, names=names)
     return init(folder / "arm.xml", logs, folder / "out")
 
 
@@ -44,7 +44,7 @@ def test_names_of_imus(tmp_path: Path) -> None:
     ):
         folder = tmp_path / str(i)
         folder.mkdir()
-        logs = write_logs(folder, 3, steps=60, sensors=tuple(COLUMNS), names=names)
+        logs = write_logs(folder, 3, runs=1, steps=60, sensors=tuple(COLUMNS), names=names)
         found = guess_mapping(open_log(logs[0]), load_model_joints(folder / "arm.xml"))
         expected = {
             sensor: [(names or {}).get(column, column) for column in columns]
