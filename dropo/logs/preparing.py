@@ -92,8 +92,8 @@ def _clean(series: TimeSeries, robot: ModelJoints) -> TimeSeries:
         sensor = robot.sensors[series.channel.name]
         if sensor.is_rotation:
             return replace(series, values=align_signs(series.values, series.values[0]))
-        if not sensor.follows_motion:
-            return series  # a touch sensor rests, and jumps
+        if not sensor.follows_motion or sensor.stage == "acceleration":
+            return series  # forces and accelerations rest, and jump
     # of a stretch in which a sensor hangs only the first row was measured
     keep = np.ones(len(series.time), dtype=bool)
     gaps = find_gaps(series.time)

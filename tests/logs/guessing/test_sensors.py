@@ -11,7 +11,7 @@ from dropo.logs.guessing.guess import guess_mapping
 from dropo.logs.readers.reader import open_log
 from dropo.logs.starting import Start, init
 from dropo.mjmodel.joints import load_model_joints
-from tests.models.imu_arm import COLUMNS, IMU, write_logs
+from tests.models.imu_arm import COLUMNS, IMU, SKIP, noisy, record, write_logs
 
 ROS = {
     "gyro": "imu.angular_velocity.",
@@ -87,3 +87,57 @@ def test_a_turned_mount_is_refused(tmp_path: Path) -> None:
             sensors=IMU,
         )
     assert not (tmp_path / "out").exists()
+
+
+def test_imu_messages_of_ros(tmp_path: Path) -> None:
+    """JointState and Imu in one bag, the IMU twice as often: all is mapped, by topic, and imported
+    whole.
+    """
+    pytest.importorskip("rosbags")
+    from rosbags import rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    of_joints, of_imu = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
+    kinds = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "geometry_msgs/msg/Vector3")
+    header, time, vector = (store.types[kind] for kind in kinds)
+    quaternion = store.types["geometry_msgs/msg/Quaternion"]
+    rng = np.random.default_rng(3)
+    run = record(rng, 120)
+    angles, shown = noisy(run, rng)
+    write_logs(tmp_path, runs=0)
+    unknown = np.zeros(9)
+    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
+        joints = writer.add_connection("/joint_states", of_joints, typestore=store)
+        imu = writer.add_connection("/wrist/imu", of_imu, typestore=store)
+        for i, at in enumerate(run.time):
+            stamp = 10**9 + round(1e9 * float(at))
+            head = header(stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="")
+            w, x, y, z = shown["imu_quat"][i].tolist()
+            message = store.types[of_imu](
+                header=head,
+                orientation=quaternion(x=x, y=y, z=z, w=w),
+                orientation_covariance=unknown,
+                angular_velocity=vector(*shown["imu_gyro"][i].tolist()),
+                angular_velocity_covariance=unknown,
+                linear_acceleration=vector(*shown["imu_acc"][i].tolist()),
+                linear_acceleration_covariance=unknown,
+            )
+            writer.write(imu, stamp, store.serialize_cdr(message, of_imu))
+            if i % SKIP == 0:
+                state = store.types[of_joints](
+                    header=head,
+                    name=["yaw", "pitch"],
+                    position=angles[i],
+                    velocity=np.zeros(0),
+                    effort=run.commands[i],
+                )
+                writer.write(joints, stamp, store.serialize_cdr(state, of_joints))
+    found = init(tmp_path / "arm.xml", tmp_path / "bag", tmp_path / "out")
+    entries = found.mapping["sensordata"]
+    assert {entry["topic"] for entry in entries.values()} == {"/wrist/imu"}
+    assert entries["imu_quat"]["columns"] == [f"orientation.{axis}" for axis in "wxyz"]
+    assert entries["imu_gyro"]["columns"] == [f"angular_velocity.{axis}" for axis in "xyz"]
+    assert found.imported.observation[2:] == [f"sensordata.{name}" for name in COLUMNS]
+    assert found.imported.findings == []
+    assert len(found.imported.arrays["observations"]) > 110
