@@ -489,6 +489,9 @@ def _pairs(
         curves = shown.curves(run, sensor)
         if curves is not None:
             yield curves
+            if sensor.may_be_turned:  # lengths, which a turned mount does not change
+                reference, signal = (replace(one, values=_lengths(one.values)) for one in curves)
+                yield reference, signal
     for series in of_source:
         if series.channel.field != "ctrl":
             continue
@@ -498,6 +501,11 @@ def _pairs(
             # from a row to the middle of its effect
             held = float(np.median(np.diff(series.time))) / 2 - robot.velocity_lag
             yield forces, _Curve(series.label, series.time + held, series.values)
+
+
+def _lengths(values: Array) -> Array:
+    """The length (n, 1) of each row."""
+    return np.asarray(np.linalg.norm(values, axis=1, keepdims=True))
 
 
 def _is_rough(sensor: Sensor) -> bool:
