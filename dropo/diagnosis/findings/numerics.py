@@ -15,6 +15,7 @@ from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.trials import State
+from dropo.diagnosis.search.windows import spread_of
 from dropo.mjmodel.holding_friction import holds
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -255,7 +256,7 @@ def _moved_by_step(
     half = finer.predict(last.theta[None], some.segments)
     simulator.steps += finer.steps
     p = len(simulator.signals)
-    spread = some.measured.reshape(-1, p).std(axis=0)
+    spread = spread_of(simulator, some)
     of_step = ((half[0] - usual[1]).reshape(-1, p) / spread) ** 2
     of_causes = ((usual[0] - usual[1]).reshape(-1, p) / spread) ** 2
     return float(np.sqrt(np.nansum(of_step) / np.nansum(of_causes)))

@@ -315,18 +315,22 @@ def linearize(library: Library, windows: Windows, theta: Array, noise: Noise) ->
     residuals = windows.measured - centre - shift
     residuals[lost] = DIVERGED * np.tile(sigma, windows.length)
     if noise.timing:
-        loadings = np.concatenate([loadings, step_lengths(windows, loadings, sigma)], axis=2)
+        loadings = np.concatenate(
+            [loadings, step_lengths(library, windows, loadings, sigma)], axis=2
+        )
     whiten = whitener(library, windows, theta, noise, loadings)
     return LinearizedWindows(windows, theta, residuals, shift, whiten, lost, (theta, noise))
 
 
-def step_lengths(windows: Windows, loadings: Array, sigma: Array) -> Array:
+def step_lengths(library: Library, windows: Windows, loadings: Array, sigma: Array) -> Array:
     """Return the change of the predictions by each control step's length, in units of one.
 
     What a longer step adds is carried on as an error of the start is that has become as large.
 
     Parameters
     ----------
+    library : Library
+        The simulator, whose signals they are.
     windows : Windows
         W windows of L steps, whose measured rows say how far a step moves.
     loadings : (W, n, >= p) array
@@ -341,7 +345,10 @@ def step_lengths(windows: Windows, loadings: Array, sigma: Array) -> Array:
     p = len(sigma)
     data = windows.segments.trajectories
     steps = windows.segments.steps
-    moved = (data.next_observations[steps] - data.observations[steps]) / sigma
+    before = data.observations[steps]
+    layout = library.simulator.layout
+    moved = layout.coordinates(data.next_observations[steps], before)
+    moved = (moved - layout.coordinates(before, before)) / sigma
     by_start = loadings[:, :, :p].reshape(len(windows), windows.length, p, p)
     by_start = by_start * sigma / sigma[:, None]
     start = np.linalg.pinv(by_start, rcond=1e-9) @ moved[..., None]

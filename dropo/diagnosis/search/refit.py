@@ -179,7 +179,7 @@ def other_noise(
     if coloured is not None:
         asked = [coloured, timing, replace(coloured, timing=settings.timing)]
     else:
-        lengths = step_lengths(good.windows, good.loadings, white.sigma)
+        lengths = step_lengths(library, good.windows, good.loadings, white.sigma)
         if not uneven_steps(good.whiten, good.residuals, lengths, settings):
             return None
         asked = [timing]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from dropo.mjmodel.joints import Actuator
 
-LARGE_SENSOR_ERRORS = {"m": 0.05, "rad": 0.1, "m/s": 0.5, "rad/s": 1.0}
+LARGE_SENSOR_ERRORS = {"m": 0.05, "rad": 0.1, "m/s": 0.5, "rad/s": 1.0, "m/s^2": 1.0}
 """Large errors of a sensor, by its unit."""
 
 
@@ -31,4 +31,4 @@ def each_and_all(found: Sequence[Actuator]) -> list[tuple[str | None, tuple[int,
 
 def is_rotation(signal: str) -> bool:
     """Whether the signal of that name is one of the three numbers of an orientation."""
-    return signal.startswith("qpos") and signal.endswith((".rx", ".ry", ".rz"))
+    return signal.startswith(("qpos", "sensordata")) and signal.endswith((".rx", ".ry", ".rz"))
