@@ -300,22 +300,16 @@ class Diagnose:
         setup = _with_noise_left(setup, task.before, self.settings.noise)
         disturbed = partial(self._without_disturbances, task)
         setup, found, undisturbed = _solved(setup, self.settings.noise, disturbed)
-        if undisturbed is not None:
-            spent = task.spent + setup.library.simulator.steps
-            anew = replace(
-                task,
-                problem=setup.problem,
-                undisturbed=undisturbed,
-                before=found.last,
-                spent=spent,
-            )
-            return self._run(anew, progress)
-        if not found.interrupted:
-            try:
+        try:
+            if undisturbed is not None:
+                spent = task.spent + setup.library.simulator.steps
+                rest = replace(task, problem=setup.problem, undisturbed=undisturbed, spent=spent)
+                return self._run(replace(rest, before=found.last), progress)
+            if not found.interrupted:
                 return self._result(task, setup, found, progress)
-            except KeyboardInterrupt:
-                setup.selection.progress(0.9, STOPPING)
-                found = replace(found, interrupted=True)
+        except KeyboardInterrupt:
+            setup.selection.progress(0.9, STOPPING)
+            found = replace(found, interrupted=True)
         return self._result(task, setup, found, progress)
 
     def _without_disturbances(
@@ -785,12 +779,12 @@ def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
         last, reviews = _explain(setup, first, first, rivals)
         if rivals.winner is None:
             return setup, _Searched(first, last, reviews)
+        return _search(_stepped(setup, rivals.winner, rivals.gain))
     except KeyboardInterrupt:
         selection.progress(0.9, STOPPING)
         last = selection.latest or first
         reviews = reviews_so_far(selection, last)
         return setup, _Searched(first, last, reviews, interrupted=True)
-    return _search(_stepped(setup, rivals.winner, rivals.gain))
 
 
 def _explain(

@@ -38,15 +38,21 @@ def pendulum(damping=0.0, finer=1, integrator="mjINT_EULER"):
     return MujocoSimulator(spec, [], frame_skip=2 * finer, threads=1)
 
 
-def recorded(finer, integrator):
-    """A log of a pendulum that has damping, beside the model that has none."""
+def recorded(finer, integrator, late=0.0):
+    """A log of a pendulum that has damping, beside the model that has none.
+
+    late: of its positions [s].
+    """
     rng = np.random.default_rng(3)
     phase = rng.uniform(0, 2 * np.pi, (RUNS, 1))
     torque = 0.5 * np.sin(0.15 * np.arange(STEPS) + phase).reshape(-1, 1)
     rest = np.zeros((len(torque), 2))
     ends = np.arange(len(torque)) % STEPS == STEPS - 1
     segments = Trajectories(rest, torque, rest, ends).segments(STEPS, every_step=True)
-    after = pendulum(DAMPING, finer, integrator).predict(np.zeros((1, 0)), segments)[0]
+    machine = pendulum(DAMPING, finer, integrator)
+    delay, _ = instances_of(machine.effect_context, "sensor_delay")
+    machine = machine.with_effects((), [(delay, np.array([late]))])
+    after = machine.predict(np.zeros((1, 0)), segments)[0]
     exact = np.concatenate([np.zeros((RUNS, 1, 2)), after.reshape(RUNS, STEPS, 2)], axis=1)
     measured = exact + NOISE * rng.normal(size=exact.shape)
     before = measured[:, :-1].reshape(-1, 2)
@@ -88,6 +94,16 @@ def test_a_delay_below_a_step_is_no_cause_where_something_remains(monkeypatch):
     better, refused = found.numerics
     assert "physics steps of half the length (5 ms)" in better
     assert refused.startswith("The sensor delay at qpos.pivot of 4.")
+
+
+def test_a_delay_below_a_step_is_a_cause_where_all_is_explained():
+    """In the model's own steps they are no rivals of positions that are 4 ms late."""
+    found = SEARCH.run(recorded(1, "mjINT_EULER", late=0.004), rng=0)
+    causes = {cause.effect: cause for cause in found.causes}
+    assert set(causes) == {"joint_damping", "sensor_delay"}
+    estimate = causes["sensor_delay"].estimate["delay"]
+    assert abs(estimate.value - 0.004) < 4 * estimate.se
+    assert not any(STEPS_SAID in text for text in found.numerics)
 
 
 @pytest.mark.parametrize(("late", "told"), [(0.004, 0.004), (0.012, None)])

@@ -123,11 +123,11 @@ def _other_steps(came: mujoco.MjModel, used: mujoco.MjModel) -> list[str]:
     own = INTEGRATORS[int(came.opt.integrator)]
     if after == before and integrator == own:
         return []
+    typed = f'timestep="{after:.3g}" integrator="{integrator}"'
     return [
         f"The model's physics steps of {1e3 * before:.3g} ms by {own} act like delays, inertia and"
-        f" damping here: steps of {1e3 * after:.3g} ms by {integrator} predict data held out"
-        " better, better than the first effect would in their place, and all was judged with"
-        f' these. Type timestep="{after:.3g}" integrator="{integrator}".'
+        f" damping here: steps of {1e3 * after:.3g} ms by {integrator} explain the data better than"
+        f" any cause in their place, and all was judged with these. Type {typed}."
     ]
 
 
