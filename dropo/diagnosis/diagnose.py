@@ -428,7 +428,7 @@ class Diagnose:
                     found,
                     selection.floor,
                     # Numbers of whole motions gain by being fitted to windows, whatever the steps.
-                    not (rest.calibrated or far_off),
+                    unexplained=not (rest.calibrated or far_off),
                 ),
                 *setup.refused.values(),
             )

@@ -158,6 +158,7 @@ class OutputError:
         self.settings = settings
         count = len(library.simulator.space)
         self.known = known or Known(np.zeros(count), np.zeros(count))
+        self._by_step: dict[Fitted, Array] = {}
 
     def residuals(self, thetas: Array) -> Array:
         """Simulate under several vectors of numbers (K, m): (K, W, n), NaN where it diverges."""
@@ -371,7 +372,9 @@ class OutputError:
 
         prior: (f, f) what is known of the numbers beside the motions, as information.
         """
-        change = self.halved(fitted.theta, fitted.residuals)
+        if fitted not in self._by_step:
+            self._by_step[fitted] = self.halved(fitted.theta, fitted.residuals)
+        change = self._by_step[fitted]
         whitened = self.motions.whitener(fitted.scale)(np.nan_to_num(change))
         moment = fitted.rows.reshape(len(fitted.free), -1) @ whitened.ravel()
         return np.asarray(2 * np.abs(self._inverse(fitted.gram + prior) @ moment))
