@@ -137,6 +137,11 @@ def motions_of(
     ------
     BadArgument
         If the data are too few for the shortest windows.
+
+    References
+    ----------
+    Fedorov, Theory of Optimal Experiments (1972), section 3.1: one after another, what adds most to
+    the determinant of the information.
     """
     whole = whole_part(problem.trajectories)
     length = _length(problem, whole, library, theta, settings)
