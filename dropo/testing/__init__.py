@@ -2,7 +2,8 @@
 
 Beside these, statistical tests of estimators and samplers: coverage and calibration.
 
-The room imports `dropo.core` alone; a message says which rule is broken, and by how much.
+The room imports `core` and the contract of a log's reader; a message says which rule is broken, and
+by how much.
 To add a check, write a module named after the contract and list its `check_...` function here.
 """
 
