@@ -302,8 +302,12 @@ def whole(minimum: int, most: int = MOST) -> Callable[[str], int]:
     Returns
     -------
     callable
-        From the text of an option to the number; raises `ArgumentTypeError`, which argparse makes a
-        refusal of, where it is none between them.
+        From the text of an option to the number.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        By what is returned, where a text is no such number; argparse makes a refusal of it.
     """
 
     def convert(text: str) -> int:

@@ -477,7 +477,13 @@ class _Guesser:
         self.guess.mapping.setdefault("qpos", {})[name] = self._entry(column, scale)
 
     def find_base(self) -> None:
-        """Map the pose of a free joint, or refuse a base that moves and is fixed in the model."""
+        """Map the pose of a free joint.
+
+        Raises
+        ------
+        Incompatible
+            If the base moves in the log and is fixed in the model.
+        """
         free = self._free_joints()
         base = self._base
         if not free:
