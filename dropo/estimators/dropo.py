@@ -44,6 +44,12 @@ from dropo.estimators.support.first_mean.global_search import (
     may_have_several,
 )
 from dropo.estimators.support.first_mean.search import search_from
+from dropo.estimators.support.rough_starts import (
+    ROUGH_TAILS,
+    SMOOTHED,
+    search_settings,
+    starts_are_rough,
+)
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
 from dropo.estimators.support.whole_runs import (
@@ -197,8 +203,12 @@ class DROPO(Estimator):
         self, problem: Problem, variance: Any, learned: Literal["factor", "each"] | None = None
     ) -> Noise:
         """The noise of that variance, or of learned factors on it."""
-        start_noise = problem.start_noise if self.start_noise is None else self.start_noise
+        start_noise = self.start_noise
+        if start_noise is None:
+            start_noise = problem.start_noise and not starts_are_rough(problem)
         degrees = problem.noise_degrees if self.degrees is None else self.degrees
+        if degrees is None and self.noise == AUTOMATIC and learned and starts_are_rough(problem):
+            degrees = ROUGH_TAILS
         return Noise(
             np.asarray(variance, dtype=float),
             learned,
@@ -260,7 +270,7 @@ class DROPO(Estimator):
         is_local = isinstance(likelihood, LocalLikelihood)
         several = is_wide(problem.space) or may_have_several(problem)
         if is_local and several and not unmeasured:
-            elsewhere = best_start(problem, run, mean)
+            elsewhere = best_start(problem, run, mean, search_settings(problem)[1])
             mean = elsewhere.value
             problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
         mean = np.clip(mean, prior.within.low, prior.within.high)
@@ -329,18 +339,21 @@ class DROPO(Estimator):
         make_optimizer = None
         if self.optimizer:
             make_optimizer = self._local_optimizer(self.optimizer, rng)
+        regions, points = search_settings(problem)
 
         def search(
             problem: Problem, noise: Noise, mean: Array, width: Array | None = None
         ) -> tuple[LocalLogLikelihood, SearchResult]:
             iterations = OuterIterations(
-                problem, run, family, likelihood, noise, rng, make_optimizer
+                problem, run, family, likelihood, noise, rng, make_optimizer, regions
             )
             return iterations.fit(mean, width)
 
-        searched = search_from(problem, run, family, noise, mean, elsewhere, search)
+        searched = search_from(problem, run, family, noise, mean, elsewhere, search, points)
         problem, noise = searched.problem, searched.noise
         objective, found = searched.objective, searched.found
+        if problem.start_noise and not noise.start and starts_are_rough(problem):
+            found = replace(found, reason=f"{found.reason} {SMOOTHED}")
 
         # Where its residuals say that starts are noisy, go on with starts that are found.
         if self._may_follow_runs(problem) and found.status is not Status.INTERRUPTED:
@@ -495,7 +508,7 @@ class DROPO(Estimator):
         try:
             run_fit = likelihood.fit_runs(problem, run, family, noise, mean)
         except SimulationFailed:
-            start = best_start(problem, run, mean)
+            start = best_start(problem, run, mean, search_settings(problem)[1])
             run_fit = likelihood.fit_runs(problem, run, family, noise, start.best)
 
         # The fit, of the rows that start from the states that were found.

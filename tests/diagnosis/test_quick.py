@@ -126,8 +126,8 @@ def test_built_in_effects_are_named():
 
 
 def test_refusals(plain):
-    """Robots with a floating base are not known, and logs that are too short."""
-    with pytest.raises(Incompatible, match="needs hinges and slides"):
+    """Robots whose base is not observed are not known, and logs that are too short."""
+    with pytest.raises(Incompatible, match="needs the position of every joint"):
         QuickDiagnose().run(hopper(threads=1).using(transitions=50))
     with pytest.raises(BadArgument, match="No trajectory is longer than"):
         QuickDiagnose().run(plain.using(transitions=20))

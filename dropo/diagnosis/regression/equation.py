@@ -2,8 +2,10 @@
 
 Positions and commands pass the same even kernel, so that commands lag exactly as positions do.
 Then both sides of the equation pass a second one, so that no row rests on a raw second derivative.
+Of machines with a floating base, contact forces are projected out before that.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,8 +23,9 @@ from dropo.diagnosis.regression.kernels import REACH, apply_kernel, derivative_k
 from dropo.diagnosis.search.library import robot_of
 from dropo.mjmodel.bodies import moving_bodies
 from dropo.mjmodel.body_regressors import inverse_dynamics
+from dropo.mjmodel.contact_free import projectors
 from dropo.mjmodel.forces import LinearDrives, linear_drives
-from dropo.mjmodel.joints import joints
+from dropo.mjmodel.joints import Joint, all_joints, joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.simulators.mujoco.layers import change_commands, clamp
 from dropo.simulators.mujoco.worker import Worker
@@ -52,6 +55,9 @@ class EquationSettings:
         ... or than so many standard deviations of the speed's noise.
     sticks : float
         A row is dropped for a joint that rests for this fraction of the second kernel.
+    share : float
+        Where contact forces are projected out, a row counts for a degree of freedom of whose force
+        at least this fraction is left.
     slow : float
         The speed at which the sign of dry friction fades out, in RMS speeds of a joint.
     delays : float
@@ -74,6 +80,7 @@ class EquationSettings:
     still: float = 0.05
     still_noise: float = 4.0
     sticks: float = 0.1
+    share: float = 0.05
     slow: float = 0.02
     delays: float = 10.0
     longest_delay: float = 0.06
@@ -105,6 +112,10 @@ class Equation:
         Derivatives of the forces by each body's inertial numbers.
     by_gravity : (R, nv, 3) array
         Derivatives of the forces by gravity.
+    by_joint : mapping of str to (R, nv, nv) array
+        Of a floating base: the forces, without those of contacts, that a force at each degree of
+        freedom gives: in proportion to its "acceleration", "velocity", "direction" or "position",
+        or of size "one". Without contacts that are projected out: empty.
     used : (R, nv) array of bool
         Whether the row counts for the joint: it moves, nothing touches.
     block : (R,) int array
@@ -125,6 +136,7 @@ class Equation:
     load: Array
     by_inertia: Array
     by_gravity: Array
+    by_joint: Mapping[str, Array]
     used: NDArray[np.bool_]
     block: Ints
     driven: NDArray[np.bool_]
@@ -132,6 +144,23 @@ class Equation:
 
     def __len__(self) -> int:
         return len(self.block)
+
+    def column(self, quantity: str, dof: int) -> Array:
+        """Return the forces (R, nv) of a force at one degree of freedom.
+
+        Parameters
+        ----------
+        quantity : str
+            What it is in proportion to: "acceleration", "velocity", "direction" or "position"; or
+            "one".
+        dof : int
+            Where it acts.
+        """
+        if self.by_joint:
+            return self.by_joint[quantity][:, :, dof]
+        found = np.zeros_like(self.velocity)
+        found[:, dof] = 1.0 if quantity == "one" else getattr(self, quantity)[:, dof]
+        return found
 
 
 def refuse_unsuitable(simulator: RobotSimulator) -> None:
@@ -149,11 +178,10 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
         equality constraints, or if an actuator's force is not known.
     """
     model = simulator.model
-    found = joints(model)
-    if len(found) < model.nv:
+    if any(joint.kind == "ball" for joint in all_joints(model)):
         raise Incompatible(
-            "A regression over inverse dynamics needs hinges and slides from a fixed base; this "
-            "model has a floating one or another joint, where contacts act that no log holds."
+            "A regression over inverse dynamics needs hinges and slides, from a fixed base or from "
+            "a free one; this model has a ball joint."
         )
     if not len(_drives_at_rest(simulator).dofs):
         raise Incompatible(
@@ -163,8 +191,8 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
     if model.neq:
         raise Incompatible("A regression over inverse dynamics knows no equality constraints.")
     observed = {column.place for column in simulator.layout.columns if column.field == "qpos"}
-    for joint in found:
-        if joint.qpos not in observed:
+    for joint in all_joints(model):
+        if not observed.issuperset(range(joint.qpos, joint.qpos + len(joint.units("qpos")))):
             raise Incompatible(
                 f"A regression over inverse dynamics needs the position of every joint; that of "
                 f"{joint.name!r} is not observed."
@@ -229,6 +257,8 @@ def equation_of(
         first_block = int(part["block"].max()) + 1 if len(block) else first_block
         parts.append(part)
     joined: dict[str, Any] = {}
+    every = [part.pop("by_joint") for part in parts]
+    joined["by_joint"] = {name: np.concatenate([one[name] for one in every]) for name in every[0]}
     for name in parts[0]:
         axis = 1 if name in ("drives", "by_inertia") else 0
         joined[name] = np.concatenate([part[name] for part in parts], axis=axis)
@@ -256,6 +286,8 @@ class Log:
     def __init__(self, simulator: RobotSimulator, trajectories: Trajectories):
         self.step = simulator.control_step
         model = simulator.model
+        self.joints = all_joints(model)
+        self.nv = int(model.nv)
         place = {
             column.place: i
             for i, column in enumerate(simulator.layout.columns)
@@ -278,7 +310,7 @@ class Log:
         for start, stop in trajectories.spans:
             rows = trajectories.observations[start:stop]
             last = trajectories.next_observations[stop - 1 : stop]
-            self.positions.append(np.concatenate([rows, last])[:, columns])
+            self.positions.append(self._continued(np.concatenate([rows, last])[:, columns]))
             commands = np.zeros((stop - start + 1, model.nu))
             commands[:-1, simulator.controls] = trajectories.actions[start:stop]
             commands[-1] = commands[-2]
@@ -288,16 +320,77 @@ class Log:
                 commands = fine.reshape(len(commands), simulator.frame_skip, model.nu).mean(axis=1)
             self.commands.append(commands)
 
+    def _continued(self, rows: Array) -> Array:
+        """Positions (n, nq) whose quaternions do not change their sign from row to row."""
+        for joint in self.joints:
+            turn = joint.quaternion()
+            if turn is not None:
+                own = rows[:, joint.qpos + turn.start : joint.qpos + turn.stop]
+                flips = np.sum(own[1:] * own[:-1], axis=1) < 0
+                own[1:] *= np.where(np.cumsum(flips) % 2, -1.0, 1.0)[:, None]
+        return rows
+
     @cached_property
     def noise(self) -> Array:
         """(nv,) standard deviation of the positions' noise, from their third differences."""
         thirds = [np.diff(rows, 3, axis=0) for rows in self.positions if len(rows) > 3]
-        return np.asarray(deviation(np.concatenate(thirds)) / np.sqrt(20.0))
+        own = deviation(np.concatenate(thirds)) / np.sqrt(20.0)
+        found = np.empty(self.nv)
+        for joint in self.joints:
+            places, turn = _places(joint)
+            found[places.velocity] = own[places.position]
+            if turn is not None:
+                found[turn.velocity] = 2 * np.sqrt(np.mean(own[turn.position] ** 2))
+        return found
+
+    def motion(self, kernels: Array, rows: Array) -> tuple[Array, Array, Array]:
+        """Positions (n, nq), velocities and accelerations (n, nv) of a run's rows (n, nq)."""
+        value, slope, curve = (apply_kernel(kernel, rows) for kernel in kernels)
+        velocity = np.empty((len(rows), self.nv))
+        acceleration = np.empty_like(velocity)
+        for joint in self.joints:
+            places, turn = _places(joint)
+            velocity[:, places.velocity] = slope[:, places.position]
+            acceleration[:, places.velocity] = curve[:, places.position]
+            if turn is not None:
+                quaternion = value[:, turn.position]
+                size = np.sum(quaternion**2, axis=1, keepdims=True)
+                for out, change in ((velocity, slope), (acceleration, curve)):
+                    out[:, turn.velocity] = _turned(quaternion, change[:, turn.position]) / size
+                value[:, turn.position] = quaternion / np.sqrt(size)
+        return value, velocity, acceleration
 
     def speeds(self, width: float) -> list[Array]:
         """The smoothed velocities of each run."""
-        kernel = derivative_kernels(width, self.step)[1]
-        return [apply_kernel(kernel, rows) for rows in self.positions]
+        kernels = derivative_kernels(width, self.step)
+        return [self.motion(kernels, rows)[1] for rows in self.positions]
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where numbers are among positions and velocities."""
+
+    position: slice
+    velocity: slice
+
+
+def _places(joint: Joint) -> tuple[_Places, _Places | None]:
+    """Where a joint's straight motions or angles are, and of a free one its rotation."""
+    p, v = joint.qpos, joint.qvel
+    if joint.quaternion() is None:
+        return _Places(slice(p, p + 1), slice(v, v + 1)), None
+    return _Places(slice(p, p + 3), slice(v, v + 3)), _Places(
+        slice(p + 3, p + 7), slice(v + 3, v + 6)
+    )
+
+
+def _turned(quaternion: Array, change: Array) -> Array:
+    """(n, 3) 2 Im(conj(q) q'), of the first derivative of q the angular velocity in the body's
+    frame, and of the second, as |q'| is real, the angular acceleration.
+    """
+    real, imaginary = quaternion[:, :1], quaternion[:, 1:]
+    cross = np.cross(imaginary, change[:, 1:])
+    return np.asarray(2 * (real * change[:, 1:] - change[:, :1] * imaginary - cross))
 
 
 def _delays(simulator: RobotSimulator, settings: EquationSettings) -> Array:
@@ -319,8 +412,9 @@ def _first_width(log: Log, settings: EquationSettings) -> float:
     fits = longest / (REACH * settings.stretch * (1 + settings.second)) / 3
     widest = max(settings.narrowest, min(settings.widest, fits))
     while width < widest * log.step:
-        kernel = derivative_kernels(width, log.step)[2]
-        found = [apply_kernel(kernel, rows) for rows in log.positions]
+        kernels = derivative_kernels(width, log.step)
+        kernel = kernels[2]
+        found = [log.motion(kernels, rows)[2] for rows in log.positions]
         size = np.sqrt(np.mean(np.concatenate(found) ** 2, axis=0))
         by_noise = noise * np.sqrt(np.sum(kernel**2)) / np.sqrt(2 * settings.second)
         if np.median(by_noise / np.maximum(size, 1e-300)) < settings.noise:
@@ -360,7 +454,7 @@ def _stretch_equation(
     run, start, stop = stretch
     rows = log.positions[run][start:stop]
     kernels = derivative_kernels(width, log.step)
-    position, velocity, acceleration = (apply_kernel(kernel, rows) for kernel in kernels)
+    position, velocity, acceleration = log.motion(kernels, rows)
     bodies = [body for body, _ in moving_bodies(model)]
     motion = inverse_dynamics(model, position, velocity, acceleration, bodies)
     drives = linear_drives(model, position, velocity)
@@ -386,21 +480,50 @@ def _stretch_equation(
             (len(kept), *values.shape[1:])
         )
 
-    touches = thinned((~motion.free).astype(float)[:, None])
-    used = (thinned(still.astype(float)) < settings.sticks) & (touches < 1e-6)
-    by_inertia = [thinned(one) for one in motion.by_inertia]
-    shape = (0, len(kept), model.nv, 10)
     needed = motion.forces + np.asarray(model.dof_frictionloss) * direction
+    by_inertia = motion.by_inertia
+    by_gravity = motion.by_gravity
+    at_dofs = position[:, [0] * model.nv] * 0.0
+    for joint in log.joints:
+        if joint.quaternion() is None:
+            at_dofs[:, joint.qvel] = position[:, joint.qpos]
+    by_joint: dict[str, Array] = {}
+    if len(joints(model)) < model.nv:
+        free = projectors(model, position, velocity, still, REACH * width)
+        forces = [_projected(free, force) for force in forces]
+        needed = _projected(free, needed)
+        by_inertia = np.stack([free @ one for one in by_inertia])
+        by_gravity = free @ by_gravity
+        for name, own in (
+            ("acceleration", acceleration),
+            ("velocity", velocity),
+            ("direction", direction),
+            ("position", at_dofs),
+            ("one", np.ones_like(velocity)),
+        ):
+            by_joint[name] = thinned(free * own[:, None])
+        used = thinned(np.diagonal(free, axis1=1, axis2=2)) > settings.share
+    else:
+        touches = thinned((~motion.free).astype(float)[:, None])
+        used = (thinned(still.astype(float)) < settings.sticks) & (touches < 1e-6)
+    shape = (0, len(kept), model.nv, 10)
+    thin_inertia = [thinned(one) for one in by_inertia]
     return {
         "drives": np.stack([thinned(force) for force in forces]),
         "needed": thinned(needed),
-        "position": thinned(position),
+        "position": thinned(at_dofs),
         "velocity": thinned(velocity),
         "acceleration": thinned(acceleration),
         "direction": thinned(direction),
         "load": thinned(load),
-        "by_inertia": np.stack(by_inertia) if by_inertia else np.zeros(shape),
-        "by_gravity": thinned(motion.by_gravity),
+        "by_inertia": np.stack(thin_inertia) if thin_inertia else np.zeros(shape),
+        "by_gravity": thinned(by_gravity),
+        "by_joint": by_joint,
         "used": used,
         "time": kept * log.step,
     }
+
+
+def _projected(free: Array, forces: Array) -> Array:
+    """(n, nv) forces without what projections (n, nv, nv) take out."""
+    return np.asarray((free @ forces[:, :, None])[:, :, 0])

@@ -196,12 +196,14 @@ class QuickDiagnose:
         before = np.where(equation.used, fitter.residuals(nothing), np.nan)
         left = np.where(equation.used, fitter.residuals(after), np.nan) if found else before
         force = root_mean_square(fitter.forces(solution.delay))
+        own = joints(simulator.model)
+        dofs = [joint.qvel for joint in own]
         rows = zip(
-            joints(simulator.model),
-            force,
-            root_mean_square(before),
-            root_mean_square(left),
-            equation.used.mean(axis=0),
+            own,
+            force[dofs],
+            root_mean_square(before)[dofs],
+            root_mean_square(left)[dofs],
+            equation.used.mean(axis=0)[dofs],
             strict=True,
         )
         return tuple(
@@ -313,6 +315,7 @@ class Missing:
             least = np.inf if self.at_bound(i) else term.least * (1 + solution.gain)
             # Beside a payload the scale of all forces may be uncertain; a large force is there.
             large = solution.payload is not None and shares[i] > self.large
+            large = large and not self.fitter.equation.by_joint
             if large and abs(size.value) > least:
                 least = -np.inf
             add(i, (term.effect, term.target, term.variant), least, **{term.quantity: size})

@@ -93,6 +93,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
     dof = joint.qvel
     step = float(model.opt.timestep)
     kp, kv = _feedback(model, joint)
+    damping = float(np.ravel(model.dof_damping[dof])[0])
 
     def term(
         effect: str,
@@ -106,11 +107,9 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
         least: float = 0.0,
         variant: str = "",
     ) -> Term:
-        column = np.zeros_like(equation.velocity)
-        column[:, dof] = values
         lowest = -(base or 0.0) if bounded else -np.inf
         return Term(
-            effect, joint.name, variant, quantity, unit, lowest, base, least, family, column
+            effect, joint.name, variant, quantity, unit, lowest, base, least, family, values
         )
 
     rest = float(model.qpos_spring[joint.qpos])
@@ -119,19 +118,19 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             "joint_armature",
             "armature",
             joint.inertia,
-            equation.acceleration[:, dof],
+            equation.column("acceleration", dof),
             "armature",
             base=float(model.dof_armature[dof]),
             bounded=True,
-            least=kv * step / 2,
+            least=(kv + damping) * step / 2,
         ),
         term(
             "joint_damping",
             "damping",
             joint.damping,
-            equation.velocity[:, dof],
+            equation.column("velocity", dof),
             "damping",
-            base=float(np.ravel(model.dof_damping[dof])[0]),
+            base=damping,
             bounded=True,
             least=kp * step / 2,
         ),
@@ -139,7 +138,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             "joint_friction",
             "frictionloss",
             joint.force,
-            equation.direction[:, dof],
+            equation.column("direction", dof),
             "friction",
             base=float(model.dof_frictionloss[dof]),
             bounded=True,
@@ -148,7 +147,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             "joint_stiffness",
             "stiffness",
             joint.stiffness,
-            equation.position[:, dof] - rest,
+            equation.column("position", dof) - rest * equation.column("one", dof),
             "stiffness",
             base=float(np.ravel(model.jnt_stiffness[joint.id])[0]),
         ),
@@ -156,17 +155,19 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             "joint_stiffness",
             "load",
             joint.force,
-            -np.ones(len(equation)),
+            -equation.column("one", dof),
             "offset",
             variant="rest",
         ),
     ]
-    if equation.driven[dof]:
+    if equation.driven[dof] and not equation.by_joint:  # what contacts load is not known
+        load = np.zeros_like(equation.load)
+        load[:, dof] = equation.load[:, dof]
         share = term(
             "joint_load_friction",
             "share",
             "1",
-            equation.load[:, dof],
+            load,
             "load friction",
             base=0.0,
             bounded=True,

@@ -70,6 +70,8 @@ class TrustRegionSettings:
         The first region of all segments is so many times as wide as the sample asks for, since its
         estimate is off by what rows differ. The first maximum on all is taken if it is within so
         many widths of the centre.
+    errors_wide : float
+        A region is at least so many standard errors of the mean wide.
     followed_move : float
         A region is at least as wide as this fraction of the last move of the mean.
     maximum_shrink, maximum_growth : float
@@ -101,6 +103,7 @@ class TrustRegionSettings:
     sample_iterations: int = 6
     sample_margin: float = 1.5
     sample_reach: float = 1.8
+    errors_wide: float = 1.0
     followed_move: float = 0.7
     maximum_shrink: float = 20.0
     maximum_growth: float = 4.0
@@ -358,7 +361,8 @@ class OuterIterations:
         # The largest of all that asks for width ...
         spread = np.maximum(scale, self.family.sd(phi))
         followed = settings.followed_move * np.abs(mean - result.region.centre)
-        wanted = np.maximum.reduce([spread, followed, result.errors, self.minimum_width])
+        errors = settings.errors_wide * result.errors
+        wanted = np.maximum.reduce([spread, followed, errors, self.minimum_width])
         # ... as far as a width may change in one iteration.
         before = result.region.width
         smallest = before / settings.maximum_shrink

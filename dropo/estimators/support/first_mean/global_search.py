@@ -34,6 +34,8 @@ class GlobalSearchSettings:
     segments, steps : int
         Segments that are simulated from each point: so many, or as many short ones as have no more
         steps, up to so many.
+    descents : bool
+        Whether there are searches at all, or the best point is taken as it is.
     searches, further : int
         Searches from the best points; and once more from so many, where only one of the first ended
         in the best optimum.
@@ -61,6 +63,7 @@ class GlobalSearchSettings:
     many: int = 6
     segments: int = 60
     steps: int = 1000
+    descents: bool = True
     searches: int = 3
     further: int = 8
     apart: float = 0.15
@@ -171,6 +174,8 @@ def best_start(
     run.progress(0.0, "simulations over the whole box")
     misfit = Misfit(problem, run, _some(problem, settings))
     scan = _scan(len(problem.space), settings)
+    if not settings.descents:
+        return _best_of(misfit, np.concatenate([misfit.unit_of(mean[None]), scan]))
     order = _apart(scan, misfit.at(scan), settings)
     searches, further = settings.searched(len(problem.space))
     first = [misfit.unit_of(mean[None]), scan[order[:searches]]]
@@ -198,6 +203,15 @@ def best_start(
         float(values[best]),
         _doubts(misfit, points, values, settings),
     )
+
+
+def _best_of(misfit: Misfit, points: Array) -> GlobalStart:
+    """The best of points (n, d) of the unit box, without a search."""
+    values = misfit.at(points)
+    best = int(values.argmin())
+    value = misfit.values_of(points[best][None])[0]
+    near = (misfit.high - misfit.low) / len(points) ** (1 / len(value))
+    return GlobalStart(value, value, near, True, misfit, float(values[best]), ())
 
 
 def _scan(d: int, settings: GlobalSearchSettings) -> Array:

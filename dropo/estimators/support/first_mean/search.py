@@ -16,7 +16,11 @@ from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.estimators.support.epsilon import noise_scale
 from dropo.estimators.support.first_mean.exploding import without_exploded, without_exploding
-from dropo.estimators.support.first_mean.global_search import GlobalStart, best_start
+from dropo.estimators.support.first_mean.global_search import (
+    GlobalSearchSettings,
+    GlobalStart,
+    best_start,
+)
 
 Search = Callable[[Problem, Noise, Array, Array | None], tuple[LocalLogLikelihood, SearchResult]]
 """From a problem, its noise, a first mean (d,) and the first region's width (d,) to a maximum."""
@@ -56,6 +60,7 @@ def search_from(
     mean: Array,
     elsewhere: GlobalStart | None,
     search: Search,
+    settings: GlobalSearchSettings,
 ) -> Searched:
     """Search from a first mean, and again where that fails, blows up, or loses a better optimum.
 
@@ -72,6 +77,8 @@ def search_from(
         The best of the box, where it was looked for.
     search : callable
         Finds a maximum.
+    settings : GlobalSearchSettings
+        How the box is looked over where the search fails.
 
     Returns
     -------
@@ -87,7 +94,7 @@ def search_from(
         done = Searched(problem, noise, *search(problem, noise, mean, width))
     except SimulationFailed:
         # Most of the box may explode.
-        elsewhere = best_start(problem, run, mean)
+        elsewhere = best_start(problem, run, mean, settings)
         mean, width = elsewhere.best, elsewhere.width
         try:
             done = Searched(problem, noise, *search(problem, noise, mean, width))
