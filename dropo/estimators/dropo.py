@@ -47,6 +47,7 @@ from dropo.estimators.support.first_mean.search import search_from
 from dropo.estimators.support.rough_starts import (
     ROUGH_TAILS,
     SMOOTHED,
+    of_the_physics_step,
     search_settings,
     starts_are_rough,
 )
@@ -406,7 +407,7 @@ class DROPO(Estimator):
             alike=nothing_varies,
             confirmed=checked_by_group and not group_warnings,
         )
-        return self._summarise(
+        fit = self._summarise(
             problem,
             run,
             family,
@@ -417,6 +418,10 @@ class DROPO(Estimator):
             start_filter=start_filter,
             constant_parameters=constant,
         )
+        if fit.status is Status.INTERRUPTED or not starts_are_rough(problem):
+            return fit
+        of_step = of_the_physics_step(problem, run, fit, objective)
+        return replace(fit, warnings=(*fit.warnings, *of_step))
 
     def _local_optimizer(self, name: str, rng: np.random.Generator) -> MakeOptimizer:
         """What makes the optimizer of that name inside each outer iteration."""
