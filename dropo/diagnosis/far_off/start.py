@@ -10,6 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel, reaching
+from dropo.diagnosis.regression.equation import is_floating
 from dropo.diagnosis.regression.quick import (
     Missing,
     QuickSettings,
@@ -89,6 +90,8 @@ def start_of(
         None where little is missing, or where the robot or the data do not suit a regression.
     """
     simulator = robot_of(problem)
+    if is_floating(simulator.model):  # motions through contacts are not replayed as a whole
+        return None
     fitted, checked = sides(problem, settings.checked)
     try:
         estimate = estimate_missing(problem, fitted, settings)

@@ -174,8 +174,8 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
     Raises
     ------
     Incompatible
-        If a joint is neither a hinge nor a slide or its position is not observed, if the model has
-        equality constraints, or if an actuator's force is not known.
+        If a joint is a ball joint or its position is not observed, if the model has equality
+        constraints, or if an actuator's force is not known.
     """
     model = simulator.model
     if any(joint.kind == "ball" for joint in all_joints(model)):
@@ -197,6 +197,11 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
                 f"A regression over inverse dynamics needs the position of every joint; that of "
                 f"{joint.name!r} is not observed."
             )
+
+
+def is_floating(model: Model) -> bool:
+    """Tell whether a model has degrees of freedom that are no joints, as those of a free base."""
+    return len(joints(model)) < model.nv
 
 
 def equation_of(
@@ -488,7 +493,7 @@ def _stretch_equation(
         if joint.quaternion() is None:
             at_dofs[:, joint.qvel] = position[:, joint.qpos]
     by_joint: dict[str, Array] = {}
-    if len(joints(model)) < model.nv:
+    if is_floating(model):
         free = projectors(model, position, velocity, still, REACH * width)
         forces = [_projected(free, force) for force in forces]
         needed = _projected(free, needed)

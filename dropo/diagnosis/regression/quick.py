@@ -99,7 +99,8 @@ class QuickDiagnose:
         Parameters
         ----------
         problem : Problem
-            Measured joint positions and commands, and a MuJoCo model of hinges and slides.
+            Measured joint positions and commands, and a MuJoCo model of hinges and slides, from a
+            fixed base or from a free one whose pose is measured.
 
         Returns
         -------
@@ -108,8 +109,8 @@ class QuickDiagnose:
         Raises
         ------
         Incompatible
-            If the robot is not one of hinges and slides whose positions are all observed and whose
-            drives' forces are known from the state.
+            If the robot is not one of hinges and slides (and free bases) whose positions are all
+            observed and whose drives' forces are known from the state.
         BadArgument
             If the problem is none, no trajectory is long enough, or nothing moves.
         """
@@ -571,6 +572,11 @@ def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
         written = instance.model is not None and not instance.general
         if not (written or instance.command or instance.actuation):
             found.append(f"{instance.label} of the simulator is not known to the regression.")
+    if estimate.fitter.equation.by_joint:
+        found.append(
+            "The base is free: contact forces are unknown and projected out, and what they alone "
+            "show, as the ground's friction, is not looked for."
+        )
     driven = estimate.fitter.equation.driven
     for joint in joints(simulator.model):
         if not driven[joint.qvel]:
