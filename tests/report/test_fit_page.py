@@ -1,18 +1,23 @@
 """What a fit's page shows beside its parameters, by how the fit was made."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dropo.core.records.fit import Fit
+from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.estimators.posterior import Posterior
 from dropo.estimators.support.segment_length import ChooseHorizon
 from dropo.optimizers.samplers.emcee import Emcee
+from dropo.plots.distribution import correlated_pairs
 from dropo.problems.simulated.slide import slide
 from dropo.report.build import write_report
+from dropo.report.pages.fit_page import _joint, _pairs
+from tests.models.cart_task import fit_of
 
 
 def page_of(fit, folder):
@@ -70,3 +75,17 @@ def test_the_share_of_priors_is_shown(problem, tmp_path):
     assert "share of the priors" in text
     assert f"{100 * fit.priors.share['mass']:.3g} %" in text
     assert "share of the priors" not in page_of(replace(fit, priors=None), tmp_path)
+
+
+def test_many_parameters_show_the_strongest_pairs():
+    """A small picture for each pair that is correlated, no corner plot; none without such."""
+    space = ParameterSpace([Parameter(f"p{i}", 0.0, 2.0) for i in range(6)])
+    fit = fit_of(space, np.full(6, 1.0), np.full(6, 0.05), correlation=0.8)
+    shown = _pairs(fit)
+    assert re.findall("<h3>([^<]*)</h3>", shown)[1:] == [f"{correlated_pairs(fit)[0][2]:+.2f}"]
+    assert "Contours of p0 and p1, correlation 0." in shown
+    assert "The strongest correlations, 1 of 15." in shown
+    alone = fit_of(space, np.full(6, 1.0), np.full(6, 0.05))
+    assert "No two parameters have a correlation" in _pairs(alone)
+    assert len(_joint(fit)) == 1
+    assert _pairs(fit_of(ParameterSpace(list(space)[:2]), np.ones(2), np.full(2, 0.05))) == ""
