@@ -7,6 +7,7 @@ import pytest
 
 from dropo import Diagnose
 from dropo.diagnosis.findings.horizons import Horizon, beyond_windows
+from dropo.diagnosis.search.library import instances_for
 from dropo.problems.file.estimated_velocities import with_velocities
 from tests.models import imu_arm
 from tests.models.hidden_in_arm import problem
@@ -88,14 +89,16 @@ def test_errors_beyond_the_windows_are_told():
 
 
 def test_an_imu_without_velocities():
-    """Angles and an IMU: nothing is named where nothing is hidden, a damping where it is. The
-    control: starts that are taken to be as far off as the arm is fast turn gravity, since an
-    accelerometer shows the square of a velocity.
+    """Angles and an IMU: nothing is named where nothing is hidden, a damping where it is, with the
+    orientation too, which has no gain. The control: starts that are taken to be as far off as the
+    arm is fast turn gravity, since an accelerometer shows the square of a velocity.
     """
     diagnose = Diagnose(["joint_damping", "gravity_tilt"], windows=60, disturbances=False)
     nothing = imu_arm.problem(2, runs=24, parameters=())
     assert diagnose.run(nothing).verdict == "consistent"
-    hidden = imu_arm.problem(2, runs=12, parameters=(), more_damping=0.04)
+    sensors = (*imu_arm.IMU, "imu_quat")
+    hidden = imu_arm.problem(2, sensors, runs=12, parameters=(), more_damping=0.04)
+    assert not any(".r" in str(one.target) for one in instances_for(hidden, ["sensor_gain"]))
     (cause,) = diagnose.run(hidden).causes
     assert (cause.effect, cause.target) == ("joint_damping", "pitch")
     assert cause.estimate["damping"].value == pytest.approx(0.04, rel=0.05)
