@@ -392,7 +392,10 @@ def _advice(pairs: Sequence[SensorPair], turn: int) -> str:
     for pair in pairs:
         if signs[pair.name] < 0:
             lines.append(f"Map `sign: {1 if pair.negative else -1}` of {pair.name}")
-    return ", and m".join(lines[:1] + [line[1:] for line in lines[1:]]) + "."
+    advice = ", and m".join(lines[:1] + [line[1:] for line in lines[1:]]) + "."
+    if turn and len(lines) > 1:  # two faults at once are less likely than one of the joints
+        advice += " Or else a joint counts the other way round: see its `sign` first."
+    return advice
 
 
 def _rotation_advice(pair: SensorPair, matrix: Array) -> str:
