@@ -14,6 +14,7 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.whitening import Noise, Whitener, learn_noise
 from dropo.diagnosis.search.windows import Windows
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 DIVERGED = 1e3
 """Standard deviations by which a window counts as wrong whose simulation diverges."""
@@ -346,9 +347,12 @@ def step_lengths(library: Library, windows: Windows, loadings: Array, sigma: Arr
     data = windows.segments.trajectories
     steps = windows.segments.steps
     before = data.observations[steps]
-    layout = library.simulator.layout
-    moved = layout.coordinates(data.next_observations[steps], before)
-    moved = (moved - layout.coordinates(before, before)) / sigma
+    after = data.next_observations[steps]
+    simulator = library.simulator
+    if isinstance(simulator, RobotSimulator):
+        after = simulator.layout.coordinates(after, before)
+        before = simulator.layout.coordinates(before, before)
+    moved = (after - before) / sigma
     by_start = loadings[:, :, :p].reshape(len(windows), windows.length, p, p)
     by_start = by_start * sigma / sigma[:, None]
     start = np.linalg.pinv(by_start, rcond=1e-9) @ moved[..., None]
