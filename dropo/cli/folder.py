@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import IO, Any
 
 from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
-from dropo.core.services.progress_file import LOCK
 
 RECORD = "run.json"
 """What the run is."""
@@ -134,6 +133,8 @@ def run_folder(path: Path | None) -> Iterator[RunFolder]:
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """A lock on a folder, which ends with the block or with the process."""
+    from dropo.core.services.progress_file import LOCK
+
     path = folder / LOCK
     with path.open("a+", encoding="utf-8") as file:
         if not _lock(file):
