@@ -49,7 +49,7 @@ from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import STOPPING, Selection
-from dropo.diagnosis.search.trials import State
+from dropo.diagnosis.search.trials import Batch, State
 from dropo.diagnosis.search.whitening import Noise, NoiseSettings, white
 from dropo.diagnosis.search.window_length import (
     WindowLengthSettings,
@@ -832,11 +832,14 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
             indices += own.tolist()
     if not refused:
         return None
-    origins = {}
-    for label, batch in setup.selection.origins.items():
-        others = [one for one in batch.trials if one.candidate.instance.label not in refused]
-        origins[label] = replace(batch, trials=others)
-    selection = replace(setup.selection, origins=origins)
+    selection = replace(
+        setup.selection,
+        origins={
+            label: _without_trials(batch, refused)
+            for label, batch in setup.selection.origins.items()
+        },
+        batches=[_without_trials(batch, refused) for batch in setup.selection.batches],
+    )
     setup = replace(setup, selection=selection, refused={**setup.refused, **refused})
     theta = last.theta.copy()
     theta[indices] = 0.0
@@ -846,6 +849,12 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
     # More exact steps were tried beside them, and were not better.
     further, reviews = _explain(setup, searched.first, selection.polish(begun))
     return setup, replace(searched, last=further, reviews=reviews)
+
+
+def _without_trials(batch: Batch, refused: Collection[str]) -> Batch:
+    """A batch without the trials of some effects, by their labels."""
+    kept = [trial for trial in batch.trials if trial.candidate.instance.label not in refused]
+    return replace(batch, trials=kept)
 
 
 def _errors_without_and_with(

@@ -92,6 +92,7 @@ def test_a_delay_below_a_step_is_no_cause_where_something_remains(monkeypatch):
     better, refused = found.numerics
     assert "physics steps of half the length (5 ms)" in better
     assert refused.startswith("The sensor delay at qpos.pivot of 4.")
+    assert "qpos.pivot" not in {leader.target for leader in found.leaders}
 
 
 def test_a_delay_below_a_step_is_a_cause_where_all_is_explained():
