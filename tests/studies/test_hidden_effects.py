@@ -23,6 +23,9 @@ from dropo.studies.hidden_effects.study import (
     white_noise,
 )
 
+TWINS = ("joint_armature:shoulder", "body_inertia:upper.")
+"""Two effects with one response."""
+
 
 def test_what_is_hidden_is_named(monkeypatch):
     """One effect of random kind, place and size; with half as many windows as by default.
@@ -53,11 +56,22 @@ def test_two_are_hidden_at_once():
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("case", CASES)
 def test_matrix(name, case):
-    """Two runs of each case on each machine; a cause outside the library may be missed."""
+    """Two runs of each case on each machine; a cause outside the library may be missed.
+
+    Of the shoulder's armature and the upper body's inertia either may be named, with the other as
+    one that the data cannot tell from it: the body turns about that joint alone.
+    """
     found = [run([name, case, seed]) for seed in range(2)]
-    assert all(r["right"] for r in found) or case in ("outside", "removed"), [
+    assert all(is_named(r) for r in found) or case in ("outside", "removed"), [
         (r["hidden"], r["said"]) for r in found
     ]
+
+
+def is_named(found):
+    """Whether what is hidden is named, or its twin with it in the ambiguity set."""
+    hidden, said = TWINS
+    is_twin = hidden in found["hidden"] and said in found["said"]
+    return found["right"] or (is_twin and found["among"])
 
 
 def test_tables_count_what_was_said(monkeypatch):
