@@ -9,6 +9,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
+from dropo.problems.file.model_xml import format_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.models.robots import ARM, CART, CUBE, ROBOTS, STRANGE
 from tests.reference.effects import replay
@@ -403,6 +404,14 @@ def test_springs_and_a_load_add_up_in_any_order(first):
     plain = mujoco.MjModel.from_xml_string(XML["arm"])
     pushed = replay(plain, robot, applied_force=lambda m, d: np.array([0.7, 0.0]))
     np.testing.assert_allclose(alone, observed(robot, pushed), rtol=1e-5, atol=1e-5)
+
+
+def test_a_load_is_written():
+    """The force of the written model's spring is the load, to the digits of an MJCF."""
+    robot = ROBOTS["arm"]()
+    load = (instance(robot, "joint_stiffness:shoulder.rest"), np.array([0.0, 0.7]))
+    written = mujoco.MjModel.from_xml_string(format_model(robot.simulator, active=[load]))
+    assert written.jnt_stiffness[0] * written.qpos_spring[0] == pytest.approx(0.7, rel=1e-4)
 
 
 @pytest.mark.parametrize(
