@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import mujoco
-import numpy as np
 
 from dropo import fit, init, load
 from dropo.diagnosis.regression.quick import QuickDiagnose
@@ -95,8 +94,9 @@ def fits(seeds: list[int]) -> None:
         for i, name in enumerate(found.space.names):
             z = (found.mean[i] - TRUTH[name]) / found.mean_se[i]
             parts.append(f"{name} {found.mean[i]:.4f} +- {found.mean_se[i]:.4f} (z {z:+.1f})")
-        degrees = np.round(found.degrees_of_freedom).tolist()
-        return f"{'; '.join(parts)}; df {degrees}; trusted {found.trusted}; {seconds:.0f} CPU s"
+        said = [text for text in found.warnings if text.startswith("physics steps")]
+        parts += [f"trusted {found.trusted}", *said, f"{seconds:.0f} CPU s"]
+        return "; ".join(parts)
 
     _each(seeds, one)
 

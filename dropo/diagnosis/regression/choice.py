@@ -99,7 +99,8 @@ class Chooser:
         fitter = self.fitter
         families = families_of(fitter.terms)
         groups = [families[name] for name in LAWS if name in families]
-        if fitter.equation.driven.any():
+        # Where each drive has a gain of its own, one of all drives says nothing new.
+        if fitter.equation.driven.any() and "gain" not in families:
             groups.append((GAIN,))
         solution = self._first(tuple(i for group in groups for i in group))
         solution = self.without_needless(solution, groups)
@@ -147,9 +148,10 @@ class Chooser:
         return best
 
     def _candidates(self, families: dict[str, Group]) -> list[Group]:
-        """Whole families, single terms, and the gain."""
+        """Whole families, single terms, and the gain of all drives."""
         whole = [family for family in families.values() if len(family) > 1]
-        return [*whole, *((i,) for i in range(len(self.fitter.terms))), (GAIN,)]
+        common = [] if "gain" in families else [(GAIN,)]
+        return [*whole, *((i,) for i in range(len(self.fitter.terms))), *common]
 
     def without_needless(self, solution: Solution, groups: Sequence[Group]) -> Solution:
         """Drop the groups, and the payload, that data held out do not ask for, one at a time."""

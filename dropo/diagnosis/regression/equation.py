@@ -114,8 +114,8 @@ class Equation:
         Derivatives of the forces by gravity.
     by_joint : mapping of str to (R, nv, nv) array
         Of a floating base: the forces, without those of contacts, that a force at each degree of
-        freedom gives: in proportion to its "acceleration", "velocity", "direction" or "position",
-        or of size "one". Without contacts that are projected out: empty.
+        freedom gives: in proportion to its "acceleration", "velocity", "direction", "position" or
+        "drive", or of size "one". Without contacts that are projected out: empty.
     used : (R, nv) array of bool
         Whether the row counts for the joint: it moves, nothing touches.
     block : (R,) int array
@@ -152,7 +152,7 @@ class Equation:
         ----------
         quantity : str
             What it is in proportion to: "acceleration", "velocity", "direction" or "position"; or
-            "one".
+            "one"; of a floating base also "drive".
         dof : int
             Where it acts.
         """
@@ -495,6 +495,7 @@ def _stretch_equation(
     by_joint: dict[str, Array] = {}
     if is_floating(model):
         free = projectors(model, position, velocity, still, REACH * width)
+        undelayed = forces[int(np.abs(delays).argmin())]
         forces = [_projected(free, force) for force in forces]
         needed = _projected(free, needed)
         by_inertia = np.stack([free @ one for one in by_inertia])
@@ -505,6 +506,7 @@ def _stretch_equation(
             ("direction", direction),
             ("position", at_dofs),
             ("one", np.ones_like(velocity)),
+            ("drive", undelayed),
         ):
             by_joint[name] = thinned(free * own[:, None])
         used = thinned(np.diagonal(free, axis1=1, axis2=2)) > settings.share

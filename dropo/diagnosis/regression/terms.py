@@ -81,6 +81,8 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
     found: list[Term] = []
     for joint in joints(model):
         found += _joint_terms(model, joint, equation)
+    if equation.by_joint:  # the weight of a free base fixes the scale of each drive
+        found += _gain_terms(model, equation)
     if np.any(model.opt.gravity):
         found += _tilt_terms(model, equation)
     for k, (body, name) in enumerate(moving_bodies(model)):
@@ -173,6 +175,20 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             bounded=True,
         )
         found.append(share)
+    return found
+
+
+def _gain_terms(model: Model, equation: Equation) -> list[Term]:
+    """The gain of each drive that acts at a joint alone."""
+    drives = actuators(model)
+    places = [drive.joint.id for drive in drives if drive.joint is not None]
+    found = []
+    for drive in drives:
+        if drive.joint is None or places.count(drive.joint.id) > 1:
+            continue
+        column = -equation.column("drive", drive.joint.qvel)
+        place = ("actuator_gain", drive.name, "")
+        found.append(Term(*place, "gain", "1", -1.0, 1.0, 0.0, "gain", column))
     return found
 
 
