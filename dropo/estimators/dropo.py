@@ -420,7 +420,7 @@ class DROPO(Estimator):
         )
         if fit.status is Status.INTERRUPTED or not starts_are_rough(problem):
             return fit
-        of_step = of_the_physics_step(problem, run, fit, objective)
+        of_step = of_the_physics_step(problem, run, fit, objective, found.point)
         return replace(fit, warnings=(*fit.warnings, *of_step))
 
     def _local_optimizer(self, name: str, rng: np.random.Generator) -> MakeOptimizer:

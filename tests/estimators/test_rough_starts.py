@@ -117,7 +117,7 @@ def test_what_the_physics_step_makes(step: float) -> None:
     local = SimpleNamespace(
         predict_rows=lambda values, rows: simulator.predict(values, problem.segments)[:, rows]
     )
-    found = of_the_physics_step(problem, Run(problem, rng), fit, local)
+    found = of_the_physics_step(problem, Run(problem, rng), fit, local, value)
     if step < 0.001:
         assert found == ()
         return

@@ -11,6 +11,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
+from dropo.core.services.validation import Array
 from dropo.estimators.support.first_mean.global_search import SETTINGS as EVERYWHERE
 from dropo.estimators.support.first_mean.global_search import GlobalSearchSettings
 from dropo.estimators.support.standard_errors import local_jacobian
@@ -75,7 +76,7 @@ def search_settings(problem: Problem) -> tuple[TrustRegionSettings, GlobalSearch
 
 
 def of_the_physics_step(
-    problem: Problem, run: Run, fit: Fit, objective: LocalLogLikelihood
+    problem: Problem, run: Run, fit: Fit, objective: LocalLogLikelihood, point: Array
 ) -> tuple[str, ...]:
     """Say which estimates are those of the model's physics step.
 
@@ -87,7 +88,9 @@ def of_the_physics_step(
         Counts the simulations.
     fit : Fit
     objective : LocalLogLikelihood
-        Of which the fit is the maximum; by its slopes the estimates would move.
+        Of which the fit is the maximum; by its slopes and weights the estimates would move.
+    point : (m,) array
+        Its unknowns at the fit.
 
     Returns
     -------
@@ -104,14 +107,18 @@ def of_the_physics_step(
         other = finer.predict(fit.mean[None], segments)[0]
     simulator.steps += finer.steps
     slopes = np.asarray(local_jacobian(objective, fit.mean, problem)[:])
-    variance = np.maximum(fit.epsilon, 1e-300)
-    residual = simulator.targets(segments) - own
-    weight = 1 / (variance * (1 + residual**2 / (ROUGH_TAILS * variance)))
+    moments = getattr(objective, "moments", None)
+    spread = np.diag(np.maximum(fit.epsilon, 1e-300))
+    covariance = spread[None] if moments is None else moments(point)[1]
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     there = np.isfinite(other) & np.isfinite(own)
-    weight = np.where(there, weight, 0.0)
+    residual = np.where(there, simulator.targets(segments) - own, 0.0)
     change = np.where(there, other - own, 0.0)
-    gram = np.einsum("rpi,rp,rpj->ij", slopes, weight, slopes)
-    moment = np.einsum("rpi,rp->i", slopes, weight * change)
+    z = (whiten @ residual[:, :, None])[:, :, 0]
+    weight = 1 / (ROUGH_TAILS + np.sum(z**2, axis=1))
+    along = whiten @ slopes
+    gram = np.einsum("rpi,r,rpj->ij", along, weight, along)
+    moment = np.einsum("rpi,r,rpq,rq->i", along, weight, whiten, change, optimize=True)
     moved = -np.linalg.pinv(gram, hermitian=True) @ moment
     far = np.flatnonzero(np.abs(moved) > fit.mean_se)
     if not len(far):
