@@ -78,10 +78,13 @@ def absent_in_single_steps(
     Returns
     -------
     bool
-        False where the windows are single steps themselves, or no command changes.
+        False where the windows are single steps themselves, no command changes, or signals were
+        estimated: a step from one estimate to the next has the errors of both in common, and what
+        is measured tells nothing of so short a time.
     """
     windows = sides[0].windows
-    if windows.length == 1 or not np.diff(windows.segments.actions.ravel()).any():
+    is_short = windows.length == 1 or windows.start_sd is not None
+    if is_short or not np.diff(windows.segments.actions.ravel()).any():
         return False
     fraction, error = magnitude_in_single_steps(library, sides, instance, floor, settings)
     nothing = fraction < settings.z * error
