@@ -113,7 +113,7 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
         ([str(damped), "--effects", "joint_dampin"], "Did you mean 'joint_damping'?"),
         ([str(damped), "--effects", "joint_damping:elbo"], "Did you mean 'elbow'?"),
         (["hoper"], "hopper"),
-        (["hopper", "--quick"], "from a fixed base"),
+        (["hopper", "--quick"], "that of 'rootx' is not observed"),
         (["torque-arm", "--quick", "--steps", "5"], "--steps belongs to the search"),
         (["swinging-pendulum", "--quick"], "needs a drive") if MEASURED else (["hoper"], "hopper"),
         ([str(damped), "--out", str(taken)], "a folder"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from dropo.cli.folder import LOCK, run_folder
+from dropo.cli.folder import run_folder
 from dropo.cli.main import main
 from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
 

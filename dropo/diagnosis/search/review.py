@@ -189,7 +189,10 @@ def _without_effect(selection: Selection, state: State, instance: EffectInstance
 
 
 def merge(selection: Selection, state: State, instances: Sequence[EffectInstance]) -> State:
-    """Replace several effects of a kind by one that acts everywhere alike.
+    """Replace several effects of a kind by fewer.
+
+    They are one that acts everywhere alike in place of local ones, or local ones at the other
+    places in place of one that acts everywhere and of those that undo it.
 
     Parameters
     ----------
@@ -203,7 +206,8 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
     Returns
     -------
     State
-        With the one effect if its fewer magnitudes outweigh the loss by BIC, else `state` itself.
+        With the fewer effects if their fewer magnitudes outweigh the loss by BIC, else `state`
+        itself.
     """
     for common in instances:
         acts_everywhere = common.target is None
@@ -214,35 +218,54 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
             for instance in state.accepted
             if instance.effect == common.effect and instance.target is not None
         ]
-        if len(local) < 2 or common in state.accepted:
+        fewer = [common]
+        replaced = local
+        if common in state.accepted:
+            taken = {instance.target for instance in local}
+            fewer = [
+                instance
+                for instance in instances
+                if instance.effect == common.effect
+                and instance.target is not None
+                and instance.target not in taken
+                and len(instance.quantities) == 1
+            ]
+            replaced = [common, *local]
+        if not local or not 0 < len(fewer) < len(replaced):
             continue
-        merged = _merged(selection, state, local, common)
-        # One magnitude takes the place of several: does that lose less than BIC asks for them?
+        merged = _merged(selection, state, replaced, fewer)
+        # Fewer magnitudes take the place of several: is the loss less than BIC asks for them?
         gain, _ = gain_of(state.train, merged.train)
-        magnitudes = sum(len(instance.quantities) for instance in local)
-        saved_penalty = 0.5 * (magnitudes - 1) * np.log(state.train.windows.steps)
+        magnitudes = sum(len(instance.quantities) for instance in replaced)
+        saved_penalty = 0.5 * (magnitudes - len(fewer)) * np.log(state.train.windows.steps)
         if -gain < saved_penalty:
-            _note_origin(selection, common)
+            for instance in fewer:
+                _note_origin(selection, instance)
             return merged
     return state
 
 
 def _merged(
-    selection: Selection, state: State, local: Sequence[EffectInstance], common: EffectInstance
+    selection: Selection,
+    state: State,
+    replaced: Sequence[EffectInstance],
+    fewer: Sequence[EffectInstance],
 ) -> State:
-    """The model with one common effect in the place of several local ones, fitted to the end."""
+    """The model with a few effects in the place of several of their kind, fitted to the end."""
     library = selection.library
-    of_common = library.places[common.label]
-    of_local = [library.places[instance.label] for instance in local]
-    replaced = np.concatenate(of_local)
-    # The common effect begins with the mean of the first magnitudes of the local ones.
+    of_fewer = np.concatenate([library.places[instance.label] for instance in fewer])
+    of_replaced = [library.places[instance.label] for instance in replaced]
+    # They begin with the mean of the first magnitudes, or with that of what acts everywhere.
+    first = [state.theta[places[0]] for places in of_replaced]
+    is_common = replaced[0].target is None
     theta = state.theta.copy()
-    theta[of_common] = np.mean([theta[indices[0]] for indices in of_local])
-    theta[replaced] = 0.0
+    theta[of_fewer] = first[0] if is_common else np.mean(first)
+    indices = np.concatenate(of_replaced)
+    theta[indices] = 0.0
     train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
-    free = np.append(np.setdiff1d(state.free, replaced), of_common)
-    kept = tuple(instance for instance in state.accepted if instance not in local)
-    start = replace(state, train=train, free=free, accepted=(*kept, common))
+    free = np.append(np.setdiff1d(state.free, indices), of_fewer)
+    kept = tuple(instance for instance in state.accepted if instance not in replaced)
+    start = replace(state, train=train, free=free, accepted=(*kept, *fewer))
     return selection.polish(start)
 
 
