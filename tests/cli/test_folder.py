@@ -12,6 +12,7 @@ import pytest
 from dropo.cli.folder import run_folder
 from dropo.cli.main import main
 from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
+from dropo.core.services.progress_file import LOCK
 
 RECORD = {"command": "test", "seed": 0}
 HOLD = """
