@@ -19,15 +19,16 @@ SBATCH = """#!{python}
 # Runs each task of an array in the background, as a node would, and lets `srun` begin its command.
 import itertools, os, re, subprocess, sys
 
-file = sys.argv[1]
-array = re.search(r"--array=0-(\\d+)", open(file).read())
+script = open(sys.argv[1]).read()  # as it is now: whoever submits moves the file then
+array = re.search(r"--array=0-(\\d+)", script)
 job = str(os.getpid())
 for task in range(int(array[1]) + 1) if array else [None]:
     own = dict(os.environ, SLURM_JOB_ID=job, SLURM_NTASKS="1", SLURM_PROCID="0", SLURM_LOCALID="0",
                SLURM_NODEID="0", SLURM_NNODES="1", SLURM_JOB_NODELIST="here")
     if task is not None:
         own.update(SLURM_ARRAY_JOB_ID=job, SLURM_ARRAY_TASK_ID=str(task))
-    subprocess.Popen(["bash", file], env=own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    silent = subprocess.DEVNULL
+    subprocess.Popen(["bash", "-c", script], env=own, stdout=silent, stderr=silent)
     open(os.path.join("{folder}", "jobs"), "a").write(f"{{job}} {{task}}\\n")
 print(f"Submitted batch job {{job}}")
 """
