@@ -47,6 +47,20 @@ def test_the_fit_is_a_minimum(rotor):
             assert 2.0 < cost - end.cost < 9.0
 
 
+def test_a_joint_that_mostly_rests_has_the_errors_of_its_motions(rotor):
+    """It moves a fifth of the time: its errors are those, not the median of none; another that
+    always moves has its own. A window that diverges has no say.
+    """
+    _, error, _ = rotor
+    rows = np.random.default_rng(0).normal(0.0, 0.1, (2, 500, len(error.motions.floor)))
+    rows[0, np.arange(500) % 5 > 0, 0] = 0.0
+    rows[1] = np.nan
+    resting, moving, *_ = error.scale_of(rows.reshape(2, -1))
+    assert 0.04 < resting < 0.1
+    assert 0.09 < moving < 0.11
+    assert (error.scale_of(rows[1:].reshape(1, -1)) >= error.motions.noise).all()
+
+
 def test_directions_that_motions_do_not_tell_are_unknown():
     """All drives' gain beside each drive's: together known as alone, apart not at all. A prior of
     0.2 on each is then all that is known; without one errors are far beyond it.

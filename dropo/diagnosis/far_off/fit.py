@@ -10,11 +10,10 @@ from scipy.optimize import lsq_linear
 
 from dropo.core.numerics.dependence import Units
 from dropo.core.numerics.robust_covariance import sandwich
-from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
-from dropo.diagnosis.far_off.motions import Motions
+from dropo.diagnosis.far_off.motions import Motions, outer_spread
 from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.record import recorded
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -165,12 +164,17 @@ class OutputError:
         return self.motions.residuals(self.library.predict(thetas, self.motions.windows))
 
     def scale_of(self, residuals: Array) -> Array:
-        """The robust spread (p',) of residuals (W, n)."""
-        floor = self.motions.floor
+        """The spread (p',) of residuals (W, n) that are finite, by the larger ones.
+
+        By the median, a joint that mostly rests would have tiny errors, and its few motions would
+        count for more than those of all other joints.
+        """
+        floor = np.maximum(self.motions.floor, self.motions.noise)
         rows = residuals.reshape(-1, len(floor))
-        if not np.isfinite(rows).any():
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if not len(rows):
             return floor
-        return np.maximum(deviation(rows), floor)
+        return np.maximum(outer_spread(rows), floor)
 
     def whitened(self, residuals: Array, scale: Array) -> Array:
         """Residuals (..., W, n) in units of their errors (..., W, N), the starts' noise taken out.
