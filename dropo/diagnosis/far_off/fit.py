@@ -42,7 +42,9 @@ class OutputErrorSettings:
     of_value : float
         Width of differences, as a fraction of a number, if that is less than the usual width ...
     of_value_central : float
-        ... and of differences both ways.
+        ... and of differences both ways, which are narrow.
+    settling : int
+        Jacobians at most, of those narrow ones, by which a fit settles.
     least_width : float
         But no less than this fraction of the usual width.
     piece : float
@@ -64,7 +66,8 @@ class OutputErrorSettings:
     sufficient: float = 0.3
     damping: tuple[float, ...] = (1e-8, 1e-4, 1e-2, 1.0)
     of_value: float = 0.01
-    of_value_central: float = 1e-3
+    of_value_central: float = 1e-5
+    settling: int = 2
     least_width: float = 1e-3
     piece: float = 0.5
     pieces: int = 10
@@ -286,6 +289,19 @@ class OutputError:
         fitted = self.linearize(theta, free)
         theta, gain = self._steps(fitted)
         return np.append(theta, gain <= self._small(fitted.cost))
+
+    def settle(self, end: Fitted) -> Fitted:
+        """Go on from a fit by narrow derivatives.
+
+        Along a direction that motions hardly tell, as where gain, rotor, damping and friction all
+        grow alike, wide differences are too coarse for what is known beside the motions to count.
+        """
+        for _ in range(self.settings.settling):
+            theta, gain = self._steps(end)
+            if gain <= self._small(end.cost):
+                break
+            end = self.linearize(theta, end.free, central=True)
+        return end
 
     def _small(self, cost: float) -> float:
         """The gain from which a fit has ended [nats]."""

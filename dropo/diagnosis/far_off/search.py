@@ -226,6 +226,9 @@ class FarOffSearch:
             fitted = _first(fitted, 0)
         error = self._error(model, fitted)
         end = error.linearize(model.theta, model.fitted, central=True)
+        if not interrupted:
+            end = error.settle(end)
+            model = model.at(end.theta)
         covariance = error.covariance(end, self._prior(model, end, np.inf))
         errors = self._bounded_errors(model, error, end, covariance)
         # What a number is beside the others does not depend on the scale of all forces.
@@ -299,14 +302,20 @@ class FarOffSearch:
         Each kind alone may explain little, so those that were refused are tried together.
         """
         refused: list[str] = []
+        latest: list[str] = []
         for number, names in enumerate(self.settings.families):
             if not self._is_misfit(model, sides.fitted):
                 return model
+            wider = with_families(model, names)
+            if wider is model:
+                continue
             self.progress(0.3 + 0.1 * number, f"fitting more numbers: {', '.join(names)}")
-            better = self._better(model, with_families(model, names), sides)
-            refused += names if better is model else ()
+            better = self._better(model, wider, sides)
+            latest = list(names) if better is model else []
+            refused += latest
             model = better
-        if refused and self._is_misfit(model, sides.fitted):
+        # The last group alone has just been refused.
+        if refused != latest and self._is_misfit(model, sides.fitted):
             self.progress(0.6, f"fitting more numbers: {', '.join(refused)}")
             model = self._better(model, with_families(model, refused), sides)
         return model
