@@ -168,7 +168,7 @@ class Diagnosis(Report):
         """The finding in a few sentences."""
         sentences = [self._error_sentence()] if self.baseline.horizons else []
         for cause in self.causes:
-            sentences += _cause_sentences(cause)
+            sentences += _cause_sentences(cause, certain=self.verdict == "explained")
         sentences.append(INTERRUPTED if self.interrupted else VERDICTS[self.verdict])
         if self.verdict in ("partly", "unexplained") and self.remaining.where:
             sentences.append(f"It shows in {'; '.join(self.remaining.where)}.")
@@ -317,12 +317,14 @@ def _number(error: float) -> str:
     return number(error, 3) if np.isfinite(error) else "diverges"
 
 
-def _cause_sentences(cause: Cause) -> list[str]:
-    """The cause, what differs with its size, and what it cannot be distinguished from."""
+def _cause_sentences(cause: Cause, *, certain: bool) -> list[str]:
+    """The cause, what differs with its size, and what it cannot be distinguished from.
+
+    certain: whether nothing is left that may be another cause, which this one stands for in part.
+    """
+    sentences = [f"{'Cause' if certain else 'Acts like'}: {cause.sentence}."]
     if cause.acts_like:
-        sentences = [f"Acts like: {cause.sentence}. Its size differs with {cause.acts_like}."]
-    else:
-        sentences = [f"Cause: {cause.sentence}."]
+        sentences.append(f"Its size differs with {cause.acts_like}.")
     doubt = None if cause.stability is None else cause.stability.doubt()
     if doubt is not None:
         sentences.append(f"Other effects promise more in {doubt}.")

@@ -1,6 +1,7 @@
 """A whole diagnosis, on the arm with two joints."""
 
 import json
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -105,6 +106,13 @@ def test_headline_says_it_in_words(damped):
     assert "N m s/rad" in text
     assert text.endswith("After adding it, nothing remains unexplained.")
     assert text in str(damped)
+
+
+def test_what_explains_in_part_is_not_called_the_cause(damped):
+    """Where something remains, another cause may be behind it."""
+    text = replace(damped, verdict="partly").headline()
+    assert "Acts like: joint damping at elbow" in text
+    assert "Cause:" not in text
 
 
 def test_json_is_the_contracts(damped, tmp_path):
