@@ -106,10 +106,15 @@ def _interrupts_are_heard():
 
 @pytest.fixture(autouse=True, scope="module")
 def _plug_ins_are_forgotten():
-    """What the tests of a file register is no part of what the next file lists."""
-    from dropo.core.services import registry
+    """What the tests of a file register is no part of what the next file lists or records."""
+    from dropo.core.services import plugin_files, registry
 
+    kept = (plugin_files._loaded, plugin_files._sums)
     before = {kind: dict(plugins) for kind, plugins in registry._registered.items()}
+    files_before = [dict(files) for files in kept]
     yield
     registry._registered.clear()
     registry._registered.update(before)
+    for files, known in zip(kept, files_before, strict=True):
+        files.clear()
+        files.update(known)
