@@ -8,9 +8,10 @@ import shlex
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import dropo
 from dropo._version import __version__
@@ -31,7 +32,7 @@ from dropo.cli import (
 )
 from dropo.cli import list as list_
 from dropo.cli.output import close_standard_output, open_standard_streams
-from dropo.core.services.errors import BadArgument, DropoError, InvalidInput
+from dropo.core.services.errors import BadArgument, DropoError, DropoWarning, InvalidInput
 
 DONE = 0
 FAILED = 1
@@ -86,7 +87,7 @@ def _run(argv: Sequence[str] | None) -> int:
     except SystemExit as stop:  # --help and --version
         return int(stop.code or DONE)
     arguments.command_line = shlex.join(["dropo", *(sys.argv[1:] if argv is None else argv)])
-    with _terminable():
+    with _terminable(), _warning_in_a_line():
         _load_plugins(arguments.plugin)
         return int(arguments.run(arguments))
 
@@ -111,6 +112,24 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _warning_in_a_line() -> Iterator[None]:
+    """Print warnings of a run that goes on like refusals; those of libraries as they are."""
+    usual = warnings.showwarning
+
+    def show(message: Any, category: type[Warning], *place: Any, **further: Any) -> None:
+        if issubclass(category, DropoWarning):
+            _say(f"warning: {message}")
+        else:
+            usual(message, category, *place, **further)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = usual
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -146,12 +165,17 @@ def _describe(error: OSError) -> str:
 
 def _fail(message: str, status: int) -> int:
     """Print a message on standard error, in one line."""
+    _say(message)
+    return status
+
+
+def _say(message: str) -> None:
+    """Print a line on standard error."""
     line = " ".join(message.split())
     if len(line) > LONGEST:
         line = f"{line[:LONGEST]}..."
     with suppress(OSError):  # where standard error is full, the status alone tells
         print(f"dropo: {line}", file=sys.stderr, flush=True)
-    return status
 
 
 if __name__ == "__main__":

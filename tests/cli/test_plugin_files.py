@@ -185,3 +185,46 @@ def test_what_a_problem_file_cannot_name_is_refused(cart: Path, value: str, mess
     cart.write_text(f"{TEXT}\nplugins: {value}\n")
     with pytest.raises(BadFile, match=message):
         load(cart)
+
+
+NO_NUMBERS = """
+from dataclasses import dataclass, replace
+from dropo import register
+from dropo.estimators.least_squares import LeastSquares
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoNumbers(LeastSquares):
+    name = "no-numbers"
+
+    def _fit(self, problem, run):
+        fit = super()._fit(problem, run)
+        return replace(fit, {field}=fit.{field} * float("nan"))
+
+
+register("methods", "no-numbers", NoNumbers)
+"""
+
+
+@pytest.mark.parametrize(
+    ("field", "words"),
+    [
+        ("mean", "The 'mean of mass' of method 'no-numbers' must be a finite number. Got nan"),
+        ("sd", "The 'sd of mass' of method 'no-numbers' must be a finite number. Got nan"),
+        ("phi", "The 'phi' of method 'no-numbers' must be finite. Got [nan"),
+    ],
+)
+def test_a_method_that_finds_no_numbers_is_refused(
+    field: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In one line that names the method and the parameter; nothing is printed or written."""
+    file = tmp_path / "no_numbers_of_the_test.py"
+    file.write_text(NO_NUMBERS.replace("{field}", field))
+    command = ["fit", "slide", "--method", "no-numbers", "--plugin", str(file)]
+    for out in ([], ["--out", str(tmp_path / "out")]):
+        assert main([*command, *out]) == 2
+        printed, said = capsys.readouterr()
+        assert (printed, said.count("\n")) == ("", 1)
+        assert words in said
+    assert not (tmp_path / "out").exists()
+    sys.modules.pop(file.stem, None)

@@ -336,3 +336,39 @@ def test_points_outside_the_box_are_refused():
         optimizer.beyond = beyond
         with pytest.raises(BadArgument, match=rf"inside the unit box \[0, 1\]. Got .*{shown}"):
             optimizer.ask()
+
+
+class Wandering(CallbackOptimizer):
+    """A minimiser that takes a step out of the box."""
+
+    def _minimise(self, cost):
+        cost(self.start)
+        cost(self.start + 0.75)
+        return "It went on to its end."
+
+
+class AsksItself(Outside):
+    """Its own `ask` comes past the check of the contract."""
+
+    def ask(self):
+        return np.full((1, self.dimension), 1.25)
+
+
+@pytest.mark.parametrize("kind", [Wandering, AsksItself])
+def test_no_way_of_asking_comes_past_the_box(kind):
+    """A minimiser's point is not clipped in silence, whose cost it would take for its own; what a
+    public `ask` gives is looked at too. Nothing is evaluated there, and no thread is left.
+    """
+    evaluated = []
+    before = threading.active_count()
+
+    def objective(phi):
+        evaluated.append(SPACE.to_unit(phi).tolist())
+        return 0.0
+
+    optimizer = kind(2, np.random.default_rng(0), budget=9)
+    words = rf"'points' of {kind.__name__}.ask must be .*\[0, 1\]. Got \[1.25, 1.25\]"
+    with pytest.raises(BadArgument, match=words):
+        maximize(objective, SPACE, optimizer, run())
+    assert all(0 <= x <= 1 for point in evaluated for x in point)
+    assert threading.active_count() == before

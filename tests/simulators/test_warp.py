@@ -1,5 +1,8 @@
 """MuJoCo Warp on the CPU against MuJoCo; skipped where the package is not installed."""
 
+import sys
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,7 +10,7 @@ import pytest
 from dropo.core.contracts.noise import Noise
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services import optional_dependencies
-from dropo.core.services.errors import Incompatible, MissingPackage
+from dropo.core.services.errors import DropoWarning, Incompatible, MissingPackage
 from dropo.core.services.registry import find
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.linear import Linear
@@ -15,9 +18,11 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.loading import load
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.toy import SlidingBlock
+from dropo.simulators.warp import simulator as warp_module
 from dropo.simulators.warp.simulator import WarpSimulator
 from dropo.testing import check_simulator
 
+pytestmark = pytest.mark.filterwarnings("ignore:Warp finds no CUDA device")
 NEEDED = ("warp", "mujoco_warp")
 BALL = """
 <mujoco>
@@ -174,3 +179,25 @@ def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setattr(optional_dependencies, "find_spec", lambda name: None)
     with pytest.raises(MissingPackage, match=r"pip install 'dropo\[warp\]'"):
         WarpSimulator(ball(parameters=[MASS])[0])
+
+
+@pytest.mark.parametrize(
+    ("there", "named", "chosen", "says"),
+    [
+        (["cpu"], None, "cpu", True),
+        (["cpu"], "cpu", "cpu", False),
+        (["cpu", "cuda:0"], None, "cuda:0", False),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_the_cpu_is_taken_with_a_warning(there, named, chosen, says, monkeypatch):
+    """Where nobody named it; Warp itself is not needed to say so."""
+    config = SimpleNamespace(log_level=0)
+    found = SimpleNamespace(config=config, LOG_ERROR=3, get_devices=lambda: there)
+    monkeypatch.setitem(sys.modules, "warp", found)
+    monkeypatch.setattr(warp_module, "need", lambda *packages, **more: None)
+    if says:
+        with pytest.warns(DropoWarning, match="no CUDA device .* about 30 times slower"):
+            assert warp_module._device(named) == chosen
+    else:
+        assert warp_module._device(named) == chosen

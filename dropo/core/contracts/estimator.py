@@ -1,5 +1,6 @@
 """The contract of estimators: a problem in, a fit out."""
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -14,7 +15,7 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.fit import Fit
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.evaluation_log import EvaluationLog
-from dropo.core.services.validation import Array, require
+from dropo.core.services.validation import Array, check_shape, require
 
 Progress = Callable[[float, str], None]
 """Is called with the fraction of the work that is done, 0 to 1, and a text."""
@@ -180,7 +181,8 @@ class Estimator(ABC):
         Raises
         ------
         BadArgument
-            If the problem has no parameters.
+            If the problem has no parameters, or the method finds a mean or a spread that is not
+            finite.
         Incompatible
             If the problem has priors, and the method uses none.
         """
@@ -197,6 +199,7 @@ class Estimator(ABC):
         # The simulator's threads use the cores; small matrix products gain nothing from more.
         with threadpool_limits(1, user_api="blas"):
             fit = self._fit(problem, run)
+        self._check_numbers(fit)
         seed = int(rng) if isinstance(rng, int | np.integer) else None
         return replace(
             fit,
@@ -208,6 +211,17 @@ class Estimator(ABC):
             inner_evaluations=run.inner_evaluations,
             source=problem.source,
         )
+
+    def _check_numbers(self, fit: Fit) -> None:
+        """Refuse a fit whose means, spreads or member of the family are no numbers."""
+        owner = f"method {self.name!r}"
+        for what in ("mean", "scale", "sd"):
+            values = np.asarray(getattr(fit, what), dtype=float)
+            check_shape(what, values, (len(fit.space),), owner)
+            for name, value in zip(fit.space.names, values.tolist(), strict=True):
+                require(math.isfinite(value), f"{what} of {name}", "a finite number", value, owner)
+        phi = np.asarray(fit.phi, dtype=float)
+        require(bool(np.isfinite(phi).all()), "phi", "finite", phi.tolist(), owner)
 
     def _check_priors(self, problem: Problem) -> None:
         """Refuse priors that would be left out in silence."""

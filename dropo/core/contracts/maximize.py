@@ -8,7 +8,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.likelihood import LogLikelihood
-from dropo.core.contracts.optimizer import Optimizer
+from dropo.core.contracts.optimizer import Optimizer, points_inside
 from dropo.core.contracts.simulator import WITHOUT_GRADIENTS
 from dropo.core.records.fit import Status
 from dropo.core.records.parameters import ParameterSpace
@@ -106,7 +106,7 @@ def maximize(
     status = Status.CONVERGED
     try:
         while (reason := optimizer.stop()) is None and done < optimizer.budget:
-            points = optimizer.ask()
+            points = points_inside(optimizer.ask(), optimizer)
             if done + len(points) > optimizer.budget:
                 rule = f"at least {len(points)}, the first batch"
                 require(done > 0, "budget", rule, optimizer.budget, type(optimizer).__name__)

@@ -88,14 +88,7 @@ class Optimizer(ABC):
             If the optimizer has stopped, or its points have another dimension or lie outside the
             box by more than rounding.
         """
-        caller = type(self).__name__
-        points = np.atleast_2d(self._ask())
-        check_shape("points", points, (None, self.dimension), caller)
-        inside = np.clip(points, 0.0, 1.0)
-        outside = ~(np.abs(points - inside) <= ROUNDING)
-        rule = "inside the unit box [0, 1]"
-        require(not outside.any(), "points", rule, points[outside][:3].tolist(), f"{caller}.ask")
-        return inside
+        return points_inside(self._ask(), self)
 
     def tell(self, points: ArrayLike, costs: ArrayLike, gradients: ArrayLike | None = None) -> None:
         """Tell the costs of the points that `ask` gave.
@@ -150,6 +143,36 @@ class Optimizer(ABC):
         """The reason to stop in a sentence; None while there is more to do."""
 
 
+def points_inside(points: ArrayLike, optimizer: Optimizer) -> Array:
+    """Check points that an optimizer asks for; its class may have an `ask` of its own.
+
+    Parameters
+    ----------
+    points : (P, m) or (m,) array_like
+        What it asks for.
+    optimizer : Optimizer
+        Who asks.
+
+    Returns
+    -------
+    (P, m) array
+        The same; those that are outside of the unit box by rounding, on its bound.
+
+    Raises
+    ------
+    BadArgument
+        If the points have another dimension, or lie outside the box by more than rounding.
+    """
+    caller = type(optimizer).__name__
+    asked = np.atleast_2d(np.asarray(points, dtype=float))
+    check_shape("points", asked, (None, optimizer.dimension), caller)
+    inside = np.clip(asked, 0.0, 1.0)
+    outside = ~(np.abs(asked - inside) <= ROUNDING)
+    rule = "inside the unit box [0, 1]"
+    require(not outside.any(), "points", rule, asked[outside][:3].tolist(), f"{caller}.ask")
+    return inside
+
+
 class _Closed(BaseException):
     """Unwinds a minimiser whose optimizer was closed."""
 
@@ -201,7 +224,7 @@ class CallbackOptimizer(Optimizer):
 
     def _cost(self, point: Array) -> tuple[float, Array | None]:
         """The cost and gradient of a point (m,), once they are told; called in the thread."""
-        self._questions.put(np.clip(np.array(point, dtype=float), 0.0, 1.0))
+        self._questions.put(np.array(point, dtype=float))  # `ask` refuses it outside of the box
         answer = self._answers.get()
         if answer is None:
             self._answers.put(None)  # for a minimiser that catches the exception and asks again

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints, Segments
-from dropo.core.services.errors import Incompatible
+from dropo.core.services.errors import DropoWarning, Incompatible
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array, require
 from dropo.mjmodel.fields import OPTION
@@ -20,6 +20,11 @@ from dropo.simulators.mujoco.simulator import MAX_STATE, MujocoSimulator
 
 ROOM = 6
 """How often the room for contacts and constraints is doubled where a world needs more."""
+
+ON_THE_CPU = (
+    "Warp finds no CUDA device and simulates on the CPU, in single precision and about 30 times"
+    " slower than MuJoCo itself: leave the simulator 'warp' out, or use a computer with a GPU."
+)
 
 
 class WarpSimulator(Simulator):
@@ -33,7 +38,8 @@ class WarpSimulator(Simulator):
     cpu : MujocoSimulator
         In whose place it is: the model, its parameters, and the columns of the data.
     device : str, optional
-        As Warp names them: "cuda:0", "cpu"; by default a GPU where there is one.
+        As Warp names them: "cuda:0", "cpu"; by default a GPU where there is one, else the CPU,
+        with a warning.
     worlds : int
         How many are simulated at a time at most; halved, with a warning, where memory ends.
 
@@ -196,7 +202,7 @@ class WarpSimulator(Simulator):
         half = -(-len(states) // 2)
         self.worlds = min(self.worlds, half)
         sentence = f"{self.device} has no memory for {len(states)} worlds: going on with {half}."
-        warnings.warn(sentence, RuntimeWarning, stacklevel=2)
+        warnings.warn(sentence, DropoWarning, stacklevel=2)
         seen = []
         last = []
         for which in (slice(0, half), slice(half, None)):
@@ -291,4 +297,6 @@ def _device(named: str | None) -> str:
     chosen = named or next((name for name in there if name.startswith("cuda")), "cpu")
     if chosen not in there:
         raise Incompatible(f"Warp finds no device {chosen!r}. It finds {', '.join(there)}.")
+    if named is None and chosen == "cpu":
+        warnings.warn(ON_THE_CPU, DropoWarning, stacklevel=3)
     return chosen
