@@ -127,7 +127,7 @@ def run_answer(arguments: argparse.Namespace) -> int:
     finally:
         progress.close()
     write_json(arguments.out, answers)
-    journal.unlink(missing_ok=True)
+    work.release()
     return 0
 
 

@@ -4,6 +4,7 @@ A command imports what it needs when it runs, so that `--help` is quick.
 """
 
 import argparse
+import os
 import shlex
 import signal
 import sys
@@ -54,13 +55,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        The arguments; those of the process by default.
+        The arguments; those of the process by default, which ends here if an interrupted study has
+        left simulations at work: nothing waits for them.
 
     Returns
     -------
     int
         The exit status: 0 done, 1 failed, 2 refused with nothing written.
     """
+    status = _status(argv)
+    if argv is None:
+        _end_with_what_runs(status)
+    return status
+
+
+def _end_with_what_runs(status: int) -> None:
+    """End the process at once where simulations go on that nobody waits for.
+
+    All files are closed by now. Daemon threads alone would not do: they come back from C while the
+    interpreter takes itself apart.
+    """
+    from dropo.core.services.daemon_threads import calls_are_running
+
+    if calls_are_running():
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(status)
+
+
+def _status(argv: Sequence[str] | None) -> int:
+    """The exit status of one command, whatever it ends in."""
     open_standard_streams()
     try:
         return _run(argv)

@@ -179,10 +179,12 @@ def run_and_keep(arguments: argparse.Namespace, noun: str, study_of: "Callable[.
                 out=out, executor=executor, threads=arguments.threads, progress=progress
             )
             show_and_save(arguments, study, study.to_json(), partial(keep_study, study, out))
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         kept = f"Interrupted: with --out, a {noun} can be resumed."
         if out:
-            kept = "Interrupted: the same command goes on from here."
+            number = getattr(stop, "kept", 0)
+            count = f"{number} finished task{'' if number == 1 else 's'}"
+            kept = f"Interrupted, stopping: {count} kept, the same command goes on from here."
         raise DropoError(kept) from None
     finally:
         progress.close()

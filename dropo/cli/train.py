@@ -230,8 +230,8 @@ def _refuse_other_model(folder: Path, target: Any) -> None:
 def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") -> dict[str, Any]:
     """Everything that decides the policy."""
     from dropo._version import __version__
-    from dropo.cli.record import problem_record
     from dropo.core.contracts.problem import Problem
+    from dropo.problems.record import problem_record
     from dropo.training.train import settings
 
     fit = None

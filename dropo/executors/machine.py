@@ -2,21 +2,31 @@
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 
+from dropo.core.services.daemon_threads import DaemonThreads
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import require
 from dropo.executors.restarting import Restarting
+
+LEFT_ALONE = (signal.signal, (signal.SIGINT, signal.SIG_IGN))
+"""What a worker does first: Ctrl-C is for the process that waits for it, which ends it."""
 
 
 @contextmanager
 def threads(place: str) -> Iterator[Executor]:
     """Threads of this process; a number behind the name, or one for each core."""
-    with ThreadPoolExecutor(_number(place, "threads"), thread_name_prefix="executor") as pool:
+    pool = DaemonThreads(_number(place, "threads"), "executor")
+    try:
         yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
 
 
 @contextmanager
@@ -24,7 +34,7 @@ def processes(place: str) -> Iterator[Executor]:
     """Processes of this machine; a number behind the name, or one for each core."""
     number = _number(place, "processes")
     fresh = multiprocessing.get_context("spawn")
-    with _closed(partial(ProcessPoolExecutor, number, mp_context=fresh)) as pool:
+    with _closed(partial(ProcessPoolExecutor, number, fresh, *LEFT_ALONE)) as pool:
         yield pool
 
 
@@ -34,18 +44,22 @@ def joblib(place: str) -> Iterator[Executor]:
     need("joblib", extra="joblib", caller="The executor 'joblib'")
     from joblib.externals.loky import ProcessPoolExecutor as Loky
 
-    with _closed(partial(Loky, _number(place, "joblib"))) as pool:
+    initializer, what = LEFT_ALONE
+    number = _number(place, "joblib")
+    with _closed(partial(Loky, number, initializer=initializer, initargs=what)) as pool:
         yield pool
 
 
 @contextmanager
 def _closed(make: Callable[[], Executor]) -> Iterator[Executor]:
-    """A pool that restarts, closed without waiting for what was not asked for any more."""
+    """A pool that restarts; after an error or an interruption, its workers are ended."""
     pool = Restarting(make)
     try:
         yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    except BaseException:
+        pool.end_workers()
+        raise
+    pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _number(place: str, name: str) -> int:

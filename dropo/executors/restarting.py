@@ -51,6 +51,13 @@ class Restarting(Executor):
             future.cancel()
         self._pool.shutdown(wait=wait)
 
+    def end_workers(self) -> None:
+        """Close the pool without waiting: calls are cancelled, and processes at work ended."""
+        workers = list((getattr(self._pool, "_processes", None) or {}).values())
+        self.shutdown(wait=False, cancel_futures=True)
+        for worker in workers:
+            worker.terminate()
+
     def _start(self, answer: Future[Any], call: Callable[[], Any]) -> None:
         """Hand a call to the pool of the moment."""
         with self._lock:

@@ -1,9 +1,19 @@
 """Journals: what was added is read again, whatever was cut off, damaged, doubled or exchanged."""
 
+import re
+
+import numpy as np
 import pytest
 
-from dropo.core.services.errors import BadFile
-from dropo.core.services.journal import Journal, format_line, read_lines
+from dropo.core.services.errors import BadFile, DropoWarning
+from dropo.core.services.journal import (
+    MADE_WITH,
+    Journal,
+    format_line,
+    read_lines,
+    require_same,
+    versions,
+)
 
 WHAT = "a journal of a test"
 HEADER = {"seed": 0, "bounds": [0.1, 1e-300]}
@@ -30,7 +40,7 @@ def test_nothing_is_written_before_the_first_entry(tmp_path):
 
 def test_what_was_added_is_read_bit_for_bit(path):
     assert Journal(path, HEADER, WHAT).entries == [{"value": i / 3} for i in range(5)]
-    assert read_lines(path, WHAT)[0] == HEADER
+    assert read_lines(path, WHAT)[0] == HEADER | {MADE_WITH: versions()}
 
 
 @pytest.mark.parametrize("line", range(1, 6))
@@ -89,3 +99,49 @@ def test_other_files_are_refused(tmp_path, text, message):
     with pytest.raises(BadFile, match=message):
         Journal(path, HEADER, WHAT)
     assert path.read_text() == text
+
+
+def test_other_versions_go_on_with_a_warning(tmp_path, monkeypatch):
+    """The first line says which versions and kernel a run began with; another is named beside."""
+    path = tmp_path / "journal.jsonl"
+    Journal(path, {"a": 1}, "a journal").append(1)
+    made_with = read_lines(path, "a journal")[0][MADE_WITH]
+    assert set(made_with) == {"numpy", "scipy", "mujoco", "BLAS kernel"}
+    assert made_with["numpy"] == np.__version__
+    assert Journal(path, {"a": 1}, "a journal").entries == [1]  # warnings are errors here
+    others = made_with | {"numpy": "1.0", "BLAS kernel": "Other"}
+    monkeypatch.setattr("dropo.core.services.journal.versions", lambda: others)
+    kernel = made_with["BLAS kernel"]
+    words = f"numpy {np.__version__} then and 1.0 now, BLAS kernel {kernel} then and Other now"
+    with pytest.warns(DropoWarning, match=re.escape(words)):
+        journal = Journal(path, {"a": 1}, "a journal")
+    journal.append(2)
+    assert len(read_lines(path, "a journal")) == 3
+
+
+def test_an_interrupted_line_may_be_added_again(tmp_path, monkeypatch):
+    """Before it is on disk as after: no number is left out, so that nothing behind it is lost."""
+    path = tmp_path / "journal.jsonl"
+    journal = Journal(path, {}, "a journal")
+    journal.append("first")
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    for place in ("dropo.core.services.journal._end_of_cut_line", "os.fsync"):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                journal.append(place)
+        journal.append(place)
+    journal.append("last")
+    kept = Journal(path, {}, "a journal").entries
+    assert kept == ["first", "dropo.core.services.journal._end_of_cut_line", "os.fsync", "last"]
+
+
+def test_settings_that_differ_are_shown(tmp_path):
+    """Those that are short, with both values."""
+    ours = {"seeds": 5, "sum": "a" * 64, "same": 1}
+    theirs = {"seeds": 3, "sum": "b" * 64, "same": 1}
+    with pytest.raises(BadFile, match=r"seeds, sum: .*run: seeds 3 there and 5 here .use another"):
+        require_same(tmp_path / "run.json", ours, theirs)

@@ -145,7 +145,8 @@ def test_a_command_resumes_and_writes(
     command = ["compare", "--method", "least-squares", "--problem", "slide", "--seeds", "2"]
     command += ["--transitions", "40", "--threads", "1", "--out", str(tmp_path / "out")]
     assert main(command) == 1
-    assert capsys.readouterr().err.endswith("Interrupted: the same command goes on from here.\n")
+    said = "stopping: 2 finished tasks kept, the same command goes on from here.\n"
+    assert capsys.readouterr().err.endswith(said)
     stops = {("least-squares", 1)}
     assert main(command) == 1
     stops = set()
@@ -155,6 +156,38 @@ def test_a_command_resumes_and_writes(
     assert list(content["data"]["fits"]["slide"]) == ["dropo", "least-squares"]
     assert (tmp_path / "out" / "comparison.svg").is_file()
     assert not list((tmp_path / "out").glob(".*.jsonl"))
+
+
+def test_a_problem_file_that_changed_is_fitted_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An interrupted comparison keeps the fits of the file's other content, and uses none."""
+    real = module.fitted
+    done: list[int] = []
+    stops = {1}
+
+    def fitted(item: dict[str, Any]) -> dict[str, Any]:
+        if item["seed"] in stops:
+            raise KeyboardInterrupt
+        done.append(item["seed"])
+        return real(item | {"variant": {"method": "least-squares", "settings": {}}})
+
+    monkeypatch.setattr(module, "fitted", fitted)
+    dropo.write_problem(dropo.hide("torque-arm", (), seed=1, threads=1), tmp_path)
+    path = tmp_path / "problem.yaml"
+    command = ["compare", "--method", "least-squares", "--problem", str(path)]
+    command += ["--seeds", "2", "--transitions", "30", "--threads", "1"]
+    command += ["--out", str(tmp_path / "out"), "--quiet"]
+    assert main(command) == 1
+    assert set(done) == {0}
+    done.clear()
+    data = dict(np.load(path.with_name("data.npz")))
+    data["observations"][0] += 1e-6
+    np.savez(path.with_name("data.npz"), **data)
+    stops.clear()
+    assert main(command) == 0
+    assert sorted(done) == [0, 0, 1, 1]
+    assert list((tmp_path / "out").glob(".*.jsonl"))
 
 
 @pytest.mark.parametrize(

@@ -8,16 +8,25 @@ number that stands there twice counts once.
 
 import json
 import os
+import warnings
 import zlib
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_info
+
 from dropo.core.services.atomic_write import naming
-from dropo.core.services.errors import BadFile
+from dropo.core.services.errors import BadFile, DropoWarning
 from dropo.core.services.saved_files import require_version
 
 ENTRY = '"entry": '
 """What stands between a line's checksum and its content."""
+MADE_WITH = "made_with"
+"""The header's entry of what a run began with, which decides its last digits alone."""
+LONGEST = 40
+"""Characters of a setting that a message shows."""
 
 
 class Journal:
@@ -28,7 +37,8 @@ class Journal:
     path : Path
         The file, read if it is there.
     header : dict
-        What the run is; it stands in the first line.
+        What the run is: all settings that decide its entries. It stands in the first line, with the
+        versions behind the run.
     what : str
         What the file should be, for messages.
 
@@ -45,19 +55,25 @@ class Journal:
 
     def __init__(self, path: Path, header: dict[str, Any], what: str):
         self.path = path
-        self._header = header
+        self._header = header | {MADE_WITH: dict(versions())}
         self._next = 0
         self.entries: list[Any] = []
         if not path.exists():
             return
         found = read_lines(path, what)
         if found:
-            require_same(self.path, json.loads(json.dumps(self._header)), found[0])
+            theirs = dict(found[0]) if isinstance(found[0], dict) else {}
+            before = theirs.pop(MADE_WITH, None)
+            require_same(self.path, json.loads(json.dumps(header)), theirs)
+            _warn_of_others(self.path, before)
             self._next = len(found)
             self.entries = found[1:]
 
     def append(self, entry: Any) -> None:
         """Add an entry, behind the header where it is the first.
+
+        Its number is taken once it is on disk: after an interruption in between, the same entry may
+        be added again.
 
         Parameters
         ----------
@@ -66,18 +82,40 @@ class Journal:
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with naming(self.path), self.path.open("ab+") as file:
-            lines = [] if self._next else [self._header]
-            lines.append(entry)
-            text = "".join(map(self._line, lines))
-            file.write(_end_of_cut_line(file) + text.encode())
+            contents = [entry] if self._next else [self._header, entry]
+            lines = [format_line(self._next + i, content) for i, content in enumerate(contents)]
+            file.write(_end_of_cut_line(file) + "".join(lines).encode())
             file.flush()
             os.fsync(file.fileno())
+        self._next += len(contents)
 
-    def _line(self, content: Any) -> str:
-        """The next line."""
-        line = format_line(self._next, content)
-        self._next += 1
-        return line
+
+@cache
+def versions() -> dict[str, str]:
+    """The versions behind a run's numbers, and the kernels with which BLAS multiplies here.
+
+    Returns
+    -------
+    dict of str to str
+    """
+    pools = threadpool_info()
+    kernels = {pool.get("architecture") or "" for pool in pools if pool["user_api"] == "blas"}
+    found = {name: version(name) for name in ("numpy", "scipy", "mujoco")}
+    return {**found, "BLAS kernel": ", ".join(sorted(filter(None, kernels)))}
+
+
+def _warn_of_others(path: Path, before: Any) -> None:
+    """Warn where a run goes on with other versions than it began with."""
+    if not isinstance(before, dict):
+        return
+    now = versions()
+    differ = [name for name in now if before.get(name) != now[name]]
+    if differ:
+        pairs = ", ".join(f"{name} {before.get(name)} then and {now[name]} now" for name in differ)
+        sentence = (
+            f"{path}: it goes on with other numerics than it began with, which round otherwise"
+        )
+        warnings.warn(f"{sentence}: {pairs}.", DropoWarning, stacklevel=3)
 
 
 def require_same(path: Path, ours: dict[str, Any], theirs: Any) -> None:
@@ -100,8 +138,30 @@ def require_same(path: Path, ours: dict[str, Any], theirs: Any) -> None:
     before = theirs if isinstance(theirs, dict) else {}
     differ = sorted(key for key in {*ours, *before} if ours.get(key) != before.get(key))
     if differ:
-        got = "those of another run (use another --out, or the settings of that run)"
+        pairs = describe_differences(ours, before)
+        got = f"those of another run{pairs} (use another --out, or the settings of that run)"
         raise BadFile(path, ", ".join(differ), "the settings of this run", got)
+
+
+def describe_differences(ours: dict[str, Any], theirs: dict[str, Any]) -> str:
+    """Write the settings that differ, as far as they are short.
+
+    Parameters
+    ----------
+    ours, theirs : dict
+        Settings of two runs, as JSON has them.
+
+    Returns
+    -------
+    str
+        Such as ": seeds 3 there and 5 here"; empty where none can be shown.
+    """
+    shown = []
+    for key in sorted({*ours, *theirs}):
+        there, here = (json.dumps(settings.get(key)) for settings in (theirs, ours))
+        if there != here and max(len(there), len(here)) <= LONGEST:
+            shown.append(f"{key} {there} there and {here} here")
+    return f": {', '.join(shown)}" if shown else ""
 
 
 def read_lines(path: Path, what: str) -> list[Any]:

@@ -1,17 +1,22 @@
 """`dropo.compare`: methods and their parts side by side on the same data sets."""
 
+import hashlib
+import json
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dropo.core.contracts.estimator import Progress, silent
+from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.services.errors import BadArgument, DropoError
 from dropo.core.services.validation import Array, require
+from dropo.problems.record import problem_record
 from dropo.studies.comparison.data_sets import data_set
 from dropo.studies.comparison.summary import DEFAULT_TARGET, NAME, Fits, Target, summarized
 from dropo.studies.engine.recover import journal_of, keep_study
@@ -105,27 +110,37 @@ def run_comparison(
     require(seeds >= 1, "seeds", "at least 1", seeds, "compare")
     enough = transitions is None or transitions >= 1
     require(enough, "transitions", "at least 1", transitions, "compare")
-    dimensions = {name: _checked(name, variants, transitions) for name in problems}
+    made = {name: _checked(name, variants, transitions) for name in problems}
+    sums = {name: _sum(problem) for name, problem in made.items()}
     path = None if out is None else journal_of(out, NAME)
     work = Work(executor, threads=threads, progress=progress, path=path)
     items = []
     for problem in problems:
         for variant in variants:
             for seed in range(seeds):
-                items.append(_item(problem, variant, seed, transitions))
-    answers = iter(work.map(fitted, items))
+                items.append(_item(problem, variant, seed, transitions, sums[problem]))
+    with work.counted():
+        answers = iter(work.map(fitted, items))
     fits: Fits = {}
     for problem in problems:
         fits[problem] = {
             variant.label: [next(answers) for _ in range(seeds)] for variant in variants
         }
-    units = np.repeat([dimensions[problem] + 1 for problem in problems], seeds)
+    units = np.repeat([len(made[problem].space) + 1 for problem in problems], seeds)
     used = "all transitions" if transitions is None else f"the first {transitions} transitions"
     title = (
         f"{len(variants)} variants on {len(problems)} problems, {seeds} data sets each, of {used};"
         f" {variants[0].label} is the reference"
     )
-    return summarized(title, fits, variants, units, seeds, target)
+    settings = {
+        "variants": [variant.to_json() for variant in variants],
+        "problems": problems,
+        "seeds": seeds,
+        "transitions": transitions,
+        "target": asdict(target),
+    }
+    found = summarized(title, fits, variants, units, seeds, target)
+    return replace(found, settings=settings, release=work.release)
 
 
 def fitted(item: Mapping[str, Any]) -> dict[str, Any]:
@@ -134,7 +149,8 @@ def fitted(item: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     item : mapping
-        problem, seed and transitions of the data set, and the variant.
+        problem, seed and transitions of the data set, and the variant; `content`, a sum of the
+        problem, tells it from another of the same name.
 
     Returns
     -------
@@ -185,19 +201,28 @@ def _distinct(estimators: Sequence[Any]) -> list[Variant]:
     return variants
 
 
-def _checked(problem: str, variants: Sequence[Variant], transitions: int | None) -> int:
-    """Refuse what cannot be made before anything is fitted; the number of parameters."""
+def _checked(problem: str, variants: Sequence[Variant], transitions: int | None) -> Problem:
+    """Refuse what cannot be made before anything is fitted; the first data set."""
     made, _ = data_set(problem, 0, transitions)
     for variant in variants:
         variant.estimator(made)
-    return len(made.space)
+    return made
 
 
-def _item(problem: str, variant: Variant, seed: int, transitions: int | None) -> dict[str, Any]:
-    """The item of a fit."""
+def _sum(problem: Problem) -> str:
+    """The SHA-256 of what a problem is: a file of the same name may hold another one later."""
+    record = problem_record(problem)
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def _item(
+    problem: str, variant: Variant, seed: int, transitions: int | None, content: str
+) -> dict[str, Any]:
+    """The item of a fit; content: a sum of what the problem is."""
     return {
         "problem": problem,
         "seed": seed,
         "transitions": transitions,
         "variant": variant.to_json(),
+        "content": content,
     }

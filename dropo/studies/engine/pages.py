@@ -1,12 +1,17 @@
 """Writes a study into a folder: its text, its numbers, its figure, and its block of the README."""
 
+import hashlib
+import json
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from dropo.core.services.atomic_write import write_json, write_text
-from dropo.core.services.errors import BadFile
+from dropo.core.services.errors import BadFile, DropoWarning
+from dropo.core.services.journal import describe_differences
+from dropo.core.services.saved_files import read_json
 from dropo.studies.engine.study import Study
 
 
@@ -14,7 +19,8 @@ def write(study: Study, folder: Path) -> None:
     """Writes a study's files into a folder.
 
     They are `<study>.md`, `<study>.json` and, if it draws, `<study>.svg`. In the folder's README.md
-    the text between `<!-- study: <name> -->` and `<!-- end -->` is replaced.
+    the text between `<!-- study: <name> -->` and `<!-- end -->` is replaced. What the folder holds
+    of the same study under other settings is kept beside, under another name.
 
     Parameters
     ----------
@@ -28,6 +34,7 @@ def write(study: Study, folder: Path) -> None:
     BadFile
         If the study's block of README.md has no end.
     """
+    keep_others(study, folder)
     if study.draw is not None:
         write_text(folder / f"{study.name}.svg", picture(study.draw))
     write_json(folder / f"{study.name}.json", study.to_json())
@@ -35,6 +42,43 @@ def write(study: Study, folder: Path) -> None:
     readme = folder / "README.md"
     if readme.is_file():
         write_text(readme, with_block(readme.read_text(), study, readme))
+
+
+def keep_others(study: Study, folder: Path) -> None:
+    """Rename the files of the same study under other settings, with a warning.
+
+    Parameters
+    ----------
+    study : Study
+        What is to be written.
+    folder : Path
+        Where.
+
+    Raises
+    ------
+    BadFile
+        If the numbers that are there cannot be read.
+    """
+    page = folder / f"{study.name}.json"
+    if not page.is_file():
+        return
+    theirs = read_json(page, "the numbers of a study").get("settings")
+    ours = study.to_json().get("settings")
+    if not isinstance(theirs, dict) or ours is None or theirs == ours:
+        return
+    text = json.dumps(theirs, sort_keys=True)
+    name = f"{study.name}.{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    for suffix in (".svg", ".md", ".json"):  # the last one says whose they are
+        own = folder / f"{study.name}{suffix}"
+        if not own.is_file():
+            continue
+        if suffix == ".md":
+            picture_of = own.read_text(encoding="utf-8")
+            write_text(own, picture_of.replace(f"({study.name}.svg)", f"({name}.svg)"))
+        own.replace(folder / f"{name}{suffix}")
+    differ = describe_differences(ours, theirs)
+    sentence = f"{page}: what other settings found is kept as {name}.json{differ}."
+    warnings.warn(sentence, DropoWarning, stacklevel=2)
 
 
 def markdown(study: Study) -> str:

@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -116,6 +117,8 @@ def run_study(
     ------
     UnknownName, BadArgument, Incompatible
         As `recover`.
+    Interrupted
+        In place of a KeyboardInterrupt; it says how many answers are kept.
     """
     study = find("studies", name)
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "recover")
@@ -131,14 +134,21 @@ def run_study(
     for option in sorted(options.keys() - inspect.signature(study).parameters.keys()):
         options_of = NAMES.get(option, f"--{option}")
         raise Incompatible(f"The study {name!r} {LACKS[option]}. Leave {options_of} out.")
-    if out is None:
-        return study(Work(executor, threads=threads, progress=progress), seeds, **options)
-    work = Work(executor, threads=threads, progress=progress, path=journal_of(out, name))
-    return study(work, seeds, **options)
+    path = None if out is None else journal_of(out, name)
+    work = Work(executor, threads=threads, progress=progress, path=path)
+    with work.counted():
+        finished: Study = study(work, seeds, **options)
+    settings = {
+        "seeds": seeds,
+        "published": published,
+        "problems": list(problems),
+        "variants": [variant.to_json() for variant in variants],
+    }
+    return replace(finished, settings=settings, release=work.release)
 
 
 def keep_study(study: Study, out: str | Path | None) -> None:
-    """Writes a finished study, and removes the journal of its tasks.
+    """Writes a finished study, and removes the journal of its tasks unless it holds others' too.
 
     Parameters
     ----------
@@ -156,7 +166,8 @@ def keep_study(study: Study, out: str | Path | None) -> None:
         return
     folder = Path(out)
     write(study, folder)
-    journal_of(folder, study.name).unlink(missing_ok=True)
+    if study.release is not None:
+        study.release()
 
 
 def journal_of(out: str | Path, name: str) -> Path:

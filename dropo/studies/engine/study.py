@@ -33,6 +33,10 @@ class Study(Report):
         Every number unrounded, by names: dicts, lists, numbers and strings; NaN becomes null.
     draw : callable or None
         `draw(figure)` draws on a matplotlib Figure.
+    settings : dict
+        What decides the study beside its name, as JSON has it.
+    release : callable or None
+        Is called once the study is written: what was kept of its tasks may go.
     """
 
     name: str
@@ -41,6 +45,8 @@ class Study(Report):
     remarks: tuple[str, ...] = ()
     data: dict[str, Any] = field(default_factory=dict)
     draw: Callable[[Any], None] | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
+    release: Callable[[], None] | None = None
 
     def parts(self) -> list[str | Table]:
         """The title, the tables and the remarks, with an empty line between."""
@@ -52,12 +58,13 @@ class Study(Report):
         return parts
 
     def to_json(self) -> dict[str, Any]:
-        """The study as JSON: name, version, title, remarks and data."""
+        """The study as JSON: name, version, settings, title, remarks and data."""
         from dropo._version import __version__
 
         return {
             "study": self.name,
             "version": __version__,
+            **({"settings": _plain(self.settings)} if self.settings else {}),
             "title": self.title,
             "remarks": list(self.remarks),
             "data": _plain(self.data),

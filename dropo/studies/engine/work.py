@@ -5,8 +5,9 @@ Tasks that an interrupted study had finished are not run again.
 
 import json
 import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, as_completed
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ from threadpoolctl import threadpool_limits
 
 from dropo._version import __version__
 from dropo.core.contracts.estimator import Progress, silent
+from dropo.core.services.daemon_threads import DaemonThreads
 from dropo.core.services.journal import Journal
+from dropo.core.services.plugin_files import plugin_sums
 
 ANSWERS = "the finished tasks of a study, one JSON line each"
 """What the file is, for messages."""
@@ -23,10 +26,26 @@ Task = Callable[[Any], dict[str, Any]]
 """A function of an item that JSON can hold; its answer depends on the item alone."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """A study was interrupted.
+
+    Parameters
+    ----------
+    kept : int
+        How many answers its journal holds.
+    """
+
+    def __init__(self, kept: int):
+        super().__init__(f"{kept} answers are kept")
+        self.kept = kept
+
+
 class Work:
     """Runs tasks on an executor's workers or on threads.
 
     A task's answer depends on its item alone, so results are the same on any executor.
+    Answers are kept by task and item, so that runs of other settings may share a journal: each uses
+    those that are its own, and leaves the others where they are.
 
     Parameters
     ----------
@@ -39,6 +58,11 @@ class Work:
     path : Path or None
         File that keeps the answers of finished tasks, a journal; an interrupted study is resumed
         from it.
+
+    Raises
+    ------
+    BadFile
+        If another version, or other plug-in files, wrote the journal.
     """
 
     def __init__(
@@ -53,10 +77,12 @@ class Work:
         self.threads = threads or os.cpu_count() or 1
         self.progress = progress
         self.path = path
-        header = {"version": __version__}
+        plugins = plugin_sums()
+        header = {"version": __version__, **({"plugins": plugins} if plugins else {})}
         self._journal = None if path is None else Journal(path, header, ANSWERS)
         kept = [] if self._journal is None else self._journal.entries
         self._answers: dict[str, str] = dict(kept)
+        self._unused = set(self._answers)
 
     def map(self, task: Task, items: Iterable[Any]) -> list[dict[str, Any]]:
         """Runs a task on every item.
@@ -80,11 +106,12 @@ class Work:
             That of the first task that fails; finished tasks are kept.
         """
         keyed = [(_key(task, item), item) for item in items]
+        self._unused.difference_update(key for key, _ in keyed)
         missing = [(key, item) for key, item in keyed if key not in self._answers]
         if self.executor is not None:
             self._run(self.executor, task, missing, len(keyed))
         elif missing:
-            pool = ThreadPoolExecutor(min(self.threads, len(missing)), thread_name_prefix="study")
+            pool = DaemonThreads(min(self.threads, len(missing)), "study")
             try:
                 self._run(pool, task, missing, len(keyed))
             finally:
@@ -106,10 +133,30 @@ class Work:
         dict
             As JSON gives it back.
         """
+        self._unused.discard(key)
         if key not in self._answers:
             self._add(key, json.dumps(make()))
         answer: dict[str, Any] = json.loads(self._answers[key])
         return answer
+
+    @contextmanager
+    def counted(self) -> Iterator[None]:
+        """Say with an interruption of a block how many answers are kept.
+
+        Raises
+        ------
+        Interrupted
+            In place of `KeyboardInterrupt`.
+        """
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise Interrupted(len(self._answers)) from None
+
+    def release(self) -> None:
+        """Remove the journal of a study that is written, unless it holds what another run made."""
+        if self.path is not None and not self._unused:
+            self.path.unlink(missing_ok=True)
 
     def _run(
         self, executor: Executor, task: Task, missing: list[tuple[str, Any]], total: int
@@ -135,9 +182,9 @@ class Work:
 
     def _add(self, key: str, answer: str) -> None:
         """Keeps an answer, in the file too."""
-        self._answers[key] = answer
         if self._journal is not None:
             self._journal.append([key, answer])
+        self._answers[key] = answer
 
 
 def _on_one_thread(task: Task, item: Any) -> dict[str, Any]:
