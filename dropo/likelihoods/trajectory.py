@@ -171,10 +171,10 @@ class Trajectory(RunLikelihood):
         search = _Search(self, problem.simulator, problem.trajectories, length, unmeasured)
         search.take_noise(noise)
         search.prior = MeanPrior(problem.priors, problem.space)
-        look, found = search.run(run, mean)
+        place, found = search.run(run, mean)
         if found.status is not Status.INTERRUPTED:
-            look, found = search.with_spread(run, look, found, family)
-        return search.fit(problem, family, look, found)
+            place, found = search.with_spread(run, place, found, family)
+        return search.fit(problem, family, search.look_of(place), found)
 
     def bind(
         self,
@@ -240,6 +240,39 @@ class _Look:
         return np.asarray(self.condensed.information.sum(axis=0))
 
 
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """How a look was made, so that it can be made again: its state as it was looked at, the half
+    widths of its differences in parameters (d,), and the noise law that was found there.
+    """
+
+    state: _State
+    value_step: Array
+    law: NoiseLaw
+
+
+@dataclass(frozen=True, eq=False)
+class _Position:
+    """What the next round needs: the state to look at, the step (d,) behind the best look that led
+    there and which share of it, how often noise was looked into, the half widths (d,) of the next
+    differences, the best look so far, and the sentence in which the search ended, if it has.
+    """
+
+    state: _State
+    step: Array
+    share: float
+    chosen: int
+    value_step: Array
+    best: _Place | None
+    ended: str = ""
+
+
+ENDS = ("", SETTLED, STALLED)
+"""How a round may leave the search, by the number in its record."""
+GOES_ON, IS_SETTLED, IS_DONE = range(3)
+"""The numbers of a turn's record: groups move still, they do not, or their simulations diverge."""
+
+
 class _Search:
     """The joint search of one problem's parameters, starts and noise."""
 
@@ -273,6 +306,7 @@ class _Search:
         self.law: NoiseLaw | None = None
         self.given = False
         self.degrees: float | None = None
+        self._last_look: tuple[_Place, _Look] | None = None
 
     # --- what is given
 
@@ -300,12 +334,15 @@ class _Search:
 
     # --- one round
 
-    def look(self, state: _State) -> _Look:
-        """Linearize a state; count its simulations with those of the problem's simulator."""
+    def look(self, state: _State, value_step: Array | None = None) -> _Look:
+        """Linearize a state, by differences in parameters of the first half widths or of others
+        (d,); count its simulations with those of the problem's simulator.
+        """
+        widths = self.value_step if value_step is None else value_step
         whole = self.observed.simulator
         before = whole.steps, whole.failures
         unit = 1 / np.sqrt(self.start_prior)
-        steps = Steps(self.start_step, self.value_step, unit, self.settings.growth)
+        steps = Steps(self.start_step, widths, unit, self.settings.growth)
         try:
             columns, windows = linearize_windows(
                 self.observed,
@@ -388,62 +425,159 @@ class _Search:
 
     # --- the search
 
-    def run(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
-        """Rounds until nothing moves."""
-        self._best: _Look | None = None
+    def run(self, run: Run, mean: Array) -> tuple[_Place, SearchResult]:
+        """Rounds until nothing moves, each of them recorded."""
+        self._position = _Position(
+            self.first(mean), np.zeros(len(mean)), 1.0, 0, self.value_step, None
+        )
+        self._count = 0
         try:
-            return self._rounds(run, mean)
+            status, reason = self._rounds(run)
         except KeyboardInterrupt:
-            if self._best is None:
+            if self._position.best is None:
                 raise
-            return self._best, self._result(self._best, Status.INTERRUPTED, INTERRUPTED, 0)
+            status, reason = Status.INTERRUPTED, INTERRUPTED
+        best = self._position.best
+        assert best is not None
+        count = 0 if status is Status.INTERRUPTED else self._count
+        return best, self._result(self.look_of(best), status, reason, count)
 
-    def _rounds(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
-        """The search, whose best look is kept for an interruption."""
-        settings = self.settings
-        step = np.zeros(len(mean))
-        share = 1.0
-        chosen = 0
-        state = self.first(mean)
-        for count in range(1, settings.rounds + 1):
-            best = self._best
-            look: _Look | None = None
+    def look_of(self, place: _Place) -> _Look:
+        """The look that was made at a place, made again, not counted, where it was recorded."""
+        if self._last_look is None or self._last_look[0] is not place:
+            simulator = self.simulator
+            counted = simulator.steps, simulator.failures
+            look = self.look(place.state, place.value_step)
+            simulator.steps, simulator.failures = counted
+            state = replace(look.state, law=place.law)
+            look = replace(look, state=state, condensed=self._condense(look.columns, state))
+            self._last_look = (place, look)
+        return self._last_look[1]
+
+    def _placed(self, state: _State, value_step: Array, look: _Look) -> _Place:
+        """The place of a look at a state, which is remembered."""
+        place = _Place(state, value_step, look.state.law)
+        self._last_look = (place, look)
+        return place
+
+    def _rounds(self, run: Run) -> tuple[Status, str]:
+        """The search; how it ended."""
+        while self._count < self.settings.rounds:
+            self._position = self._recorded_round(run, self._position)
+            self._count += 1
+            if self._position.ended:
+                return Status.CONVERGED, self._position.ended
+            run.progress(min(0.95, self._count / 8), f"round {self._count}, whole runs")
+        return Status.OUT_OF_BUDGET, UNSETTLED
+
+    def _recorded_round(self, run: Run, position: _Position) -> _Position:
+        """A round, or its record in the evaluation log.
+
+        A record holds the log-likelihood of the best look, whether this round's look is that, the
+        number of the end, share, chosen, step (d,), half widths (d,), the noise law of the best
+        look (3 m,), and, where the search goes on, the state to look at next. A first look that
+        diverges is one NaN.
+        """
+        reached: _Position | None = None
+
+        def evaluate(_: Array) -> Array:
+            nonlocal reached
             try:
-                look = self._counted(run, state)
+                reached = self._round(position)
             except SimulationFailed:
-                if best is None:
-                    raise
-            if best is not None and (look is None or self._is_worse(look, best, chosen > 0)):
-                # Further from the measurements than before: half of the step.
-                share /= 2
-                if share < 0.5**settings.halvings:
-                    best = self.with_noise(best, choose=chosen < 2)
-                    return best, self._result(best, Status.CONVERGED, STALLED, count)
-                state = self.moved(best, step, share)
-                state = replace(state, law=best.state.law)
-                continue
-            assert look is not None
-            near = best is not None and bool(
-                np.all(np.abs(step) < settings.close * self.errors(best))
-            )
-            look = self.with_noise(look, choose=near and chosen < 2)
-            chosen += near
-            step = self.step_of(look)
-            share = 1.0
-            self._best = look
-            errors = self.errors(look)
-            run.progress(min(0.95, count / 8), f"round {count}, whole runs")
-            done = bool(np.all(np.abs(step) < settings.settled * errors))
-            if done and (chosen >= 2 or (self.given and count > 2)):
-                return look, self._result(look, Status.CONVERGED, SETTLED, count)
-            least = settings.least_value_step * self.width
-            self.value_step = np.clip(errors, least, settings.value_step * self.width)
-            state = self.moved(look, step)
-            if not near:  # far off, motion may have looked more unstable than it is
-                state = replace(state, windows=self.first_windows)
-        assert self._best is not None
-        return self._best, self._result(
-            self._best, Status.OUT_OF_BUDGET, UNSETTLED, settings.rounds
+                return np.full((1, 1), np.nan)
+            assert reached.best is not None
+            value = float(self.look_of(reached.best).condensed.values.sum())
+            is_best = position.best is None or reached.best.state is not position.best.state
+            law = reached.best.law
+            numbers = [value, is_best, ENDS.index(reached.ended), reached.share, reached.chosen]
+            parts = [numbers, reached.step, reached.value_step, law.sd, law.memory, law.degrees]
+            if not reached.ended:
+                parts.append(self._packed(reached.state))
+            return np.concatenate(parts)[None]
+
+        record = run.evaluate(position.state.value[None], evaluate)[0]
+        if reached is not None:
+            return reached
+        if len(record) == 1:
+            self.look(position.state, position.value_step)  # diverges again, and says where
+            raise SimulationFailed("Simulations of a recorded round diverged.")
+        (_, is_best, end, share, chosen), rest = np.split(record, [5])
+        d = len(self.width)
+        m = int(self.observed.measured.sum())
+        places = np.cumsum([d, d, m, m, m])
+        step, value_step, sd, memory, degrees, state = np.split(rest, places)
+        law = NoiseLaw(sd, memory, degrees)
+        if is_best:
+            best = _Place(position.state, position.value_step, law)
+        else:
+            assert position.best is not None
+            best = replace(position.best, law=law)
+        following = self._unpacked(state, law) if len(state) else position.state
+        return _Position(following, step, share, int(chosen), value_step, best, ENDS[int(end)])
+
+    def _round(self, position: _Position) -> _Position:
+        """Look at the state, and step from there, or half as far from the best look."""
+        settings = self.settings
+        best = None if position.best is None else self.look_of(position.best)
+        look: _Look | None = None
+        try:
+            look = self.look(position.state, position.value_step)
+        except SimulationFailed:
+            if best is None:
+                raise
+        if best is not None and (look is None or self._is_worse(look, best, position.chosen > 0)):
+            # Further from the measurements than before: half of the step.
+            assert position.best is not None
+            share = position.share / 2
+            if share < 0.5**settings.halvings:
+                best = self.with_noise(best, choose=position.chosen < 2)
+                place = self._placed(position.best.state, position.best.value_step, best)
+                return replace(position, best=place, ended=STALLED)
+            state = self.moved(best, position.step, share)
+            return replace(position, state=replace(state, law=best.state.law), share=share)
+        assert look is not None
+        near = best is not None and bool(
+            np.all(np.abs(position.step) < settings.close * self.errors(best))
+        )
+        look = self.with_noise(look, choose=near and position.chosen < 2)
+        place = self._placed(position.state, position.value_step, look)
+        chosen = position.chosen + near
+        step = self.step_of(look)
+        errors = self.errors(look)
+        done = bool(np.all(np.abs(step) < settings.settled * errors))
+        if done and (chosen >= 2 or (self.given and self._count > 1)):
+            return replace(position, best=place, chosen=chosen, ended=SETTLED)
+        least = settings.least_value_step * self.width
+        value_step = np.clip(errors, least, settings.value_step * self.width)
+        state = self.moved(look, step)
+        if not near:  # far off, motion may have looked more unstable than it is
+            state = replace(state, windows=self.first_windows)
+        return _Position(state, step, 1.0, chosen, value_step, place)
+
+    def _packed(self, state: _State) -> Array:
+        """A state but for its noise law in a row of numbers."""
+        own = np.zeros(0) if state.own is None else state.own.ravel()
+        cuts = np.flatnonzero(state.windows.cut & ~state.windows.runs.terminals)
+        sizes = [len(own), len(cuts)]
+        return np.concatenate([sizes, state.value, own, cuts, state.starts.ravel()])
+
+    def _unpacked(self, row: Array, law: NoiseLaw) -> _State:
+        """The state of such a row."""
+        d = len(self.width)
+        groups, count = (int(size) for size in row[:2])
+        value, own, cuts, starts = np.split(row[2:], np.cumsum([d, groups, count]))
+        windows = self.first_windows
+        if count:
+            cut = windows.cut.copy()
+            cut[cuts.astype(np.int64)] = True
+            windows = replace(windows, cut=cut)
+        return _State(
+            value,
+            starts.reshape(len(self.first_windows.segments), -1),
+            windows,
+            law,
+            own.reshape(-1, d) if groups else None,
         )
 
     def _is_worse(self, look: _Look, best: _Look, law_is_known: bool) -> bool:
@@ -457,11 +591,6 @@ class _Search:
             lost = 0.5 * np.sum(counts * np.log(ratio))
         lost += self.prior.value(best.state.value) - self.prior.value(look.state.value)
         return bool(lost > self.settings.worse)
-
-    def _counted(self, run: Run, state: _State) -> _Look:
-        """A look whose simulations count as an evaluation."""
-        with run.counting(evaluations=1):
-            return self.look(state)
 
     def _result(self, look: _Look, status: Status, reason: str, count: int) -> SearchResult:
         """How the search ended; the point is filled in with the family."""
@@ -488,36 +617,83 @@ class _Search:
         return own
 
     def with_spread(
-        self, run: Run, look: _Look, found: SearchResult, family: Family
-    ) -> tuple[_Look, SearchResult]:
+        self, run: Run, place: _Place, found: SearchResult, family: Family
+    ) -> tuple[_Place, SearchResult]:
         """The same, with every group linearized at its own parameters, where groups differ."""
         for turn in range(self.settings.spread_rounds):
-            objective = self.objective(look.state, family, look)
-            phi = self._member(objective, family, look)
-            varied = family.sd(phi[: len(family.unknowns)]) > self.errors(look)
-            if turn == 0 and not varied.any():
+            if turn == 0 and not self._varies(self.look_of(place), family):
                 break
-            group = _groups(look.state.windows)
-            modes = objective.modes(phi)
-            step = modes - objective.centre
-            own = np.exp(modes) if family.logarithmic else modes
-            space = self.simulator.space
-            own = np.clip(own, space.low, space.high)
-            before = look.state.value if look.state.own is None else look.state.own
-            starts = look.state.starts + self._start_steps(look, (own - before)[group])
-            within = self.prior.within
-            mean = np.clip(family.mean(phi[: len(family.unknowns)]), within.low, within.high)
-            state = replace(look.state, value=mean, own=own, starts=starts)
-            try:
-                look = self.with_noise(self._counted(run, state), choose=turn == 0)
-            except SimulationFailed:
-                break
-            known = np.linalg.inv(objective.information + np.diag(self.width**-2.0))
-            error = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
-            if (np.abs(step) < self.settings.settled_mode * error).all():
+            place, outcome = self._recorded_turn(run, place, family, is_first=turn == 0)
+            if outcome == IS_SETTLED:
                 count = found.evaluations + turn + 1
-                return look, self._result(look, Status.CONVERGED, SETTLED_APART, count)
-        return look, found
+                look = self.look_of(place)
+                return place, self._result(look, Status.CONVERGED, SETTLED_APART, count)
+            if outcome == IS_DONE:
+                break
+        return place, found
+
+    def _varies(self, look: _Look, family: Family) -> bool:
+        """Whether some parameter differs from group to group by more than its error."""
+        phi = self._member(self.objective(look.state, family, look), family, look)
+        return bool((family.sd(phi[: len(family.unknowns)]) > self.errors(look)).any())
+
+    def _recorded_turn(
+        self, run: Run, place: _Place, family: Family, *, is_first: bool
+    ) -> tuple[_Place, int]:
+        """A turn of the groups, or its record in the evaluation log.
+
+        A record holds the log-likelihood, the outcome, the noise law (3 m,), and the state that was
+        looked at; where simulations diverge, the first two alone.
+        """
+        reached: tuple[_Place, int] | None = None
+
+        def evaluate(_: Array) -> Array:
+            nonlocal reached
+            reached = self._turn(place, family, is_first=is_first)
+            value = float(self.look_of(reached[0]).condensed.values.sum())
+            law = reached[0].law
+            parts: list[Any] = [[value, reached[1]]]
+            if reached[1] != IS_DONE:
+                parts += [law.sd, law.memory, law.degrees, self._packed(reached[0].state)]
+            return np.concatenate(parts)[None]
+
+        record = run.evaluate(place.state.value[None], evaluate)[0]
+        if reached is not None:
+            return reached
+        outcome = int(record[1])
+        if outcome == IS_DONE:
+            return place, outcome
+        m = int(self.observed.measured.sum())
+        sd, memory, degrees, state = np.split(record[2:], np.cumsum([m, m, m]))
+        law = NoiseLaw(sd, memory, degrees)
+        # What was looked at still had the law before: it decides nothing of a look.
+        return _Place(self._unpacked(state, law), self._position.value_step, law), outcome
+
+    def _turn(self, place: _Place, family: Family, *, is_first: bool) -> tuple[_Place, int]:
+        """Every group linearized at its own parameters, and whether they have settled."""
+        look = self.look_of(place)
+        objective = self.objective(look.state, family, look)
+        phi = self._member(objective, family, look)
+        group = _groups(look.state.windows)
+        modes = objective.modes(phi)
+        step = modes - objective.centre
+        own = np.exp(modes) if family.logarithmic else modes
+        space = self.simulator.space
+        own = np.clip(own, space.low, space.high)
+        before = look.state.value if look.state.own is None else look.state.own
+        starts = look.state.starts + self._start_steps(look, (own - before)[group])
+        within = self.prior.within
+        mean = np.clip(family.mean(phi[: len(family.unknowns)]), within.low, within.high)
+        state = replace(look.state, value=mean, own=own, starts=starts)
+        value_step = self._position.value_step
+        try:
+            look = self.with_noise(self.look(state, value_step), choose=is_first)
+        except SimulationFailed:
+            return place, IS_DONE
+        known = np.linalg.inv(objective.information + np.diag(self.width**-2.0))
+        error = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
+        settled = bool((np.abs(step) < self.settings.settled_mode * error).all())
+        return self._placed(state, value_step, look), IS_SETTLED if settled else GOES_ON
 
     def fit(self, problem: Problem, family: Family, look: _Look, found: SearchResult) -> RunFit:
         """The maximum in the family, and the problem as it was compared."""

@@ -371,10 +371,10 @@ def test_a_folder_of_another_run_is_refused(
     assert main(arguments) == 0
     before = (out / "fit.json").read_text()
     assert main([*arguments, "--seed", "1"]) == 2
-    got = "those of another run (use another --out, or the settings of that run)"
-    assert (
-        capsys.readouterr().err
-        == f"dropo: {out}/run.json: seed: expected the settings of this run, got {got}.\n"
+    got = "those of another run: seed 0 there and 1 here"
+    way_out = "(use another --out, or the settings of that run)"
+    assert capsys.readouterr().err == (
+        f"dropo: {out}/run.json: seed: expected the settings of this run, got {got} {way_out}.\n"
     )
     data = dict(np.load(problem.parent / "data.npz"))
     data["next_observations"][0] += 1e-9

@@ -8,7 +8,8 @@ import pytest
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.errors import Incompatible
+from dropo.core.services.errors import Incompatible, SimulationFailed
+from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.trajectory import Trajectory, TrajectorySettings
@@ -194,3 +195,78 @@ def test_an_imu_tells_more_than_angles():
     for fit in (angles, both):
         assert (np.abs(fit.mean - imu_arm.TRUTH) < 4.5 * fit.mean_se).all()
     assert (np.array(both.mean_se) < 0.7 * np.array(angles.mean_se)).all()
+
+
+def logged(problem, path, progress=lambda fraction, text: None):
+    """A fit whose rounds are recorded, as fit.json has it, and the simulator steps made for it."""
+    before = problem.simulator.steps
+    fit = DROPO(likelihood="trajectory").fit(
+        problem, rng=0, evaluation_log=EvaluationLog(path), progress=progress
+    )
+    content = fit.to_json()
+    del content["wall_time_s"]
+    return content, problem.simulator.steps - before
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.3])
+def test_an_interrupted_search_goes_on_to_the_same_bits(spread, tmp_path):
+    """From whatever round is recorded, turns of the groups among them: what it found, and what that
+    cost in all, are those of a search that nothing interrupted; it simulates less again.
+    """
+    problem = block(runs=6, steps=30, spread=spread)
+    path = tmp_path / "evaluations.jsonl"
+    whole, steps = logged(problem, path)
+    lines = path.read_text().splitlines(keepends=True)
+    assert len(lines) > 4
+    made_again = []
+    for kept in sorted({2, 4, len(lines) - 1, len(lines)}):
+        path.write_text("".join(lines[:kept]))
+        again, more = logged(problem, path)
+        assert again == whole, kept
+        assert path.read_text() == "".join(lines)
+        made_again.append(more)
+    assert made_again == sorted(made_again, reverse=True)
+    assert made_again[-1] < 0.6 * steps
+    assert ("differ from group to group" in whole["message"]) == (spread > 0)
+
+
+def test_ctrl_c_keeps_the_rounds_and_their_best(tmp_path):
+    """Interrupted after three rounds, it gives the best so far; the same again goes on from it."""
+    problem = block(runs=6, steps=30)
+    whole, _ = logged(problem, tmp_path / "whole.jsonl")
+
+    def stop(fraction, text):
+        if text.startswith("round 3"):
+            raise KeyboardInterrupt
+
+    path = tmp_path / "evaluations.jsonl"
+    assert logged(problem, path, stop)[0]["status"] == "interrupted"
+    assert (tmp_path / "whole.jsonl").read_text().startswith(path.read_text())
+    assert logged(problem, path)[0] == whole
+
+
+class Bursting(SlidingBlock):
+    """It diverges where the mass is large."""
+
+    def _predict(self, values, segments, offsets):
+        out = super()._predict(values, segments, offsets)
+        out[values[..., 0].ravel()[: len(out)] > 1.0] = np.nan
+        return out
+
+
+def test_a_first_look_that_diverged_is_recorded(tmp_path):
+    """What is recorded behind it keeps its place; it is refused in the same words."""
+    problem = replace(block(runs=2, steps=20), simulator=Bursting())
+    mean = (problem.space.low + problem.space.high) / 2
+    noise = Noise(np.full(2, 1e-2), "each")
+    family = TruncatedGaussian(problem.space)
+    said = []
+    for _ in range(2):
+        log = EvaluationLog(tmp_path / "evaluations.jsonl")
+        run = Run(problem, np.random.default_rng(0), log)
+        with pytest.raises(SimulationFailed) as error:
+            Trajectory().fit_runs(problem, run, family, noise, mean)
+        said.append(str(error.value))
+        run.evaluate(mean[None], lambda points: np.zeros((1, 1)))
+    assert said[0] == said[1]
+    assert log.replayed == 2
