@@ -191,9 +191,10 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     evaluation_log = EvaluationLog(folder.file("evaluations.jsonl"), record)
     progress = Progress(silent=arguments.quiet, path=folder.file(PROGRESS))
     try:
-        fit = estimator.fit(
-            problem, rng=arguments.seed, evaluation_log=evaluation_log, progress=progress
-        )
+        with progress.answering():
+            fit = estimator.fit(
+                problem, rng=arguments.seed, evaluation_log=evaluation_log, progress=progress
+            )
     finally:
         progress.close()
     if spans:

@@ -4,10 +4,13 @@ import argparse
 import io
 import json
 import os
+import signal
+import socket
 import sys
+import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -17,8 +20,10 @@ MOST_THREADS = 1024
 """Threads that a computer may have cores for."""
 EVERY = 10.0
 """Seconds from one line of progress to the next, where no bar can be drawn."""
-AT_ONCE = "stopping"
-"""What a text begins with that does not wait: the answer to Ctrl-C."""
+AT_ONCE = ("stopping", "an iteration takes")
+"""What texts begin with that do not wait: the answer to Ctrl-C, and what a long run will cost."""
+STOPPING = "stopping after this iteration's simulations"
+"""The answer to Ctrl-C, which cannot end what is simulated in C."""
 SOON = 0.02
 """Fraction of the work before which the time left is a guess, and is not shown."""
 
@@ -62,11 +67,66 @@ class Progress:
             return
         if self._draws:
             self._draw(text, left)
+            if text.startswith(AT_ONCE):
+                self.say(text)
         elif text.startswith(AT_ONCE) or time.monotonic() - self._last_line >= EVERY:
             self._last_line = time.monotonic()
             times = ", ".join(part for part in (_clock(spent), left) if part)
             with suppress(OSError):  # a pipe that nobody reads ends no run
                 print(f"dropo: {self._done:.0%}, {times}: {text}", file=self.stream, flush=True)
+
+    def say(self, text: str) -> None:
+        """Print a line of its own at once, on a terminal above the bar, unless this is silent.
+
+        Parameters
+        ----------
+        text : str
+            What to say.
+        """
+        if self.silent:
+            return
+        line = f"dropo: {text}"
+        with suppress(OSError):
+            if self._bar is None:
+                print(line, file=self.stream, flush=True)
+            else:
+                self._bar.console.print(line, markup=False, highlight=False)
+
+    @contextmanager
+    def answering(self, text: str = STOPPING) -> Iterator[None]:
+        """Answer Ctrl-C and SIGTERM inside a block at once, even where it is deep in C.
+
+        Python itself hears them only when the call into C returns, which may be minutes later.
+
+        Parameters
+        ----------
+        text : str
+            What to say.
+        """
+        if self.silent or threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        heard, told = socket.socketpair()
+        told.setblocking(False)
+
+        def listen() -> None:
+            """Say the text for the first of the signals."""
+            said = False
+            while number := heard.recv(1):
+                if number[0] in (signal.SIGINT, signal.SIGTERM) and not said:
+                    said = True
+                    self.say(text)
+
+        thread = threading.Thread(target=listen, name="answering", daemon=True)
+        thread.start()
+        before = signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+        try:
+            yield
+        finally:
+            signal.set_wakeup_fd(before)
+            told.close()
+            thread.join()
+            heard.close()
 
     def close(self) -> None:
         """Remove the line from a terminal, and the file of the last steps."""

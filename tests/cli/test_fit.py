@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
+from dropo.cli.output import STOPPING
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Fit
 from dropo.core.services.evaluation_log import read_log
@@ -455,7 +456,7 @@ def test_interruption_saves_the_best_so_far(
     wait_for_lines(out / "evaluations.jsonl", 4, run)
     run.send_signal(kind)
     text, errors = run.communicate()
-    assert (run.returncode, errors) == (1, "")
+    assert (run.returncode, errors) == (1, f"dropo: {STOPPING}\n")
     assert "interrupted: " in text
     assert result(out)["status"] == "interrupted"
     assert main(["fit", str(problem), *LONG, "--out", str(out), "--quiet"]) == 0

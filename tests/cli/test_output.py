@@ -1,9 +1,13 @@
 """What is drawn on a terminal and what goes into a pipe; the options that every command has."""
 
 import argparse
+import hashlib
 import io
 import json
+import os
 import re
+import signal
+import threading
 import time
 from pathlib import Path
 
@@ -11,6 +15,7 @@ import pytest
 
 from dropo.cli import output
 from dropo.cli.main import _parser, main
+from dropo.cli.output import STOPPING as STOPPED
 from dropo.cli.output import Progress, show, time_left
 from dropo.core.services.tables import Report, Table
 from dropo.diagnosis.search.selection import STOPPING
@@ -146,6 +151,46 @@ def test_the_answer_to_an_interruption_does_not_wait() -> None:
     progress(0.9, f"{STOPPING}, 12 simulator steps")
     (line,) = stream.getvalue().splitlines()
     assert line.endswith("stopping after the figures of what was found so far, 12 simulator steps")
+
+
+def test_what_a_long_run_costs_stays_on_the_terminal() -> None:
+    """A line above the bar, which other texts do not take away; into a pipe at once."""
+    text = "an iteration takes 4 minutes; --likelihood linear would take about 20 s"
+    terminal, pipe = _Terminal(), io.StringIO()
+    for stream in (terminal, pipe):
+        progress = Progress(stream=stream)
+        for one in ("round 1", text, "round 2"):
+            progress(0.1, one)
+        progress.close()
+    assert f"dropo: {text}\n" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", terminal.getvalue())
+    assert pipe.getvalue().endswith(f": {text}\n")
+
+
+def test_ctrl_c_is_answered_while_c_is_at_work() -> None:
+    """At once, where Python hears of it only when the call returns; once; silent where asked."""
+    lines: list[tuple[float, str]] = []
+
+    class Stream(io.StringIO):
+        def write(self, text: str) -> int:
+            lines.append((time.monotonic(), text))
+            return len(text)
+
+    for silent in (False, True):
+        lines.clear()
+        progress = Progress(stream=Stream(), silent=silent)
+        told = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT))
+        heard = 0.0
+        with progress.answering():
+            told.start()
+            try:
+                while True:  # long calls that leave the interpreter to other threads
+                    hashlib.pbkdf2_hmac("sha256", b"", b"", 1_000_000)
+            except KeyboardInterrupt:
+                heard = time.monotonic()
+        told.join()
+        assert "".join(text for _, text in lines) == ("" if silent else f"dropo: {STOPPED}\n")
+        assert all(heard - at > 0.02 for at, _ in lines)
+    assert signal.set_wakeup_fd(-1) == -1
 
 
 def test_time_left() -> None:

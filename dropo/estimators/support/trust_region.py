@@ -7,6 +7,7 @@ of the segments (`coarse`), then, where there are very many, a sample of them (`
 last ones all.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -25,6 +26,7 @@ from dropo.core.records.fit import Status
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 
 UNSETTLED = (
@@ -38,6 +40,8 @@ CUT_SHORT = (
 STALLED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
 INTERRUPTED = "Interrupted: this is the best so far."
 DIVERGED = "Simulations of a design diverged."
+SLOW = "an iteration takes {}"
+LINEAR = "--likelihood linear would take about {}"
 
 MakeOptimizer = Callable[[int, Array], Optimizer]
 """From the number of unknowns and a start (m,) in the unit box to the inner optimizer."""
@@ -90,6 +94,8 @@ class TrustRegionSettings:
         the width.
     minimum_start_scale : float
         Later searches begin with scales of at least this fraction of the width.
+    slow_iteration : float
+        The first iteration that takes longer is told, with what another likelihood would take [s].
     """
 
     max_iterations: int = 25
@@ -116,6 +122,7 @@ class TrustRegionSettings:
     first_noise: float = 0.1
     first_scale: float = 0.5
     minimum_start_scale: float = 0.05
+    slow_iteration: float = 30.0
 
 
 @dataclass(frozen=True)
@@ -205,6 +212,7 @@ class OuterIterations:
         # One seed for all designs: with a new one each time, iterations would never settle.
         self.design_seed = int(self.rng.spawn(1)[0].integers(2**63))
         self._last_built: tuple[TrustRegion, LocalLogLikelihood] | None = None
+        self._told = False
 
     def fit(
         self, start: Array, width: Array | None = None
@@ -317,6 +325,8 @@ class OuterIterations:
 
         def evaluate(_: Array) -> Array:
             nonlocal failed
+            begun = time.perf_counter()
+            steps_before = self.problem.simulator.steps
             try:
                 used_region, local = self._build(region)
             except SimulationFailed as error:
@@ -327,6 +337,8 @@ class OuterIterations:
             errors = self._standard_errors(local, phi)
             value = local_with_prior(local, self.prior)(phi)
             record = np.concatenate([used_region.width, errors, [value, converged], phi])
+            steps = self.problem.simulator.steps - steps_before
+            self._tell_cost(region, time.perf_counter() - begun, steps)
             return record[None]
 
         # The evaluation log knows an iteration by its region.
@@ -340,6 +352,21 @@ class OuterIterations:
         width, errors, (value, converged), phi = np.split(record, [d, 2 * d, 2 * d + 2])
         used_region = replace(region, width=width)
         return IterationResult(used_region, phi, float(value), errors, bool(converged))
+
+    def _tell_cost(self, region: TrustRegion, seconds: float, steps: int) -> None:
+        """Tell once that iterations are slow, and what linear ones would take: 2 d + 1 simulations
+        of the same segments.
+        """
+        if self._told or seconds <= self.settings.slow_iteration:
+            return
+        self._told = True
+        text = SLOW.format(_duration(seconds))
+        segments = self._segments(region)
+        each = int(segments.lengths.sum()) * self.problem.simulator.steps_per_action
+        share = (2 * len(self.box) + 1) * each / max(steps, 1)
+        if share < 1 and not isinstance(self.likelihood, find("likelihoods", "linear")):
+            text = f"{text}; {LINEAR.format(_duration(seconds * share))}"
+        self.run.progress(0.0, text)
 
     # --- regions
 
@@ -530,3 +557,10 @@ class OuterIterations:
         # With I^-1 the inverse and S the scores: the roots of the diagonal of I^-1 S' S I^-1.
         of_data = np.sum((scores[:, :d] @ inverse) ** 2, axis=0)
         return np.sqrt(of_data + np.sum(known[:, None] * inverse**2, axis=0))
+
+
+def _duration(seconds: float) -> str:
+    """A time in words, in seconds or minutes."""
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} minutes"
